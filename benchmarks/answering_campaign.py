@@ -1,15 +1,15 @@
-"""Kills dry runs at random moments, answers their questions well and badly, resumes each until it ends.
+"""Kill dry runs at random moments, answer their questions well and badly, and resume each until it ends.
 
     python -m benchmarks.answering_campaign --runs 40 --seed 1
 
-Dry runs whose questions a person answers, each carried out by a program of its own on a terminal: at each question
-the answer is typed, or left in the run's folder, or both at once, after answers that are stale, ill-fitting or no
-line of JSON, and at random moments the program is killed (SIGKILL) and the run resumed, with a terminal or without.
-Typed angles are off their targets by some seconds, each by its own, so an answer that goes astray is seen.
+Each dry run asks a person, and is carried out by a separate program on a terminal. The answer to each question is
+typed, left in the run's folder, or both at once. Stale, unsuitable or malformed answers precede it. At random
+moments the program is killed (SIGKILL) and the run resumed, with a terminal or without. Each typed angle deviates
+from its target by its own few seconds, so that an answer used for another question is detected.
 
-Every run must end with exactly the readings of one of the same seed that nobody disturbed, none twice, with the
-chain of hashes complete; no question answered twice, no answer used but the recorded one, none lost; a question
-whose answer a kill came between is put again.
+Promised: every run ends with exactly the readings of an undisturbed run of the same seed, none twice, and with a
+complete chain of hashes. No question is answered twice, only recorded answers are used, and none is lost. A
+question whose answer a kill prevented is asked again.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ LONGEST_S: Final = 2.2
 
 
 def answer_to(prompt: Prompt) -> str:
-    """Return what is answered to a question, the same each time that it is asked."""
+    """Return the answer to a question, the same each time it is asked."""
     match prompt.kind:
         case PromptKind.ANGLE:
             off_arcsec = zlib.crc32(prompt.id.partition("#")[0].encode()) % 41 - 20
@@ -67,7 +67,9 @@ def answer_to(prompt: Prompt) -> str:
 
 
 class Hands:
-    """Follows the events of a run and answers its questions, from the keyboard and in the folder."""
+    """A simulated operator who follows the events of a run and answers its questions, by keyboard and in the
+    folder.
+    """
 
     def __init__(self, folder: Path, rng: random.Random, keyboard: int | None, *, calm: bool = False) -> None:
         self.folder, self.rng, self.keyboard, self.calm = folder, rng, keyboard, calm
@@ -80,7 +82,7 @@ class Hands:
         self._ids: list[str] = []
 
     def look(self) -> None:
-        """Take in what happened, and answer what is asked."""
+        """Read the new events, and answer an open question."""
         self._take_in()
         asked = self.asked.prompt
         if asked is None:
@@ -121,7 +123,7 @@ class Hands:
             self._leave(prompt.id, text)
 
     def _disturb(self, prompt: Prompt) -> None:
-        """Leave what must not count before what does."""
+        """Leave answers that must be ignored, before the valid one."""
         what = self.rng.choice(("nothing", "nothing", "stale", "ill-fitting", "garbage", "half"))
         self.done[what] += 1
         if what == "stale":
@@ -138,7 +140,7 @@ class Hands:
 
 
 def one(number: int, folder: Path, *, seed: int, kills: int, calm: bool = False) -> tuple[Run, Counter[str]]:
-    """Carry out a run to its end; return it and how often what was done."""
+    """Carry out a run to its end; return the run and the number of disturbances of each kind."""
     rng = random.Random(f"{seed}/{number}")  # noqa: S311 - a campaign, no secret
     name = f"run{number}"
     run = folder / "runs" / name
@@ -183,7 +185,7 @@ def one(number: int, folder: Path, *, seed: int, kills: int, calm: bool = False)
 
 
 def _drain(master: int) -> None:
-    """Take away what the terminal echoes."""
+    """Discard what the terminal echoes."""
     try:
         os.read(master, 4096)
     except OSError:
@@ -191,7 +193,7 @@ def _drain(master: int) -> None:
 
 
 def amiss(run: Run) -> list[str]:
-    """Say what is wrong with the answers of a run by its record."""
+    """Return sentences on the faults in a run's answers, according to its record."""
     wrong: list[str] = []
     events = list(run.history.events)
     ids = [event.data["id"] for event in events if event.type == "asked"]
@@ -206,7 +208,7 @@ def amiss(run: Run) -> list[str]:
 
 
 def _astray(events: list[Event]) -> list[str]:
-    """Say where an answer was taken that does not belong there, or one that counts was not used."""
+    """Return sentences on answers that were used for another question, and on valid answers that were not used."""
     wrong = []
     asked = OpenPrompt()
     angle_deg: float | None = None
@@ -234,7 +236,7 @@ def _astray(events: list[Event]) -> list[str]:
 
 
 def differences(run: Run, expected: Run) -> list[str]:
-    """Say in what a run differs from one that nobody disturbed."""
+    """Return sentences on the differences between a run and an undisturbed one, `expected`."""
     wrong = list(run.history.problems)
     steps = [e.data["step"] for e in run.history.events if e.type == "step_done" and "reading" in e.data]
     wrong += [f"step {step} was read twice" for step, times in Counter(steps).items() if times > 1]
@@ -248,7 +250,7 @@ def differences(run: Run, expected: Run) -> list[str]:
 
 
 def answer_many(folder: Path, runs: int, kills: int, seed: int) -> list[str]:
-    """Answer and kill so many runs; return what is wrong with them."""
+    """Carry out `runs` runs with answers and kills; return sentences on all faults."""
     expected, _ = one(0, folder, seed=seed, kills=0, calm=True)
     done: Counter[str] = Counter()
     failed = [f"undisturbed: {text}" for text in amiss(expected)]

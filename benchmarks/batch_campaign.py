@@ -1,20 +1,20 @@
-"""A batch over many run folders: how busy its processes are, what memory they take, and what 50 kills cost.
+"""Measure a batch over many run folders: how busy its processes are, their memory, the effect of kills.
 
     python -m benchmarks.many_folders 10000 /var/tmp/laboratory --seed 1
     python -m benchmarks.batch_campaign busy '/var/tmp/laboratory/*' --count 10000
     python -m benchmarks.batch_campaign kills '/var/tmp/laboratory/*' --count 600 --kills 50 --seed 1
 
-`busy` carries one batch out and looks at its processes every second (/proc, so on Linux alone). Beside other
-programs a process that has work waits for a core, too; so it tells two shares of the processes' life after their
-first row: in which they computed (CPU), and in which they computed or stood in the queue for a core (from
-`schedstat`). Where nothing else works on the machine both are the share of the cores that is used. The rest they
-waited for the program that gives the work, or for the disk. Memory is the resident set of the program and the
-largest of a process, by tenths of the runs.
+`busy` carries out one batch and observes its processes every second (in /proc, so on Linux only). It reports two
+shares of the processes' life after their first row: the share in which they computed (CPU), and the share in which
+they computed or waited for a core (from `schedstat`), because other programs compete for cores. On an otherwise
+idle machine both are the share of the cores that is used. In the rest of the time they waited for work from the
+program, or for the disk. Memory is the resident set of the program and of the largest process, by tenths of the
+runs.
 
-`kills` ends processes at random moments (SIGKILL): the program itself, a process that computes, or the one of
-which these are copies. The program is begun again with the same command. At the end every run must be in the
-result once and in one part alone, no part may have been written again, and the rows of a sample must be, number
-by number, those that a single calibration gives. Exit status 1 where that is not so.
+`kills` ends processes at random moments (SIGKILL): the program itself, a computing process, or the fork server from
+which these are copied. The program is then restarted with the same command. At the end every run must be in the
+result exactly once and in one part only, no part may have been rewritten, and the rows of a sample must equal,
+number by number, those of a single calibration. The exit status is 1 if this does not hold.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _TICKS: Final = os.sysconf("SC_CLK_TCK")
 
 @dataclass
 class Seen:
-    """What was seen of a process: times (s) of the first and the last look, CPU and queue (s) at both, memory."""
+    """Observations of a process: times (s) of the first and the last, CPU and queue times (s) then, memory."""
 
     first: tuple[float, float, float]
     last: tuple[float, float, float]
@@ -57,14 +57,14 @@ class Seen:
 
 @dataclass
 class Watch:
-    """The processes of one batch, looked at from time to time."""
+    """The processes of one batch, observed repeatedly."""
 
     program: int
     workers: dict[int, Seen] = field(default_factory=dict)
     memory: list[tuple[int, int, int]] = field(default_factory=list)
 
     def look(self, done: int) -> None:
-        """Note times and memory of all that live."""
+        """Note times and memory of all living processes."""
         largest = 0
         for pid in workers_of(self.program):
             found = times_of(pid)
@@ -81,7 +81,7 @@ class Watch:
         self.memory.append((done, 0 if mine is None else mine[2], largest))
 
     def shares(self) -> tuple[float, float]:
-        """Return the share of their life in which the processes computed, and computed or waited for a core."""
+        """Return the shares of their life in which the processes computed, and computed or waited for a core."""
         life, cpu, queued = (
             sum(one.last[k] - one.first[k] for one in self.workers.values()) for k in range(3)
         )
@@ -96,12 +96,12 @@ def children_of(pid: int) -> list[int]:
 
 
 def workers_of(program: int) -> list[int]:
-    """Return the processes that compute: those that the one in between has begun."""
+    """Return the computing processes, which are children of the program's fork server."""
     return [pid for child in children_of(program) for pid in children_of(child)]
 
 
 def times_of(pid: int) -> tuple[float, float, int] | None:
-    """Return CPU (s), time in the queue for a core (s) of all threads, and resident memory (kB); None if gone."""
+    """Return CPU time (s), queue time (s) of all threads and resident memory (kB); None after its end."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         queued = sum(
@@ -116,7 +116,7 @@ def times_of(pid: int) -> tuple[float, float, int] | None:
 
 
 def begin(over: str, runs: list[str], out: Path, options: argparse.Namespace) -> subprocess.Popen[bytes]:
-    """Begin the command, over a folder of links to the runs."""
+    """Start the batch command over a folder of links to the runs."""
     more = [] if options.workers is None else ["--workers", str(options.workers)]
     command = [*PROGRAM, "batch", "calibrate", "--over", over, "--out", str(out), *more]
     log = (out.parent / "log.txt").open("ab")
@@ -128,7 +128,7 @@ def rows_done(out: Path) -> int:
 
 
 def chosen(options: argparse.Namespace, folder: Path) -> tuple[str, list[str]]:
-    """Return the pattern of a folder with links to the runs that are taken, and their paths."""
+    """Return the pattern of a folder with links to the selected runs, and the paths of these runs."""
     found = list_runs([options.over], Path("runs")).runs[: options.count]
     place = folder / "runs"
     place.mkdir()
@@ -200,7 +200,7 @@ def kills(options: argparse.Namespace, folder: Path) -> int:
 
 
 def kill_one(program: subprocess.Popen[bytes], chance: random.Random) -> list[str]:
-    """Kill the program, a process that computes, or the one between, where it lives."""
+    """Kill the program, a computing process or the fork server, whichever lives."""
     what = chance.choices(["the program", "a process", "the one of which they are copies"], [3, 6, 1])[0]
     pids = {
         "the program": [program.pid] if program.poll() is None else [],
@@ -219,7 +219,7 @@ def kill_one(program: subprocess.Popen[bytes], chance: random.Random) -> list[st
 
 
 def written_again(out: Path, parts: dict[str, str]) -> Iterator[str]:
-    """Note the parts that are new; yield a sentence for each that is not as it was."""
+    """Record the new parts; yield a sentence for each earlier part that was rewritten."""
     for part in (out / "parts").glob("part-*.parquet"):
         mark = sha256(part.read_bytes()).hexdigest()
         if parts.setdefault(part.name, mark) != mark:
@@ -230,7 +230,7 @@ def written_again(out: Path, parts: dict[str, str]) -> Iterator[str]:
 
 
 def checked(out: Path, runs: list[str], chance: random.Random) -> list[str]:
-    """Return what is wrong with a result: runs that are lost or repeated, numbers that are others."""
+    """Return sentences on faults of a result: lost or repeated runs, and numbers that differ from a calibration."""
     table = parquet.read_table(out / "changes.parquet")
     counted = Counter(table["run"].to_pylist())
     in_parts: Counter[str] = Counter()

@@ -1,6 +1,6 @@
-"""What all campaigns share: command line, processes, a file to resume from, shares with intervals, tables, exit.
+"""Functions that all campaigns share: command line, processes, resuming, shares with intervals, tables, exit.
 
-A campaign itself says what a case is, how one is carried out and what is counted.
+A campaign itself defines its cases, how one is carried out, and what is counted.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ Result = TypeVar("Result")
 def arguments(doc: str | None, given: Sequence[str] | None = None, /, **options: Any) -> argparse.Namespace:
     """Read the command line of a campaign, whose help is its docstring.
 
-    An option is described by its default: False is a flag, a list takes several values, a type is an option that
-    is None where it is absent. A pair is a default with a help text, a dictionary goes to argparse as it is (with
-    "positional" as no option). `workers` may be called `--jobs` as well.
+    An option is described by its default: False means a flag, a list an option with several values, a type an
+    option whose default is None. A pair is a default and a help text. A dictionary goes to argparse unchanged; with
+    the key "positional", it describes an argument that is no option. `--jobs` is another name of `--workers`.
     """
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name, default in options.items():
@@ -76,13 +76,13 @@ def _option(default: Any) -> dict[str, Any]:
 
 
 def refuse(why: str) -> NoReturn:
-    """End the program because of how it was called."""
+    """End the program with status 2 and the reason, because of wrong arguments."""
     print(why, file=sys.stderr)
     raise SystemExit(2)
 
 
 def finish(broken: Sequence[str], holds: str = "every promise holds") -> int:
-    """Print what is broken, or that nothing is; return the exit status."""
+    """Print the broken promises, or `holds` if there are none; return the exit status."""
     print("\n".join(["broken:", *broken]) if broken else holds)
     return 1 if broken else 0
 
@@ -93,9 +93,9 @@ def finish(broken: Sequence[str], holds: str = "every promise holds") -> int:
 def spread(
     work: Callable[[Task], Result], tasks: Iterable[Task], workers: int, chunk: int = 4
 ) -> Iterator[Result]:
-    """Yield the result of each task in order, worked out in so many processes (1: in this one).
+    """Yield the result of each task in order, computed in `workers` processes (1: in this one).
 
-    The processes are fresh interpreters: a fork would copy the threads of a linear algebra library.
+    The processes are fresh interpreters, because a fork would copy the threads of a linear algebra library.
     """
     if workers == 1:
         yield from map(work, tasks)
@@ -105,13 +105,13 @@ def spread(
 
 
 def parts_of(work: Callable[[range], Result], count: int, workers: int, size: int = 100) -> list[Result]:
-    """Return what work makes of so many numbered runs, chunk by chunk: what a run gives follows from its number."""
+    """Return the results of `work` on `count` numbered runs, in chunks; a run depends only on its number."""
     chunks = [range(first, min(first + size, count)) for first in range(0, count, size)]
     return list(spread(work, chunks, workers, 1))
 
 
 class Cost(NamedTuple):
-    """What work in a process of its own returned, and what it took: s, s and MB."""
+    """The result of work in a separate process, and its cost: CPU time (s), wall time (s), memory (MB)."""
 
     result: Any
     cpu_s: float
@@ -120,7 +120,7 @@ class Cost(NamedTuple):
 
 
 def cost_of(work: Callable[..., Any], *given: Any) -> Cost:
-    """Do work in a fresh process. CPU time and memory are those of the whole process."""
+    """Carry out work in a fresh process. CPU time and memory are those of the whole process."""
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=context) as pool:
         return pool.submit(_measured, work, *given).result()
@@ -136,7 +136,7 @@ def _measured(work: Callable[..., Any], *given: Any) -> Cost:
 
 
 class Said(NamedTuple):
-    """How a command ended, what it printed, and how long it took."""
+    """The result of a command: its status, its output, and its duration."""
 
     status: int
     out: str
@@ -145,12 +145,12 @@ class Said(NamedTuple):
 
     @property
     def text(self) -> str:
-        """All that it printed."""
+        """The whole output of the command."""
         return self.out + self.err
 
 
 def command(*words: object, stdin: str | TextIO = "") -> Said:
-    """Carry out a command of the program in this process; `stdin` is what is typed, or the keyboard itself."""
+    """Carry out a command of the program in this process; `stdin` is typed text, or the keyboard itself."""
     from bench.cli.app import main
 
     out, err, before = io.StringIO(), io.StringIO(), sys.stdin
@@ -167,7 +167,7 @@ def command(*words: object, stdin: str | TextIO = "") -> Said:
 
 
 def done(*words: object) -> None:
-    """Carry out a command of the program; end the campaign where it cannot be done."""
+    """Carry out a command of the program; end the campaign if it fails."""
     said = command(*words)
     if said.status == 2:
         raise SystemExit(f"bench {' '.join(map(str, words))}: {said.err}")
@@ -177,14 +177,15 @@ def done(*words: object) -> None:
 
 
 class Kept:
-    """Results in a file by their key, appended as they come, so that an interrupted campaign goes on from there.
+    """Results in a file by key, appended one by one, so that an interrupted campaign can be continued.
 
-    A line is JSON, compressed and written as text. A kill cuts off the last line, whose result is made again. The
-    first line says what the results are of, such as the seed and the program: those of another are never mixed in.
+    A line is compressed JSON as text. A kill may cut off the last line, whose result is then computed again. The
+    first line states what the results belong to, such as seed and program, so that results of different ones are
+    never mixed.
     """
 
     def __init__(self, path: Path, head: Mapping[str, object]) -> None:
-        """Open a file, or begin it. Raises `ValueError` where it is of another head, or no such file."""
+        """Open or create a file. Raises `ValueError` if its first line differs, or if it is no such file."""
         self._path, self._start = path, time.perf_counter()
         text = path.read_bytes() if path.exists() else b""
         whole = text[: text.rfind(b"\n") + 1] if text else _packed(head)
@@ -205,11 +206,11 @@ class Kept:
 
     @property
     def seconds(self) -> float:
-        """How long the campaign took so far, all its parts together, s."""
+        """The total duration of the campaign so far, over all its continuations, s."""
         return float(self._before_s) + time.perf_counter() - self._start
 
     def get(self, *key: object) -> Any:
-        """Return the result of a key; None where it is still to be made."""
+        """Return the result of a key; None if it is still missing."""
         return self._done.get(key)
 
     def keep(self, result: object, *key: object) -> None:
@@ -229,24 +230,24 @@ def _packed(line: object) -> bytes:
 
 @dataclass(frozen=True)
 class Share:
-    """So many of so many, with the Wilson 95 % interval."""
+    """A count out of a total, with its Wilson 95 % interval."""
 
     successes: int
     of: int
 
     @classmethod
     def true(cls, mask: Mask) -> Share:
-        """Return how many of a mask are true."""
+        """Return the share of true elements in a mask."""
         return cls(int(np.sum(mask)), int(np.size(mask)))
 
     @property
     def part(self) -> float:
-        """The share itself; NaN where there was nothing to count."""
+        """The share itself; NaN for a total of zero."""
         return self.successes / self.of if self.of else float("nan")
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Lower and upper end; 0 and 1 where there was nothing to count."""
+        """Lower and upper end of the interval; 0 and 1 for a total of zero."""
         if not self.of:
             return 0.0, 1.0
         from scipy.stats import binomtest  # it takes long, and memory, where no share is told
@@ -273,26 +274,29 @@ def rms(z: Floats, axis: int | None = 0) -> Any:
 
 
 def rms_told(z: Floats, by_run: bool = False) -> str:
-    """Return the root mean square with its standard error from the squares; `by_run`, from their means by run."""
+    """Return the rms with its standard error, as text.
+
+    The error follows from the scatter of the squares or, with `by_run`, of their means by run.
+    """
     squares = np.mean(z**2, axis=1) if by_run else z.ravel() ** 2
     size = float(np.sqrt(squares.mean()))
     return f"{size:.3f} ± {float(squares.std(ddof=1)) / np.sqrt(len(squares)) / (2 * size):.3f}"
 
 
 def show_by_coefficient(rows: Mapping[str, Floats]) -> None:
-    """Print a line of twelve numbers for each name."""
+    """Print a line of twelve numbers, by coefficient, for each name."""
     for name, values in rows.items():
         print(f"  {name:14}" + " ".join(f"{value:6.3f}" for value in values))
 
 
 def outside(what: str, values: Floats, low: float, high: float = np.inf) -> list[str]:
-    """Say which of the twelve coefficients have a value outside of these bounds."""
+    """Return sentences on the coefficients whose value is outside the bounds."""
     pairs = zip(COEFFICIENTS, values, strict=True)
     return [f"{what} of {name} is {value:.3f}" for name, value in pairs if value < low or value > high]
 
 
 def markdown(heads: Row, rows: Iterable[Row]) -> Iterator[str]:
-    """Yield the lines of a table, its rows as they come."""
+    """Yield the lines of a Markdown table as the rows arrive."""
     yield f"| {' | '.join(map(str, heads))} |"
     yield f"|{'---|' * len(heads)}"
     for cells in rows:
@@ -305,7 +309,7 @@ def by_kind(
     kind_of: Callable[[Result], str],
     counts: Mapping[str, Callable[[Sequence[Result]], object]],
 ) -> str:
-    """Return a table of what is counted of the outcomes of each kind, and of all."""
+    """Return a table of `counts` over the outcomes of each kind, and over all."""
     of: dict[str, list[Result]] = defaultdict(list)
     for outcome in outcomes:
         of[kind_of(outcome)].append(outcome)
@@ -320,7 +324,7 @@ def by_kind(
 
 
 def summed(name: str) -> Callable[[Sequence[Any]], int]:
-    """Return what counts the outcomes of which this is true, or adds it up; a list counts by its length."""
+    """Return a function that sums the attribute `name` over outcomes; a list counts by its length."""
 
     def count(rows: Sequence[Any]) -> int:
         values = [getattr(row, name) for row in rows]
@@ -331,7 +335,7 @@ def summed(name: str) -> Callable[[Sequence[Any]], int]:
 
 @dataclass
 class Tried:
-    """What became of a run with a trouble in it: whether it ended, was resumed, and what of it is wrong."""
+    """The outcome of a run with a disturbance: whether it ended, whether it was resumed, and its faults."""
 
     trial: Any
     completed: bool = False
@@ -342,7 +346,7 @@ class Tried:
     violations: list[str] = field(default_factory=list)
 
     def judge_stop(self, status: Any) -> None:
-        """A run that stopped says why in lines of its own, with no traceback."""
+        """Note a fault unless a stopped run states its reason in lines of its own, without a traceback."""
         if status != 2:
             self.violations.append(f"exit status {status}: {self.said.strip()}")
         if "Traceback" in self.said or "unexpected" in self.said:
@@ -350,7 +354,7 @@ class Tried:
 
 
 def amiss(found: Sequence[str], word: str = "VIOLATION", most: int | None = None) -> int:
-    """Print what was found amiss, a line each; return the exit status."""
+    """Print a line for each fault; return the exit status."""
     for text in found[:most]:
         print(f"{word} {text}")
     return 1 if found else 0

@@ -1,16 +1,16 @@
-"""Is anything changed in a signed certificate refused, or shown to leave what was signed as it was?
+"""Test whether every change of a signed certificate is rejected, or leaves the signed content unchanged.
 
     python -m benchmarks.certificate_mutations --number 1000 --seed 16
 
-A dry run is made, and its certificate issued: the XML signed, put into the PDF, the PDF signed. Then one of the two
-is changed, by chance from the seed: a byte of a value, a unit, the covariance, a file within it or any other place;
-labels or elements in another order; comments and blanks put into values; parts of the PDF's attachments exchanged,
-something appended, the file written anew. The changed file is looked at with the trust file, as `bench certificate
-verify` does, once alone and once with the other form, unchanged, beside it.
+A dry run is made and its certificate issued: the XML is signed and put into the PDF, and the PDF is signed. Then
+one of the two is changed at random, by the seed: a byte of a value, a unit, the covariance, an embedded file or any
+other place; the order of labels or elements; comments and blanks inside values; exchanged parts of the PDF's
+attachments, appended data, or the file encoded again. The changed file is verified with the trust file, as `bench
+certificate verify` does, once alone and once with the other, unchanged form in the same folder.
 
-A change passes where it is refused, or where what is shown is what was signed, to the byte: comments and blanks
-between attributes are not signed, hexadecimal digits have two cases. Prints a table by kind; exit status 1 for a
-change that was accepted and shows anything else.
+A change passes if it is rejected, or if the values shown are the signed ones, to the byte: comments and blanks
+between attributes are not signed, and hexadecimal digits have two cases. A table by kind is printed. The exit
+status is 1 if a changed file is accepted and shows anything else.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _DIGITS: Final = b"0123456789"
 
 @dataclass(frozen=True)
 class Pair:
-    """A certificate in both forms, and the file that says whom to trust."""
+    """A certificate in both forms, and the trust file."""
 
     xml: bytes
     pdf: bytes
@@ -73,7 +73,7 @@ def signed_pair(run: Path, folder: Path) -> Pair:
 
 
 def _within(document: bytes, tag: bytes, rng: Random) -> tuple[int, int]:
-    """Return where the text of one element of a name stands, chosen by chance."""
+    """Return the position of the text of one element with a tag, chosen at random."""
     return rng.choice(_texts(document, tag))
 
 
@@ -82,7 +82,7 @@ def _texts(document: bytes, tag: bytes) -> list[tuple[int, int]]:
 
 
 def _other(byte: int, rng: Random) -> bytes:
-    """Return another byte of the same kind: a digit for a digit, else any that can be printed."""
+    """Return another byte of the same kind: a digit for a digit, else any printable byte."""
     letters = _DIGITS if byte in _DIGITS else bytes(range(33, 127))
     return bytes([rng.choice([one for one in letters if one != byte])])
 
@@ -213,7 +213,7 @@ def _exchanged(pdf: pikepdf.Pdf, rng: Random) -> None:
 
 
 def _signature_digits(file: bytes) -> tuple[int, int]:
-    """Return where the hexadecimal digits of the signature stand."""
+    """Return the position of the signature's hexadecimal digits in a PDF."""
     start = file.rindex(b"/Contents <") + len(b"/Contents <")
     return start, file.index(b">", start)
 
@@ -240,7 +240,7 @@ KINDS: Final = {**XML, **PDF}
 
 
 def outcome(pair: Pair, changed: bytes, kind: str, folder: Path, *, beside: bool) -> str:
-    """Return what comes of looking at one form, changed, with the other beside it or without."""
+    """Return the outcome of verifying one changed form, with the unchanged other form beside it or not."""
     is_xml = kind in XML
     original, ending, other = (pair.xml, ".xml", ".pdf") if is_xml else (pair.pdf, ".pdf", ".xml")
     file = folder / f"certificate{ending}"
@@ -256,7 +256,7 @@ def outcome(pair: Pair, changed: bytes, kind: str, folder: Path, *, beside: bool
 
 
 def _same(original: bytes, changed: bytes, is_xml: bool) -> bool:
-    """Whether an accepted file says what was signed: the same content, or the same bytes but its signature's."""
+    """Whether an accepted file states what was signed: the same content, or bytes outside the signature."""
     if is_xml:
         try:
             return check_xml(changed).content == check_xml(original).content
@@ -268,7 +268,7 @@ def _same(original: bytes, changed: bytes, is_xml: bool) -> bool:
 
 
 def trials(pair: Pair, number: int, seed: int, folder: Path) -> Iterator[tuple[str, str]]:
-    """Change the pair so many times, the kinds in turn; yield kind and outcome."""
+    """Change the pair `number` times, the kinds in turn; yield kind and outcome."""
     names = list(KINDS)
     for n in range(number):
         kind, rng = names[n % len(names)], Random(f"{seed}/{n}")  # noqa: S311 - it draws changes, not keys
@@ -280,7 +280,7 @@ def trials(pair: Pair, number: int, seed: int, folder: Path) -> Iterator[tuple[s
 
 
 def main() -> int:
-    """Make a pair, change it so many times, print what came of it."""
+    """Make a pair, change it many times, and print the outcomes."""
     asked = arguments(__doc__, number=1000, seed=16)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)

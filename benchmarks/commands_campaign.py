@@ -1,14 +1,16 @@
-"""Does every run survive whatever is typed, pressed, switched off and killed? Promised: no record is ever lost.
+"""Test that no sequence of commands, failures and kills ever loses a record of a run.
 
     python -m benchmarks.commands_campaign --transitions 3000 --seed 1
 
-A state machine (hypothesis) goes from an empty folder through `run`, `resume`, `abort`, `calibrate`, `report`,
-`export`, `seal` and the panel's buttons, on a bench with three voltmeters that are served on loopback and a head
-that a person turns. A meter is off, goes off in mid-run, comes back; a command is hit by Ctrl-C or SIGTERM; it is
-stopped, paused or aborted from the panel, or killed: its record then ends at any byte behind what was there before,
-and results are missing. After every step: each record only grew and `show --verify` holds; no reading stands there
-twice; whatever the program recommends is possible; and where all meters are on, `resume` brings a run to its end
-with all its results. Prints how often what was done; exit status 1 where anything is amiss, with what led there.
+A state machine (hypothesis) starts from an empty folder and uses `run`, `resume`, `abort`, `calibrate`, `report`,
+`export`, `seal` and the panel's buttons. The bench has three voltmeters served on loopback and a head that a person
+turns. A meter may be off, fail during a run, and return. A command may be interrupted by Ctrl-C or SIGTERM,
+stopped, paused or aborted from the panel, or killed: its record then ends at any byte after its previous end, and
+results are missing.
+
+After every step: each record only grew and `show --verify` succeeds; no reading is in it twice; whatever the
+program recommends is possible; and if all meters are on, `resume` completes a run with all its results. The counts
+of all actions are printed. The exit status is 1 after any fault, which is printed with the steps that led to it.
 """
 
 from __future__ import annotations
@@ -76,19 +78,19 @@ _NAMED: Final = re.compile(r"'bench resume (\S+)'")
 
 
 class Process:
-    """Stands for the process that the panel starts: the command is carried out in the main thread."""
+    """A substitute for the process that the panel starts: the command is carried out in the main thread."""
 
     status: int | None = None
 
     def poll(self) -> int | None:
-        """Return the exit status, None as long as it runs."""
+        """Return the exit status, None while the command runs."""
         return self.status
 
 
 class Desk:
     """A bench, a folder of runs, a terminal and a panel, in this process.
 
-    `kept` are the whole lines of each record as they were last seen.
+    `kept` are the complete lines of each record at the last check.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -112,7 +114,7 @@ class Desk:
 
     @contextlib.contextmanager
     def open(self) -> Iterator[Desk]:
-        """Serve the instruments, and stand between the program, its terminal and its records."""
+        """Serve the instruments, and replace the program's terminal and its access to records by this object."""
         with ExitStack() as stack:
             stack.enter_context(self.served)
             for section, name in zip(self._data["instruments"]["voltmeters"], METERS, strict=True):
@@ -139,7 +141,7 @@ class Desk:
     # --- what is done ---------------------------------------------------------------------------------
 
     def command(self, *arguments: object, trouble: str = "", at: int = 0) -> Said:
-        """Type a command; `trouble` comes over it at its `at`-th event."""
+        """Type a command, which is disturbed by `trouble` at its `at`-th event."""
         before = self._lines()
         self._trouble, self._at, self._events, self._asked = trouble, at, 0, OpenPrompt()
         self._away = f"--answers={launching.ANSWERS}" in arguments
@@ -188,7 +190,7 @@ class Desk:
     # --- what comes over it ---------------------------------------------------------------------------
 
     def _follow(self, name: str, event: Event) -> None:
-        """Follow the events of a run: answer what is asked, and let the trouble of the command come over it."""
+        """Follow the events of a run: answer its questions, and apply the disturbance of the command."""
         self._events += 1
         self._asked.take(event)
         if self._events == self._at:
@@ -229,11 +231,11 @@ class Desk:
                 self.browser.ask(f"/runs/{name}/wish", wish=wish, reason="campaign")
 
     def typed(self) -> str:
-        """Return the line that somebody types at the terminal."""
+        """Return the next line typed at the terminal."""
         return f"{self._answer}\n"
 
     def _killed(self, before: dict[str, bytes], at: int, *, results: bool) -> None:
-        """Leave of the run that went on what SIGKILL leaves: its record up to any byte, not all results."""
+        """Leave the run in progress as SIGKILL would: its record ends at any byte, and some results are missing."""
         for name, content in self._lines().items():
             grown = len(content) - len(before.get(name, b""))
             finished = b'"run_finished"' in content
@@ -256,7 +258,7 @@ class Desk:
     # --- what must hold -------------------------------------------------------------------------------
 
     def check(self) -> list[str]:
-        """Return what is amiss now."""
+        """Return sentences on all faults at present."""
         wrong = []
         for name, content in self._lines().items():
             if not content.startswith(self.kept.get(name, b"")):
@@ -293,7 +295,7 @@ class Desk:
         return [f"{name}: {text}" for text in wrong]
 
     def _recommended(self, name: str) -> list[str]:
-        """Whether a run can be resumed, as the program recommends it."""
+        """Return faults if a run cannot be resumed although the program recommends it."""
         try:
             record, _ = taken_up(Run(self.runs / name), results_too=True)
         except Exception as error:
@@ -302,17 +304,17 @@ class Desk:
         return []
 
     def names(self) -> list[str]:
-        """Return the runs there are."""
+        """Return the names of the existing runs."""
         return sorted(self._lines())
 
 
 def _whole(content: bytes) -> bytes:
-    """Return the whole lines of a record, of which the last may be torn."""
+    """Return the complete lines of a record, whose last line may be cut off."""
     return content[: content.rfind(b"\n") + 1]
 
 
 class Typist(io.StringIO):
-    """The keyboard: each line answers the question that stands."""
+    """A simulated keyboard: each line that it types answers the open question."""
 
     def __init__(self, desk: Desk) -> None:
         super().__init__()
@@ -336,7 +338,7 @@ TROUBLES: Final = (
 
 @dataclass
 class Told:
-    """What a campaign counts, and what it found amiss."""
+    """The counts of a campaign, and the faults that it found."""
 
     done: Counter[str] = field(default_factory=Counter)
     wrong: list[str] = field(default_factory=list)
@@ -353,7 +355,7 @@ AT: Final = st.integers(1, 70)
 
 
 class Evenings(RuleBasedStateMachine):
-    """Whatever is done at a bench, in any order."""
+    """A state machine: actions at a bench in any order."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -365,7 +367,7 @@ class Evenings(RuleBasedStateMachine):
         self._stack.close()
 
     def _judge(self, what: str, *further: str) -> None:
-        """Count a step, and raise `AssertionError` with all that is amiss after it."""
+        """Count a step, and raise `AssertionError` with all faults after it."""
         TOLD.done[what] += 1
         wrong = [*further, *self.desk.check()]
         TOLD.wrong += wrong
@@ -409,7 +411,7 @@ class Evenings(RuleBasedStateMachine):
 
     @rule(which=RUNS)
     def bring_to_its_end(self, which: int) -> None:
-        """With all meters on, what is recommended works: the run ends, with all that is made of it."""
+        """With all meters on, follow the recommendations: the run must end with all its results."""
         for meter in [*self.desk.off]:
             self.desk.switch(meter)
         name = self._name(which)
@@ -455,7 +457,7 @@ def _amiss(said: Said) -> list[str]:
 
 
 def main() -> None:
-    """Carry the campaign out and print what was done."""
+    """Carry out the campaign and print the counts."""
     given = arguments(
         __doc__, transitions=(3000, "at least so many"), steps=(30, "from one empty folder"), seed=1
     )

@@ -1,12 +1,12 @@
-"""Control charts held to their promises: false rejections per run, and mean run lengths against published ones.
+"""Test the promises of control charts: false rejections per run, and mean run lengths against published ones.
 
     python -m benchmarks.control_chart_campaign --runs 1000000 --seed 1
 
-Charts are of the nine numbers that do not depend on the mounting. `--runs` are chart points of each row of the
-tables (a tenth in the second). Prints three tables, or one: false rejections of a chart whose baseline has few
-runs, for each kind of limits and for stated u that is right or not; what happens where stated u is wrong for one
-number alone; mean run lengths of Shewhart, EWMA and MEWMA charts beside the published ones, by simulation and by
-the integral equation.
+The charts are of the nine intrinsic numbers, which do not depend on the mounting. `--runs` is the number of chart
+points in each row of the tables (a tenth of it in the second). Three tables are printed, or one of them. The first
+has the false rejections of charts with short baselines, for each basis of limits and for stated u that is right or
+wrong. The second has the effect of a wrong stated u of one number alone. The third has mean run lengths of
+Shewhart, EWMA and MEWMA charts, published, simulated and by the integral equation.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ MEWMA: Final = {(2, 0.1, 8.64): 200.0, (4, 0.1, 12.73): 200.0, (10, 0.1, 22.67):
 
 
 def stated_covariance(seed: int = 7) -> Floats:
-    """Return a covariance (9, 9) with correlations and sizes that differ ten times, as those of a block do."""
+    """Return a covariance (9, 9) with correlations and tenfold differences in size, typical of a block."""
     rng = np.random.default_rng(seed)
     mixed = np.eye(P) + 0.4 * rng.normal(size=(P, P))
     covariance = mixed @ mixed.T
@@ -65,7 +65,7 @@ def stated_covariance(seed: int = 7) -> Floats:
 
 
 def charts(rng: np.random.Generator, runs: int, points: int, root: Floats) -> Iterator[tuple[Floats, Floats]]:
-    """Yield baselines (b, runs, 9) with runs after them (b, LATER, 9), normal of covariance root root'."""
+    """Yield baselines (b, runs, 9) and later runs (b, LATER, 9), normal with covariance `root` root^T."""
     left = points
     while left > 0:
         count = min(CHARTS, -(-left // LATER))
@@ -77,9 +77,9 @@ def charts(rng: np.random.Generator, runs: int, points: int, root: Floats) -> It
 def false_rejections(
     basis: Basis, runs: int, factor: float, points: int, seed: int, one: float = 1.0
 ) -> dict[str, Floats]:
-    """Return the share of false rejections in each chart (charts,), of each statistic and of all.
+    """Return the share of false rejections in each chart (charts,), by each statistic and by any.
 
-    True u is `factor` times what is stated, and of one number `one` times that.
+    The true u is `factor` times the stated u, and that of one number `one` times more.
     """
     rng = np.random.default_rng(seed)
     stated = stated_covariance()
@@ -108,20 +108,20 @@ def false_rejections(
 
 
 def relative(shares: Floats, rate: float) -> str:
-    """Return the mean share over a rate, with its standard error from chart to chart."""
+    """Return the mean share divided by a rate, with its standard error from the scatter between charts."""
     u = shares.std(ddof=1) / np.sqrt(len(shares))
     return f"{shares.mean() / rate:.3f} ± {u / rate:.3f}"
 
 
 def short_terms(rng: np.random.Generator, count: int, runs: int) -> Floats:
-    """Return probabilities (count, LATER) of short-term standard deviations, by baselines of so many runs."""
+    """Return p-values (count, LATER) of short-term standard deviations, judged by baselines of `runs` runs."""
     s = np.sqrt(rng.chisquare(READING_DOF, size=(count, runs + LATER)) / READING_DOF)
     dof = np.full(runs + LATER, READING_DOF)
     return np.array([short_term(k[runs:], dof[runs:], k[:runs], dof[:runs]).p for k in s])
 
 
 def nominal() -> dict[str, float]:
-    """Return the rates that are stated for the default design."""
+    """Return the stated rates of the default design."""
     design = ChartDesign()
     rates = {"T²": design.alpha, "EWMA": design.alpha_ewma(P), "s": design.alpha}
     # how often any of the three is beyond its limit, were they independent
@@ -143,7 +143,7 @@ def rejections(points: int, seed: int) -> Iterator[Row]:
 
 
 def wrong(points: int, seed: int) -> Iterator[Row]:
-    """Yield the rows of the second table: one of the nine scatters more, or less, than stated."""
+    """Yield the rows of the second table: one of the nine numbers scatters more, or less, than stated."""
     points = max(points // 10, 1000)
     print(f"\nOne of the nine with another u than stated, {points} runs a row; ratio of T² to nominal:")
     yield "limits", "baseline", "its u / stated", "T²", "baselines in which it is noticed"
@@ -157,10 +157,10 @@ def wrong(points: int, seed: int) -> Iterator[Row]:
 def run_lengths(
     rng: np.random.Generator, smoothing: float, limit: float, shift: float, count: int, p: int = 1
 ) -> Floats:
-    """Return the lengths (count,) of runs of charts with limits at once where they end up, known parameters.
+    """Return the run lengths (count,) of charts with known parameters and asymptotic limits.
 
-    The statistic is z² of one value, or T² of `p`, of the EWMA; `limit` is what it must not exceed, `shift` that of
-    the first coordinate, in standard deviations.
+    The statistic is z² of one value, or T² of `p` values, of the EWMA. `limit` is its upper limit, `shift` the
+    shift of the first coordinate, in standard deviations.
     """
     state = np.zeros((count, p))
     lengths, alive = np.zeros(count), np.arange(count)
@@ -178,7 +178,7 @@ def run_lengths(
 
 
 def lengths(points: int, seed: int) -> Iterator[Row]:
-    """Yield the rows of the third table: about `points` chart points each."""
+    """Yield the rows of the third table, with about `points` chart points each."""
     rng = np.random.default_rng(seed)
     print("\nMean run lengths; simulated ± standard error:")
     yield "chart", "shift / s", "published", "integral equation", "simulated", "/ published"

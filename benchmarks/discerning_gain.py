@@ -1,11 +1,11 @@
-"""What the procedure `discerning` gains against `paper` and `calibration`: how many effects are named, and alone.
+"""Compare the procedure `discerning` with `paper` and `calibration`: how many effects are named, and named alone.
 
 Usage: python -m benchmarks.discerning_gain [--draws 300] [--seed 1]
 
-The readings are those that a procedure would give, made linear; an effect of the catalogue is drawn (every family
-alike, one of its forms, normal sizes of one or three times what is plausible), with the noise of the bench,
-and the naming of `bench diagnose` is asked. The effects are the catalogue's own forms, which flatters the naming:
-the table compares procedures, and does not say how well effects of a real bench are named.
+Readings are simulated in linear approximation. An effect of the catalogue is drawn (every family equally often, one
+of its forms, normal sizes of one or three times the plausible size), with the noise of the bench, and named as
+`bench diagnose` does. The effects are the catalogue's own forms, which favours the naming: the table compares
+procedures, and does not show how well effects of a real bench are named.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ _FORM = re.compile(r"(\w+)\.(\w+)(?:\*(\d))?(?:\[(\w+)\])?(?:@(\d))?")
 
 
 def form_of(text: str) -> Form:
-    """Return a form as `TIES` writes it."""
+    """Return the form that a text, as in `TIES`, describes."""
     found = _FORM.fullmatch(text)
     if found is None:
         raise ValueError(text)
@@ -74,7 +74,7 @@ def form_of(text: str) -> Form:
 
 @dataclass
 class Score:
-    """Counts over the draws."""
+    """Counts over all draws: effects named, named alone, and so on."""
 
     draws: int = 0
     named: int = 0
@@ -98,7 +98,7 @@ class Score:
 
 
 class Trial:
-    """A procedure on the paper's bench, and what the naming makes of effects in its readings."""
+    """A procedure on the paper's bench, and the naming of effects in its readings."""
 
     def __init__(self, procedure: str) -> None:
         bench = load_bench(find_bench("paper-stand"))
@@ -139,7 +139,7 @@ class Trial:
         return score
 
     def row(self, draws: int, seed: int) -> Row:
-        """Return settings, hours and the counts as the table shows them."""
+        """Return the table row of a procedure: number of settings, hours, and counts."""
         s = self.score(draws, seed)
         return (
             self.settings, f"{self.plan.expected_duration_s() / 3600.0:.1f}", f"{s.named / s.draws:.2f}",

@@ -1,13 +1,13 @@
-"""What do a thousand faults on the wire do to runs? Promised: no hang, no traceback, no wrong value.
+"""Test runs with a thousand faults on the wire: no hang, no traceback, no wrong value.
 
     python -m benchmarks.fault_campaign --faults 1200 --seed 1 --jobs 2
 
-Every trial is a dry run of a short procedure by the command line, on a bench file of `config` whose stand,
-voltmeters and operator are made exact and whose timeouts short (0.2 s). One fault of a random kind strikes one
-instrument at a random exchange; in a storm five do. Judged: the time of the run; what stands on standard
-error; the record's chain of hashes; every sample on record against the forward model at the recorded angle;
-that a run which stopped names the instrument, and resumed without faults ends with all the readings planned.
-Prints a table by kind of fault and every violation; exit status 1 when there is one.
+Every trial is a dry run of a short procedure by the command line. Its bench file is one of `config`, with exact
+stand, voltmeters and operator, and short timeouts (0.2 s). One fault of a random kind affects one instrument at a
+random exchange; in a storm there are five. Judged are: the duration of the run; the text on standard error; the
+record's chain of hashes; every recorded sample against the forward model at the recorded angle. A stopped run must
+name the instrument, and end with all planned readings when it is resumed without faults. A table by kind of fault
+and every violation are printed; the exit status is 1 if there is one.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ READINGS: Final = 3
 
 @dataclass(frozen=True)
 class Stand:
-    """A bench file made exact, the procedure for it, and how many exchanges each instrument has in a run."""
+    """A bench file without errors, its procedure, and the number of exchanges of each instrument in a run."""
 
     name: str
     bench: Path
@@ -85,7 +85,7 @@ class Trial:
 
 @dataclass
 class Outcome(Tried):
-    """What became of a trial; `struck` are the faults that did."""
+    """The outcome of a trial; `struck` are the faults that occurred."""
 
     struck: int = 0
 
@@ -94,9 +94,9 @@ class Outcome(Tried):
 
 
 def exact(data: dict[str, Any], timeout: str) -> dict[str, Any]:
-    """Return a bench file's data without any error of stand, voltmeter and operator, with these timeouts.
+    """Return a bench file's data without errors of stand, voltmeters and operator, with these timeouts.
 
-    What a harsh bench does to its wires and inputs stays: `slack_v` bounds it.
+    The disturbances of wires and inputs on a harsh bench remain; `slack_v` is their bound.
     """
     for name, size in data["stand"].items():
         size["limit"] = "0 V" if name == "voltmeter_error" else "0 arcsec"
@@ -117,7 +117,7 @@ def exact(data: dict[str, Any], timeout: str) -> dict[str, Any]:
 def exact_bench(
     folder: Path, shipped: str, timeout: str, name: str = "", change: Callable[[Any], None] | None = None
 ) -> tuple[Path, dict[str, Any]]:
-    """Write a shipped bench file that is made exact, and changed; return the file and its data."""
+    """Write a shipped bench file without errors, modified by `change`; return the file and its data."""
     text = (ROOT / "config" / f"{shipped}.yaml").read_text(encoding="utf-8")
     data = exact(yaml.safe_load(text), timeout)
     if change is not None:
@@ -128,9 +128,9 @@ def exact_bench(
 
 
 def stands(folder: Path, names: Sequence[str], timeout: str = TIMEOUT) -> list[Stand]:
-    """Make the benches of these bench files, each with a run without faults that counts the exchanges.
+    """Make the benches of these bench files; a run without faults on each counts the exchanges.
 
-    Raises `RuntimeError` when that run fails.
+    Raises `RuntimeError` if that run fails.
     """
     made = []
     for name in names:
@@ -155,7 +155,7 @@ def stands(folder: Path, names: Sequence[str], timeout: str = TIMEOUT) -> list[S
 
 
 def _on_bus(meter: Mapping[str, Any]) -> list[str]:
-    """Return the name of a meter that is reached through a GPIB adapter, in a list, or none."""
+    """Return a list with the name of a meter that is reached through a GPIB adapter; empty for any other meter."""
     channels = meter.get("channels") or list(meter.get("inputs", {}))
     name = meter.get("name", f"voltmeter.{''.join(channels)}")
     return [name] if meter["resource"].lower().startswith("prologix") else []
@@ -171,7 +171,7 @@ def run_arguments(stand: Any, runs: Path, name: str) -> list[str]:
 
 
 class WatchedWire:
-    """One instrument of the simulation; counts its exchanges, and those that its wire spoilt."""
+    """A simulated instrument that counts its exchanges, and those that its wire disturbed."""
 
     def __init__(self, faulty: FaultyInstrument, wired: ServedInstrument) -> None:
         self.name = faulty.name
@@ -203,13 +203,13 @@ class WatchedWire:
 
 @dataclass
 class Watch:
-    """Arms the faults in the simulated bench of the next run, and counts."""
+    """Injects the faults into the simulated bench of the next run, and counts."""
 
     faults: Sequence[Fault]
     wires: list[WatchedWire] = field(default_factory=list)
 
     def __call__(self, *arguments: Any, **named: Any) -> SimulatedBench:
-        """Stand for the class `SimulatedBench` in the composition root."""
+        """Make the simulated bench, in place of the class `SimulatedBench` in the composition root."""
         simulated = SimulatedBench(*arguments, **named)
         for fault in self.faults:
             simulated.arm(fault)
@@ -219,7 +219,7 @@ class Watch:
 
     @property
     def struck(self) -> int:
-        """How many of the faults have struck, as far as can be seen."""
+        """The number of faults that have occurred, as far as can be seen."""
         by_name = {wire.name: wire for wire in self.wires}
         seen = sum(wire.spoilt for wire in self.wires)
         for fault in self.faults:
@@ -230,7 +230,7 @@ class Watch:
 
 @contextlib.contextmanager
 def watched(faults: Sequence[Fault]) -> Iterator[Watch]:
-    """Within the context, a dry run has these faults."""
+    """Within the context, inject these faults into a dry run."""
     watch = Watch(faults)
     with mock.patch.object(bench.run.assembly.served, "SimulatedBench", watch):
         yield watch
@@ -240,7 +240,7 @@ def watched(faults: Sequence[Fault]) -> Iterator[Watch]:
 
 
 def carry_out(trial: Trial, folder: Path, limit_s: float = LIMIT_S) -> Outcome:
-    """Run, judge, and where the run stopped, resume and judge again."""
+    """Carry out and judge a run; if it stopped, resume it and judge it again."""
     outcome = Outcome(trial)
     name = f"trial-{trial.name}"
     with watched(trial.faults) as watch:
@@ -268,7 +268,7 @@ def carry_out(trial: Trial, folder: Path, limit_s: float = LIMIT_S) -> Outcome:
 
 
 def judge_stop(status: Any, outcome: Outcome) -> None:
-    """A run that stopped says why in lines of its own, with the instrument's name, and no traceback."""
+    """Note a fault unless a stopped run states its reason and the instrument's name, without a traceback."""
     outcome.judge_stop(status)
     said = outcome.said
     struck = {fault.instrument for fault in outcome.trial.faults}
@@ -278,7 +278,7 @@ def judge_stop(status: Any, outcome: Outcome) -> None:
 
 
 def judge_record(run: Run, outcome: Outcome) -> None:
-    """The chain is whole and every value on record is true."""
+    """Note a fault unless the chain of hashes is intact and every recorded value is true."""
     history = run.history
     outcome.violations += history.problems
     if history.torn:
@@ -295,7 +295,7 @@ def _bench_file(path: Path) -> BenchFile:
 
 
 def judged(outcome: Outcome, step: Mapping[str, Any]) -> list[str]:
-    """Return what is wrong with a recorded reading: against the forward model, at the angle on record."""
+    """Return what is wrong with a recorded reading, compared with the forward model at the recorded angle."""
     reading = step["reading"]
     stand = _bench_file(outcome.trial.stand.bench)
     conditions = Conditions.of(
@@ -320,13 +320,13 @@ def judged(outcome: Outcome, step: Mapping[str, Any]) -> list[str]:
 
 
 def slack_v(stand: BenchFile) -> float:
-    """Return what the 1/f noise (twenty sines) and the load of the high impedance may add at most, V."""
+    """Return the largest deviation of a reading due to 1/f noise (twenty sines) and loading of the input, V."""
     flaws = stand.simulation.voltmeter
     return 20.0 * math.sqrt(0.5) * flaws.flicker + flaws.source_ohm / 10e9 * 2.5
 
 
 def judge_finished(run: Run, outcome: Outcome) -> None:
-    """A finished run has exactly the readings planned."""
+    """Note a fault unless a finished run has exactly the planned readings."""
     if run.history.state != "finished":
         outcome.violations.append(f"the run is {run.history.state}, not finished")
         return
@@ -347,7 +347,7 @@ _ERRORS: Final = (-222, -113, -410)
 
 
 def draw(count: int, seed: int, benches: Sequence[Stand]) -> list[Trial]:
-    """Draw trials with `count` faults at least, the kinds in turn."""
+    """Draw trials with at least `count` faults, the kinds in turn."""
     generator = random.Random(seed)  # noqa: S311 - nothing secret
     trials: list[Trial] = []
     faults = 0
@@ -365,7 +365,7 @@ def draw(count: int, seed: int, benches: Sequence[Stand]) -> list[Trial]:
 
 
 def draw_fault(generator: random.Random, stand: Stand, kind: FaultKind) -> Fault:
-    """Draw instrument, exchange and duration of a fault."""
+    """Return a random fault of a kind: its instrument, exchange and duration."""
     instrument = generator.choice(stand.able[kind])
     seconds = 0.0
     if kind is FaultKind.LATE:
@@ -382,7 +382,7 @@ def draw_fault(generator: random.Random, stand: Stand, kind: FaultKind) -> Fault
 
 
 def guarded(trial: Trial, folder: Path, limit_s: float) -> Outcome:
-    """Carry a trial out; what is stuck for good is shown with its threads, and ends the campaign."""
+    """Carry out a trial; one that hangs ends the campaign, and its threads are shown."""
     faulthandler.dump_traceback_later(STUCK_S, exit=True, file=2)
     outcome = carry_out(trial, folder, limit_s)
     faulthandler.cancel_dump_traceback_later()
@@ -407,7 +407,7 @@ def table(outcomes: Sequence[Outcome]) -> str:
 
 
 def violations(outcomes: Sequence[Outcome]) -> list[str]:
-    """Return every violation with what led to it."""
+    """Return every violation, with the faults that led to it."""
     told = []
     for outcome in outcomes:
         faults = "; ".join(str(fault.told()) for fault in outcome.trial.faults)

@@ -1,20 +1,26 @@
-"""Whether what `bench fleet` tells of many calibrations is honest, on drawn values with known truth.
+"""Test the uncertainties that `bench fleet` states, on simulated calibrations with known truth.
 
     python -m benchmarks.fleet_honesty prior --runs 200 --seed 1
     python -m benchmarks.fleet_honesty drift --runs 1000 --seed 1
     python -m benchmarks.fleet_honesty crossed --runs 200 --seed 1
     python -m benchmarks.fleet_honesty capability --runs 20 --seed 2
 
-`prior`: units that differ by 5 u with correlations, m of them calibrated once or thrice behind the prior of their
-type, and a further one whose calibration is joined with it; z of its coefficients with and without the prior, in
-Mahalanobis' sense as well. `drift`: histories of n calibrations, about a year apart, of u = 1, with scatter between
-calibrations and a random walk in a year of stated sizes; z of the rate and of the value that is foretold for a year
-later. `crossed`: sizes of units, benches and excess, true and found, with standard errors of the mean, stated u
-over the scatter found, and the rms of z of benches' effects. `capability`: laboratories of units that are
-calibrated about once a year on benches by chance, with u = 1: units differ by 5, go along lines of their own and
-walk, benches differ by 0.5, calibrations scatter by more than stated, the twelve coefficients independently. It
-tells the share of limits of 95 % that hold the truth, the mean of the scatter found, and what it is where drifts
-are left in. Standard errors are beside; shares have Wilson's interval of 95 %, coverage is of k = 2.
+`prior`: units that differ by 5 u, with correlations. m of them, calibrated once or three times, give the prior of
+their type. The calibration of a further unit is combined with it. Printed is z of its coefficients with and without
+the prior, also as a Mahalanobis distance.
+
+`drift`: histories of n calibrations, about a year apart, of u = 1, with scatter between calibrations and a random
+walk of stated sizes. Printed is z of the rate and of the value predicted for a year later.
+
+`crossed`: sizes of units, benches and excess, true and estimated, with standard errors of the mean; stated u over
+the estimated scatter; rms z of the benches' effects.
+
+`capability`: laboratories whose units are calibrated about once a year on random benches, with u = 1. Units differ
+by 5, drift along their own lines and walk; benches differ by 0.5; calibrations scatter by more than stated; the
+twelve coefficients are independent. Printed are the share of 95 % limits that contain the truth, the mean estimated
+scatter, and the same if drift is not removed.
+
+Standard errors are given; shares have Wilson's 95 % interval, and coverage is for k = 2.
 """
 
 from __future__ import annotations
@@ -39,12 +45,12 @@ FIRST = np.datetime64("2020-01-01", "s")
 
 
 def coverage_told(z: Floats) -> str:
-    """Return the share within k = 2, with its interval."""
+    """Return the share of z within k = 2, with its interval, as text."""
     return Share.true(np.abs(z) <= 2.0).percent
 
 
 def calibrations(unit: Any, when: Any, vector: Floats, bench: Any = "1") -> ComparedCalibrations:
-    """Return calibrations of u = 1 of units of one type."""
+    """Return calibrations with u = 1 of units of one type."""
     n = len(vector)
     return ComparedCalibrations(
         unit=np.array([f"A {k}" for k in unit]), kind=np.full(n, "A"), bench=np.broadcast_to(bench, n), when=when,
@@ -94,7 +100,7 @@ WALKS = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.0, 3.0), (0.0, 10.0))
 
 
 def drift(runs: int, seed: int) -> Iterator[Row]:
-    """Yield a row for each number of calibrations and size of scatter and walk."""
+    """Yield a row for each number of calibrations and each size of scatter and walk."""
     for count, (scatter, walk) in [(count, sizes) for count in (6, 12) for sizes in WALKS]:
         rng = np.random.default_rng([seed, count])
         rates, foretold = [], []
@@ -119,7 +125,7 @@ def drift(runs: int, seed: int) -> Iterator[Row]:
 
 @dataclass(frozen=True)
 class Case:
-    """Values `y` (n,) with stated variances (n,), who was measured where, and true effects of benches (B,)."""
+    """Values `y` (n,) with stated variances (n,), their units and benches, and true effects of benches (B,)."""
 
     crossing: Crossing
     y: Floats
@@ -131,7 +137,7 @@ def drawn(
     rng: np.random.Generator, count: int, units: int, benches: int, sizes: Sequence[float],
     *, kinds: int = 1, u: float = 1.0,
 ) -> Case:  # fmt: skip
-    """Draw values of units on benches, each pair by chance, with sizes of units, benches and excess, 1 sigma."""
+    """Draw values of units on benches, paired at random, with sizes of units, benches and excess, 1 sigma."""
     unit = np.unique(rng.integers(0, units, count), return_inverse=True)[1]
     bench = np.unique(rng.integers(0, benches, count), return_inverse=True)[1]
     kind = (np.arange(unit.max() + 1) % kinds)[unit]
@@ -149,7 +155,7 @@ CROSSINGS = (
 
 
 def crossed(runs: int, seed: int) -> Iterator[Row]:
-    """Yield a row of what is found over `runs` draws of each case."""
+    """Yield a row of estimated and true sizes over `runs` draws of each case."""
     for count, units, benches, sizes in CROSSINGS:
         rng = np.random.default_rng(seed)
         found, stated, z = [], [], []
@@ -182,7 +188,7 @@ LABORATORIES = (
 def laboratory(
     rng: np.random.Generator, units: int, runs: int, benches: int, sizes: Sequence[float]
 ) -> ComparedCalibrations:
-    """Draw calibrations of u = 1 of all twelve coefficients, with sizes of scatter, rates, walks and benches."""
+    """Draw calibrations with u = 1 of all twelve coefficients; `sizes`: of scatter, rates, walks, benches."""
     scatter, rate, walk, between = sizes
     steps = rng.uniform(0.5, 1.5, (units, runs))
     years = np.cumsum(steps, axis=1)
@@ -240,7 +246,7 @@ TABLES: Final[dict[str, tuple[Callable[[int, int], Iterator[Row]], str]]] = {
 
 
 def main() -> None:
-    """Print what was asked for."""
+    """Print the requested table."""
     given = arguments(__doc__, what={"positional": True, "choices": TABLES}, runs=400, seed=1)
     table, heads = TABLES[given.what]
     for line in markdown(heads.split(" | "), table(given.runs, given.seed)):

@@ -1,14 +1,16 @@
-"""What do twenty thousand inputs that nobody expects do to the program? Promised: a sentence each, no more.
+"""Test the program with twenty thousand invalid or unusual inputs: each must give a sentence, and no worse.
 
     python -m benchmarks.fuzz_campaign --inputs 20000 --seed 1 --jobs 2
 
-Readings, bench files, procedures, model files, results, records, names, SCPI to the simulated meters, answers
-at prompts, values at the edges, pipes for files, damaged catalogues, calls from Python, each made from the seed
-and its number (`fuzz_inputs`, `fuzz_edges`), tried in a process beside.
-Judged: no traceback, no message of a mistake that nobody foresaw, no character that acts on a terminal, one of
-the promised statuses, nothing taken that must be refused (no finite signal, a covariance that none is, a wrong
-unit, a key twice, a changed record, …), no hang: an input that takes too long ends the campaign and is named.
-Prints a table by kind and every violation; exit status 1 when there is one. One input again: `--only readings:17`.
+Inputs are readings, bench files, procedures, model files, results, records, names, SCPI to the simulated meters,
+answers at prompts, extreme values, pipes for files, damaged catalogues, and calls from Python. Each is made from
+the seed and its number (`fuzz_inputs`, `fuzz_edges`), and tried in a separate process.
+
+Promised: no traceback, no message of an unforeseen error, no control character for a terminal, one of the
+documented statuses, no acceptance of what must be refused (signals that are not finite, an impossible covariance, a
+wrong unit, a repeated key, a changed record, …), and no hang: an input that takes too long ends the campaign and is
+named. A table by kind and every violation are printed; the exit status is 1 if there is one. To repeat one input:
+`--only readings:17`.
 """
 
 from __future__ import annotations
@@ -54,7 +56,7 @@ _UNFORESEEN: Final = re.compile(
 
 @dataclass(frozen=True)
 class Violation:
-    """What went wrong with an input: its kind and number, which promise was broken, and how."""
+    """A violation: kind and number of the input, the broken promise, and what happened."""
 
     kind: str
     number: int
@@ -63,12 +65,12 @@ class Violation:
 
 
 def generator(kind: str, seed: int, number: int) -> random.Random:
-    """Return the random numbers of an input."""
+    """Return the random number generator of an input."""
     return random.Random(f"{seed}/{kind}/{number}")  # noqa: S311 - nothing secret
 
 
 def tried(kind: str, seed: int, number: int) -> list[Violation]:
-    """Make an input and try it, in the current folder, which must be empty."""
+    """Make an input and try it in the current folder, which must be empty; return the violations."""
     rng = generator(kind, seed, number)
     try:
         others = {"scpi": _scpi, "answers": _answers, "python": python_trial}
@@ -100,7 +102,7 @@ def _commands(kind: str, rng: random.Random) -> list[tuple[str, str]]:
 
 
 def judged(case: Case, status: object, out: str, err: str, number: int) -> Iterator[tuple[str, str]]:
-    """Yield what is wrong with how the command of this number of a case ended: which promise, and how."""
+    """Yield promise and fault for each fault in how the `number`-th command of a case ended."""
     command = case.commands[number]
     for text in (out, err):
         if _UNFORESEEN.search(text):
@@ -123,7 +125,7 @@ def judged(case: Case, status: object, out: str, err: str, number: int) -> Itera
 
 
 def _no_numbers(out: str) -> Iterator[tuple[str, str]]:
-    """Yield what is wrong with a result: no JSON of the standard, a number beyond all, no covariance."""
+    """Yield the faults of a result: invalid JSON, an absurdly large number, an impossible covariance."""
 
     def refuse(word: str) -> None:
         raise ValueError(word)
@@ -142,7 +144,7 @@ def _no_numbers(out: str) -> Iterator[tuple[str, str]]:
 
 
 def called(command: list[str], stdin: bytes = b"") -> tuple[object, str, str]:
-    """Give a command in this process; return its status, standard output and standard error."""
+    """Carry out a command in this process; return its status, standard output and standard error."""
     from bench.cli.app import main
 
     out, err = (
@@ -170,7 +172,7 @@ def called(command: list[str], stdin: bytes = b"") -> tuple[object, str, str]:
 
 
 def spoil_record(rng: random.Random, folder: Path) -> str:
-    """Copy a run of the tests and spoil it; return what of it must be found, empty where it may be taken."""
+    """Copy a run of the tests and damage it; return what must be reported, empty if it may be accepted."""
     from bench.run.events import sha256
 
     kept = ROOT / "tests/data/records" / rng.choice(("finished", "interrupted"))
@@ -253,7 +255,7 @@ def _meters() -> list[Any]:
 
 
 def _scpi(rng: random.Random) -> list[tuple[str, str]]:
-    """A few messages to a simulated meter: it answers in ASCII, refuses what is wrong, and lives on."""
+    """Send a few messages to a simulated meter: it must answer in ASCII, refuse errors, and keep working."""
     meter = rng.choice(_meters())
     broken, sent = [], []
     for _ in range(rng.randrange(1, 6)):
@@ -282,7 +284,9 @@ def _scpi(rng: random.Random) -> list[tuple[str, str]]:
 
 
 def _answers(rng: random.Random) -> list[tuple[str, str]]:
-    """Answers at a prompt: the one that is taken fits, and all else is asked again, a wish, or a sentence."""
+    """Answer prompts: an accepted answer must fit; any other must be asked again, be a wish, or be refused in
+    words.
+    """
     from bench.base.tables import Screen
     from bench.run.person import OperatorWish, ask
     from bench.run.terminal import TerminalPerson
@@ -334,7 +338,7 @@ def _answers(rng: random.Random) -> list[tuple[str, str]]:
 
 @contextlib.contextmanager
 def own_folder(parent: Path) -> Iterator[None]:
-    """Work in an empty folder, with nothing preset, as long as the context lasts."""
+    """Work in an empty folder, without settings in the environment, within the context."""
     folder = parent / "work"
     folder.mkdir()
     kept = {name: os.environ.pop(name, None) for name in ("BENCH_FILE", "BENCH_RUNS", "BENCH_DEVICES")}
@@ -362,14 +366,14 @@ SHARES: Final = {
 
 
 def inputs(count: int) -> list[tuple[str, int]]:
-    """Return kind and number of so many inputs, or a few more."""
+    """Return kind and number of at least `count` inputs."""
     rounds = -(-count // sum(SHARES.values()))
     return [(kind, number) for kind in KINDS for number in range(rounds * SHARES[kind])]
 
 
 @cache
 def own_place(parent: str) -> Path:
-    """Return a folder of this process, and load what takes long to load: that is no input's time."""
+    """Return a folder for this process, and load slow modules first, so that no input's time includes this."""
     os.environ["MPLCONFIGDIR"] = matplotlib.get_cachedir()  # a list of fonts takes half a minute to make
     import bench.cli.app  # noqa: F401
 
@@ -378,7 +382,7 @@ def own_place(parent: str) -> Path:
 
 
 def guarded(parent: str, seed: int, which: tuple[str, int]) -> list[Violation]:
-    """Try an input; one that hangs shows where, and ends the campaign."""
+    """Try an input; one that hangs ends the campaign, and its threads are shown."""
     place = own_place(parent)
     (place / TRYING).write_text(":".join(map(str, which)))
     faulthandler.dump_traceback_later(LIMIT_S, exit=True, file=2)
@@ -389,7 +393,7 @@ def guarded(parent: str, seed: int, which: tuple[str, int]) -> list[Violation]:
 
 
 def campaign(which: Sequence[tuple[str, int]], seed: int, workers: int) -> list[Violation]:
-    """Try inputs on so many processes; return the violations, printed as they come."""
+    """Try inputs in `workers` processes; return the violations, which are also printed at once."""
     found: list[Violation] = []
     with tempfile.TemporaryDirectory() as parent:
         try:
@@ -404,7 +408,7 @@ def campaign(which: Sequence[tuple[str, int]], seed: int, workers: int) -> list[
 
 
 def told(violation: Violation) -> str:
-    """Return a violation as it is printed."""
+    """Return a violation as a line of text."""
     return f"--- {violation.kind}:{violation.number} {violation.what}\n{violation.how.rstrip()}"
 
 

@@ -1,4 +1,4 @@
-"""Inputs at the edges: values that cannot be or hardly can, units, pipes for files, a damaged catalogue, Python."""
+"""Unusual inputs: impossible or extreme values, units, pipes for files, a damaged catalogue, calls from Python."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ ANGLES: Final = ("axis_tilt", "zero_offset", "mounting_error", "setting_error")
 
 
 def edge_case(rng: random.Random) -> Case:
-    """Readings or a bench file with a value that is refused, or doubted in a line."""
+    """Return readings or a bench file with a value that must be refused, or doubted in a sentence."""
     return rng.choice((_readings_case, _readings_case, _unit_case, _bench_case, _several_case))(rng)
 
 
 def _with_columns() -> list[list[str]]:
-    """Return good readings with time, temperature and scatter."""
+    """Return valid readings with columns for time, temperature and scatter."""
     header, *rows = [list(row) for row in readings()]
     header += ["time_s", "temperature_c", "ux_sd_v"]
     return [header, *([*row, str(60 * k), "23.1", "1e-6"] for k, row in enumerate(rows))]
@@ -68,7 +68,7 @@ def _readings_case(rng: random.Random) -> Case:
 
 
 def _unit_case(rng: random.Random) -> Case:
-    """Signals in another unit: all, a channel, a pass, an installation."""
+    """Return signals in another unit: all of them, or those of a channel, a pass or an installation."""
     rows = [list(row) for row in readings()]
     factor = rng.choice((1e3, 1e6, 1e-3))
     channels = rng.choice(((5, 6, 7), (5,), (6,), (5, 7)))
@@ -107,7 +107,7 @@ def _bench_case(rng: random.Random) -> Case:
 
 
 def _several_case(rng: random.Random) -> Case:
-    """Three sources of which one cannot be evaluated: the others are done."""
+    """Return three sources of which one cannot be evaluated; the others must be."""
     good = as_csv(readings())
     cut, renamed = good[: rng.randrange(200)], good.replace(b"ux_v", b"u")
     bad = rng.choice((b"", b"\xff", b"installation\n", cut, renamed))
@@ -122,7 +122,7 @@ def _several_case(rng: random.Random) -> Case:
 
 
 def special_case(rng: random.Random) -> Case:
-    """A pipe in the place of an input, or commands where there is nothing."""
+    """Return a pipe in place of an input, or commands without anything to work on."""
     if rng.random() < 0.4:
         return Case([rng.choice(NOTHING)])
     command = rng.choice((
@@ -149,7 +149,7 @@ NOTHING: Final = [command.split() for command in _NOTHING.split(", ")]
 
 
 def catalogue_case(rng: random.Random) -> Case:
-    """A catalogue with bytes overwritten, cut short, or with other bytes for it."""
+    """Return a catalogue that is partly overwritten, cut short, or replaced by other bytes."""
     data = bytearray(_catalogue())
     match rng.randrange(4):
         case 0:
@@ -165,7 +165,7 @@ def catalogue_case(rng: random.Random) -> Case:
 
 @cache
 def _catalogue() -> bytes:
-    """Return a good catalogue of one run."""
+    """Return a valid catalogue of one run."""
     from bench.catalogue.store import open_catalogue
     from bench.catalogue.sync import sync
 
@@ -190,7 +190,7 @@ QUICK: Final = {
 
 
 def python_trial(rng: random.Random) -> list[tuple[str, str]]:
-    """Call a public function with one argument that nobody expects: an error of ours in a sentence, or a result."""
+    """Call a public function with one invalid argument; it must return a result or raise a documented error."""
     import inspect
 
     import bench

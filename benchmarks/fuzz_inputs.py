@@ -1,7 +1,7 @@
-"""Inputs of the fuzz campaign, each made from its kind and random numbers: files, commands, what to refuse.
+"""Inputs of the fuzz campaign, each made from its kind and random numbers: files, commands, expected refusals.
 
-A good part of the inputs is a good one with a single fault that no reading of the formats allows (`refuse` says
-which); the rest are spoilt at random, in their numbers, their structure or their bytes, and may be taken or not.
+Many inputs are valid ones with a single fault that the format forbids (`refuse` says which). The others are changed
+at random, in their numbers, their structure or their bytes, and may be accepted or refused.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _FREE_TEXT: Final = {
 
 
 def spoilt_bytes(rng: random.Random, data: bytes) -> bytes:
-    """Return bytes with some of them cut, doubled, swapped or replaced."""
+    """Return bytes of which some are cut, doubled, swapped or replaced."""
     for _ in range(rng.choice((1, 1, 2, 4))):
         at, end = sorted(rng.randrange(len(data) + 1) for _ in "ab")
         end = min(end, at + rng.choice((1, 5, 50, 500)))
@@ -69,20 +69,20 @@ def spoilt_bytes(rng: random.Random, data: bytes) -> bytes:
 
 
 def places(tree: Any, place: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """Return the place of everything in a tree of mappings and lists."""
+    """Return the paths of all values in a tree of mappings and lists."""
     inside = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
     return [place, *(p for key, value in inside for p in places(value, (*place, key)))]
 
 
 def at(tree: Any, place: Sequence[Any]) -> Any:
-    """Return what stands at a place."""
+    """Return the value at a path of a tree."""
     for key in place:
         tree = tree[key]
     return tree
 
 
 def weird(rng: random.Random) -> Any:
-    """Return a value that nobody expects."""
+    """Return an unusual value."""
     word = rng.choice(WEIRD)
     numbers = (0, -1, 1e308, 10**25)
     containers: tuple[Any, ...] = ([], {}, [word], [[word]], {word: word}, [1, 2, 3, 4])
@@ -90,7 +90,7 @@ def weird(rng: random.Random) -> Any:
 
 
 def spoilt_tree(rng: random.Random, tree: Any) -> Any:
-    """Return a tree with something in it replaced, removed, doubled or moved."""
+    """Return a tree in which a value is replaced, removed, doubled or moved."""
     tree = copy.deepcopy(tree)
     for _ in range(rng.choice((1, 1, 2, 3))):
         place = rng.choice([p for p in places(tree) if p] or [("x",)])
@@ -117,7 +117,7 @@ SIZES: Final = (
 
 
 def other_numbers(rng: random.Random, tree: Any) -> Any:
-    """Return a tree in which one or two numbers are others, as large, small or many as can be written."""
+    """Return a tree in which one or two numbers are replaced by extreme ones."""
     tree = copy.deepcopy(tree)
     texts = [p for p in places(tree) if isinstance(at(tree, p), str)]
     numbers = [p for p in texts if re.match(r"[+-]?[\d.]+", at(tree, p))]
@@ -134,7 +134,7 @@ def as_yaml(tree: Any) -> bytes:
 
 
 def faulty_yaml(rng: random.Random, tree: Any) -> tuple[bytes, str]:
-    """Return a good YAML file with one fault that must be refused, and which."""
+    """Return a YAML file with one fault that must be refused, and a description of the fault."""
     tree = copy.deepcopy(tree)
     texts = [p for p in places(tree) if isinstance(at(tree, p), str)]
     quantities = [
@@ -168,9 +168,9 @@ def faulty_yaml(rng: random.Random, tree: Any) -> tuple[bytes, str]:
 
 @dataclass
 class Case:
-    """One input: files to be written, commands to be given with an input stream, and why it must be refused.
+    """One input: files to write, commands with an input stream, and the reason why it must be refused.
 
-    `doubt` is what must be said of it, `pipes` are names of pipes that nobody writes.
+    `doubt` is what the program must say of it; `pipes` are names of pipes without a writer.
     """
 
     commands: list[list[str]]
@@ -187,7 +187,7 @@ class Case:
 
 @cache
 def readings() -> list[list[str]]:
-    """Return a good readings file, row by row, the header first: two passes of a run of the tests."""
+    """Return a valid readings file as rows, header first: two passes of a run of the tests."""
     rng = np.random.default_rng(1)
     names = ["installation", "pass", "point", "angle_deg", "direction", "ux_v", "uy_v", "uz_v"]
     rows = [[*names, "note"]]
@@ -209,7 +209,7 @@ def as_csv(rows: Sequence[Sequence[str]]) -> bytes:
 
 
 def csv_case(rng: random.Random) -> Case:
-    """Readings: to be calibrated, verified, imported."""
+    """Return a readings file to be calibrated, verified or imported."""
     rows = [list(row) for row in readings()]
     row, column = rng.randrange(1, len(rows)), rng.randrange(9)
     refuse = ""
@@ -253,7 +253,7 @@ def csv_case(rng: random.Random) -> Case:
 
 @cache
 def result() -> dict[str, Any]:
-    """Return a good result of `calibrate --json`, that of the same run, as far as others read it."""
+    """Return a valid result of `calibrate --json` for the same run, with the members that other commands read."""
     whole = json.loads((ROOT / "tests/data/records/calibrate.json").read_text(encoding="utf-8"))
     names = ("unit", "g_m_s2", "per", "made_at", "simulated", "coefficients", "order", "covariance", "noise")
     kept = {name: whole[name] for name in names}
@@ -266,7 +266,7 @@ PLACES: Final[tuple[tuple[Any, ...], ...]] = (
 
 
 def json_case(rng: random.Random) -> Case:
-    """A result of another day: to be verified with, to be compared, to be written in other forms."""
+    """Return a result of an earlier calibration to be verified with, compared, or written in other forms."""
     tree, refuse = copy.deepcopy(result()), ""
     i, j = rng.sample(range(12), 2)
     c = tree["covariance"]
@@ -319,7 +319,7 @@ def json_case(rng: random.Random) -> Case:
 
 @cache
 def shipped(folder: str) -> list[Any]:
-    """Return the shipped files of a folder as trees of texts."""
+    """Return the shipped files of a folder, each as a tree of texts."""
     return [load_document(file).data for file in sorted((ROOT / folder).glob("*.yaml"))]
 
 
@@ -336,13 +336,13 @@ def _yaml_case(rng: random.Random, tree: Any) -> tuple[bytes, str]:
 
 
 def bench_case(rng: random.Random) -> Case:
-    """A bench file: to be checked with a procedure."""
+    """Return a bench file to be checked with a procedure."""
     data, refuse = _yaml_case(rng, rng.choice(shipped("config")))
     return Case([["check", "quick", "--bench", "b.yaml"]], {"b.yaml": data}, refuse=refuse)
 
 
 def procedure_case(rng: random.Random) -> Case:
-    """A procedure, which may include others: to be checked."""
+    """Return a procedure to be checked, which may include others."""
     tree = rng.choice(shipped("procedures"))
     data, refuse = _yaml_case(rng, tree)
     files = {"p.yaml": data}
@@ -372,7 +372,7 @@ MODEL: Final = {
 
 
 def model_case(rng: random.Random) -> Case:
-    """A model file: to be calibrated with."""
+    """Return a model file to be used in a calibration."""
     data, refuse = _yaml_case(rng, MODEL)
     command = ["calibrate", "r.csv", "--model", "m.yaml", "--json", "-"]
     return Case([command], {"m.yaml": data, "r.csv": as_csv(readings())}, refuse=refuse)
@@ -382,7 +382,10 @@ def model_case(rng: random.Random) -> Case:
 
 
 def record_case(rng: random.Random) -> Case:
-    """A run folder with one of its files spoilt: shown, listed, evaluated, gone on with. The trial spoils it."""
+    """Return commands on a run folder in which a file is damaged: show, list, evaluate, resume.
+
+    The trial itself damages the file.
+    """
     commands = [["show", "run", "--verify"], ["show", "run"], ["runs"], ["calibrate", "run"],
                 ["export", "run", "--csv", "-"],
                 ["resume", "run"], ["abort", "run"], ["report", "run"]]  # fmt: skip
@@ -396,7 +399,7 @@ NAMES: Final = (
 
 
 def name_case(rng: random.Random) -> Case:
-    """A name of a run, an operator or a path that nobody expects."""
+    """Return an unusual name of a run, an operator or a path."""
     name = rng.choice(NAMES) if rng.random() < 0.7 else rng.choice(NAMES) + rng.choice(NAMES)
     files = {"r.csv": as_csv(readings()), "p.yaml": b"procedure: p\nsteps: [{wait: {for: 1 s}}]\n"}
     run = ["run", "p.yaml", "--dry-run", "--name", "run"]

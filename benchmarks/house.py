@@ -1,7 +1,8 @@
-"""How large the program is and how its parts hang together, beside the budgets of its rooms: a report, no gate.
+"""Report the size of the program and the relations of its parts, beside the budgets of its rooms; no gate.
 
-Lines, files and median of each room; long and small files; import circles at module level and with imports inside
-functions; modules that one other imports, and those that most import; the files that four commands run through:
+It prints: lines, files and median file of each room; long and small files; import circles at module level, and with
+imports inside functions; modules imported by only one other, and those that import most; the files that four
+commands run through:
 
     python -m benchmarks.house                    # about a minute; --no-paths leaves the commands out
     python -m benchmarks.house --since 62a1056f   # beside the lines of an earlier commit
@@ -76,7 +77,7 @@ with open(answer, "w", encoding="utf-8") as file:
 
 @dataclass(frozen=True)
 class Module:
-    """A module of the program: its dotted name, its file, its text."""
+    """A module of the program: its dotted name, its file and its text."""
 
     name: str
     path: Path
@@ -84,21 +85,21 @@ class Module:
 
     @property
     def room(self) -> str:
-        """The room that it stands in."""
+        """The room that contains the module."""
         return room_of(self.path.relative_to(ROOT))
 
     @property
     def lines(self) -> int:
-        """How many lines it has."""
+        """The number of lines."""
         return self.text.count("\n")
 
     @cached_property
     def tree(self) -> ast.Module:
-        """Its syntax."""
+        """The syntax tree."""
         return ast.parse(self.text)
 
     def imported(self, known: Mapping[str, Module], *, inner: bool) -> Iterator[str]:
-        """Yield the modules of `known` that it imports; `inner` includes imports inside functions."""
+        """Yield the modules of `known` that this module imports; `inner` includes imports inside functions."""
         for node in ast.walk(self.tree) if inner else _at_module_level(self.tree.body):
             if isinstance(node, ast.Import):
                 yield from (alias.name for alias in node.names if alias.name in known)
@@ -124,7 +125,7 @@ def room_of(path: Path) -> str:
 
 
 def lines_at(revision: str) -> dict[str, int]:
-    """Return the lines by room that a commit had."""
+    """Return the number of lines by room at a commit."""
     asked = ["git", "grep", "-c", "", revision, "--", *(f"{top}/*.py" for top in (*PRODUCT, *BESIDE))]
     answer = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=True).stdout  # noqa: S603
     counted: Counter[str] = Counter()
@@ -203,7 +204,7 @@ def _print_room(name: str, lines: list[int], budget: int | None, before: int) ->
 
 
 def print_shape(known: Mapping[str, Module]) -> None:
-    """Print what is long or small, who imports whom, and what imports itself in a circle."""
+    """Print long and small files, who imports whom, and import circles."""
     for module in known.values():
         if module.lines > LONG:
             print(f"over {LONG} lines: {module.path.relative_to(ROOT)} ({module.lines})")

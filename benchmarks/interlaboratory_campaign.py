@@ -1,16 +1,18 @@
-"""The interlaboratory kit held to its promises: five laboratories, of which one is wrong.
+"""Test the promises of the interlaboratory kit: five laboratories, one of them wrong.
 
     python -m benchmarks.interlaboratory_campaign --runs 200
 
-In each round five laboratories calibrate one block by the paper's procedure, each on a stand whose angles are
-drawn from the bench file, with the noise of its voltmeters; geometry and truth are those of tests/support. In
-one of them one of the nine numbers is off by 6 u of its difference from the others' consensus. Each is judged
-against the others (Mandel-Paule, Holm). The first is the pilot, which measures again after every two others.
-Promised: the wrong one is found in 95 % of the rounds, any right one is accused in 5 % at most; without a wrong
-one, any is accused in 5 %. In a third case nobody is wrong, but one of the nine of the block steps on its way,
-between the second and the third laboratory, by 6 u of the difference of two of the pilot's calibrations: its
-returns show it in 95 %, and with the block's scatter in u any is accused in 5 %; the share without it stands
-beside it. Limits are binomial of 99.9 %. Exit status 1 where one is broken.
+In each round, five laboratories calibrate one block by the paper's procedure, each on a stand with angles drawn
+from the bench file, and with the noise of its voltmeters; geometry and truth are those of tests/support. In one of
+the laboratories, one of the nine intrinsic numbers is off by 6 u of its difference from the others' consensus. Each
+laboratory is judged against the others (Mandel-Paule, Holm). The first is the pilot, which measures again after
+every two others.
+
+Promised: the wrong laboratory is found in 95 % of the rounds, a right one accused in at most 5 %; without a wrong
+one, any is accused in at most 5 %. In a third case no laboratory is wrong, but one number of the block steps
+between the second and the third laboratory, by 6 u of the difference of two calibrations of the pilot. The pilot's
+returns show it in 95 %. With the block's scatter included in u, any laboratory is accused in at most 5 %; the share
+without it is printed beside. Limits are binomial of 99.9 %. The exit status is 1 if one is broken.
 """
 
 from __future__ import annotations
@@ -43,7 +45,9 @@ RETURNS: Final = 2
 
 
 def round_of(seed: int, number: int) -> tuple[Floats, Floats]:
-    """Return the nine of one block (stops, 9) and their covariances (stops, 9, 9), the pilot's returns last."""
+    """Return the nine numbers of one block (stops, 9) and their covariances (stops, 9, 9), the pilot's returns
+    last.
+    """
     values, covariances, bench = [], [], own("roll")
     for k in range(LABORATORIES + RETURNS):
         drawn = simulate_whole(np.random.default_rng([seed, number, k]), "roll")
@@ -55,7 +59,7 @@ def round_of(seed: int, number: int) -> tuple[Floats, Floats]:
 
 
 def judged(values: Floats, covariances: Floats) -> tuple[list[LaboratoryJudged], list[Drift]]:
-    """Return each laboratory against the others, and the changes of the block that the pilot's returns show."""
+    """Return the verdict on each laboratory, and the changes of the block that the pilot's returns show."""
     pilot = [0, *range(LABORATORIES, len(values))]
     drifts = [
         Drift(INTRINSIC, values[later] - values[first], covariances[first] + covariances[later])
@@ -66,7 +70,7 @@ def judged(values: Floats, covariances: Floats) -> tuple[list[LaboratoryJudged],
 
 
 def rounds(seed: int, numbers: range) -> tuple[list[bool], ...]:
-    """Return of each round the six facts that `main` prints as shares."""
+    """Return for each round the six facts that `main` prints as shares."""
     told: list[tuple[bool, ...]] = []
     for number in numbers:
         values, covariances = round_of(seed, number)

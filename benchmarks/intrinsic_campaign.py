@@ -1,22 +1,23 @@
-"""Do the nine numbers free of the mounting hold what they state? Simulated runs with known truth.
+"""Test the stated uncertainties of the nine intrinsic numbers on simulated runs with known truth.
 
     python -m benchmarks.intrinsic_campaign --runs 1000
     python -m benchmarks.intrinsic_campaign --runs 0 --pairs 300
     python -m benchmarks.signed_uncertainty --pairs 2000 --cases all
 
-Each run is the paper's procedure on a stand whose angles are drawn from its bench file (the limits of the paper
-as three sigma, the third mounting angle as the second), with the noise of a voltmeter; geometry and truth are those
-of tests/support. In half of the runs the block is turned by 0 to 2 degrees about any axis, alike in both
-installations: its twelve change, its nine do not. u is that of the readings and the stand, which hold all that is
-drawn. For each of the nine, in the turned and in the other runs: root mean square of (estimate - truth)/u, and
-coverage of k = 2 (promised: 0.93 to 0.97, within binomial limits of 99.9 %). All nine and all twelve are in their
-joint ellipsoid of 95 % (promised: 0.93 at least). How far the turns move the twelve stands beside.
+Each run is the paper's procedure on a stand with angles drawn from its bench file (the limits of the paper as three
+sigma, the third mounting angle as the second), with the noise of a voltmeter; geometry and truth are those of
+tests/support. In half of the runs the block is turned by 0 to 2 degrees about a random axis, equally in both
+installations: its twelve coefficients change, its nine intrinsic numbers do not. u is that of readings and stand,
+which contain all drawn errors. Printed for each of the nine, in the turned and in the other runs: root mean square
+of (estimate - truth)/u, and coverage of k = 2 (promised: 0.93 to 0.97, within binomial limits of 99.9 %). The joint
+95 % ellipsoid contains all nine, and all twelve (promised: at least 0.93). The change of the twelve by the turns is
+printed beside.
 
-The second command is on power. Each pair is two calibrations of one block by the same meters, with every error
-of a bench drawn, the rolls of both mountings too, and in each of the nine in turn a change of 6 u of the
-difference of the pair. Promised: the joint test of the nine finds 98 % of them. Beside it stands what the
-twelve find, whose u has the roll of both mountings: jointly, and any of them by itself (Holm). Pairs of
-calibrations of turned blocks are the subject of the third command. Exit status 1 where a promise is broken.
+The second command tests power. Each pair is two calibrations of one block by the same meters, with every error of a
+bench drawn, including the rolls of both mountings. Each of the nine in turn changes by 6 u of the difference of the
+pair. Promised: the joint test of the nine finds 98 % of the changes. Beside it are the shares found by the twelve,
+whose u includes the roll of both mountings: jointly, and by any of them alone (Holm). The third command is on pairs
+of calibrations of turned blocks. The exit status is 1 if a promise is broken.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ CHANGE, FOUND = 6.0, 0.98
 
 
 def run(seed: int, turned: bool, numbers: range) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return errors and u of the nine (runs, 9), joint distances over their k (runs, 2), changes (runs, 12)."""
+    """Return errors and u of the nine (runs, 9), joint distances over their k (runs, 2), and changes (runs, 12)."""
     rows = []
     bench = own("roll")
     for k in numbers:
@@ -65,7 +66,7 @@ def run(seed: int, turned: bool, numbers: range) -> tuple[Floats, Floats, Floats
 
 
 def show(what: str, parts: list[tuple[Floats, ...]], runs: int) -> list[str]:
-    """Print what became of the runs; return the promises that are broken."""
+    """Print the statistics of the runs; return the broken promises."""
     error, u, joint, moved = (np.concatenate(column) for column in zip(*parts, strict=True))
     covered = np.mean(np.abs(error) <= 2 * u, axis=0)
     inside = np.mean(joint <= 1.0, axis=0)
@@ -83,9 +84,9 @@ def show(what: str, parts: list[tuple[Floats, ...]], runs: int) -> list[str]:
 
 
 def pairs(seed: int, numbers: range) -> Floats:
-    """Return what was found (pairs, 10, 3): after a change of each of the nine, and after none.
+    """Return which changes were found (pairs, 10, 3): of each of the nine numbers, and of none.
 
-    Found by the nine jointly, by the twelve jointly, by any of the twelve.
+    The last axis is: found by the nine jointly, by the twelve jointly, by any of the twelve.
     """
     calibrator = own("all")
     rows: list[list[tuple[bool, ...]]] = []
@@ -106,7 +107,7 @@ def pairs(seed: int, numbers: range) -> Floats:
 
 
 def show_pairs(parts: list[Floats]) -> list[str]:
-    """Print the shares found by number; return the promises that are broken."""
+    """Print the share of changes found, for each changed number; return the broken promises."""
     found = np.concatenate(parts)
     shares = found.mean(axis=0)
     print(

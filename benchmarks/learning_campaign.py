@@ -1,20 +1,22 @@
-"""Is what `bench learn` tells of a bench true? Simulated benches, many runs each, with known truth.
+"""Test the sizes that `bench learn` states of a bench: simulated benches with many runs each and known truth.
 
     python -m benchmarks.learning_campaign --runs 200 --blocks 30 --seed 1
     python -m benchmarks.learning_campaign --runs 40 --own K2 --seed 2
     python -m benchmarks.learning_campaign --runs 25 --next 100 --seed 3
     python -m benchmarks.learning_campaign --runs 400 --exchange 3 --seed 6
 
-Every bench draws its own truth within what is stated of it: means of four stand angles, what a remount adds,
-noise of three meters, setting error, two harmonics of the head. Every run has a block of its own; of three runs
-one has all mountings again turned by a quarter and one by half a turn on the platform. Promised: sizes whose own
-u is <= 10 % lie within 20 % of the truth; of the others |z| <= 2 in >= 93 %. `--own` gives the fourth run a K2 or
-a drift of its own: how often it is named, and the z of the bench's sizes then. `--next` calibrates so many further
-blocks of each bench in installations 1 and 2 with what was learned (benches without a wave of the head then, so
-that one model serves with and without; promised: rms z 0.93 to 1.07), and compares u with and without.
-`--exchange` gives each bench one block, measured so often with its three voltmeters on other channels each time:
-the differences of their gains and zeros against the truth, with blocks that repeat as the readings say, and worse.
-The simulation shares no geometry with the model (`tests.support.learning_bench`).
+The truth of each bench is drawn within its stated limits: means of four stand angles, the effect of a remount,
+noise of three meters, setting error, two harmonics of the head. Every run has a different block. Of three runs, one
+has all mountings repeated with a quarter turn on the platform, and one with a half turn. Promised: sizes with u <=
+10 % are within 20 % of the truth; of the others, |z| <= 2 in >= 93 %.
+
+`--own` gives the fourth run a K2 or a drift of its own. Printed are how often it is named, and the z of the bench's
+sizes then. `--next` calibrates that many further blocks of each bench in installations 1 and 2 with the learned
+sizes, and compares u with and without them. The benches then have no harmonics of the head, so that one model
+serves both (promised: rms z 0.93 to 1.07). `--exchange` gives each bench one block, measured that many times with
+its three voltmeters on different channels each time. The differences of their gains and zeros are compared with the
+truth, for blocks that repeat as the readings state, and for worse ones. The simulation shares no geometry with the
+model (`tests.support.learning_bench`).
 """
 
 from __future__ import annotations
@@ -58,7 +60,7 @@ def truths(bench: Bench) -> dict[str, float]:
 
 
 def scores(found: Learned, bench: Bench) -> list[tuple[str, float, float, float]]:
-    """Name, relative u, error relative to the truth, and z of every size that the runs tell."""
+    """Return name, relative u, error relative to the truth, and z of every size that the runs determine."""
     true = truths(bench)
     rows = []
     for size in found.sizes():
@@ -72,7 +74,7 @@ def scores(found: Learned, bench: Bench) -> list[tuple[str, float, float, float]
 def next_blocks(
     rng: np.random.Generator, bench: Bench, found: Learned, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """z (count, 12) of further calibrations with what was learned, and u with it over u without, (12,)."""
+    """Return z (count, 12) of further calibrations with the learned sizes, and u over that without them, (12,)."""
     runs = simulate(rng, bench, count)
     with_it, without = ([calibrated(one, known) for one in runs.tables()] for known in (found.known, None))
     u, plain = (np.array([one.u for one in each]) for each in (with_it, without))
@@ -86,9 +88,9 @@ def calibrated(readings: Readings, known: KnownStand | None = None) -> Calibrati
 
 
 def exchanged_meters(rng: np.random.Generator, benches: int, runs: int, extra: float) -> np.ndarray:
-    """z and u over that of the limits, of the difference of two gains, then of two zeros (benches, 4).
+    """Return z, and u over the u of the limits, of the differences of two gains and of two zeros, (benches, 4).
 
-    The block's rows and biases change from run to run by `extra` times what the readings scatter by.
+    The block's rows and biases change from run to run by `extra` times the scatter of the readings.
     """
     made = [simulate(one, Bench.drawn(one, waves=False), runs) for one in rng.spawn(benches)]
     own = np.random.default_rng(rng.integers(2**32))
@@ -139,7 +141,7 @@ def show_exchanged(asked: argparse.Namespace) -> None:
 
 
 def main() -> int:
-    """Run it."""
+    """Run the campaign; return the exit status."""
     asked = arguments(
         __doc__, runs=(200, "benches"), blocks=(30, "runs of each bench"),
         own={"choices": list(OWN), "default": ""}, next=0, seed=1, exchange=0,

@@ -1,14 +1,13 @@
-"""Is the platform as level as the record says, and what is that worth?
+"""Test the recorded level of the platform, and its benefit for calibrations.
 
     python -m benchmarks.levelling --levellings 1000 --runs 300
 
-Levellings by `bench.run.workbench` with a level whose zero is 30 arcsec off in a direction of its own each time:
-how often α1 and α2 of the platform, drawn here, lie within U = 2 u of what the record states, for an electronic
-level (noise, last digit, scale, axes as on the Nivel's data sheet) and a bubble that a person reads. Then
-calibrations of the paper's procedure with and without what the level showed, of the same readings, whose truth
-comes from the geometry of tests/support/paper_bench.py: rms of (estimate - truth)/u of each coefficient, and by how
-much u is smaller, beside what least squares with known noise makes of these priors. Exit status 1 where a bar is
-broken.
+Levellings by `bench.run.workbench`, with a level whose zero is 30 arcsec off in a random direction each time: how
+often α1 and α2 of the simulated platform are within U = 2 u of the recorded values. The level is electronic (noise,
+last digit, scale and axes as on the Nivel's data sheet), or a bubble that a person reads. Then calibrations of the
+paper's procedure, from the same readings with and without the measured level; the truth comes from the geometry of
+tests/support/paper_bench.py. Printed are the rms of (estimate - truth)/u of each coefficient, and the reduction of
+u, beside that of least squares with known noise and these priors. The exit status is 1 if a limit is broken.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
 
 @dataclass
 class Platform:
-    """The truth of one levelling: a platform, a head set with errors, a level that is wrong in every way."""
+    """The truth of one levelling: a platform, a head with setting errors, and a level with all kinds of errors."""
 
     rng: np.random.Generator
     bubble: bool
@@ -67,19 +66,19 @@ class Platform:
         self.askew = self.rng.normal(0.0, self.sizes.cross, 2)
 
     def move(self, target_rad: float, direction: Direction, key: str) -> HeadPosition:
-        """Set the head: its scale is off by α4, and it is not quite where it was sent."""
+        """Set the head; its scale is off by α4, and it stops slightly off the target."""
         on_scale = round(self.rng.normal(0.0, 2.0)) * ARCSEC
         self._set_rad = on_scale + self.rng.normal(0.0, SETTING_U_RAD)
         return HeadPosition(on_scale, 1)
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Level the platform where that is asked."""
+        """Level the platform if the prompt asks for this."""
         if prompt.action["do"] == "level_platform":
             self.alpha = self.rng.uniform(-LEFT_RAD, LEFT_RAD, 2)
         return Answer(prompt.id, "yes")
 
     def inclination(self, key: str, *, turned: bool) -> Inclination:
-        """Show the platform's inclination, in the turned position the other way round."""
+        """Return the platform's inclination as shown; with `turned`, the level shows it with the opposite sign."""
         tilt = self.alpha + np.array([0.0, self._set_rad])
         seen = (1.0 + self.scale) * (tilt + self.askew * tilt[::-1]) * (-1.0 if turned else 1.0) + self.zero
         if self.bubble:
@@ -90,11 +89,11 @@ class Platform:
         return Inclination(float(shown[0]), float(shown[1]))
 
     def open(self) -> Identity:
-        """It is there."""
+        """Return the identity of the level; nothing needs to be opened."""
         return Identity("none", "none")
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing, because nothing is open."""
 
 
 def levellings(count: int, *, bubble: bool, settings: int = 1, seed: int = 1) -> Floats:
@@ -115,7 +114,7 @@ def levellings(count: int, *, bubble: bool, settings: int = 1, seed: int = 1) ->
 
 
 def calibrations(k: int, u_level: Floats, seed: int = 2) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return error and u of the readings with the level and without it, (12,) each."""
+    """Return errors and u of calibrations with the level, then without it, (12,) each."""
     rng = np.random.default_rng([seed, k])
     installation, pass_number, point, phi = design()
     angles = rng.normal(0.0, LIMITS, (2, 3))
@@ -167,7 +166,7 @@ def theory(u_level: Floats | None) -> Floats:
 
 
 def show_levellings(count: int) -> list[str]:
-    """Print how often the truth is within U; return which bars are broken."""
+    """Print how often the truth is within U; return the broken limits."""
     broken = []
     for bubble in (False, True):
         for settings in (1, SETTINGS):
@@ -182,7 +181,7 @@ def show_levellings(count: int) -> list[str]:
 
 
 def show_calibrations(runs: int) -> list[str]:
-    """Print rms z and the shrinking of u beside theory; return which bars are broken."""
+    """Print rms z, and the reduction of u beside theory; return the broken limits."""
     u_level = np.array([0.5, 1.2]) * ARCSEC
     columns = zip(*(calibrations(k, u_level) for k in range(runs)), strict=True)
     error, u, plain_error, plain_u = (np.array(column) for column in columns)

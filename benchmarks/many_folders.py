@@ -1,14 +1,14 @@
-"""Writes simulated run folders by the ten thousand, as a dry run leaves them, without page, log and samples.
+"""Write many thousand simulated run folders like those of dry runs, but without page, log and samples.
 
     python -m benchmarks.many_folders 1000 /var/tmp/laboratory --seed 1 --benches 10 --units 100
 
 One real dry run of the paper's points (54 readings and four verification points) is the template. The others are
-drawn in numpy from a truth that `truth.json` beside them keeps: units with spread and drift, effects of benches,
-meters that move between benches, mounting, setting and noise of each run. In each folder stand the inputs, a
-record with its true chain of hashes, and results: coefficients by least squares with prior angles of the stand,
-at the template's covariance (so they differ from `bench calibrate` of the folder by a part of u), with the errors
-that this covariance allows drawn anew for each run. In every 33rd run acts a quadratic term, of x and z together,
-that no calibration there knows.
+drawn in numpy from a truth, which is stored in `truth.json` beside them: units with spread and drift, effects of
+benches, meters that move between benches, mounting, setting and noise of each run. Each folder has the inputs, a
+record with its true chain of hashes, and results. The coefficients are from least squares with prior angles of the
+stand, at the template's covariance, with errors drawn from it for each run; they thus differ from `bench calibrate`
+of the folder by a fraction of u. Every 33rd run has a quadratic term of x and z together that no calibration there
+models.
 """
 
 from __future__ import annotations
@@ -58,7 +58,10 @@ TARGET_DEG: Final = np.concatenate([np.tile(np.arange(9) * 45.0, 6), np.arange(4
 
 @dataclass(frozen=True)
 class Truth:
-    """Units (U, 12) with drift a year (U, 12), effects of benches (B, 12), the runs' unit, bench and day."""
+    """The true values behind the folders: units (U, 12), drift per year (U, 12), effects of benches (B, 12), runs.
+
+    Each run has a unit, a bench and a day.
+    """
 
     units: Floats
     drift: Floats
@@ -80,7 +83,7 @@ class Truth:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return what was drawn; `runs` are the runs' units, benches and days since the first."""
+        """Return the drawn values; `runs` are the units, benches and days (since the first) of the runs."""
         return {
             "simulated": True, "order": list(COEFFICIENTS), "units": self.units.tolist(),
             "drift_a_year": self.drift.tolist(), "benches": self.benches.tolist(),
@@ -101,13 +104,15 @@ def forces(angles: Floats, stand: Floats) -> Floats:
 
 
 def signals(theta: Floats, force: Floats) -> Floats:
-    """Return K a + U0 (R, n, 3) of coefficients (R, 12)."""
+    """Return the signals K a + U0 (R, n, 3) for coefficients (R, 12)."""
     acting = np.einsum("rij,rnj->rni", theta[:, :9].reshape(-1, 3, 3), force)
     return np.asarray(acting + theta[:, None, 9:], dtype=np.float64)
 
 
 class Estimator:
-    """Least squares with the stand's angles as prior, about coefficients (12,), with so much noise of a reading."""
+    """Least squares with the stand's angles as prior, linearised about coefficients (12,), for a noise of a
+    reading.
+    """
 
     def __init__(self, theta: Floats, noise_v: float) -> None:
         fit = WHERE < 2
@@ -134,7 +139,7 @@ class Estimator:
         self.of_means = np.linalg.inv(noise_v**2 / PASSES * np.eye(len(first)) + first @ first.T)
 
     def __call__(self, theta: Floats, angles: Floats, seen: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return the estimates (R, 12), rms of residuals, chi-square (42) and scatter of repeats (R,)."""
+        """Return the estimates (R, 12), rms of residuals, chi-square (42 dof) and scatter of repeats, (R,) each."""
         fit = WHERE < 2
         force = forces(angles, np.zeros((len(angles), 3, 5)))[:, fit]
         found = np.broadcast_to(theta, (len(angles), 12))
@@ -194,7 +199,7 @@ ODD_KXZ: Final = 4e-3
 
 
 class Template:
-    """The folder of a real dry run, cut into what stays and what changes."""
+    """The folder of a real dry run, divided into parts that are constant and parts that change."""
 
     def __init__(self, folder: Path) -> None:
         lines = (folder / "events.jsonl").read_text(encoding="utf-8").splitlines()
@@ -215,7 +220,7 @@ class Template:
         self.parts = [self._parts(event) for event in self.events]
 
     def _parts(self, event: dict[str, Any]) -> tuple[str, str, str]:
-        """Return the kind of a line, its text before the time, and that between the time and `prev`."""
+        """Return the kind of an event line, its text before the time, and its text between the time and `prev`."""
         kind = "reading" if "reading" in event else "turn" if "angle_deg" in event else event["type"]
         rest = {k: v for k, v in event.items() if k not in ("n", "time", "prev")}
         text = json.dumps(rest, ensure_ascii=False)[1:-1]
@@ -224,7 +229,7 @@ class Template:
 
 @dataclass
 class Writer:
-    """Writes the folders of a laboratory."""
+    """A writer of a laboratory's run folders."""
 
     template: Template
     truth: Truth
@@ -296,7 +301,7 @@ class Writer:
             (folder / name).write_bytes(content)
 
     def _bench_file(self, bench: int, year: int, kind: int) -> tuple[str, bytes]:
-        """Return the hash and the text of the bench file of a bench in a year, with blocks of a type."""
+        """Return the hash and the text of a bench's file in a year, for blocks of a type."""
         if (bench, year, kind) not in self.bench_files:
             text = bench_text(f"bench-{bench:02}", meters_of(bench, year), year, TYPES[kind]).encode()
             self.bench_files[bench, year, kind] = hashlib.sha256(text).hexdigest(), text
@@ -305,7 +310,7 @@ class Writer:
     def _events(
         self, before: str, stamp: str, angles: Floats, seen: Floats, serials: tuple[str, ...]
     ) -> tuple[bytes, str]:
-        """Return the record and its head."""
+        """Return the record and its head (the hash of its last line)."""
         head = before
         lines, number = [], -1
         for (kind, first, rest), event in zip(self.template.parts, self.template.events, strict=True):
@@ -329,7 +334,7 @@ class Writer:
         self, own: dict[str, Any], found: Floats, residual: dict[str, float], scatter: float, head: str,
         serials: tuple[str, ...], bench: int,
     ) -> bytes:  # fmt: skip
-        """Return calibrate.json: the template's, with what this run has of its own."""
+        """Return calibrate.json: the template's, with the values of this run."""
         before = self.template.calibrated
         coefficients = {
             name: {**before["coefficients"][name], "value": value}
@@ -356,7 +361,7 @@ class Writer:
         return ("{" + ", ".join(f'"{k}": {v}' for k, v in texts.items()) + "}\n").encode()
 
     def _verified(self, g_p: Floats, angles: Floats, name: str, bench: int, digest: str) -> bytes:
-        """Return verify.json: Δg of this run, at the template's u."""
+        """Return verify.json: Δg of this run, with the template's u."""
         before, points = self.template.verified, []
         for was, value, angle in zip(before["points"], g_p.tolist(), angles.tolist(), strict=True):
             beyond = [float(special.ndtr((-LIMIT_G - s * (value - 1.0)) / was["u"])) for s in (-1, 1)]
@@ -376,13 +381,13 @@ class Writer:
 
 
 def meters_of(bench: int, year: int) -> tuple[str, ...]:
-    """Return the serial numbers of a bench's meters; every third year the first goes on to the next bench."""
+    """Return the serial numbers of a bench's meters; every third year the first moves to the next bench."""
     moved = (year - FIRST_DAY.year) // 3
     return f"MY54{(bench - moved) % 100:03}1", f"MY54{bench:03}2", f"MY54{bench:03}3"
 
 
 def bench_text(name: str, serials: tuple[str, ...], year: int, kind: str) -> str:
-    """Return the paper's bench file under another name, with meters that have certificates of a year."""
+    """Return the paper's bench file with another name, whose meters have certificates of a year."""
     text = find_bench("paper-stand").read_text(encoding="utf-8")
     text = "\n".join(line for line in text.splitlines() if not line.strip().startswith("#")) + "\n"
     before, rest = text.split("  voltmeters:\n")
@@ -398,7 +403,7 @@ def bench_text(name: str, serials: tuple[str, ...], year: int, kind: str) -> str
 
 
 def make_template(folder: Path) -> Template:
-    """Make the dry run that the others are copied from."""
+    """Make the dry run that is the template of the others."""
     folder.mkdir(parents=True)
     procedure, bench = folder / "paper-once.yaml", folder / "bench.yaml"
     procedure.write_text(PROCEDURE, encoding="utf-8")
@@ -410,7 +415,7 @@ def make_template(folder: Path) -> Template:
 
 
 def make_folders(count: int, out: Path, seed: int, benches: int, units: int) -> None:
-    """Write so many run folders and `truth.json` into `out`, which is made."""
+    """Write `count` run folders and `truth.json` into the new folder `out`."""
     out.mkdir(parents=True)
     with tempfile.TemporaryDirectory() as place:
         template = make_template(Path(place) / "made")
@@ -420,12 +425,12 @@ def make_folders(count: int, out: Path, seed: int, benches: int, units: int) -> 
 
 
 def _answered(event: dict[str, Any]) -> tuple[str, ...]:
-    """Return the serial numbers of the meters as the template's instruments told them."""
+    """Return the serial numbers that the meters in the template reported."""
     return tuple(event["serials"][f"voltmeter.{channel}"] for channel in "xyz")
 
 
 def _bench(before: dict[str, Any], name: str, bench: int, digest: str) -> dict[str, Any]:
-    """Return what a result says of its bench file."""
+    """Return the member of a result that describes its bench file."""
     own = {"name": f"bench-{bench:02}", "file": f"{name}/bench.yaml", "sha256": digest}
     return {**before["bench"], **own}
 
@@ -435,7 +440,7 @@ def _turned(text: str, before: float, angle: float) -> str:
 
 
 def main() -> int:
-    """Write the folders; say how quickly."""
+    """Write the folders; print how long it took."""
     given = arguments(
         __doc__, count={"positional": True, "type": int}, out={"positional": True, "type": Path}, seed=1,
         benches=(0, "by default one for 2,000 runs, 3 at least"), units=(0, "by default one for ten runs"),

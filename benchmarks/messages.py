@@ -1,9 +1,9 @@
-"""All messages of the program, found in its code: errors, prompts, notes, texts, help, templates.
+"""List all messages of the program, found in its code: errors, prompts, notes, texts, help, templates.
 
     python -m benchmarks.messages                          # all, one a line: kind, place, text
     python -m benchmarks.messages --kind error --sample 60 --seed 1
 
-An `…` stands for what is filled in. The page on troubles has the errors, with what to do.
+`…` stands for an inserted value. The page on troubleshooting lists the errors with remedies.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ _LITERAL: Final = re.compile(r"\"([^\"\n]*)\"|'([^'\n]*)'|`([^`]*)`")
 
 @dataclass(frozen=True)
 class Message:
-    """A text of the program: its kind, the file and line, and the words, `…` for what is filled in."""
+    """A text of the program: its kind, its file and line, and its words, with `…` for inserted values."""
 
     kind: str
     path: str
@@ -65,7 +65,7 @@ class Message:
 
     @property
     def remedy(self) -> str:
-        """What the message itself says to do: what follows its last semicolon; empty without one."""
+        """The remedy that the message states: the text after its last semicolon; "" if there is none."""
         before, _, after = self.text.rpartition("; ")
         return after if before else ""
 
@@ -116,7 +116,7 @@ def _below(node: ast.AST, name: str, kind: str) -> Iterator[Message]:
 
 
 def _kind(node: ast.AST, child: ast.AST, kind: str) -> str:
-    """Return the kind of the texts in a part of a node, whose own kind is given."""
+    """Return the kind of the texts in `child`, a part of `node` whose own kind is `kind`."""
     if isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.Lambda)):
         told = "" if isinstance(child, ast.Lambda) else f"{child.name} {ast.get_docstring(child)}"
         return _OF_PROBLEMS if _PROBLEMS.search(told) else "text"
@@ -133,7 +133,7 @@ def _kind(node: ast.AST, child: ast.AST, kind: str) -> str:
 
 
 def _text(node: ast.AST) -> str | None:
-    """Return the text of a literal, a formatted one, literals joined by plus, an error of the bench; else None."""
+    """Return the text of a literal, an f-string, joined literals, or a bench error; None for any other node."""
     if isinstance(node, ast.Constant):
         return node.value if isinstance(node.value, str) else None
     if isinstance(node, ast.JoinedStr):
@@ -158,7 +158,7 @@ def _text(node: ast.AST) -> str | None:
 
 
 def _holes(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield what is filled into a text: it may hold literals of its own."""
+    """Yield the expressions inserted into a text; they may contain literals."""
     if isinstance(node, ast.JoinedStr):
         yield from (value.value for value in node.values if isinstance(value, ast.FormattedValue))
     sides = (node.left, node.right) if isinstance(node, ast.BinOp) else getattr(node, "args", ())
@@ -171,7 +171,7 @@ def _taker(call: ast.Call) -> str:
 
 
 def in_template(name: str, source: str) -> Iterator[Message]:
-    """Yield the texts of a page: what stands between tags, and literals in expressions."""
+    """Yield the texts of a page template: those between tags, and literals in expressions."""
     at = 0
     for tag in [*_TAG.finditer(source), None]:
         end = tag.start() if tag else len(source)

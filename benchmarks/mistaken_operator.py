@@ -1,8 +1,8 @@
-"""A scripted operator who makes one mistake, and mends it when the run stops and asks.
+"""A scripted operator who makes one mistake, and corrects it when the run stops and asks.
 
-What goes wrong, where, and what names it rightly is one `Mistake`. The operator's hands stand between
-`sim.world.operator.ScriptedOperator` and the world: cables, mountings and turns are those of the mistake until the
-run asks how to go on.
+`Mistake` states what goes wrong, where, and which names are right. The operator's hands are between
+`sim.world.operator.ScriptedOperator` and the world: cables, mountings and turns are mistaken until the run asks how
+to continue.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ REDO: Final = {
 class Mistake:
     """A mistake made at the step `index` of a plan.
 
-    `label` is where the block sits instead, `angle_rad` where the head stands, `off_arcsec` how much is typed
-    off, `cables` which are swapped. `named` are phrases of which one stands in a cause that is right.
+    `label` is the actual installation, `angle_rad` the actual head angle, `off_arcsec` the error of the typed
+    angle, `cables` the swapped cables. `named` are phrases; a cause is right if it contains one of them.
     """
 
     kind: str
@@ -58,13 +58,13 @@ class Mistake:
 
 
 def pass_of(plan: Plan, index: int) -> str:
-    """Say in which pass a step stands, such as "2.3": installation and pass."""
+    """Return the installation and pass of a step, such as "2.3"."""
     step = plan.steps[index]
     return f"{step.installation}.{step.pass_number}" if isinstance(step, Turn) else f"{step.installation}.1"  # type: ignore[attr-defined]
 
 
 def draw(kind: str, number: int, plan: Plan, installations: Mapping[str, Installation], seed: int) -> Mistake:
-    """Draw the `number`-th mistake of a kind; the passes in which it can be made come in turn."""
+    """Draw the `number`-th mistake of a kind; the passes in which it can occur are used in turn."""
     random = Random(f"{kind} {number} {seed}")  # noqa: S311 - nothing secret
     places: dict[str, list[int]] = {}
     for index in range(len(plan.steps)):
@@ -134,7 +134,7 @@ def _of_turn(kind: str, plan: Plan, index: int, step: Turn, random: Random) -> M
 
 
 def _as_well(plan: Plan, index: int, stood_rad: float | None) -> tuple[str, ...]:
-    """Return what is true of a head that stands at `stood_rad`: some mistakes leave it at one place."""
+    """Return further right names for a head at `stood_rad`; some mistakes give the same head angle."""
     step = plan.steps[index]
     assert isinstance(step, Turn)  # noqa: S101
     assert stood_rad is not None  # noqa: S101
@@ -149,7 +149,7 @@ def _as_well(plan: Plan, index: int, stood_rad: float | None) -> tuple[str, ...]
 
 
 def _neighbour(plan: Plan, index: int, way: int) -> float | None:
-    """The angle of the turn before or after a step, on the same mounting."""
+    """Return the angle of the turn before or after a step in the same mounting; None if there is none."""
     i = index + way
     while 0 <= i < len(plan.steps) and not isinstance(plan.steps[i], Mount):
         step = plan.steps[i]
@@ -169,7 +169,7 @@ def _same(one: float, other: float) -> bool:
 
 
 class _Hands:
-    """The world as the operator's hands reach it: `work` and `mistake` decide what is really done."""
+    """The world as the operator acts on it: `work` and `mistake` decide what is really done."""
 
     def __init__(self, world: World, plan: Plan, mistake: Mistake | None) -> None:
         self._world = world
@@ -189,14 +189,14 @@ class _Hands:
         return getattr(self._world, name)
 
     def at(self, key: str) -> None:
-        """Say which step asks."""
+        """Note the step that asks."""
         self.index = self._keys.get(key.partition("#")[0], self.index)
         mistake = self._mistake
         if mistake is not None and mistake.cables and not self.mended and self.index >= mistake.index:
             self._swap(mistake.cables)
 
     def mend(self) -> None:
-        """Put right what is wrong; nothing more goes wrong."""
+        """Correct the mistake; nothing else goes wrong afterwards."""
         self.mended = True
         vars(self._world).pop("signal_v", None)
 
@@ -215,7 +215,7 @@ class _Hands:
         return self._mistake if at_it and not self.mended else None
 
     def mount(self, installation: str, series: int = 1) -> None:
-        """Mount the block, or not, or otherwise."""
+        """Mount the block correctly, or as the mistake demands: not at all, or in another way."""
         wrong = self._wrong_now()
         if wrong is None:
             self._world.mount(installation, series)
@@ -223,7 +223,9 @@ class _Hands:
             self._world.mount(wrong.label, series)
 
     def turn(self, scale_angle_rad: float, direction: Direction) -> None:
-        """Turn the head, or not, or elsewhere; the wrong way until it is mended."""
+        """Turn the head correctly, or as the mistake demands: not at all, elsewhere, or the wrong way until
+        corrected.
+        """
         mistake, stood = self._mistake, self._world.scale_angle_rad
         if self.mended or mistake is None or self.index < mistake.index:
             self._world.turn(scale_angle_rad, direction)
@@ -240,15 +242,15 @@ class _Hands:
 
 
 def _same_noise_again(world: Any) -> None:
-    """Give a step taken again the random numbers of its first time: what differs is what the mistake left."""
+    """Give a repeated step the random numbers of its first time, so that only the mistake makes a difference."""
     begin_step = world.begin_step
     world.begin_step = lambda key, scan=(): begin_step(key.partition("@")[0], scan)
 
 
 class MistakenOperator(ScriptedOperator):
-    """A scripted operator who makes a mistake once; None for one who makes none.
+    """A scripted operator who makes one mistake, or none if it is None.
 
-    `asked` are the questions at which the run stopped, `slips_told` prompts that named a slip as typed.
+    `asked` are the questions at which the run stopped, `slips_told` the prompts that identified a typing slip.
     """
 
     def __init__(self, world: World, settings: OperatorSettings, plan: Plan, mistake: Mistake | None) -> None:
@@ -260,7 +262,9 @@ class MistakenOperator(ScriptedOperator):
         self.slips_told: list[str] = []
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Answer; at the question how to go on, mend the mistake and have taken again what it spoilt."""
+        """Answer a prompt; at the question how to continue, correct the mistake and have the affected steps
+        repeated.
+        """
         if prompt.id.startswith("halt@"):
             self.asked.append(prompt.text)
             self._hands.mend()

@@ -1,18 +1,19 @@
-"""Is a run stopped in time when its operator makes a mistake, for the right reason, and never without one?
+"""Test the early warning: a run stops in time after an operator's mistake, for the right reason, and never without
+one.
 
     python -m benchmarks.mistakes_campaign watcher --runs 200 --clean 3000 --jobs 2 --out watcher.json
     python -m benchmarks.mistakes_campaign whole --runs 20 --clean 500 --jobs 2 --out whole.json
 
-A scripted operator (`benchmarks.mistaken_operator`) makes one mistake of a kind, the passes in turn. In part
-`watcher` the early warning is fed with what the simulated world would have shown; in part `whole` every run is a
-dry run over the wires of simulated meters, recorded, stopped, gone on with as the question asks, and calibrated.
-Its coefficients are held against those of the same run without the mistake; a step taken again has the random
-numbers of its first time, so that nothing but what the mistake left makes a difference.
+A scripted operator (`benchmarks.mistaken_operator`) makes one mistake of a kind, in each pass in turn. In part
+`watcher`, the early warning receives the readings of the simulated world. In part `whole`, every run is a dry run
+over the wires of simulated meters, which is recorded, stopped, continued as the question demands, and calibrated.
+Its coefficients are compared with those of the same run without the mistake. A repeated step has the random numbers
+of its first time, so that only consequences of the mistake make a difference.
 
-Counted is a mistake that is at least 8 standard deviations in a reading: the shift of the three signals against the
-covariance with which the readings before it let the reading be expected. From the first such reading the run must
-stop at it or at the next one. A cause is right where it is the mistake made; where several are named as equally
-likely, one of them is. Prints a table with Wilson intervals (95 %); exit status 1 when a bar is missed.
+A mistake counts if it shifts a reading by at least 8 standard deviations: the shift of the three signals relative
+to the covariance of their prediction from earlier readings. The run must stop at the first such reading or at the
+next one. A cause is right if it is the mistake made; if several are named as equally likely, one of them must be. A
+table with Wilson intervals (95 %) is printed; the exit status is 1 if a limit is missed.
 """
 
 from __future__ import annotations
@@ -69,12 +70,12 @@ METER_NOISE_V: Final = 5e-6
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a run.
+    """The outcome of a run.
 
-    `size` is the largest in standard deviations, None where nothing was fed, `large_at` the step of the first
-    reading in which it is large; `late` how many readings after that the run stopped, None where it did not.
-    `agrees`: coefficients within u of the undisturbed run's, None where nothing was compared; `worst` the largest
-    difference in u.
+    `size` is the largest shift in standard deviations (None: no readings), `large_at` the step of the first reading
+    with a large shift. `late` is the number of readings after it until the run stopped, None if it did not.
+    `agrees` says whether the coefficients are within u of the undisturbed run's, None if they were not compared;
+    `worst` is the largest difference in u.
     """
 
     kind: str
@@ -107,7 +108,7 @@ def is_right(causes: Sequence[str], mistake: Mistake) -> bool:
 
 
 class Fed:
-    """A simulated bench without wires: what the operator does on it, and the readings that it shows."""
+    """A simulated bench without wires: the operator's actions, and the readings that follow."""
 
     def __init__(self, plan: Plan, bench: BenchFile, seed: int, mistake: Mistake | None) -> None:
         self.world = world_of(bench, ForwardModel(bench.installation_models()), seed, VirtualClock())
@@ -117,7 +118,7 @@ class Fed:
         self.angle_rad = 0.0
 
     def carry_out(self, step: object, key: str) -> Reading | Mounted | None:
-        """Carry a step out; return what it brings."""
+        """Carry out a step; return its result."""
         self.world.begin_step(key)
         match step:
             case Mount():
@@ -145,7 +146,7 @@ class Fed:
 
 
 def watched(kind: str, number: int, seed: int, procedure: str, bench_name: str) -> Outcome:
-    """Feed the watcher with a run; stop at the first confident sign, or when it would be too late."""
+    """Give the readings of a run to the early warning; stop at its first confident sign, or when it is too late."""
     plan, bench = setting(procedure, bench_name)
     run_seed = 1000 * seed + number
     mistake = None if kind == CLEAN else draw(kind, number, plan, bench.installation_models(), seed)
@@ -190,7 +191,10 @@ def _done(index: int, result: Reading | Mounted | None) -> Event:
 
 
 def _over(plan: Plan, mistake: Mistake, index: int) -> bool:
-    """Whether a mistake can show no more: two readings after it, or with its mounting where it lasts."""
+    """Whether a mistake can have no further effect.
+
+    This is two readings after it, or at the end of its mounting if it lasts.
+    """
     since = plan.steps[mistake.index + 1 : index + 1]
     lasts = mistake.cables or mistake.kind in ("not remounted", "remounted wrongly", "wrong direction")
     if lasts:
@@ -202,7 +206,7 @@ def _over(plan: Plan, mistake: Mistake, index: int) -> bool:
 
 
 def whole(kind: str, number: int, seed: int, procedure: str, bench_name: str, folder: Path) -> Outcome:
-    """Carry a whole run out over the wires, with a mistake and without it, and compare what comes of them."""
+    """Carry out a whole run over the wires, with and without a mistake, and compare the results."""
     plan, bench = setting(procedure, bench_name)
     run_seed = 1000 * seed + number
     mistake = None if kind == CLEAN else draw(kind, number, plan, bench.installation_models(), seed)
@@ -235,7 +239,7 @@ def whole(kind: str, number: int, seed: int, procedure: str, bench_name: str, fo
 def _carried_out(
     runs: Path, name: str, plan: Plan, seed: int, procedure: str, bench_name: str, mistake: Mistake | None
 ) -> tuple[Run, str]:
-    """Carry a dry run out with the mistaken operator; return it and what stopped it for good."""
+    """Carry out a dry run with the mistaken operator; return the run and the reason if it stopped for good."""
     new = new_run(RunRequest(procedure, bench_name, runs=runs, dry_run=True, seed=seed, name=name))
     make = partial(MistakenOperator, plan=plan, mistake=mistake)
     trouble = ""
@@ -251,7 +255,7 @@ def _carried_out(
 
 
 def _difference(run: Run, undisturbed: Run) -> float:
-    """The largest difference of a coefficient in its standard uncertainty."""
+    """Return the largest difference of a coefficient, in units of its standard uncertainty."""
     vectors = []
     for one in (run, undisturbed):
         (source,) = load_sources(Request([str(one.folder)], one.folder.parent))
@@ -267,7 +271,7 @@ def _difference(run: Run, undisturbed: Run) -> float:
 
 
 def table(outcomes: Sequence[Outcome]) -> tuple[list[str], bool]:
-    """Return the lines of the table, and whether every bar is kept."""
+    """Return the lines of the table, and whether every limit is kept."""
     lines, kept = [], True
     for kind in KINDS:
         rows = [row for row in outcomes if row.kind == kind]

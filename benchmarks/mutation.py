@@ -1,11 +1,12 @@
-"""Would the tests notice? Small faults are put into the calibration and the runner, one at a time.
+"""Test the tests: small faults are put into the calibration and the runner, one at a time.
 
     python -m benchmarks.mutation --mutants 30 --seed 1
 
-mutmut changes a copy of the program (an operator, a number, an argument left out) and runs the tests that reach
-the changed function, those not marked slow, until one fails: the mutant is killed. A sample drawn by the seed
-stands for all; each survivor is shown with its change, for a person to judge: many change nothing that counts (a
-message's words, a default that nobody takes). Exit status 1 when fewer are killed than `--least` asks.
+mutmut changes a copy of the program (an operator, a number, an omitted argument) and runs the tests that reach the
+changed function, except those marked slow, until one fails: the mutant is killed. A random sample, drawn with the
+seed, represents all mutants. Each survivor is shown with its change for a person to judge, because many change
+nothing of importance (the words of a message, an unused default). The exit status is 1 if fewer are killed than
+`--least` demands.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ FIRST = "bench.calibration.linear.*__mutmut_1"
 
 
 def mutmut(*arguments: str) -> str:
-    """Run mutmut on this tree and return what it prints; what goes wrong ends the program with it."""
+    """Run mutmut on this tree and return its output; a failure ends the program with this output."""
     command = [sys.executable, "-m", "mutmut", *arguments]
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}  # the copy is to be imported
     done = subprocess.run(  # noqa: S603 - a tool of our own environment
@@ -35,7 +36,7 @@ def mutmut(*arguments: str) -> str:
 
 
 def verdicts() -> dict[str, str]:
-    """Return what became of each mutant, by its name: "killed", "survived", "not checked", …"""
+    """Return the state of each mutant by name: "killed", "survived", "not checked", …"""
     lines = (line.strip() for line in mutmut("results", "--all", "true").splitlines())
     return dict(line.split(": ", 1) for line in lines if "__mutmut_" in line)
 

@@ -1,12 +1,13 @@
-"""A calibration by panel in Chromium: keys and clicks, how late a live value is shown, what live reads cost.
+"""Measure a calibration by panel in Chromium: keys and clicks, the delay of live values, the cost of live reads.
 
     python -m benchmarks.panel_evening keys        # a whole 'calibration', typed, then read by an encoder
     python -m benchmarks.panel_evening live        # meters of `bench simulate` over TCP, in real time
 
-`keys` types each reading as its deviation from the commanded angle, and counts what the browser is sent; with an
-encoder, simulated hands turn the head, and only mountings and the thermometer are answered. `live`
-asks the browser for the age of each live value on the screen, then measures the time from a person's answer to the
-end of the reading, in turns with live reads and without. No reading changes: `pytest tests/run/test_live.py`.
+`keys` types each reading as its deviation from the commanded angle, and counts the keys and clicks sent to the
+browser. With an encoder, simulated hands turn the head, and a person answers only the mountings and the
+thermometer. `live` reads the age of each live value on the screen. It then measures the time from a person's answer
+to the end of the reading, alternately with and without live reads. That no reading changes is tested in `pytest
+tests/run/test_live.py`.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ AGES: Final = """() => { window.ages = []; const live = document.getElementById(
 
 
 class CountingPerson:
-    """A person at the page of a run who counts keys and clicks; the mouse is used where no key will do."""
+    """A simulated person at the page of a run who counts keys and clicks, and clicks only if no key works."""
 
     def __init__(self, page: Any) -> None:
         self.page, self.readings = page, 0
@@ -71,7 +72,7 @@ class CountingPerson:
 
 @contextlib.contextmanager
 def signed_in(panel: ServedPanel) -> Iterator[Any]:
-    """Yield a page of a browser in which an operator is signed in."""
+    """Yield a browser page in which an operator is signed in."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
@@ -84,14 +85,14 @@ def signed_in(panel: ServedPanel) -> Iterator[Any]:
 
 
 def keys(bench: str) -> CountingPerson:
-    """Carry out a whole calibration in practice in the panel; return who answered."""
+    """Carry out a whole practice calibration in the panel; return the person with the counts."""
     with tempfile.TemporaryDirectory() as folder, served(Path(folder)) as panel, signed_in(panel) as page:
         run = Begun(Path(folder), "run", "calibration", "folder", more=("--dry-run", "--bench", bench))
         return carried_out(run, panel, page)
 
 
 def carried_out(run: Begun, panel: ServedPanel, page: Any) -> CountingPerson:
-    """Answer all questions of a run on its page; return who did."""
+    """Answer all questions of a run on its page; return the person with the counts."""
     try:
         run.wait_for_events()
         page.goto(f"{panel.url}/runs/run/")
@@ -111,7 +112,7 @@ def carried_out(run: Begun, panel: ServedPanel, page: Any) -> CountingPerson:
 
 @contextlib.contextmanager
 def simulating(bench: str, folder: Path) -> Iterator[dict[str, Any]]:
-    """Serve the simulated instruments of a bench; yield what is written once they listen."""
+    """Serve the simulated instruments of a bench; yield the content of the ready file once they listen."""
     ready = folder / "ready.json"
     program = subprocess.Popen(  # noqa: S603 - our own program
         [sys.executable, "-c", PROGRAM, "simulate", "--bench", bench, "--ready-file", str(ready)],
@@ -126,7 +127,7 @@ def simulating(bench: str, folder: Path) -> Iterator[dict[str, Any]]:
 
 
 def answered_run(panel: ServedPanel, page: Any, bench: Path, name: str, program: str, wait_s: float) -> Begun:
-    """Carry out `PROCEDURE`, answered by keys after `wait_s` each; return the run."""
+    """Carry out `PROCEDURE`, with each question answered by keys after `wait_s`; return the run."""
     procedure = bench.with_name("live.yaml")
     procedure.write_text(PROCEDURE, "utf-8")
     run = Begun(panel.runs, name, str(procedure), "folder", more=("--bench", str(bench)), program=program)
@@ -192,7 +193,7 @@ def live(turns: int) -> None:
 
 
 def main() -> None:
-    """Measure what the command line names."""
+    """Carry out the measurement that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("what", choices=("keys", "live"))
     parser.add_argument("--turns", type=int, default=3)

@@ -1,9 +1,11 @@
-"""The panel under requests that nobody at it would send: methods, paths, headers, bodies, tokens, origins, sizes.
+"""Test the panel with requests that no browser would send: methods, paths, headers, bodies, tokens, origins, sizes.
 
-`python -m benchmarks.panel_fuzz --requests 10000 --seed 1` sends them to the application itself, past any server
-that would tidy them, and tells of each that was answered with 5xx, changed a file without the right to or showed
-what lies outside the folder of runs, how memory grew, and how long the slowest took. `--socket 500` sends raw bytes
-to a real server beside, which must log no traceback.
+    python -m benchmarks.panel_fuzz --requests 10000 --seed 1
+
+The requests go to the application directly, past any server that would correct them. Reported is each request that
+was answered with 5xx, that changed a file without the right to, or that showed content from outside the folder of
+runs; further the growth of memory, and the slowest request. `--socket 500` sends raw bytes to a real server, which
+must log no traceback.
 """
 
 from __future__ import annotations
@@ -90,7 +92,7 @@ LEAST = {"control": Role.OPERATOR, "answer": Role.OPERATOR, "wish": Role.VIEWER}
 
 @dataclass(frozen=True)
 class Actor:
-    """Who sends: a session (None of a stranger), and a token."""
+    """The sender of a request: a session (None for a stranger) and a token."""
 
     name: str
     person: Person | None
@@ -101,7 +103,10 @@ class Actor:
 
 @dataclass(frozen=True)
 class Request:
-    """A request, as the application is given it. `entitled`: whether who sends it may change anything by it."""
+    """A request in the form that the application receives.
+
+    `entitled` says whether its sender may change anything by it.
+    """
 
     method: str
     path: str
@@ -112,7 +117,7 @@ class Request:
     who: str
 
     def scope(self) -> dict[str, Any]:
-        """Return what the application is called with."""
+        """Return the ASGI scope with which the application is called."""
         return {
             "type": "http", "asgi": {"version": "3.0", "spec_version": "2.3"}, "http_version": "1.1",
             "method": self.method, "scheme": "http", "path": self.path,
@@ -127,7 +132,7 @@ class Request:
 
 
 class Requests:
-    """Draws requests: by one of the actors, to the runs of these names."""
+    """A generator of random requests by one of the actors, to the runs of these names."""
 
     def __init__(self, seed: int, actors: Sequence[Actor], runs: Sequence[str]) -> None:
         self._random = random.Random(seed)  # noqa: S311 - a campaign that can be repeated
@@ -167,7 +172,7 @@ class Requests:
         return Request(method, path, query, tuple(headers), body, entitled, actor.name)
 
     def raw(self, host: str) -> bytes:
-        """Return bytes that are nearly a request, as they come over a wire."""
+        """Return the bytes of an almost valid HTTP request."""
         draw = self._random
         real = draw.random() < 0.8
         path = quote(self._path(), safe="/%.\\~", errors="replace") if real else draw.choice(WORDS)
@@ -197,7 +202,7 @@ class Requests:
         return path
 
     def _may(self, actor: Actor, path: str) -> bool:
-        """Whether a person's role lets them change anything at all by this address."""
+        """Whether the actor's role permits any change by this address."""
         least = LEAST.get(path.rpartition("/")[2], Role.VIEWER if path == "/sign-out" else Role.OPERATOR)
         return actor.person is not None and actor.person.role.includes(least)
 
@@ -274,9 +279,10 @@ Tree = dict[str, tuple[int, int]]
 
 @dataclass
 class Outcome:
-    """What became of the requests: `wrong` are sentences, `statuses` counts, `grown` bytes from a quarter on.
+    """The outcome of the requests.
 
-    `took` are the requests with the CPU time of each, s.
+    `wrong` are sentences on faults, `statuses` counts by status, `grown` the growth of memory after the first
+    quarter, bytes. `took` are the requests with the CPU time of each, s.
     """
 
     requests: int = 0
@@ -287,14 +293,14 @@ class Outcome:
     took: list[tuple[float, str]] = field(default_factory=list)
 
     def times(self) -> str:
-        """Return what the requests took of CPU time, s: the median, and the one that took most."""
+        """Return the CPU times of the requests as text, s: the median, and the slowest request."""
         ranked = sorted(self.took)
         median_s, (most_s, sent) = ranked[len(ranked) // 2][0], ranked[-1]
         return f"of CPU: median {1e3 * median_s:.1f} ms, most {1e3 * most_s:.0f} ms: {sent}"
 
 
 class Place:
-    """A folder of runs with a secret beside it, one run that is carried out, and persons of each role."""
+    """A folder of runs beside a secret file, with one run in progress and persons of each role."""
 
     def __init__(self, folder: Path) -> None:
         self.outside = folder / "outside"
@@ -327,7 +333,7 @@ class Place:
         self.record.append("asked", bench_s, **asked_to_json(QUESTION))
 
     def tree(self) -> Tree:
-        """Return size and time of every file that no request may change but by right."""
+        """Return size and time of every file that only an entitled request may change."""
         found = {}
         for path in (*self.runs.rglob("*"), *self.outside.rglob("*")):
             if path.is_file() and not path.is_symlink():
@@ -336,14 +342,14 @@ class Place:
         return found
 
     def allowed(self, path: str, request: Request) -> bool:
-        """Whether a request with the right to may change this file."""
+        """Whether an entitled request may change the file at `path`."""
         ended = Path(path) != self.runs / "alive" / EVENTS and request.path.endswith(("/give-up", "/wish"))
         if ended and Path(path).name == EVENTS:
             return True
         return Path(path).name in MAY_CHANGE or Path(path).is_relative_to(self.runs / STATE)
 
     def told(self) -> list[str]:
-        """Say what the files that were written by right tell that nobody had the right to."""
+        """Return sentences on content that files written by entitled requests should not have."""
         wrong = []
         for line in _lines(self.runs / "alive" / CONTROL):
             if line["role"] == Role.VIEWER and line["wish"] != "stop":
@@ -374,7 +380,7 @@ def _lines(file: Path) -> list[dict[str, str]]:
 
 
 async def send(app: Any, request: Request) -> tuple[int, bytes]:
-    """Send a request to the application; who has heard the first of a stream goes away."""
+    """Send a request to the application; for an event stream, disconnect after the first event."""
     gone = asyncio.Event()
     parts = list(request.body)
     told: list[int] = []
@@ -398,7 +404,7 @@ async def send(app: Any, request: Request) -> tuple[int, bytes]:
 
 
 async def fuzz(place: Place, count: int, seed: int) -> Outcome:
-    """Send `count` requests and return what became of them."""
+    """Send `count` requests and return the outcome."""
     names = sorted(run.name for run in place.runs.iterdir())
     outcome, requests = Outcome(), Requests(seed, place.actors, names)
     prepare(place.app.state.panel)
@@ -435,7 +441,7 @@ async def fuzz(place: Place, count: int, seed: int) -> Outcome:
 def judged(
     place: Place, request: Request, status: int, body: bytes, changed: set[str], *, started: int
 ) -> list[str]:
-    """Say what is wrong with how a request was answered, and with what it changed."""
+    """Return sentences on faults in the answer to a request, and in the changes that it made."""
     wrong = []
     if status >= 500:
         wrong.append(f"{request}: answered {status}: {body[:200]!r}")
@@ -456,7 +462,7 @@ def judged(
 
 
 async def raw(port: int, count: int, seed: int) -> list[str]:
-    """Send raw bytes to a real server; return what is wrong with its replies."""
+    """Send raw bytes to a real server; return the faults in its replies."""
     requests, wrong = Requests(seed, [Actor("stranger", None, None)], ["done"]), []
     for _ in range(count):
         sent = requests.raw(HOST)
@@ -474,7 +480,7 @@ async def raw(port: int, count: int, seed: int) -> list[str]:
 
 
 async def served(place: Place, count: int, seed: int) -> list[str]:
-    """Send raw bytes to the panel behind the server that it comes with."""
+    """Send raw bytes to the panel behind its own server; return the faults."""
     import uvicorn
 
     logged: list[logging.LogRecord] = []
@@ -497,7 +503,7 @@ async def served(place: Place, count: int, seed: int) -> list[str]:
 
 
 def main() -> None:
-    """Send the requests and print what became of them; exit status 1 where anything is wrong."""
+    """Send the requests and print the outcome; the exit status is 1 after any fault."""
     asked = arguments(__doc__, requests=10000, socket=500, seed=1)
     with tempfile.TemporaryDirectory() as folder:
         place = Place(Path(folder))

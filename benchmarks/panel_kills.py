@@ -1,10 +1,11 @@
-"""The panel killed (SIGKILL) at random moments while a person answers in it, and begun again.
+"""Kill the panel (SIGKILL) at random moments while a person answers in it, and start it again.
 
-`python -m benchmarks.panel_kills --kills 50 --seed 1`. All are real processes: the program that carries out a dry
-run whose questions a person answers in the panel, the panel, and a client that answers as fast as a person might.
-After each kill: the program lives and its record is whole; who was signed in still is, and is in control; the
-question that stands on the disk stands in the panel; and no question was answered twice. At the end the program
-itself is killed: the panel says so, and goes on with the run.
+    python -m benchmarks.panel_kills --kills 50 --seed 1
+
+All are real processes: the program that carries out a dry run whose questions a person answers in the panel, the
+panel, and a client that answers as fast as a person might. After each kill: the program lives and its record is
+complete; the person is still signed in and in control; the question on the disk is in the panel; and no question
+was answered twice. At the end the program itself is killed: the panel reports this, and resumes the run.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ PATIENCE_S = 120.0
 
 @dataclass
 class Outcome:
-    """What was found: sentences of what went wrong, and counts."""
+    """The outcome of the campaign: sentences on faults, and counts."""
 
     kills: int = 0
     runs: int = 0
@@ -46,7 +47,7 @@ class Outcome:
 
 
 class Person:
-    """Somebody signed in once, before the first kill."""
+    """A person who signed in once, before the first kill."""
 
     def __init__(self, url: str, token: str) -> None:
         self.client = httpx.Client(
@@ -57,18 +58,18 @@ class Person:
         self.client.headers["x-csrf"] = page.partition('name="csrf" content="')[2].partition('"')[0]
 
     def state(self, run: str) -> dict[str, Any]:
-        """Return what the panel tells of a run. Raises `httpx.HTTPError` where it does not."""
+        """Return the panel's data on a run. Raises `httpx.HTTPError` if there is no answer."""
         reply = self.client.get(f"/runs/{run}/state").raise_for_status()
         told: dict[str, Any] = reply.json()
         return told
 
     def post(self, run: str, what: str, **sent: str) -> int:
-        """Ask for something; return the status."""
+        """Send a request for a run; return the HTTP status."""
         return self.client.post(f"/runs/{run}/{what}", json=sent).status_code
 
 
 def answer_to(prompt: dict[str, Any]) -> str:
-    """Return what a careful person answers."""
+    """Return the answer of a careful person to a prompt."""
     if prompt["target"] is not None:
         return str(prompt["target"])
     if prompt["choices"] and prompt["default"] is None:
@@ -79,7 +80,7 @@ def answer_to(prompt: dict[str, Any]) -> str:
 
 
 class Campaign:
-    """One folder of runs, one person, one panel after the other."""
+    """One folder of runs, one person, and one panel after the other."""
 
     def __init__(self, runs: Path, seed: int) -> None:
         self.runs, self.random, self.outcome = runs, random.Random(seed), Outcome()  # noqa: S311 - to be repeated
@@ -88,7 +89,7 @@ class Campaign:
         self.person = Person(url_of(runs), token)
 
     def amiss(self, sentence: str) -> None:
-        """Take note of what went wrong."""
+        """Note a fault."""
         self.outcome.wrong.append(sentence)
 
     def kill(self) -> None:
@@ -97,7 +98,7 @@ class Campaign:
         self.panel.process.wait()
 
     def begin_run(self, procedure: str) -> tuple[str, Started]:
-        """Begin a run that asks in its folder, and take control of it."""
+        """Start a run whose questions are answered in its folder, and take control of it."""
         self.outcome.runs += 1
         name = f"run-{self.outcome.runs}"
         options = ["--dry-run", f"--name={name}", f"--runs={self.runs}", "--answers=folder"]
@@ -107,7 +108,7 @@ class Campaign:
         return name, runner
 
     def kill_and_check(self, name: str, runner: Started) -> None:
-        """Answer until the panel is killed at a random moment; begin it again and look."""
+        """Answer questions until the panel is killed at a random moment; restart and check it."""
         timer = threading.Timer(self.random.uniform(0.0, 1.5), self.kill)
         timer.start()
         while timer.is_alive():
@@ -121,7 +122,7 @@ class Campaign:
         self.check(name)
 
     def answer_one(self, name: str) -> None:
-        """Answer the question that stands, if the panel is there."""
+        """Answer the open question, if the panel is running."""
         try:
             prompt = self.person.state(name)["prompt"]
             if prompt is not None:
@@ -134,7 +135,7 @@ class Campaign:
             self.outcome.cut += 1
 
     def check(self, name: str) -> None:
-        """Look whether all is as it was."""
+        """Check that session, control, record and open question survived the kill."""
         told = self.person.state(name)
         if told["control"]["holder"] != "anna":
             self.amiss(f"{name}: in control is {told['control']['holder']} after a restart")
@@ -156,7 +157,7 @@ class Campaign:
         )
 
     def check_answers(self, name: str) -> None:
-        """Look whether a question was answered twice, or unasked."""
+        """Check that no question was answered twice, and that there is no answer without a question."""
         asked: set[str] = set()
         answered: set[str] = set()
         for event in Run(self.runs / name).history.events:
@@ -168,7 +169,7 @@ class Campaign:
                 answered.add(event.data["id"])
 
     def finish(self, name: str, runner: Started | None) -> None:
-        """Answer what is left, and look at what came of it; of a run that is resumed the runner is not known."""
+        """Answer the remaining questions, and check the finished run; for a resumed run, `runner` is None."""
         until_s = time.monotonic() + PATIENCE_S
         while time.monotonic() < until_s:
             self.answer_one(name)
@@ -187,7 +188,7 @@ class Campaign:
             self.amiss(f"{name}: {history.state}, {history.problems}: {said}")
 
     def kill_the_runner(self) -> None:
-        """Kill the program that carries out a run: the panel says so, and goes on with it."""
+        """Kill the program that carries out a run; the panel must report this, and resume the run."""
         name, runner = self.begin_run("quick")
         for _ in range(5):
             self.answer_one(name)
@@ -202,7 +203,7 @@ class Campaign:
 
 
 def until(true: Any, patience_s: float = PATIENCE_S) -> None:
-    """Wait until something is true. Raises `TimeoutError`."""
+    """Wait until a function returns true. Raises `TimeoutError`."""
     until_s = time.monotonic() + patience_s
     while True:
         try:
@@ -216,7 +217,7 @@ def until(true: Any, patience_s: float = PATIENCE_S) -> None:
 
 
 def campaign(runs: Path, kills: int, seed: int) -> Outcome:
-    """Kill the panel so many times; return what was found."""
+    """Kill the panel `kills` times; return the outcome."""
     one = Campaign(runs, seed)
     try:
         name, runner = one.begin_run("calibration")
@@ -233,7 +234,7 @@ def campaign(runs: Path, kills: int, seed: int) -> Outcome:
 
 
 def main() -> None:
-    """Carry it out and print what was found; exit status 1 where anything is wrong."""
+    """Carry out the campaign and print the outcome; the exit status is 1 after any fault."""
     asked = arguments(__doc__, kills=50, seed=1)
     with tempfile.TemporaryDirectory() as folder:
         found = campaign(Path(folder), asked.kills, asked.seed)

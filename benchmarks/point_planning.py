@@ -1,6 +1,6 @@
-"""What the paper's 54 settings are worth beside chosen ones, and how few chosen ones give the same.
+"""Compare the paper's 54 settings with chosen ones, and find how few chosen ones give the same uncertainty.
 
-On the shipped bench of the paper (stand errors with k = 3), and with its limits taken as one standard deviation:
+Both use the shipped bench of the paper: stand errors with k = 3, and its limits as one standard deviation.
 
     python -m benchmarks.point_planning
 """
@@ -33,14 +33,14 @@ def paper_settings() -> list[Setting]:
 
 
 def by_estimator(stand: Stand, estimator: str, settings: Sequence[Setting]) -> Floats:
-    """Covariance (12, 12) of the coefficients with the noise known."""
+    """Return the covariance (12, 12) of the coefficients by an estimator, for known noise."""
     setup = Setup(stand.model, conditions_of(settings), stand.block)
     sources = [stand_source(name, Distribution(u)) for name, u in stand.sizes.items() if u > 0]
     return make_budget(setup, sources, estimator).combined.covariance
 
 
 def goals_of(stand: Stand, covariance: Floats) -> dict[str, list[Goal]]:
-    """The same as a covariance gives, for the whole vector and for each of the coefficients."""
+    """Return goals equal to the uncertainties in a covariance: for the whole vector, and for each coefficient."""
     whole = vector_goal(stand.block)
     each = coefficient_goals({"all": 1.0})
     return {

@@ -1,9 +1,9 @@
-"""How long and how plain the pages of the documentation are: a report; with `--check`, a gate for banned phrases.
+"""Report how long and how plain the documentation pages are; with `--check`, refuse banned phrases.
 
-For each page of docs/ and the README: words (as `wc -w` counts them), sentences, their mean length, the share of
-them over 25 words, pictures, and the phrases of docs/banned-phrases.txt found. Sentences are those of paragraphs
-and lists: code blocks, tables, headings, comments and front matter have none. Code in a line counts as one word.
-What a command writes between the marks `<!-- NAME: made by COMMAND -->` and `<!-- end of NAME -->` is left out.
+For each page of docs/ and the README it counts: words (as `wc -w` does), sentences, their mean length, the share of
+them over 25 words, pictures, and the phrases of docs/banned-phrases.txt. Sentences are those of paragraphs and
+lists, not of code blocks, tables, headings, comments and front matter. Inline code counts as one word. Text that a
+command writes between the marks `<!-- NAME: made by COMMAND -->` and `<!-- end of NAME -->` is left out.
 
     python -m benchmarks.prose            # all pages
     python -m benchmarks.prose --pages docs/panel.md README.md
@@ -43,7 +43,7 @@ _END: Final = re.compile(r"(?<!\b[A-Z])(?<!e\.g)(?<!i\.e)[.!?][\"'”’)*_]*\s+
 
 @dataclass(frozen=True)
 class Prose:
-    """What is counted of a page."""
+    """The counts for a page."""
 
     name: str
     words: int
@@ -63,7 +63,7 @@ class Prose:
 
 
 def sentences(text: str) -> list[str]:
-    """Return the sentences of a page, each item of a list at least one."""
+    """Return the sentences of a page; each item of a list is at least one."""
     text = _ITEM.sub("\n\n", _PICTURE.sub("", _LEFT_OUT.sub("\n\n", text)))
     text = re.sub(r"``.*?``|`[^`]*`", "Code", text)
     text = re.sub(r"\[([^\]]*)\](?:\([^)]*\)|\[[^\]]*\])", r"\1", text)
@@ -72,7 +72,7 @@ def sentences(text: str) -> list[str]:
 
 
 def prose_of(name: str, text: str, phrases: Iterable[str]) -> Prose:
-    """Count a page, without what a command writes into it."""
+    """Return the counts for a page, without text that a command writes into it."""
     text = _MADE.sub("", text)
     plain = " ".join(re.sub(r"```.*?```|`[^`]*`", "", text, flags=re.S).lower().split())
     banned = tuple(p for p in phrases for _ in re.findall(rf"(?<!\w){re.escape(p)}(?!\w)", plain))
@@ -81,7 +81,7 @@ def prose_of(name: str, text: str, phrases: Iterable[str]) -> Prose:
 
 
 def banned_in(text: str, phrases: Iterable[str]) -> Iterator[tuple[int, str]]:
-    """Yield line and phrase of each banned phrase, also where it runs over a line's end or between two literals."""
+    """Yield line and phrase of each banned phrase, even if it continues on the next line or in the next literal."""
     plain = text.lower()
     for phrase in phrases:
         words = phrase.split()

@@ -1,4 +1,4 @@
-"""Whether two versions of the program give the same results: everything stored, then compared.
+"""Compare the results of two versions of the program: store those of each, then compare.
 
     python -m benchmarks.same_results store OLD --program /path/of/old/.venv/bin/bench --seeds 50
     python -m benchmarks.same_results store NEW --program .venv/bin/bench --seeds 50
@@ -7,11 +7,11 @@
 
 `store` makes seeded dry runs and stores the JSON, pages, records, readings and draft certificates of every command
 that evaluates them. It calls the program as a user does, so that it can store what an older version gives.
-`compare` asks that JSON and XML have the same members, texts and integers, and that numbers agree to 1e-9 of the
-largest number beside them. Of pages it compares the numbers of the text and the plotted data. Texts that differ in
-words alone are listed as reworded, which is no difference. `IGNORED` lists what is left out. The exit status is 1
-where anything differs.
-`schemas` asks that this version's JSON schemas have every member of those in a folder, and lists what is new.
+`compare` requires that JSON and XML have the same members, texts and integers, and that numbers agree to 1e-9 of
+the largest number in the same list. Of pages it compares the numbers of the text and the plotted data. Texts that
+differ in words alone are listed as reworded, which is no difference. `IGNORED` lists what is left out. The exit
+status is 1 if anything differs. `schemas` requires that this version's JSON schemas have every member of those in a
+folder, and lists new members.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ _PASSING: Final = re.compile(rf"(?<![\w.])(?=\d*[a-f])[0-9a-f]{{12,64}}\b|(?:/[\
 
 
 def store(folder: Path, program: str, seeds: int) -> None:
-    """Store what a program gives for so many seeds; what is there already is kept."""
+    """Store the results of a program for `seeds` seeds; existing ones are kept."""
     for seed in range(1, seeds + 1):
         place = folder / f"seed-{seed:03}"
         if (place / "done").exists():
@@ -84,7 +84,7 @@ def _call(program: str, place: Path, name: str, words: str) -> None:
 
 
 class Differences:
-    """What differs, and what is only reworded, as lines."""
+    """Lines on differences, and on texts that are only reworded."""
 
     def __init__(self) -> None:
         self.different: list[str] = []
@@ -92,7 +92,7 @@ class Differences:
         self.files = 0
 
     def values(self, where: str, one: Any, other: Any, scale: float = 0.0) -> None:
-        """Compare two JSON values; numbers of a list agree to `RELATIVE` of its largest."""
+        """Compare two JSON values; numbers in a list must agree to `RELATIVE` of its largest number."""
         if any(re.search(pattern, where) for pattern in IGNORED) and (one is None) == (other is None):
             return
         match one, other:
@@ -117,7 +117,7 @@ class Differences:
                     self.different.append(f"{where}: {one!r} and {other!r}")
 
     def text(self, where: str, one: str, other: str) -> None:
-        """Compare two texts: their numbers must agree; where words alone differ, they are reworded."""
+        """Compare two texts: their numbers must agree; if only words differ, they count as reworded."""
         one, other = (_PASSING.sub("…", text) for text in (one, other))
         if one == other:
             return
@@ -156,7 +156,7 @@ class Page(HTMLParser):
         self.feed(html)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Take the coordinates of lines and markers."""
+        """Collect the coordinates of lines and markers."""
         if tag in {"style", "script", "metadata"}:
             self._hidden = tag
         told = dict(attrs)
@@ -165,18 +165,18 @@ class Page(HTMLParser):
                 self.plotted.append([_number(found) for found in numbers])
 
     def handle_endtag(self, tag: str) -> None:
-        """End what is not shown."""
+        """Note the end of an element that is not shown."""
         if tag == self._hidden:
             self._hidden = ""
 
     def handle_data(self, data: str) -> None:
-        """Take the text that is shown."""
+        """Collect the visible text."""
         if not self._hidden and data.strip():
             self.lines.append(" ".join(data.split()))
 
 
 def _read(path: Path) -> Any:
-    """Return what is compared of a file."""
+    """Return the part of a file that is compared."""
     match path.suffix:
         case ".xml":
             return list(_leaves(ElementTree.parse(path).getroot()))  # noqa: S314 - ours
@@ -218,7 +218,7 @@ COMPARED: Final = (".json", ".html", ".xml", ".csv", ".jsonl", ".status", ".h")
 
 
 def compare(one: Path, other: Path) -> Differences:
-    """Compare two stores file by file, over the seeds that both have whole."""
+    """Compare two stores file by file, for the seeds that are complete in both."""
     found = Differences()
     seeds, others = ({done.parent.name for done in top.glob("seed-*/done")} for top in (one, other))
     both = seeds & others
@@ -242,7 +242,7 @@ Defs = dict[str, Any]
 def members(
     schema: Defs, defs: Defs, path: str = "", seen: tuple[str, ...] = ()
 ) -> Iterator[tuple[str, bool]]:
-    """Yield each member of a JSON schema by its path, and whether it is always there."""
+    """Yield the path of each member of a JSON schema, and whether the member is always present."""
     if "$ref" in schema:
         name = schema["$ref"].rpartition("/")[2]
         if name not in seen:
@@ -263,7 +263,7 @@ def members(
 
 
 def compare_schemas(older: Path) -> list[str]:
-    """Print how this version's schemas differ from older ones; return what they lack."""
+    """Print how this version's schemas differ from older ones; return the members that they lack."""
     from bench.results.schemas import RESULTS, model_of
 
     lacking = []
@@ -284,7 +284,7 @@ def compare_schemas(older: Path) -> list[str]:
 
 
 def main() -> None:
-    """Store or compare."""
+    """Carry out `store`, `compare` or `schemas`."""
     given = arguments(
         __doc__, does={"positional": True, "choices": ("store", "compare", "schemas")},
         folders={"positional": True, "nargs": "+", "type": Path, "help": "one, to compare two"},

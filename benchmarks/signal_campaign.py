@@ -1,14 +1,16 @@
-"""What do signals do to runs? Promised: the bench is safe, the record whole, the cause told, nothing hangs.
+"""Test runs that receive signals: the bench is left safe, the record complete, the cause stated, and nothing hangs.
 
     python -m benchmarks.signal_campaign --runs 240 --seed 1 --jobs 2
 
-Every trial is a run by the command line in a process of its own, on a bench with a motorised head and a chamber
-that is served on loopback in real time. SIGINT, SIGTERM and SIGHUP come single, twice or in bursts, at a moment
-drawn over the whole life of the process, when a phase shows in the record (the way out included: a further signal
-while instruments are made safe, after a signal, an error or the end), or by closing its terminal. In some trials an
-instrument hangs, so that there is an error to leave by or a chamber that cannot be reached. Judged: how long the
-process takes to end; its status; what stands on standard error; the record's chain and state; the head at rest and
-the chamber in standby, or the record says that it goes on conditioning. Exit status 1 when anything is amiss.
+Every trial is a run by the command line in a separate process, on a bench with a motorised head and a chamber,
+served on loopback in real time. SIGINT, SIGTERM and SIGHUP come once, twice or in bursts. They come at a random
+moment in the life of the process, when a phase appears in the record, or by closing the terminal. Phases include
+the end: a further signal while instruments are made safe, after a signal, an error or the last step. In some trials
+an instrument hangs, so that the run ends by an error, or a chamber cannot be reached.
+
+Judged are: how long the process takes to end; its status; the text on standard error; the record's chain and state.
+The head must be at rest and the chamber in standby, or the record must say that it continues to condition. The exit
+status is 1 after any fault.
 """
 
 from __future__ import annotations
@@ -70,7 +72,7 @@ TROUBLES: Final = ("none", "none", "none", "meter hangs", "chamber hangs", "term
 
 @dataclass(frozen=True)
 class Trial:
-    """One run: when its signals come, which, and what else is wrong."""
+    """One run: the moment and the kinds of its signals, and any other disturbance."""
 
     number: int
     phase: str
@@ -82,7 +84,7 @@ class Trial:
 
 @dataclass
 class Outcome:
-    """What became of a trial: its violations, how long the process took to end, in which state the run was."""
+    """The outcome of a trial: its violations, the time the process took to end, and the state of the run."""
 
     trial: Trial
     violations: list[str] = field(default_factory=list)
@@ -111,7 +113,7 @@ def draw(count: int, seed: int) -> list[Trial]:
 
 
 class Served:
-    """A bench on loopback in real time, its file and procedure in `folder`, and what state it is in."""
+    """A bench served on loopback in real time, its file and procedure in `folder`, and its state."""
 
     def __init__(self, folder: Path) -> None:
         data = yaml.safe_load((ROOT / "config/bench-motorised.yaml").read_text(encoding="utf-8"))
@@ -132,7 +134,7 @@ class Served:
 
     @contextmanager
     def standing(self) -> Iterator[Served]:
-        """Serve it."""
+        """Serve the bench within the context."""
         with self.simulated as simulated:
             names = ["voltmeter.x", "voltmeter.y", "voltmeter.z", "head", "chamber"]
             for section, name in zip(self._sections, names, strict=True):
@@ -141,18 +143,18 @@ class Served:
             yield self
 
     def conditions(self) -> bool:
-        """Whether the chamber conditions."""
+        """Whether the chamber is conditioning."""
         return b"STANDBY" not in (self.simulated.dialects["chamber"].handle(b"MODE?", lambda: False) or b"")
 
     def reset(self) -> None:
-        """Take all faults away, and bring the chamber to standby."""
+        """Remove all faults, and set the chamber to standby."""
         for faulty in self.simulated.faulty.values():
             faulty.clear()
             faulty.device_clear()
         self.simulated.dialects["chamber"].handle(b"MODE,STANDBY", lambda: False)
 
     def hang(self, name: str) -> None:
-        """Let an instrument answer nothing any more."""
+        """Let an instrument stop answering."""
         self.simulated.arm(Fault(FaultKind.HANG, at=1, instrument=name))
 
 
@@ -160,7 +162,7 @@ class Served:
 
 
 class Process:
-    """The program under trial; with a `terminal` of its own, which can be closed."""
+    """The program under test, possibly with a `terminal` of its own, which can be closed."""
 
     def __init__(self, served: Served, name: str, *, terminal: bool) -> None:
         arguments = ["run", "short.yaml", "--bench", "bench.yaml", "--name", name]
@@ -188,7 +190,7 @@ class Process:
                 self.popen.stdin.flush()
 
     def _answer(self) -> None:
-        """Type yes at the terminal, again and again, and read what stands there."""
+        """Type "yes" at the terminal repeatedly, and read its output."""
         with suppress(OSError, ValueError):
             while self.popen.poll() is None:
                 os.write(self._master, b"yes\n")
@@ -198,20 +200,20 @@ class Process:
                     os.read(self._master, 1 << 16)
 
     def close_terminal(self) -> None:
-        """Close the terminal's window: the system sends SIGHUP, and nothing can be written any more."""
+        """Close the terminal's window: the system sends SIGHUP, and nothing more can be written."""
         master, self._master = self._master, -1
         with suppress(OSError):
             os.close(master)
 
     def said(self) -> str:
-        """Return what stands on standard error."""
+        """Return the text on standard error."""
         self.err.flush()
         self.err.seek(0)
         return self.err.read()
 
 
 def shows(events: Path, phase: str) -> bool:
-    """Whether the record shows a phase: an event, or the beginning of a step."""
+    """Return whether the record contains a phase: an event, or the beginning of a step."""
     with suppress(OSError):
         text = events.read_text(encoding="utf-8", errors="replace")
         return f'"{phase}"' in text or f"/{phase}" in text
@@ -219,7 +221,7 @@ def shows(events: Path, phase: str) -> bool:
 
 
 def carry_out(trial: Trial, served: Served) -> Outcome:
-    """Run, send the signals, and judge."""
+    """Carry out a trial: run, send the signals, and judge."""
     outcome, name = Outcome(trial), f"trial-{trial.number}"
     events = served.folder / "runs" / name / "events.jsonl"
     process = Process(served, name, terminal=trial.trouble == "terminal closed")
@@ -246,7 +248,7 @@ def carry_out(trial: Trial, served: Served) -> Outcome:
 
 
 def wait_for_phase(trial: Trial, process: subprocess.Popen[str], events: Path, served: Served) -> None:
-    """Wait until the record shows the phase, or the process has ended; for a run that fails a meter hangs."""
+    """Wait until the record shows the phase, or the process ends; if the run must fail, let a meter hang."""
     if trial.phase == "start":
         return
     failing = trial.phase == "run_failed"
@@ -259,7 +261,7 @@ def wait_for_phase(trial: Trial, process: subprocess.Popen[str], events: Path, s
 
 
 def send(trial: Trial, process: subprocess.Popen[str]) -> None:
-    """Send the signals of a trial as its pattern has it."""
+    """Send the signals of a trial in its pattern."""
     begun_s = time.monotonic()
     for number, at_s in zip(trial.signals, PATTERNS[trial.pattern], strict=True):
         time.sleep(max(0.0, begun_s + at_s - time.monotonic()))
@@ -268,7 +270,7 @@ def send(trial: Trial, process: subprocess.Popen[str]) -> None:
 
 
 def judge(outcome: Outcome, process: Process, served: Served, run: Path) -> None:
-    """Say what is amiss after a process has ended."""
+    """Note the faults of a process that has ended."""
     said, status = process.said(), process.popen.returncode
     wrong = outcome.violations
     outcome.too_early = "Traceback" in said and "in main" not in said
@@ -307,7 +309,7 @@ def judge(outcome: Outcome, process: Process, served: Served, run: Path) -> None
 
 
 def worker(trials: Sequence[Trial]) -> list[Outcome]:
-    """Carry trials out on one bench, one after the other."""
+    """Carry out trials on one bench, one after the other."""
     with tempfile.TemporaryDirectory() as folder, Served(Path(folder)).standing() as served:
         outcomes = []
         for trial in trials:
@@ -318,7 +320,7 @@ def worker(trials: Sequence[Trial]) -> list[Outcome]:
 
 
 def campaign(trials: Sequence[Trial], workers: int) -> list[Outcome]:
-    """Carry trials out on as many benches as there are processes."""
+    """Carry out trials in `workers` processes, each with a bench of its own."""
     parts = spread(worker, [trials[number::workers] for number in range(workers)], workers, 1)
     return [outcome for part in parts for outcome in part]
 
@@ -337,7 +339,7 @@ def table(outcomes: Sequence[Outcome]) -> str:
 
 
 def main() -> None:
-    """Carry the campaign out and print its table."""
+    """Carry out the campaign and print its table."""
     options = arguments(__doc__, runs=240, seed=1, workers=2)
     outcomes = campaign(draw(options.runs, options.seed), options.workers)
     print(table(outcomes))

@@ -1,4 +1,4 @@
-"""Is the uncertainty that one signs true? Thousands of runs with every error of a bench in them.
+"""Test the combined uncertainty, which one signs, on thousands of simulated runs with every error of a bench.
 
     python -m benchmarks.signed_uncertainty --cases all --runs 2500 --workers 2
     python -m benchmarks.signed_uncertainty --cases stand roll meters noise temperature walk setting --runs 600
@@ -8,23 +8,25 @@
     python -m benchmarks.signed_uncertainty --few 2000
     python -m benchmarks.signed_uncertainty --clean 1500
 
-For each case (tests/support/whole_truth.py, whose truth shares nothing with the model): root mean square of
-(estimate - truth)/u of each coefficient, with the combined u and with that of the readings, coverage of k = 2,
-rms z of delta g at the verification points. For cases of known size the variance that a source adds to the
-estimates (the same run with and without it) over what it adds to u^2. The temperature is off by one draw throughout
-a run, of which the bench file says nothing; in the cases that are called wandering it is a process with the
-correlation time that the bench file states. `--pairs`: how often two calibrations of a
-block that was remounted (turned by 0 to 2 degrees) are said to differ by the joint test of the nine numbers that do
-not depend on the mounting, and how often a change of six standard uncertainties of the difference in one of them is
-found. `--bound`: runs with noise and stand alone beside the fit that is told the sizes of the
-noise, whose u is the Cramer-Rao bound.
+The cases are those of tests/support/whole_truth.py, whose truth shares nothing with the model. Printed for each:
+root mean square of (estimate - truth)/u of each coefficient, with the combined u and with the u of the readings;
+coverage of k = 2; rms z of delta g at the verification points. For cases of known size, also the variance that a
+source adds to the estimates (the same run with and without it), over the variance that it adds to u^2. The
+temperature is off by one draw throughout a run, of which the bench file says nothing; in cases called wandering it
+is a process with the correlation time that the bench file states.
 
-`--few` runs of each design that leaves hardly a degree of freedom (2+2, 3+2, 3+3, 4+2 readings) have the bench's
-sizes of the noise stated. With noise drawn from the prior that the program states: coverage of U (promised: 0.93
-of all coefficients, 0.91 of each) and refusals (promised: 1 % at most); at twice the stated noise the result says
-that it rests on the statement (promised: always), and how often that the readings disagree. `--clean` runs, of
-alike and of unlike channels, have nothing that readings share: how often a component is taken in (promised: 1 %,
-within the binomial limit of 99 %). Exit status 1 where a bar is broken.
+`--pairs`: two calibrations of a remounted block (turned by 0 to 2 degrees) are compared by the joint test of the
+nine intrinsic numbers. Printed are how often they are said to differ, and how often a change in one number by six
+standard uncertainties of the difference is found. `--bound`: runs with noise and stand errors only, beside a fit
+that knows the sizes of the noise; its u is the Cramer-Rao bound.
+
+`--few`: that many runs of each design with hardly any degrees of freedom (2+2, 3+2, 3+3, 4+2 readings), for which
+the bench file states the noise. With noise drawn from the prior that the program states, printed are the coverage
+of U (promised: 0.93 of all coefficients, 0.91 of each) and refusals (promised: at most 1 %). At twice the stated
+noise, the result must say that it rests on the statement (promised: always), and how often it says that the
+readings disagree is printed. `--clean`: that many runs, with equal and with unequal channels, without any error
+that readings share: how often a component is found in error (promised: 1 %, within the binomial limit of 99 %). The
+exit status is 1 if a limit is broken.
 """
 
 from __future__ import annotations
@@ -75,7 +77,9 @@ STATED = UncertaintySection.model_validate(
 
 @dataclass
 class Calibrator:
-    """Calibrates as `bench calibrate` does, without its files; `wandering` is what the bench file then states."""
+    """A calibration as `bench calibrate` makes it, without its files; `wandering` is what the bench file then
+    states.
+    """
 
     wandering: bool = False
 
@@ -101,12 +105,15 @@ class Calibrator:
 
 @cache
 def own(case: str) -> Calibrator:
-    """One for each process: a bench file is read once."""
+    """Return the `Calibrator` of a case, one for each process, so that a bench file is read once."""
     return Calibrator(wandering=case in WANDERING)
 
 
 def run(case: str, seed: int, numbers: range) -> tuple[Floats, ...]:
-    """Return errors, u, u of the readings (runs, 12), delta g, its u (runs, 8), differences, added variances."""
+    """Return arrays over runs of a case.
+
+    They are errors, u, u of the readings (runs, 12), delta g and its u (runs, 8), differences, and added variances.
+    """
     rows: list[list[Floats]] = []
     names = KNOWN.get(case, ())
     for k in numbers:
@@ -124,7 +131,10 @@ def run(case: str, seed: int, numbers: range) -> tuple[Floats, ...]:
 
 
 def _without(case: str, at: list[int], found: Calibration) -> Floats:
-    """The estimate less that of the same run without the source: its draws come first, so the rest stays alike."""
+    """Return the estimate minus that of the same run without the source of the case.
+
+    The source's random numbers are drawn first, so that all others stay the same.
+    """
     rng = np.random.default_rng(at)
     Bench.drawn(rng, case)
     if case == "roll":
@@ -162,10 +172,10 @@ def show(case: str, parts: list[Any], runs: int) -> list[str]:
 
 
 def pairs(case: str, seed: int, numbers: range) -> tuple[int, int, int, int, int]:
-    """Return how many pairs were compared, said to differ, changed by 6 u in one of the nine, and then found.
+    """Return how many pairs were compared, said to differ, changed by 6 u in one of the nine, and found changed.
 
-    The last count is of unchanged pairs that the twelve say to differ. Each calibration is of the block turned by 0
-    to 2 degrees in both installations alike.
+    The last count is of unchanged pairs that the twelve coefficients say to differ. In each calibration the block
+    is turned by 0 to 2 degrees, equally in both installations.
     """
     differ = changed = found = by_twelve = 0
     for k in numbers:
@@ -177,7 +187,7 @@ def pairs(case: str, seed: int, numbers: range) -> tuple[int, int, int, int, int
         turned_by = turn(rng)
 
         def second(change: Floats, k: int = k, bench: Bench = bench) -> Snapshot:
-            """The second calibration, with a change of the block, and the same noise whatever that is."""
+            """Return the second calibration after a change of the block; the noise is the same for any change."""
             other = np.random.default_rng([seed, 100 + CASES.index(case), k, 1])
             return snapshot_of_run(
                 own(case).of(simulate_whole(other, case, bench, change=change).readings), "b"
@@ -197,12 +207,12 @@ def pairs(case: str, seed: int, numbers: range) -> tuple[int, int, int, int, int
 
 
 def turn(rng: np.random.Generator) -> Floats:
-    """The change of the twelve by a turn of the block of 0 to 2 degrees, common to its installations."""
+    """Return the change of the coefficients if the block is turned by 0 to 2 degrees in both installations."""
     return np.concatenate([(K @ turned(rng, np.radians(2.0)) - K).ravel(), np.zeros(3)])
 
 
 def snapshot_of_run(found: Calibration, name: str) -> Snapshot:
-    """Return a calibration for `compare`, by the meters of block 1."""
+    """Return a calibration as a snapshot for `compare`, made by the meters of block 1."""
     return Snapshot(
         name, TODAY, "block 1", found.unit, found.g_m_s2, found.block.vector, found.covariance,
         same_meters=found.covariance_same_meters, meters=("1", "2", "3"), block_terms=found.block_terms,
@@ -221,7 +231,7 @@ def show_pairs(case: str, parts: list[Any]) -> list[str]:
 
 
 def beside_bound(seed: int, numbers: range) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return errors of the fit and of the one that knows the noise (runs, 12), u of the readings, the bound."""
+    """Return errors of the fit and of a fit that knows the noise (runs, 12), u of the readings, and the bound."""
     known = Noise(1e-4, SETTING_U_RAD, np.inf, "given")
     rows = []
     for k in numbers:
@@ -262,7 +272,7 @@ def _clean(seed: int, case: str, numbers: range) -> int:
 
 
 def few(seed: int, count: int, workers: int) -> list[str]:
-    """Calibrate few readings: coverage at noise as the program states it, and what is said at twice as much."""
+    """Calibrate few readings: coverage at noise from the stated prior, and the notes at twice the stated noise."""
     broken = []
     for design in FEW:
         for times, what in ((None, "drawn from the prior"), (2.0, "twice the stated")):
@@ -289,7 +299,7 @@ def few(seed: int, count: int, workers: int) -> list[str]:
 
 
 def clean(seed: int, count: int, workers: int) -> list[str]:
-    """Calibrate runs of which the readings share nothing: how often a component is taken in for nothing."""
+    """Calibrate runs whose readings share no error: how often a component is found in error."""
     broken = []
     for case, what in (("stand", "alike"), ("noise", "unlike")):
         taken = sum(parts_of(partial(_clean, seed, case), count, workers))

@@ -1,4 +1,4 @@
-"""What the program costs, part by part: time and memory, beside what is promised. Each part is a word:
+"""Measure the time and memory of each part of the program, beside the promised limits. A word names the part:
 
     python -m benchmarks.speed program   # start, help, a dry run, a calibration
     python -m benchmarks.speed plan      # expand, hash, check and list 100,000 steps
@@ -7,11 +7,11 @@
     python -m benchmarks.speed runs --runs 1 5 20   # one diagnosis of many runs
     python -m benchmarks.speed catalogue --folder LABORATORY --hold-back 100 [--catalogue FILE|URL]
 
-`plan`, `record`, `runs` and `catalogue` work in processes of their own, whose start is part of their cost.
-`diagnosis` takes cases of the blind trial: nothing hidden, one effect, one that is in no catalogue; each first
-without a simulated threshold, then with it in the cache. In `runs` each run hides the same effect of rho 2.3, which
-no run shows alone. `catalogue` sets the last folders of `benchmarks.many_folders` aside for a second sync. Exit
-status 1 where a promise is broken.
+`plan`, `record`, `runs` and `catalogue` work in separate processes, whose start is part of their cost. `diagnosis`
+uses cases of the blind trial: nothing hidden, one effect, one effect outside the catalogue. Each is diagnosed first
+without a simulated threshold, then with it in the cache. In `runs`, each run hides the same effect of rho 2.3,
+which no run shows alone. `catalogue` keeps the last folders of `benchmarks.many_folders` back for a second sync.
+The exit status is 1 if a promise is broken.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ REPEATS: Final = 9
 
 
 def program(given: argparse.Namespace) -> bool:
-    """Time commands beside the bare interpreter, which the machine slows down alike."""
+    """Measure commands, beside the bare interpreter, which a slow machine slows down equally."""
     python = (sys.executable, "-c")
     commands = {
         "python -c pass": (*python, "pass"), "import bench": (*python, "import bench"),
@@ -109,14 +109,14 @@ PLANS: Final[dict[str, tuple[dict[str, str], float, float]]] = {
 
 
 def plan(given: argparse.Namespace) -> bool:
-    """Print what a plan costs, made in several ways."""
+    """Print the cost of a plan that is made in several ways; return whether it is within limits."""
     print(f"{'':10} {'CPU / s':>8} {'peak / MB':>10}")
     kept = [cost_of(planned, name).result for name in PLANS]
     return all(kept)
 
 
 def planned(name: str) -> bool:
-    """Expand, hash, check and list a plan; print what was spent after each; return whether it is within limits."""
+    """Expand, hash, check and list a plan; print the time after each; return whether it is within limits."""
     from bench.config.procedure.check import check, disk_needed_bytes, operator_actions
     from bench.config.procedure.load import load_procedure
     from bench.results.check import listing
@@ -141,7 +141,7 @@ def planned(name: str) -> bool:
 
 
 def lap(what: str, begun: float, note: str) -> tuple[float, float]:
-    """Print and return CPU time since `begun`, s, and the peak of memory, MB."""
+    """Print and return the CPU time since `begun`, s, and the peak memory, MB."""
     spent_s = time.process_time() - begun
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(f"{what:10} {spent_s:8.2f} {peak_mb:10.0f}   {note}", flush=True)
@@ -164,7 +164,7 @@ steps:
 
 
 def record(given: argparse.Namespace) -> bool:
-    """Print what it costs to check a long record, to go on with it and to list a thousand of them."""
+    """Print the cost of checking a long record, of resuming it, and of listing a thousand of them."""
     with tempfile.TemporaryDirectory(dir=Path()) as name, patch.dict(os.environ):
         os.environ["XDG_CACHE_HOME"] = str(Path(name) / "cache")
         folder = Path(name).absolute() / "runs" / "long"
@@ -190,7 +190,7 @@ def show_cost(what: str, found: Cost, note: str) -> None:
 
 
 def make_record(runs: Path, events: int) -> None:
-    """Write the run `long`, interrupted after so many events, of which some steps are left."""
+    """Write the run `long`, interrupted after `events` events, with some steps still to do."""
     from bench.run.events import Mounted, Result, Turned, result_to_json
     from bench.run.folder import Run
     from bench.services.execution import new_run
@@ -225,7 +225,7 @@ def make_record(runs: Path, events: int) -> None:
 
 
 def signals_of_pass() -> dict[int, Floats]:
-    """The signals of the stated block at the angles of a pass, V, by angle in degrees."""
+    """Return the signals of the stated block at the angles of a pass, V, by angle in degrees."""
     from bench.readings.table import make_readings
 
     bench = load_bench(find_bench("paper-stand"))
@@ -237,7 +237,7 @@ def signals_of_pass() -> dict[int, Floats]:
 
 
 def reading_of(step: Read, angle_deg: float, time_s: float, samples: Floats) -> Any:
-    """A reading of samples (n, 3), V, with all that a bench records of one."""
+    """Return a reading with samples (n, 3), V, and all else that a bench records of a reading."""
     from bench.readings.reading import Reading
     from bench.run.samples import describe
     from drivers.interfaces import CHANNELS
@@ -255,7 +255,7 @@ def reading_of(step: Read, angle_deg: float, time_s: float, samples: Floats) -> 
 
 
 def parsed(folder: Path) -> float:
-    """Parse and hash every line, and nothing else; return the CPU time of that, s."""
+    """Parse and hash every line, and nothing else; return the CPU time, s."""
     begun = time.process_time()
     with (folder / "events.jsonl").open("rb") as file:
         for line in file:
@@ -265,7 +265,7 @@ def parsed(folder: Path) -> float:
 
 
 def resumed(folder: Path) -> None:
-    """`bench resume RUN`, up to its first step."""
+    """Carry out `bench resume RUN` up to its first step."""
     from bench.run.workbench import Workbench
 
     def begun(*given: object) -> None:
@@ -276,9 +276,9 @@ def resumed(folder: Path) -> None:
 
 
 def copies(folder: Path, number: int) -> Path:
-    """Make many runs of the files of one, of which the first alone is read; return their folder.
+    """Make `number` runs from the files of one, of which only the first is read; return their folder.
 
-    The others are taken to have been seen, as they would be after minutes of reading the same again.
+    The others are marked as read already, as they would be minutes after a first listing.
     """
     from bench.run.folder import SETTLED_S, Digest, Digests, Run
 
@@ -306,7 +306,7 @@ RHO: Final = 2.3
 
 
 def diagnosis(given: argparse.Namespace) -> bool:
-    """Print CPU seconds of all that `bench diagnose` works out, on one core, by its verdict."""
+    """Print the CPU time, s, of everything that `bench diagnose` computes, on one core, by verdict."""
     from bench.diagnosis import ThresholdCache
     from bench.diagnosis.pipeline import diagnose_fully
     from benchmarks.blind_trial.adapter import LOCAL_GRAVITY, STATED_BENCH
@@ -334,7 +334,7 @@ def diagnosis(given: argparse.Namespace) -> bool:
 
 
 def many_runs(given: argparse.Namespace) -> bool:
-    """Print what a diagnosis of many runs as one body of data costs, its page included, beside that of one."""
+    """Print the cost of a diagnosis of many runs as one body of data, with its page, beside that of one run."""
     kept = True
     print("runs  blocks     CPU / s   ratio   peak / MB   ratio   verdict")
     for blocks in (False, True):
@@ -351,7 +351,7 @@ def many_runs(given: argparse.Namespace) -> bool:
 
 
 def diagnosed(runs: int, blocks: bool) -> str:
-    """Return the verdict of a diagnosis in this very process."""
+    """Return the verdict of a diagnosis that is made in this process."""
     from bench.diagnosis import ThresholdCache
     from bench.diagnosis.pipeline import diagnose_fully
     from bench.results.diagnosis_page import render_diagnosis
@@ -382,7 +382,7 @@ QUESTIONS: Final[tuple[tuple[str, list[str], str], ...]] = (
 
 
 def catalogue(given: argparse.Namespace) -> bool:
-    """Print what the first sync costs, a second one with the folders held back, and questions."""
+    """Print the cost of a first sync, of a second one with the folders kept back, and of questions."""
     runs = sorted(path for path in given.folder.iterdir() if path.is_dir())
     aside = given.folder.parent / f"{given.folder.name}-aside"
     held = runs[-given.hold_back :] if given.hold_back else []
@@ -411,7 +411,7 @@ def show_sync(what: str, found: Cost) -> None:
 
 
 def synced(where: str, folder: str) -> dict[str, Any]:
-    """Sync a folder of runs."""
+    """Sync a folder of runs; return the counts."""
     from bench.catalogue.store import open_catalogue
     from bench.catalogue.sync import sync
 
@@ -421,7 +421,10 @@ def synced(where: str, folder: str) -> dict[str, Any]:
 
 
 def questioned(where: str) -> list[tuple[str, int, float, float]]:
-    """Ask all questions five times, from opening the catalogue; return words, rows, median and slowest, s."""
+    """Ask all questions five times, each time opening the catalogue.
+
+    Return words, number of rows, median and slowest time (s) of each.
+    """
     return list(starmap(partial(timed_question, where), QUESTIONS))
 
 

@@ -1,12 +1,12 @@
-"""Are other people's drivers at home on the simulated meter and supplies? PyMeasure's, QCoDeS's and dcps's.
+"""Test other people's drivers on the simulated meter and supplies: PyMeasure's, QCoDeS's and dcps's.
 
     python -m venv VENV && VENV/bin/pip install pymeasure qcodes dcps pyvisa-py pyserial
     VENV/bin/python -m benchmarks.strangers --bench-program .venv/bin/bench
 
-Serves the shipped bench with its meters set to `lan`, then with each supply in turn. Each driver, as published,
-does a full exchange over TCP and over the pseudo-terminal: every property that it has, and no error reported after
-each. Prints a table and every disagreement; exit status 1 when there is one. What is not installed is skipped. Over
-its serial port an E3631A must be told to be remote first, which these drivers leave to their users.
+The shipped bench is served with its meters set to `lan`, then with each supply in turn. Each published driver is
+used over TCP and over the pseudo-terminal: every property that it has, without an instrument error after any. A
+table and every disagreement are printed; the exit status is 1 if there is one. Packages that are not installed are
+skipped. Over its serial port an E3631A must first be set to remote, which these drivers leave to their users.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Accept = Callable[[Any], bool]
 
 
 class Exchange:
-    """Tries one thing after the other, and keeps what went wrong."""
+    """A sequence of operations on a driver, and the faults found."""
 
     def __init__(self, errors: Callable[[], list[str]]) -> None:
         self.errors = errors
@@ -41,7 +41,10 @@ class Exchange:
         self.wrong: list[str] = []
 
     def check(self, what: str, action: Callable[[], Any], accept: Accept | Any = None) -> None:
-        """Do one thing; it must answer acceptably, or what is given, and leave no error in the queue."""
+        """Do one operation; it must return an acceptable value and leave no error in the queue.
+
+        `accept` is the expected value, or a function that judges the value.
+        """
         self.tried += 1
         try:
             answer = action()
@@ -64,7 +67,7 @@ class Exchange:
         self.check(f"{name} = {value!r}", action, value if back is None else back)
 
     def get(self, holder: Any, name: str, accept: Accept | Any = None) -> None:
-        """Read a property: a number, where nothing else is asked."""
+        """Read a property; it must be a number, unless `accept` says otherwise."""
         self.check(name, lambda: getattr(holder, name), number if accept is None else accept)
 
 
@@ -84,7 +87,7 @@ def scpi_errors(ask: Callable[[str], str]) -> list[str]:
 
 
 def tti_errors(ask: Callable[[str], str]) -> list[str]:
-    """Return what *ESR? and EER? tell but for the power having been switched on."""
+    """Return the errors in *ESR? and EER?, except the bit for power on."""
     event, error = int(ask("*ESR?")) & ~128, int(ask("EER?"))
     return [f"*ESR? {event}, EER? {error}"] if event or error else []
 
@@ -109,7 +112,7 @@ RANGES = {
 
 
 def of_functions() -> Iterator[tuple[str, str, Any, Any]]:
-    """Yield function, property, value and what is read back, of each that only some functions have."""
+    """Yield function, property, value and value read back, for each property that only some functions have."""
     for function, ranges in RANGES.items():
         yield from ((function, "range_", wanted, wanted) for wanted in ranges)
         yield from ((function, "range_", "MIN", ranges[0]), (function, "autorange", True, True))
@@ -125,7 +128,7 @@ def of_functions() -> Iterator[tuple[str, str, Any, Any]]:
 
 
 def pymeasure_34401a(resource: str, line_end: str) -> Exchange:
-    """Every property and method of pymeasure.instruments.hp.HP34401A."""
+    """Test every property and method of pymeasure.instruments.hp.HP34401A."""
     meter = by_pymeasure("HP34401A", resource, line_end)
     exchange = Exchange(meter.check_errors)
     put, get = partial(exchange.put, meter), partial(exchange.get, meter)
@@ -172,7 +175,7 @@ def pymeasure_34401a(resource: str, line_end: str) -> Exchange:
 
 
 def qcodes_34401a(resource: str, line_end: str) -> Exchange:
-    """Every parameter and method of qcodes.instrument_drivers.agilent.Agilent34401A."""
+    """Test every parameter and method of qcodes.instrument_drivers.agilent.Agilent34401A."""
     from qcodes.instrument_drivers.agilent import Agilent34401A
 
     meter = Agilent34401A(f"dmm_{abs(hash(resource))}", resource, visalib="@py", timeout=10)
@@ -208,9 +211,9 @@ def _put_and_get(parameter: Callable[..., Any], value: Any) -> Any:
 
 
 def pymeasure_e3631a(resource: str, line_end: str) -> Exchange:
-    """Every property of pymeasure.instruments.keysight.KeysightE3631A but the switches of single outputs.
+    """Test every property of pymeasure.instruments.keysight.KeysightE3631A, except the switches of single outputs.
 
-    It sends these with a channel list, which an E3631A does not know: it has one switch.
+    The driver sends these with a channel list, which an E3631A does not know, because it has one switch.
     """
     supply = by_pymeasure("KeysightE3631A", resource, line_end)
     if resource.startswith("ASRL"):
@@ -244,7 +247,7 @@ def _by_channel(exchange: Exchange, channels: dict[Any, float]) -> None:
 
 
 def pymeasure_e36312a(resource: str, line_end: str) -> Exchange:
-    """Every property of pymeasure.instruments.keysight.KeysightE36312A."""
+    """Test every property of pymeasure.instruments.keysight.KeysightE36312A."""
     supply = by_pymeasure("KeysightE36312A", resource, line_end)
     exchange = Exchange(partial(scpi_errors, supply.ask))
     exchange.check("id", lambda: supply.ask("*IDN?"), lambda text: "E36312A" in text)
@@ -253,7 +256,7 @@ def pymeasure_e36312a(resource: str, line_end: str) -> Exchange:
 
 
 def pymeasure_pl303(resource: str, line_end: str) -> Exchange:
-    """Every property and method of pymeasure.instruments.aimtti.PL303QMDP."""
+    """Test every property and method of pymeasure.instruments.aimtti.PL303QMDP."""
     supply = by_pymeasure("PL303QMDP", resource, line_end)
     exchange = Exchange(partial(tti_errors, supply.ask))
     exchange.check("reset", lambda: supply.write("*RST"))
@@ -271,7 +274,7 @@ def pymeasure_pl303(resource: str, line_end: str) -> Exchange:
 
 
 def dcps_pl303(resource: str, line_end: str) -> Exchange:
-    """Every method of dcps.AimTTiPLP.AimTTiPLP that an output has."""
+    """Test every method of an output in dcps.AimTTiPLP.AimTTiPLP."""
     from dcps.AimTTiPLP import AimTTiPLP
 
     supply = AimTTiPLP(resource, wait=0.0)
@@ -314,7 +317,7 @@ EXCHANGES: tuple[tuple[str, str, str, str, tuple[str, ...], Callable[[str, str],
 
 @contextmanager
 def served(program: str, supply: str) -> Iterator[dict[str, Any]]:
-    """Serve the shipped bench, with a power supply, its head turned to 45°; yield the ready file's content."""
+    """Serve the shipped bench with a power supply and its head at 45°; yield the content of the ready file."""
     text = (ROOT / "config" / "paper-stand.yaml").read_text(encoding="utf-8")
     if supply:
         text = text.replace("\ninstruments:\n", f"\ninstruments:\n  power_supply: {{{supply}}}\n", 1)

@@ -1,14 +1,14 @@
-"""What do disturbances of its supply do to runs? Promised: no wrong value, the block never outside its limits.
+"""Test runs with a disturbed supply: no wrong value is recorded, and the block never leaves its limits.
 
     nice -n 10 python -m benchmarks.supply_campaign --runs 360 --seed 1 --jobs 1
 
-Every trial is a dry run of a short procedure by the command line, on a shipped bench file that is made exact and
-fed by a simulated supply. Once, at a random moment, a rail drops, trips, goes into current limit, drifts, loses
-its contact, is switched off by hand, or the mains fail and come back. Judged: every value on record, against an
-undisturbed run's and by what the rails truly had meanwhile; the block's absolute limits, in the world and not in
-the driver; that a run which stopped names the supply and the rail; that resumed without a disturbance it ends with
-all the readings planned, which agree, those after the block was off as another visit.
-Prints a table by kind and every violation; exit status 1 when there is one.
+Every trial is a dry run of a short procedure by the command line, on a shipped bench file without errors, fed by a
+simulated supply. Once, at a random moment, a rail drops, trips, goes into current limit, drifts, loses its contact
+or is switched off by hand, or the mains fail and return. Judged are: every recorded value, against an undisturbed
+run and against the true state of the rails at that time; the block's absolute limits, in the simulated world
+instead of the driver. A stopped run must name the supply and the rail. When it is resumed undisturbed, it must end
+with all planned readings, which agree; those after the block was off must belong to a new series. A table by kind
+and every violation are printed; the exit status is 1 if there is one.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ Place = tuple[str, int, int]
 
 @dataclass(frozen=True)
 class Fed:
-    """A way to feed the block: a shipped bench, its supply, the outputs of its two rails, their protection."""
+    """A way to feed the block: a shipped bench, its supply, the outputs of its two rails, and their protection."""
 
     name: str
     bench: str
@@ -84,7 +84,7 @@ WAYS: Final = (
 
 @dataclass(frozen=True)
 class FedStand:
-    """A bench that is exact and fed, how long an undisturbed run takes on it (s), and what it reads (V)."""
+    """A bench without errors and with a supply; duration (s) and readings (V) of an undisturbed run on it."""
 
     fed: Fed
     bench: Path
@@ -95,7 +95,7 @@ class FedStand:
 
 @dataclass(frozen=True)
 class FedTrial:
-    """One run with what befalls its supply."""
+    """One run with the disturbance of its supply."""
 
     name: str
     stand: FedStand
@@ -105,7 +105,7 @@ class FedTrial:
 
 @dataclass
 class FedOutcome(Tried):
-    """What became of a trial; `unseen` says that a rail left its window and came back between two looks."""
+    """The outcome of a trial; `unseen` says that a rail left its window and returned between two checks."""
 
     outside_limits: int = 0
     unseen: bool = False
@@ -115,7 +115,7 @@ class FedOutcome(Tried):
 
 
 def _section(fed: Fed) -> dict[str, Any]:
-    """Return how the block is fed, as a bench file has it."""
+    """Return the section of a bench file that states how the block is fed."""
 
     def rail(name: str, output: str, sign: int) -> dict[str, Any]:
         limits = sorted((-0.5 * sign, 18.0 * sign))
@@ -140,9 +140,9 @@ def _feed(fed: Fed, data: dict[str, Any]) -> None:
 
 
 def stands(folder: Path, ways: Sequence[Fed] = WAYS) -> list[FedStand]:
-    """Make the benches, each with an undisturbed run that says how long it takes and what it reads.
+    """Make the benches; an undisturbed run on each gives its duration and its readings.
 
-    Raises `RuntimeError` when that run does not finish.
+    Raises `RuntimeError` if that run does not finish.
     """
     made = []
     for number, fed in enumerate(ways):
@@ -162,13 +162,13 @@ def stands(folder: Path, ways: Sequence[Fed] = WAYS) -> list[FedStand]:
 
 
 def values_of(run: Run) -> dict[Place, tuple[float, ...]]:
-    """Return what a run has read by installation, pass and point."""
+    """Return the readings of a run by installation, pass and point."""
     taken = run.history.readings.values()
     return {(one.installation, one.pass_number, one.point): one.mean for one in taken}
 
 
 class Watch:
-    """Stands for the class `SimulatedBench` in the composition root: disturbs the world, and keeps it."""
+    """A substitute for the class `SimulatedBench` in the composition root: it disturbs the world, and keeps it."""
 
     power: Power
     """The supply and the rails of the world."""
@@ -185,13 +185,13 @@ class Watch:
 
     @property
     def now_s(self) -> float:
-        """The time of the world, s."""
+        """The time in the simulated world, s."""
         return self.clock.now_s()
 
 
 @contextlib.contextmanager
 def watched(disturbance: Disturbance | None) -> Iterator[Watch]:
-    """Within the context, a dry run has this disturbance, and is not evaluated."""
+    """Within the context, disturb a dry run, and leave out its evaluation."""
     watch = Watch(disturbance)
     with (
         mock.patch.object(bench.run.assembly.served, "SimulatedBench", watch),
@@ -205,7 +205,7 @@ def watched(disturbance: Disturbance | None) -> Iterator[Watch]:
 
 
 def carry_out(trial: FedTrial, folder: Path) -> FedOutcome:
-    """Run, judge, and where the run stopped, resume undisturbed and judge again."""
+    """Carry out and judge a run; if it stopped, resume it undisturbed and judge it again."""
     outcome = FedOutcome(trial)
     name = f"fed-trial-{trial.name}"
     with watched(trial.disturbance) as watch:
@@ -233,7 +233,7 @@ def carry_out(trial: FedTrial, folder: Path) -> FedOutcome:
 
 
 def _judge_world(watch: Watch, outcome: FedOutcome) -> None:
-    """The block was never outside of its limits, by the world, and is left off."""
+    """Note a fault if the block was ever outside its limits in the simulated world, or is left on."""
     power, fed = watch.power, outcome.trial.stand.fed
     outcome.outside_limits += len(power.violations)
     outcome.violations += [f"outside of the block's limits: {violation}" for violation in power.violations]
@@ -243,7 +243,7 @@ def _judge_world(watch: Watch, outcome: FedOutcome) -> None:
 
 
 def _judge_readings(run: Run, watch: Watch, outcome: FedOutcome) -> None:
-    """What is recorded is what an undisturbed run reads, and the rails were as they should be all the while."""
+    """Note each recorded value that differs from the undisturbed run, or was read while a rail was off."""
     stand = outcome.trial.stand
     outcome.violations += run.history.problems
     for event in run.history.events:
@@ -271,7 +271,7 @@ def _judge_readings(run: Run, watch: Watch, outcome: FedOutcome) -> None:
 
 
 def _differs(stand: FedStand, place: Place, mean: Sequence[float]) -> str:
-    """Say how a reading differs from that of the undisturbed run, empty where it does not."""
+    """Return how a reading differs from that of the undisturbed run; "" if it does not."""
     expected = stand.values[place]
     if all(abs(one - other) <= VALUE_V for one, other in zip(mean, expected, strict=True)):
         return ""
@@ -279,7 +279,7 @@ def _differs(stand: FedStand, place: Place, mean: Sequence[float]) -> str:
 
 
 def judge_finished(run: Run, outcome: FedOutcome) -> None:
-    """A finished run has the readings planned, and each agrees with the undisturbed run's."""
+    """Note a fault unless a finished run has the planned readings, which agree with the undisturbed run's."""
     if run.history.state != "finished":
         outcome.violations.append(f"the run is {run.history.state}, not finished")
     found = values_of(run)
@@ -293,7 +293,7 @@ def judge_finished(run: Run, outcome: FedOutcome) -> None:
 
 
 def judge_stop(status: Any, outcome: FedOutcome) -> None:
-    """A run that stopped names the supply and the rail or output, in a line of its own, and no traceback."""
+    """Note a fault unless a stopped run names the supply and the rail or output, without a traceback."""
     outcome.judge_stop(status)
     said = outcome.said
     named = (
@@ -304,7 +304,7 @@ def judge_stop(status: Any, outcome: FedOutcome) -> None:
 
 
 def _judge_visits(run: Run, before: set[int], outcome: FedOutcome) -> None:
-    """What is read on a mounting after the block was off is another visit than what was read before."""
+    """Note a fault if readings in a mounting from before and after the block was off belong to the same series."""
     visits: dict[str, set[int]] = {}
     later: dict[str, set[int]] = {}
     for step, reading in run.history.readings.items():
@@ -322,7 +322,7 @@ SHORTEST_S: Final = 5.0
 
 
 def _lasting(generator: random.Random) -> float:
-    """Return how long something lasts, s: for ever, or from seconds to an hour."""
+    """Return the random duration of a disturbance, s: from seconds to an hour, or infinite."""
     if generator.random() < 0.5:
         return math.inf
     return math.exp(generator.uniform(math.log(SHORTEST_S), math.log(3600.0)))
@@ -332,7 +332,10 @@ KINDS: Final = ("drop", "trip", "limit", "drift", "open", "off", "cut")
 
 
 def _drawn(kind: str, generator: random.Random, stand: FedStand, at_s: float, output: str) -> Disturbance:
-    """Draw a disturbance. A trip: the voltage runs away until the protection strikes, or a contact is lost."""
+    """Draw a disturbance of a kind.
+
+    For a trip, the voltage rises until the protection acts, or a contact is lost.
+    """
     protected = stand.fed.over_voltage_v is not None
     match kind:
         case "drop":
@@ -353,7 +356,7 @@ def _drawn(kind: str, generator: random.Random, stand: FedStand, at_s: float, ou
 
 
 def draw(count: int, seed: int, benches: Sequence[FedStand]) -> list[FedTrial]:
-    """Draw so many trials, the kinds in turn."""
+    """Draw `count` trials, the kinds in turn."""
     generator = random.Random(seed)  # noqa: S311 - nothing secret
     trials = []
     for number in range(count):
@@ -382,7 +385,7 @@ def table(outcomes: Sequence[FedOutcome]) -> str:
 
 
 def violations(outcomes: Sequence[FedOutcome]) -> list[str]:
-    """Return every violation with what led to it."""
+    """Return every violation, with the disturbance that led to it."""
     return [
         f"{outcome.trial.stand.fed.name} {outcome.trial.disturbance}: {text}"
         for outcome in outcomes

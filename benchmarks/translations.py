@@ -1,12 +1,12 @@
 """Check that every text that people read has its translation; `--write` adds new texts to the catalogues.
 
-    python -m benchmarks.translations
+python -m benchmarks.translations
 
-Texts are the arguments of `message` in Python, of `_` in scripts and in expressions of templates, the words of page
-templates, and titles, descriptions and reasons of the shipped procedures and bench files.
-`make lint` fails if one lacks a translation, if a translation has other blanks or elements than its
-text, if a catalogue has a text that nothing uses, if a word of the certificate lacks a language, or if the text
-of a `Refusal` or a `Prompt` is not marked.
+Texts are the arguments of `message` in Python, the arguments of `_` in scripts and in expressions of templates, the
+words of page templates, and titles, descriptions and reasons of the shipped procedures and bench files. `make lint`
+fails if one lacks a translation, if a translation has other blanks or elements than its text, if a catalogue has an
+unused text, if a word of the certificate lacks a language, or if the text of a `Refusal` or a `Prompt` is not
+marked.
 """
 
 from __future__ import annotations
@@ -42,7 +42,10 @@ _BLANKS: Final = re.compile(r"\{\d+\}|</?\w+")
 
 
 def entries_of(file: Path) -> Iterator[Entry]:
-    """Yield the texts in a module, a template or a script. Raises `ValueError` for a text that is no literal."""
+    """Yield the texts to translate in a module, a template or a script.
+
+    Raises `ValueError` for a text that is no literal.
+    """
     source = file.read_text(encoding="utf-8")
     if file.suffix == ".py":
         if "message(" in source or file.parent == EFFECTS:
@@ -71,7 +74,9 @@ def _in_module(tree: ast.AST, file: Path) -> Iterator[Entry]:
 
 
 def _wordings(node: ast.expr) -> Iterator[Entry]:
-    """Yield the wordings of a text: one for each way through its choices; a choice by number gives a plural."""
+    """Yield the possible wordings of a text: one for each branch of its conditions; a choice by number gives a
+    plural.
+    """
     match node:
         case ast.Constant(value=str(text)):
             yield Entry(text)
@@ -111,7 +116,7 @@ def _filled(node: ast.JoinedStr) -> Iterator[Entry]:
 
 
 def _literal_at(source: str, at: int) -> str:
-    """Return the literal of a script that begins at a place; a template literal may hold others."""
+    """Return the literal that begins at a position of a script; a template literal may contain others."""
     quote, end, depth = source[at], at + 1, 0
     while source[end] != quote or depth:
         if source[end] == "\\":
@@ -155,7 +160,7 @@ def all_entries() -> dict[Entry, list[str]]:
 
 
 def problems(told: Catalog, texts: dict[Entry, list[str]], language: str) -> Iterator[str]:
-    """Yield a sentence for each text without a translation, for wrong blanks, and for a text that is not used."""
+    """Yield a sentence for each text without a translation, with wrong blanks, or without use."""
     known = {_entry(one): one for one in told if one.id}
     for text, used in texts.items():
         forms = _forms(known.get(text))
@@ -181,7 +186,7 @@ def _forms(message: Any) -> tuple[str, ...]:
 
 
 def problems_of_words() -> Iterator[str]:
-    """Yield a sentence for each word of the certificate that lacks one of the languages that others have."""
+    """Yield a sentence for each word of the certificate that lacks a language that other words have."""
     words = yaml.safe_load(WORDS.read_text(encoding="utf-8"))
     languages = {language for told in words.values() for language in told}
     for key, told in words.items():
@@ -214,7 +219,7 @@ def all_unmarked() -> Iterator[str]:
 
 
 def written(told: Catalog, texts: dict[Entry, list[str]], language: str) -> Catalog:
-    """Return a catalogue with the texts in use, in their order, with the translations known so far."""
+    """Return a catalogue of the texts in use, in order, with the translations known so far."""
     known = {_entry(one): one for one in told if one.id}
     new = Catalog(locale=language, project="triaxial-bench", charset="utf-8", header_comment="")
     for text, used in texts.items():
@@ -240,7 +245,7 @@ def save(file: Path, told: Catalog) -> None:
 
 
 def main(arguments: list[str]) -> int:
-    """Check the catalogues, or with `--write` bring them up to date; return 1 if something is missing."""
+    """Check the catalogues, or with `--write` update them; return 1 if something is missing."""
     texts, told_off = all_entries(), [*problems_of_words(), *all_unmarked()]
     for language in LANGUAGES.keys() - {ENGLISH}:
         file = CATALOGUES / f"{language}.po"

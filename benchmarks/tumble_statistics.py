@@ -1,11 +1,11 @@
-"""Are the uncertainties of a tumble's terms true? Simulated turns with known K2, K3, K_oq.
+"""Test the uncertainties of a tumble's terms on simulated turns with known K2, K3, K_oq.
 
     python -m benchmarks.tumble_statistics --runs 300
 
-For turns of 8, 12 and 24 points: the root mean square of (estimate - truth)/u of every quantity of every axis,
-the stand, the terms and the noise drawn anew in each run, u that of the readings (promised: 0.9 to 1.1, three
-standard errors aside). On 8 points the truth of what is estimated is the sum that the view says it is. The
-simulation shares no geometry and no term with the model. Exit status 1 when a promise is broken.
+For turns of 8, 12 and 24 points it prints the root mean square of (estimate - truth)/u of every quantity of every
+axis. Stand, terms and noise are drawn for each run; u is that of the readings (promised: 0.9 to 1.1, apart from
+three standard errors). With 8 points, some estimates are sums of terms; their truth is the sum that the result
+states. The simulation shares no geometry and no term with the model. The exit status is 1 if a promise is broken.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def z_of(view: TumbleView, terms: Terms) -> Floats:
 
 
 def main() -> int:
-    """Run it."""
+    """Run the campaign; return the exit status."""
     asked = arguments(__doc__, runs=300, noise=0.0001, seed=1)
     broken = 0
     width = 3 / np.sqrt(2 * asked.runs)

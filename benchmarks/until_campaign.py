@@ -1,24 +1,24 @@
-"""Is what a run until it is good enough states true, and how long does it take? Simulated runs with known truth.
+"""Test what runs that stop at a goal state, and how long they take: simulated runs with known truth.
 
     python -m benchmarks.until_campaign --runs 2500 --seed 1 --workers 2
     python -m benchmarks.until_campaign --runs 500 --seed 2 --goal vector=6.83e-5
     python -m benchmarks.until_campaign --stopping --runs 625 --seed 3
 
-Each run draws a size of the noise (a part of what the bench file states, `--noise`, equally often), a block near
-the paper's and a stand, and takes the readings that `bench.planning.choice` chooses from the paper's procedure,
-look by look, as `bench run --until` does; geometry and noise are not the application's. Stopping is by what a
-calibration of the readings so far states. Printed, for all and by noise: rms of z = (estimate - truth)/u over the
-twelve coefficients at the stop (wanted: 0.93 to 1.07) with its standard error over runs, k = 2 coverage (wanted:
-0.93 at least), the runs that reached the goal, settings, mean bench time over that of the best fixed plan for the
-same goal that knows the noise (wanted: 1.10 at most), and the same without warm-up and verification. Beside it,
-for every fourth run, z of the same number of readings fixed before: what stopping itself does.
+Each run draws a size of the noise (a fraction of the bench file's, `--noise`, equally often), a block near the
+paper's, and a stand. It takes the readings that `bench.planning.choice` chooses from the paper's procedure, step by
+step, as `bench run --until` does; geometry and noise are not the application's. It stops by the u that a
+calibration of the readings so far states. Printed, for all runs and by noise: rms of z = (estimate - truth)/u over
+the twelve coefficients at the stop (wanted: 0.93 to 1.07) with its standard error over runs; coverage of k = 2
+(wanted: at least 0.93); the runs that reached the goal; settings; mean bench time over that of the best fixed plan
+for the same goal and known noise (wanted: at most 1.10), and the same without warm-up and verification. For every
+fourth run, z of a number of readings fixed beforehand is printed beside, to show the effect of stopping.
 
-`--stopping`: many runs at once (`--runs` for each size of the noise) that look at one order of the paper's points
-only: first the best fixed plan with the least number of repeats, then what helps most, `--step` points a look. At
-each look the readings so far are calibrated, and a run stops when its stated u reaches the
-goal. Printed are rms z, coverage, the part that reached the goal and the mean number of settings; and the same
-where the number of settings was fixed at the mean and where the noise was known: what stopping does, and what
-estimating the noise from few repeats does.
+`--stopping`: many simultaneous runs (`--runs` for each size of the noise) that use one order of the paper's points:
+first the best fixed plan with the least number of repeats, then the points that help most, `--step` points at a
+time. After each step the readings so far are calibrated, and a run stops when its stated u reaches the goal.
+Printed are rms z, coverage, the fraction that reached the goal and the mean number of settings. The same is printed
+for a number of settings fixed at this mean, and for known noise. The comparison shows the effect of stopping, and
+of estimating the noise from few repeats.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class World:
         return cls(*block, stand, scale, rng)
 
     def measured(self, points: list[PlannedPoint]) -> Readings:
-        """Readings at points in their order; the head stands where it reads but for its error."""
+        """Return readings at points in their order; the head is at the angle it shows, except for its error."""
         labels = [p.site.mount.installation for p in points]
         angle = np.array([p.site.angle_rad for p in points])
         errors = np.array([self.stand[label] for label in labels]).T
@@ -96,8 +96,10 @@ def table_of(points: list[PlannedPoint], signal: np.ndarray) -> Readings:
 
 @dataclass(frozen=True)
 class Ended:
-    """A run at its end: z of the twelve coefficients, whether it reached the goal, settings, time in all and of
-    settings and mountings alone, s."""
+    """The end of a run: z of the twelve coefficients, whether it reached the goal, settings, and times, s.
+
+    The times are the total, and that of settings and mountings alone.
+    """
 
     scale: float
     z: np.ndarray
@@ -116,7 +118,7 @@ def calibrated(readings: Readings, chooser: Chooser) -> Calibration:
 
 
 def run_until(chooser: Chooser, world: World, first: NextPoints | None = None) -> Ended:
-    """Take readings until the choice is to stop; `first` is what is chosen before there are any."""
+    """Take readings until the choice is to stop; `first` is the choice before there are readings."""
     standing, points, signals = Standing(), [], []
     spent_s = chooser.pool.always_s
     for look in range(LARGEST_LOOKS):
@@ -145,7 +147,7 @@ def run_until(chooser: Chooser, world: World, first: NextPoints | None = None) -
 
 
 class KnownNoise(Visits):
-    """Visits whose noise is known: nothing is widened."""
+    """Series of readings whose noise is known, so that u is not widened."""
 
     @property
     def wider(self) -> float:
@@ -153,7 +155,7 @@ class KnownNoise(Visits):
 
 
 def best_fixed(chooser: Chooser, scale: float, repeats: int = LEAST_REPEATS) -> list[PlannedPoint]:
-    """The fewest points of the procedure found that reach the goals at noise that is known, by exchanges."""
+    """Return the fewest points that reach the goals at known noise, found by exchanges."""
     task: DesignTask = replace(chooser.task(Standing()), scale=scale)
     most, least = task.left, repeats
 
@@ -196,7 +198,7 @@ Outcome = tuple[Ended, np.ndarray | None]
 
 
 def part(goals: list[str], noises: list[float], seed: int, numbers: range) -> list[Outcome]:
-    """Carry out runs by number."""
+    """Carry out the runs with these numbers; return the outcomes."""
     chooser = chooser_for(goals)
     fixed = {scale: best_fixed(chooser, scale) for scale in noises}
     first = chooser.choose(Standing())
@@ -233,7 +235,7 @@ def row(name: str, ended: list[Outcome], fixed_s: float, once_s: float, settings
 
 
 def whole_runs(asked: argparse.Namespace) -> bool:
-    """Print the table of runs that choose their points; return whether what is wanted holds."""
+    """Print the table of runs that choose their points; return whether all wanted limits hold."""
     run = partial(part, asked.goal, asked.noise, asked.seed)
     ended = [one for chunk in parts_of(run, asked.runs, asked.workers) for one in chunk]
     chooser = chooser_for(asked.goal)
@@ -256,7 +258,7 @@ def whole_runs(asked: argparse.Namespace) -> bool:
 
 
 def is_true(z: np.ndarray) -> bool:
-    """Whether z is as large as is wanted, and covered as often."""
+    """Whether rms and coverage of z (runs, 12) are within the wanted limits."""
     return bool(0.93 <= np.sqrt(np.mean(z**2)) <= 1.07 and np.mean(np.abs(z) <= 2) >= 0.93)
 
 
@@ -274,7 +276,7 @@ class Drawn:
 
 
 def order_of(chooser: Chooser) -> tuple[list[PlannedPoint], int]:
-    """The points in the order of the looks, and how many the first has."""
+    """Return the points in the order of steps, and the number of points in the first step."""
     task = chooser.task(Standing())
     first = best_fixed(chooser, min(NOISES), LEAST_REPEATS)
     points, rest = list(first), [p for p in chooser.pool.points if p not in first]
@@ -307,7 +309,7 @@ def drawn(points: list[PlannedPoint], scale: float, runs: int, rng: np.random.Ge
 def calibrated_at(
     chooser: Chooser, data: Drawn, count: int, which: np.ndarray, known: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """z (runs, 12) of the first readings of some runs, and their covariance (runs, 12, 12)."""
+    """Return z (runs, 12) and the covariance (runs, 12, 12) of the first `count` readings of some runs."""
     noise = Noise(data.scale * READING_V, data.scale * SETTING_RAD, float("inf"), "given") if known else None
     model, sizes = chooser.stand.model, chooser.stand.sizes
     found = [
@@ -319,7 +321,7 @@ def calibrated_at(
 
 
 def ratio_of(chooser: Chooser, covariance: np.ndarray) -> np.ndarray:
-    """The largest ratio (runs,) of u to what is asked, of `covariance` (runs, 12, 12)."""
+    """Return the largest ratio (runs,) of u to its goal, for covariances (runs, 12, 12)."""
     ratios = [
         np.einsum("ki,uij,kj->u", goal.functionals, covariance, goal.functionals) / goal.asked**2
         for goal in (wanted.goal for wanted in chooser.aim.wanted)
@@ -329,8 +331,11 @@ def ratio_of(chooser: Chooser, covariance: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Stopped:
-    """z (runs, 12) at the stop, with a number of settings that was fixed, and with known noise; whether it was
-    reached, and settings (runs,)."""
+    """The results of runs that stop along one order of points: z (runs, 12), and settings (runs,).
+
+    z is given at the stop, for a fixed number of settings, and for known noise; `reached` says whether the goal
+    was.
+    """
 
     z: np.ndarray
     fixed: np.ndarray
@@ -366,7 +371,7 @@ def stopped_row(name: str, parts: list[Stopped]) -> str:
 
 
 def stopping(asked: argparse.Namespace) -> bool:
-    """Print the table of runs that stop along one order of points; return whether what is wanted holds."""
+    """Print the table of runs that stop along one order of points; return whether all wanted limits hold."""
     chooser = chooser_for(asked.goal)
     points, first = order_of(chooser)
     goals = " ".join(asked.goal)

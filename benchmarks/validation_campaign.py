@@ -1,11 +1,12 @@
-"""What `bench validate` finds of planted faults, and whether it is silent on healthy installations.
+"""Test `bench validate` on planted faults, which it must find, and on healthy installations, where it must be
+silent.
 
     python -m benchmarks.validation_campaign --healthy 10 --kills 200
 
-For each fault the checks are carried out (quick) until one fails and names the place; those of the family that
-should find it come first, and files of packages are hashed anew only for faults of packages. Healthy runs take all
-checks, with the shipped bench files in turn and another seed each for their random parts. The kills are of two
-programs that append to one register at once.
+For each fault, checks are carried out (quick) until one fails and names the place. Those of the family that should
+find it come first, and files of packages are hashed again only for faults of packages. Healthy runs carry out all
+checks, with each shipped bench file in turn and a different seed for their random parts. The kills are of two
+programs that append to one register simultaneously.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from benchmarks.validation_faults import FAULTS, PlantedFault
 
 
 def accepted(bench: Path) -> dict[str, object]:
-    """Return what an accepted validation of this installation says of it."""
+    """Return the result of an accepted validation of this installation, as JSON data."""
     from bench.base.yaml_files import sha256_of_file
 
     return {
@@ -41,7 +42,7 @@ def accepted(bench: Path) -> dict[str, object]:
 
 
 def found(fault: PlantedFault, bench: Path) -> tuple[list[ValidationCheck], bool]:
-    """Return the failed rows up to the one that names the place, and whether one does."""
+    """Return the failed checks up to the one that names the place of a fault, and whether there is such a check."""
     checks: list[Check] = sorted(every(), key=lambda one: not one.family.startswith(fault.family))
     if "package" not in fault.name:
         checks = [one for one in checks if one.name != "package files"]
@@ -57,7 +58,7 @@ def found(fault: PlantedFault, bench: Path) -> tuple[list[ValidationCheck], bool
 
 
 def healthy(bench: Path, seed: int) -> list[ValidationCheck]:
-    """Return the failed rows of a healthy installation; `seed` replaces those of the random parts."""
+    """Return the failed checks on a healthy installation; `seed` replaces the seeds of the random parts."""
     statistics.SEED = 1000 + seed
     gum.SEED_OFFSET = 1000 + seed
     with tempfile.TemporaryDirectory() as scratch:
@@ -67,7 +68,7 @@ def healthy(bench: Path, seed: int) -> list[ValidationCheck]:
 
 
 def append_for_ever(folder: Path, mark: str) -> None:
-    """Append entries to a register of validations; note each one beside it when it is written."""
+    """Append entries to a register of validations; note each one beside it once it is written."""
     data = dict.fromkeys(
         ("fingerprint", "bench", "bench_sha256", "result_sha256", "role", "reason"), "x" * 40
     )
@@ -80,7 +81,10 @@ def append_for_ever(folder: Path, mark: str) -> None:
 
 
 def killed(count: int, folder: Path) -> tuple[int, int]:
-    """Kill two writers of one register `count` times, at random moments; return entries said and lost. Seed 34."""
+    """Kill two writers of one register `count` times, at random moments (seed 34).
+
+    Return the numbers of noted entries and of lost ones.
+    """
     context, rng = multiprocessing.get_context("fork"), np.random.default_rng(34)
     for round_ in range(count // 2):
         writers = [context.Process(target=append_for_ever, args=(folder, f"{mark}{round_}")) for mark in "ab"]

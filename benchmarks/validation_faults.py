@@ -1,10 +1,10 @@
-"""Faults for `bench validate` to find: lines of the program edited in memory, unfit machines and files.
+"""Faults that `bench validate` must find: lines of the program edited in memory, unfit machines and files.
 
     with FAULTS[0].plant(context) as spoilt:
         rows = carry_out(spoilt, every())
 
-An edit replaces text in the source of one function and puts the compiled result in its place.
-`place` is a pattern that a failed row must hold: its name, its place or what was found.
+An edit replaces text in the source of one function, and the function by the compiled result. `place` is a pattern
+that must occur in a failed check: in its name, its place or its finding.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class PlantedFault:
 
 
 def of_kind(plant: Callable[..., Iterator[Context]]) -> Callable[..., PlantedFault]:
-    """Return what makes the faults of a kind: `plant(context, …)` yields the context to validate in."""
+    """Return a function that makes the faults of a kind; `plant(context, …)` yields the context to validate."""
 
     def made(name: str, place: str, family: str, *given: Any, **options: Any) -> PlantedFault:
         return PlantedFault(
@@ -93,21 +93,21 @@ def edited(target: str, old: str, new: str) -> Iterator[None]:
 
 @of_kind
 def edit(context: Context, target: str, old: str, new: str) -> Iterator[Context]:
-    """An edited line."""
+    """Yield a context in which a line of the program is edited."""
     with edited(target, old, new):
         yield context
 
 
 @of_kind
 def patch(context: Context, *given: Any, **options: Any) -> Iterator[Context]:
-    """A replaced attribute, as `unittest.mock.patch.object` takes it."""
+    """Yield a context with a replaced attribute; the arguments are those of `unittest.mock.patch.object`."""
     with mock.patch.object(*given, **options):
         yield context
 
 
 @of_kind
 def environment(context: Context, variable: str, value: str) -> Iterator[Context]:
-    """An environment variable."""
+    """Yield a context with another value of an environment variable."""
     with mock.patch.dict(os.environ, {variable: value}):
         time.tzset()
         yield context
@@ -119,7 +119,7 @@ def environment(context: Context, variable: str, value: str) -> Iterator[Context
 
 @of_kind
 def bench_edit(context: Context, change: Callable[[dict[str, Any]], None]) -> Iterator[Context]:
-    """An edited bench file."""
+    """Yield a context with an edited bench file."""
     data = yaml.safe_load(context.bench_path.read_text(encoding="utf-8"))
     change(data)
     path = context.scratch / context.bench_path.name
@@ -129,7 +129,7 @@ def bench_edit(context: Context, change: Callable[[dict[str, Any]], None]) -> It
 
 @of_kind
 def accepted_edit(context: Context, change: Callable[[dict[str, Any]], None]) -> Iterator[Context]:
-    """Something that is not as it was accepted: the accepted result is changed instead."""
+    """Yield a context in which the accepted result is changed, as if the installation had changed since."""
     before = copy.deepcopy(context.accepted or {})
     change(before)
     yield replace(context, accepted=before)
@@ -137,7 +137,7 @@ def accepted_edit(context: Context, change: Callable[[dict[str, Any]], None]) ->
 
 @of_kind
 def data_edit(context: Context, file: str, old: str, new: str) -> Iterator[Context]:
-    """A damaged file of reference data."""
+    """Yield a context with a damaged file of reference data."""
     folder = context.scratch / "data"
     shutil.copytree(registry.REFERENCE, folder)
     text = (folder / file).read_text(encoding="utf-8")
@@ -150,7 +150,7 @@ def data_edit(context: Context, file: str, old: str, new: str) -> Iterator[Conte
 
 @of_kind
 def package_edit(context: Context, package: str, change: Callable[[Path, Path], object]) -> Iterator[Context]:
-    """An installed package of which a copy is changed: `change(root, dist-info)`."""
+    """Yield a context with a changed copy of an installed package; `change(root, dist-info)` changes it."""
     root = context.scratch / "site"
     one = metadata.distribution(package)
     for file in one.files or ():
@@ -165,7 +165,7 @@ def package_edit(context: Context, package: str, change: Callable[[Path, Path], 
 
 @of_kind
 def folder_fault(context: Context, make: Callable[[Path], Path]) -> Iterator[Context]:
-    """A folder of runs: `make(scratch)` returns it."""
+    """Yield a context with the folder of runs that `make(scratch)` returns."""
     yield replace(context, folders=(make(context.scratch),))
 
 
@@ -196,7 +196,7 @@ def _version_99(root: Path, info: Path) -> None:
 
 
 def _set(*keys: Any) -> Callable[[dict[str, Any]], None]:
-    """Return a function that sets a member: keys, then the value."""
+    """Return a function that sets a member of nested data; `keys` are its keys, followed by the value."""
     *path, last, value = keys
 
     def change(data: dict[str, Any]) -> None:
@@ -217,7 +217,7 @@ class _NoLock:
 
 @of_kind
 def wrong_installation(context: Context) -> Iterator[Context]:
-    """Installation 2 is its mirror image."""
+    """Yield a context in which installation 2 is its mirror image."""
     before = INSTALLATION_2.block_from_platform
     object.__setattr__(INSTALLATION_2, "block_from_platform", before * [[-1.0], [1.0], [1.0]])
     try:

@@ -1,23 +1,23 @@
-"""Is a verdict as often wrong as it says? Simulated calibrations and verifications with known truth.
+"""Test the stated risks of wrong verdicts on simulated calibrations and verifications with known truth.
 
     python -m benchmarks.verdict_risk --runs 4000 --joint 1500 --seed 1
     python -m benchmarks.verdict_risk --blocks 700 --seed 1
 
-Each run is the paper's procedure on a stand whose errors are drawn from the sizes that the fit is told (the
-limits of the paper as three sigma; voltmeter noise `--noise`, V, of which the fit is told nothing), then readings
-at the verification points. At each of them the modulus is off by a true error of its own, drawn evenly over the
-limit and four u beyond it: before the measurement nothing is known of it, and after it, it is distributed as
-JCGM 106 has it. The program calibrates and verifies as ever; geometry and truth are this benchmark's own. By steps
-of the probability of a false acceptance (of points accepted) and of a false rejection (of points rejected): its
-mean as stated, and how often the decision was wrong. Promised: within 10 % or 0.002, whichever is more, for risks
-of 0.5 to 50 %; three standard errors of what is counted aside (runs are independent, points of a run are not).
-`--joint`: the same for the four points of a pass together, accepted all.
+Each run is the paper's procedure on a stand whose errors have the sizes that the fit assumes (the limits of the
+paper as three sigma; voltmeter noise `--noise`, V, which the fit does not know), followed by readings at the
+verification points. At each point the modulus has a true error of its own, uniform within the limit plus four u:
+nothing is known of it before the measurement, and afterwards it is distributed as in JCGM 106. The program
+calibrates and verifies as usual; geometry and truth are this benchmark's own. By steps of the probability of a
+false acceptance (of accepted points) and of a false rejection (of rejected points), its stated mean and the
+fraction of wrong decisions are printed. Promised for risks of 0.5 to 50 %: agreement within 10 % or 0.002,
+whichever is more, apart from three standard errors of the counts (runs are independent, points of a run are not).
+`--joint`: the same for the four points of a pass, accepted together.
 
-`--blocks`: instead, blocks whose true errors are drawn from a population (`POPULATION`) that the verification is
-told of, each calibrated and verified once, by the default rule; `--apart` gives each of the four points an error of
-its own in place of one for all. In five declared bins of the stated risk of the decision (`BINS`), the number of
-wrong decisions must be within the limits of its distribution (Poisson-binomial), at 1 % over all bins (Holm). Exit
-status 1 when a promise is broken.
+`--blocks`: blocks with true errors from a population (`POPULATION`) that is stated to the verification, each
+calibrated and verified once, by the default rule. With `--apart`, each of the four points has its own error instead
+of a common one. In five declared bins of the stated risk (`BINS`), the number of wrong decisions must be within the
+limits of its distribution (Poisson-binomial), at 1 % over all bins (Holm). The exit status is 1 if a promise is
+broken.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ STEPS: Final = (0.005, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
 
 @dataclass(frozen=True)
 class Decided:
-    """Decisions of one run: what was stated as the probability that it is wrong, and whether it was."""
+    """The decisions of one run: the stated probability that each is wrong, and whether it was."""
 
     stated: Floats
     wrong: Mask
@@ -87,7 +87,7 @@ def simulate(rng: np.random.Generator, noise: float, errors: Floats) -> Readings
 
 
 def run(seed: int, number: int, noise: float, joint: int) -> tuple[Decided, Decided, Decided]:
-    """Return the decisions of a run: points accepted, points rejected, and up to `joint` passes accepted whole."""
+    """Return the decisions of a run: accepted points, rejected points, and up to `joint` wholly accepted passes."""
     rng = np.random.default_rng([seed, number])
     errors = rng.uniform(-LIMIT_G - BEYOND_G, LIMIT_G + BEYOND_G, (CHECKS, 4))
     readings, errors = simulate(rng, noise, errors), errors.ravel()
@@ -108,7 +108,9 @@ def run(seed: int, number: int, noise: float, joint: int) -> tuple[Decided, Deci
 
 
 def steps(runs: list[Decided]) -> Iterator[tuple[float, float, int, float, float, float]]:
-    """Yield for each step of the stated risk: its ends, decisions, mean stated, part wrong, standard error."""
+    """Yield for each step of the stated risk: its ends, number of decisions, mean stated risk, fraction wrong, its
+    u.
+    """
     for low, high in pairwise(STEPS):
         chosen = [(one.stated >= low) & (one.stated < high) for one in runs]
         count = sum(int(c.sum()) for c in chosen)
@@ -121,7 +123,7 @@ def steps(runs: list[Decided]) -> Iterator[tuple[float, float, int, float, float
 
 
 def compared(what: str, runs: list[Decided]) -> list[str]:
-    """Print stated and counted risks; return what is further off than promised."""
+    """Print stated and counted risks; return those that deviate by more than promised."""
     broken = []
     print(f"{what}\n{'stated risk':>14}{'decisions':>11}{'stated':>9}{'wrong':>9}{'±':>9}{'promised':>10}")
     for low, high, count, stated, wrong, error in steps(runs):
@@ -166,7 +168,7 @@ def within_chance(stated: Floats, wrong: Mask) -> list[str]:
 
 
 def two_sided(probabilities: Floats, count: int) -> float:
-    """Return how probable a count at least as far out is, of events of these probabilities (Poisson-binomial)."""
+    """Return the two-sided p-value of a count of events with these probabilities (Poisson-binomial)."""
     mass = np.ones(1)
     for p in probabilities:
         mass = np.convolve(mass, [1.0 - p, p])
@@ -174,7 +176,7 @@ def two_sided(probabilities: Floats, count: int) -> float:
 
 
 def judge_blocks(blocks: int, seed: int, noise: float, *, alike: bool) -> list[str]:
-    """Print what came true of blocks of the population; return what is broken."""
+    """Print the fractions of wrong decisions on blocks of the population; return the broken promises."""
     drawn = [of_population(seed, number, noise, alike=alike) for number in range(blocks)]
     how = "one error for all points" if alike else "an error for each point"
     print(f"{blocks} blocks of the population, {how}")
@@ -183,7 +185,7 @@ def judge_blocks(blocks: int, seed: int, noise: float, *, alike: bool) -> list[s
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the benchmark."""
+    """Run the benchmark; return the exit status."""
     given = arguments(__doc__, argv, runs=4000, joint=(1500, "verdicts on four points together"),
         blocks=(int, "blocks of a stated population, in place of all else"),
         apart=(False, "an error for each point of a block"), noise=0.0001, seed=1,

@@ -13,7 +13,7 @@ HASTY_S: Final = 1.0
 class Clock(Protocol):
     """Bench time in seconds; its zero is arbitrary and it never runs backwards.
 
-    A real bench uses `SystemClock`; a simulated bench uses a virtual clock on which hours pass at once.
+    A real bench uses `SystemClock`; a simulated bench uses a virtual clock that skips waiting times.
     """
 
     def now_s(self) -> float:

@@ -346,7 +346,7 @@ class OutputState:
 
 @dataclass(frozen=True, slots=True)
 class OutputLimits:
-    """The limits of an output: lowest and highest voltage (V) and current limit (A), and the steps of both.
+    """The limits of an output: its lowest and highest voltage (V) and current limit (A), and their steps.
 
     `over_voltage_v` is the lowest and highest setting of the over-voltage protection, None if there is none.
     """

@@ -38,7 +38,7 @@ _LEAST_OF_SPEED: Final = 0.05
 class TravelWatch:
     """Supervision of one move of the head `name`, from `start_rad` to `target_rad`, begun at clock time `begun_s`.
 
-    Closer to its target than half the back-off, the head may overshoot or stop: `Mover` decides whether it has
+    Within half the back-off from its target the head may overshoot or stop: `Mover` decides whether it has
     settled.
     """
 

@@ -120,7 +120,7 @@ class LevelPlatform(TypedDict):
 
 
 class Say(TypedDict):
-    """A task that changes nothing: read a thermometer, answer, wait, or see that the way is clear.
+    """A task that moves and sets nothing: read a thermometer, answer, wait, or see that the way is clear.
 
     `of` is "meter" or "room" for a thermometer that is neither at the block nor the chamber's.
     """
@@ -184,10 +184,10 @@ class Person(Protocol):
 
 @runtime_checkable
 class WatchingPerson(Protocol):
-    """A `Person` that calls `meanwhile` while a question waits for its answer.
+    """A `Person` that calls `meanwhile` repeatedly while a question waits for its answer.
 
-    If set, `meanwhile` is called at least every 10 s of bench time, in the thread that called `ask`.
-    `ask` propagates its exceptions.
+    If set, `meanwhile` is called at least every 10 s of bench time, in the thread that called `ask`. An exception
+    from it ends `ask`.
     """
 
     meanwhile: Callable[[], None] | None

@@ -1,4 +1,4 @@
-"""The base of heads that a person turns and an encoder reads: it watches the approach and reads the angle."""
+"""Base class of heads that a person turns and an encoder reads: it follows the approach and reads the angle."""
 
 from __future__ import annotations
 
@@ -169,9 +169,9 @@ class Track:
 
 
 class ReadOutHead(ABC):
-    """The base of each `DividingHead` that a person turns and a counter reads.
+    """The base class of each `DividingHead` that a person turns and a counter reads.
 
-    A subclass proves its counter and reads its value. `tells_reference` says whether the counter reports its
+    A subclass verifies its counter and reads its value. `tells_reference` says whether the counter reports its
     reference mark. If not, the person is asked about the mark once for each connection.
     """
 
@@ -198,7 +198,7 @@ class ReadOutHead(ABC):
         self._trusted = False
 
     def open(self) -> Identity:
-        """Connect, prove the counter and return its identity.
+        """Connect, verify the counter and return its identity.
 
         Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
         """
@@ -247,7 +247,7 @@ class ReadOutHead(ABC):
 
     @abstractmethod
     def _prove(self) -> None:
-        """Identify the counter, prove its settings and set `_identity`. Raises `InstrumentRefused`."""
+        """Identify the counter, verify its settings and set `_identity`. Raises `InstrumentRefused`."""
 
     @abstractmethod
     def _shown_rad(self) -> float:
@@ -260,7 +260,7 @@ class ReadOutHead(ABC):
         self._prove()
 
     def _begun(self, target_rad: float, direction: Direction, key: str) -> Track:
-        """Return a new track with the present angle: a counter in error is reported before anybody turns."""
+        """Return a new track with the present angle, so that a counter's error is reported before anybody turns."""
         self._have_reference(key)
         track = Track(self._approach, target_rad, direction)
         self._look(track)
@@ -327,7 +327,7 @@ class ReadOutHead(ABC):
         return problem if watched or not problem else f"{problem} {UNWATCHED}"
 
     def _watch(self, track: Track) -> None:
-        """Look at the encoder while the person turns. Raises `AnsweredByInstrument` when hands-free and at rest."""
+        """Read the encoder while the person turns. Raises `AnsweredByInstrument` when hands-free and at rest."""
         self._look(track)
         if not self._approach.hands_free or not track.rests or not track.arrived:
             return

@@ -1,7 +1,7 @@
 """Base class of the SCPI voltmeters: identify, configure and verify, start, fetch strictly parsed readings.
 
-A model's driver states the identities that it accepts, its settings and how they read back. It overrides the
-34401A's commands for triggering, readings, errors and remote control where its own differ. This module handles
+A model's driver states the identities that it accepts, its settings and how they read back. It also overrides the
+commands for triggering, readings, errors and remote control that differ from a 34401A's. This module handles
 communication, lost connections and power cuts for all models.
 """
 
@@ -59,11 +59,11 @@ class ProvenSetting:
 
 
 class ScpiVoltmeter(ABC):
-    """The base class of the SCPI voltmeters: a `Voltmeter` except for the model's own commands.
+    """The base class of the SCPI voltmeters: a `Voltmeter` that lacks only the model's own commands.
 
     `interface` is the one selected at the meter, even behind an adapter; over RS-232 the meter must first be set
-    to remote. `clock` measures how long an RS-232 meter was idle: after some ten minutes it may have
-    dropped back to local. `line_hz` is the mains frequency, which determines how long a reading takes.
+    to remote. `clock` measures how long an RS-232 meter was idle: after some ten minutes it may have dropped back
+    to local. `line_hz` is the mains frequency, which determines how long a reading takes.
     """
 
     # Overridden by each model; the defaults are those of a 34401A.
@@ -72,7 +72,7 @@ class ScpiVoltmeter(ABC):
     models: tuple[str, ...] = ()
     """The names of the accepted models in the identity."""
     not_live: str = ""
-    """Why it must not be read lightly between readings; empty where it may."""
+    """Why the meter must not be sampled between readings; empty if it may."""
     called: str = ""
     """The expected meter in the error for a wrong instrument: "a 34401A"."""
     hint: str = ""

@@ -1,4 +1,4 @@
-"""The number in the line of text with which an instrument answers a request."""
+"""The number in a line of text that an instrument sends when requested."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _NUMBER: Final = re.compile(r"[+-]? *\d+(?:\.\d*)?|[+-]? *\.\d+")
 
 
 class TextLine:
-    """A request of the instrument `name` and its reply, whose `pattern` has the number in its `group`.
+    """A request to the instrument `name`, and its reply, in which `pattern` has the number as its `group`.
 
-    `errors` maps lines instead of a number to their meanings; `remedy` says what to do then.
+    `errors` maps lines sent instead of a number to their meanings; `remedy` says what to do then.
     """
 
     def __init__(

@@ -36,9 +36,10 @@ class _Refused(Exception):
 
 
 class AcutrolTable(PlainDialect):
-    """One axis. A mode requires a closed interlock; the position mode starts to move at once.
+    """One axis of a rate table. A mode requires a closed interlock; the position mode starts to move at once.
 
-    `speed_deg_s` is the rate limit of the position mode. A demand sent before its mode is entered is kept for it.
+    `speed_deg_s` is the rate limit of the position mode. A demand that is sent before its mode takes effect when
+    the mode is entered.
     """
 
     def __init__(self, world: World, *, speed_deg_s: float = 10.0, axis: int = 1) -> None:

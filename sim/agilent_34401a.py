@@ -1,9 +1,9 @@
 """A simulated HP/Agilent 34401A multimeter on one channel of the world.
 
-It accepts the commands of drivers and other clients. Every function can be set, queried and measured; readings are
-those of a meter with only a DC voltage at its terminals. Of the math operations it has only the average, which
-does not change readings. Calibration and the external trigger are not simulated.
-Source: 34401A User's Guide (34401-90004), chapters 3-5; chapter 8, specifications.
+It accepts the commands of drivers and other clients. Every function can be set, queried and measured; readings
+are as with only a DC voltage at the terminals. Of the math operations it has only the average, which does not
+change readings. Calibration and the external trigger are not simulated. Source: 34401A User's Guide
+(34401-90004), chapters 3-5; chapter 8, specifications.
 """
 
 from __future__ import annotations
@@ -305,7 +305,7 @@ class Trigger(MeasuringCycle):
     def initiate(self) -> None:
         """INITiate: start a measurement into memory.
 
-        Raises `ScpiError` -213 if one is in progress, 531 if the memory is too small, 522 as `read`.
+        Raises `ScpiError` -213 if one is in progress, 531 if the memory is too small, 522 as from `read`.
         """
         self._require_idle()
         readings = self.trigger_count * self.sample_count
@@ -466,14 +466,14 @@ _COMMA_AFTER_LAST: Final = ("3-1-1", "7-5-2")
 
 
 class Agilent34401A(LineMeter):
-    """The meter: settings, trigger system, status; `source` is the signal that it is wired to, `clock` its time.
+    """A 34401A with its settings, trigger system and status.
 
-    `interface` is as for `LineMeter`; `noise`, `accuracy` and `flaws` are as for `Converter`. `firmware` is the
-    last field of its identity; "3-1-1" prints a comma after the last reading. `errors_at_start` enter its queue at
-    switch-on, as after an adapter's own *IDN?. `real_port` gives it the RS-232 port of chapter 4: a buffer of
-    some 100 characters; what is sent between a query and its reply is lost, Ctrl-C too. After ten idle minutes it
-    is silent until SYSTem:REMote.
-    Sources: 34401A User's Guide, pages 151-152 (DTR/DSR, Ctrl-C); xyphro/UsbGpib issue 41 (an adapter's *IDN?).
+    It measures `source` at the time of `clock`. See `LineMeter` for `interface`, `Converter` for `noise`,
+    `accuracy` and `flaws`. `firmware` is the end of its identity; "3-1-1" prints a comma after the last reading.
+    `errors_at_start` are errors in its queue at switch-on, as an adapter's own *IDN? causes (xyphro/UsbGpib issue
+    41). `real_port` is the port of the User's Guide, pages 151-152: its buffer has some 100 characters;
+    characters sent between a query and its reply are lost, even Ctrl-C; after ten idle minutes it is silent until
+    SYSTem:REMote.
     """
 
     model = facts.MODELS[0]
@@ -519,7 +519,7 @@ class Agilent34401A(LineMeter):
 
     @property
     def line_ends(self) -> LineEnds:
-        """The line ends; a real RS-232 port has a small buffer, and loses what arrives before a reply is out."""
+        """The line ends; a real RS-232 port has a small buffer, and loses what arrives while a reply is due."""
         return _REAL_PORT if self._real_port else LineEnds()
 
     def handle(self, message: bytes, interrupted: Callable[[], bool] = never) -> bytes | None:

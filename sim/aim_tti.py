@@ -70,7 +70,7 @@ class _Command:
 
 
 class AimTti(PlainDialect):
-    """The supply; `model` is a key of `OUTPUTS` in its facts. Messages end in LF, replies in CR LF."""
+    """An Aim-TTi supply; `model` is a key of `OUTPUTS` in its facts. Messages end in LF, replies in CR LF."""
 
     line_ends = LineEnds((b"\n",), reply=b"\r\n")
 

@@ -55,7 +55,10 @@ class SimulatedMeter:
 
 
 class Elsewhere:
-    """A world as a thermometer away from the block sees it: `at_c` of the time, s, is the temperature there."""
+    """A world for a thermometer away from the block: its block has the temperature of that place.
+
+    `at_c` returns the temperature there at a time, s.
+    """
 
     def __init__(self, world: World, at_c: Callable[[float | None], float]) -> None:
         self._world = world
@@ -76,14 +79,13 @@ class SimulatedBench:
     """A context manager that serves the instruments of a world.
 
     `instruments` maps each name on the bench to a meter or to any dialect over the world; a dialect may state its
-    `model`. Each instrument gets a TCP port on `host` (any free port, or consecutive ports from `first_port`), and
-    a pseudo-terminal if `with_terminals` names it or is True. `buses` puts instruments on the GPIB bus of an
-    adapter, `{"adapter": {"voltmeter.x": 22, …}}`; they share the adapter's port. `adapter_options` are those of a
-    `GpibAdapter`. Each of the `faults` is armed
-    for the instrument that it names, or for every instrument that can have it. Within the context `resources` maps
-    names to VISA resources, `dialects` to the instruments, `faulty` and `wired` to the layers around them,
-    `servers` and `terminals` to their wires. If the world has a virtual clock, it advances only after every
-    command that is on a wire has been carried out.
+    `model`. Each instrument gets a TCP port on `host` (any free port, or consecutive ports from `first_port`),
+    and a pseudo-terminal if `with_terminals` names it or is True. `buses` puts instruments on the GPIB bus of an
+    adapter, `{"adapter": {"voltmeter.x": 22, …}}`; they share the adapter's port. `adapter_options` are options
+    of the `GpibAdapter`. Each of the `faults` is armed for the instrument that it names, or for every instrument
+    that can have it. Within the context `resources` maps names to VISA resources, `dialects` to the instruments,
+    `faulty` and `wired` to the layers around them, `servers` and `terminals` to their wires. If the world has a
+    virtual clock, it advances only after every command that is on a wire has been carried out.
     """
 
     def __init__(
@@ -98,7 +100,10 @@ class SimulatedBench:
         adapter_options: Mapping[str, Any] | None = None,
         faults: Sequence[Fault] = (),
     ) -> None:
-        """Raise `ValueError` for a fault of an unknown instrument, or of one that cannot have it."""
+        """Prepare the instruments and arm the faults.
+
+        Raises `ValueError` for a fault of an unknown instrument, or of one that cannot have it.
+        """
         self.world = world
         self._of_adapter = dict(adapter_options or {})
         self.traffic = Traffic()

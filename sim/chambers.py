@@ -27,7 +27,7 @@ _PROTECT: Final = re.compile(r"KEYPROTECT,(ON|OFF)\Z")
 
 
 class EspecP300(PlainDialect):
-    """The controller; `noise_c` is the standard deviation of its sensor, °C, `name` its name in TYPE?.
+    """An Espec P300 controller; `noise_c` is the standard deviation of its sensor, °C, `name` its reply to TYPE?.
 
     After switch-on it is in standby with a set point of 23 °C. `alarms` may be set from outside.
     """
@@ -131,7 +131,7 @@ _SET_POINT: Final = re.compile(r"SETP1,([+-]?\d+(?:\.\d+)?)\Z")
 
 
 class Thermotron8800(PlainDialect):
-    """The controller; stopped after switch-on. A set point takes effect only at RUNM.
+    """A Thermotron 8800 controller, stopped after switch-on. A set point takes effect only at RUNM.
 
     `identity` is the reply to IDEN?.
     """
@@ -154,7 +154,7 @@ class Thermotron8800(PlainDialect):
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
         """Answer a query or carry out a setting; an unknown message has no reply.
 
-        Every message within `BUSY_S` after the last one that was not a query is ignored.
+        After a setting, every message within `BUSY_S` is ignored.
         """
         now_s = self._world.clock.now_s()
         if now_s - self._wrote_s < BUSY_S:
@@ -200,7 +200,7 @@ OLD_F4T_IDENTITY: Final = "Watlow Electric,F4T,12345,03:01:0004"
 
 
 class WatlowF4T(ScpiInstrument):
-    """The controller with one control loop, number `loop`, and one output, number `output`, for the conditioning.
+    """A Watlow F4T controller with the control loop `loop` and the output `output`, which switches conditioning on.
 
     `unit` is its temperature unit; `old_firmware` uses °F and has no query for the unit. `error` is an error of
     the loop, such as a broken sensor.

@@ -168,7 +168,7 @@ class BenchControl(PlainDialect):
         self._bench.world.head_fault = fault
 
     def _rail(self, words: list[str]) -> None:
-        """Disturb all outputs that feed the block, or a named one: `sag P25V size=0.3 seconds=20`."""
+        """Disturb the output named, or all outputs that feed the block: `sag P25V size=0.3 seconds=20`."""
         named = [word for word in words if "=" not in word]
         values = dict(word.split("=", 1) for word in words if "=" in word)
         if not 1 <= len(named) <= 2 or named[0] not in DISTURBANCES or values.keys() - {"size", "seconds"}:

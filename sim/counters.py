@@ -1,6 +1,6 @@
 """Simulated counters of an encoder on the head (Heidenhain ND 281B and ND 287, MUX-10, a line), a line thermometer.
 
-Sources: see their facts. The encoder has neither errors nor noise: its values are those of the head's scale.
+Sources: see their facts. The encoder has neither errors nor noise: it shows the angles of the head's scale.
 """
 
 from __future__ import annotations

@@ -152,10 +152,10 @@ class Buffer(MeasuringCycle):
 
 
 class Keithley2000(ScpiInstrument):
-    """The meter; `source` is the signal that it is wired to, `clock` its time.
+    """A Keithley 2000; it measures the signal `source` at the time of `clock`.
 
-    `noise` and `accuracy` are as for `Converter`. Over RS-232 `line_end` ends its replies, and CR, LF or both end
-    a message. `interface` is the selected interface; all commands are accepted over either.
+    See `Converter` for `noise` and `accuracy`. Over RS-232 `line_end` ends its replies, and CR, LF or both end a
+    message. `interface` is the selected interface; all commands are accepted over either.
     """
 
     def __init__(

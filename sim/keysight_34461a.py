@@ -1,6 +1,6 @@
 """A simulated Keysight 34461A under its own identity: the 34401A with the commands and memory of a Truevolt meter.
 
- @@Source: Truevolt Series Operating and Service Guide, "SCPI programming reference": CONFigure, SENSe:VOLTage,
+Source: Truevolt Series Operating and Service Guide, "SCPI programming reference": CONFigure, SENSe:VOLTage,
 SAMPle:COUNt, FETCh?, READ?, SYSTem:IDENtify.
 """
 
@@ -28,10 +28,11 @@ class TruevoltTrigger(Trigger):
 
 
 class Keysight34461A(Agilent34401A):
-    """The meter (see `Agilent34401A`). SYSTem:IDENtify HP34401A switches to the identity of the older model.
+    """A 34461A with the options of an `Agilent34401A`.
 
-    The commands for autozero and input impedance belong to a function; those of the 34401A are accepted too.
-    Raises `ValueError` for RS-232, because the 34461A has a LAN interface in its place.
+    SYSTem:IDENtify HP34401A switches to the identity of the older model. The commands for autozero and input
+    impedance belong to a function; those of the 34401A are accepted too. Raises `ValueError` for RS-232, because
+    the 34461A has a LAN interface in its place.
     """
 
     model = MODEL

@@ -60,11 +60,11 @@ _ERRORS: Final = {
 
 
 class Keysight34970A(LineMeter):
-    """The meter. `wiring` maps channels to signals, `{101: world.terminals("x"), …}`.
+    """A 34970A or 34972A. `wiring` maps channels to signals, `{101: world.terminals("x"), …}`.
 
-    `cards` maps each occupied slot (100, 200, 300) to its card. `interface`, `noise` and `accuracy` are as for the
-    34401A; all channels share the gain error and offset of the one converter. Raises `ValueError` for a channel
-    that is not on the cards.
+    `cards` maps each occupied slot (100, 200, 300) to its card. See the 34401A for `interface`, `noise` and
+    `accuracy`. All channels share the gain error and offset of the one converter. Raises `ValueError` for a
+    channel that is not on the cards.
     """
 
     beside_measuring = ("INITiate", "ABORt")
@@ -353,10 +353,10 @@ _OHM_PER_K: Final = 0.385
 
 
 class Probe:
-    """A temperature sensor on the block of a type in `SENSORS`, with a constant error `error_c`.
+    """A temperature sensor on the block, of a type in `SENSORS`, with a constant error `error_c`.
 
-    `air_share` is the fraction of the chamber's temperature in its own, `noise_c` the standard deviation of its
-    noise. A meter set to volts sees a short.
+    It shows the block's temperature, shifted by the fraction `air_share` of the difference to the chamber's air,
+    with noise of the standard deviation `noise_c`. To a meter set to volts it is a short.
     """
 
     def __init__(
@@ -371,12 +371,12 @@ class Probe:
 
     @property
     def place(self) -> int:
-        """The index of its meter on the bench."""
+        """The index, on the bench, of the meter to which the sensor is wired."""
         return _PLACE
 
     @property
     def temperature_c(self) -> float:
-        """The temperature of its meter, °C."""
+        """The temperature of the meter to which the sensor is wired, °C."""
         return self._world.meters_c()
 
     def signal_v(self, time_s: float | None = None) -> float:
@@ -421,9 +421,9 @@ def meter_with_probe(
     probes: Mapping[int, Probe] | None = None,
     **options: object,
 ) -> Keysight34970A:
-    """Return a meter with only a temperature sensor, on `channel`; `options` are those of the meter.
+    """Return a meter with only a temperature sensor, on `channel`; `options` are options of the meter.
 
-    `probes` replaces this sensor by several, by channel.
+    `probes` replaces this sensor by several sensors, keyed by channel.
     """
     probe = Probe(world, sensor, error_c=error_c, noise_c=noise_c, air_share=air_share)
     return Keysight34970A(probes or {channel: probe}, world.clock, **options)  # type: ignore[arg-type]

@@ -187,7 +187,7 @@ class ChannelConfiguration:
 
 @runtime_checkable
 class HasSensor(Protocol):
-    """A signal source that is a temperature sensor."""
+    """A signal source that is a temperature sensor, not a voltage."""
 
     def shown_c(self, configured: str, time_s: float) -> float:
         """Return the temperature shown by a meter configured for the sensor `configured`, °C."""

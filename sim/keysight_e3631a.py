@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class KeysightE3631A(KeysightSupply):
-    """The supply; `interface` is its interface setting, "lan" for tests on a socket (see `RemoteInstrument`)."""
+    """An E3631A; `interface` is its interface setting, "lan" for tests on a socket (see `RemoteInstrument`)."""
 
     def __init__(self, world: World, *, interface: Interface = "gpib") -> None:
         self._tracks = False

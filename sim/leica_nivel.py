@@ -1,8 +1,8 @@
 """A simulated Leica Nivel210 or Nivel220 on the platform of the world.
 
-@@Source: NIVEL200 Technical Reference Manual 1.0. The real sensor returns the mean of one measurement per
-second since it was placed; here the noise is that of the mean and is drawn again for each request. Adjustment
-and saving of parameters are not simulated.
+Source: NIVEL200 Technical Reference Manual 1.0. The real sensor returns the mean of one measurement per second
+since it was placed; here the noise is that of the mean and is drawn again for each request. Adjustment and saving
+of parameters are not simulated.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _FIXED: Final = {
 
 
 class LeicaNivel(PlainDialect):
-    """One sensor with the address N`sensor`; `along` and `across` are its axes as in a bench file."""
+    """One Nivel sensor with the address N`sensor`; `along` and `across` are its axes as in a bench file."""
 
     model = "Nivel210"
 

@@ -36,11 +36,11 @@ class _Mistake(Exception):
 
 
 class Esp301(PlainDialect):
-    """One axis of a controller.
+    """One axis of an ESP301 controller.
 
     With `homed` False it has just been switched on: motor off, zero at the present angle. `speed_deg_s` is the
-    maximum speed; the speed at switch-on is a tenth of it. `lowest_deg` and `highest_deg` are the software limits.
-    `unit` is the code of its unit, `decimals` the number of decimals of angles in replies.
+    maximum speed; the speed at switch-on is a tenth of it. `lowest_deg` and `highest_deg` are the software
+    limits. `unit` is the code of its unit, `decimals` the number of decimals of angles in replies.
     """
 
     line_ends = LineEnds((facts.WRITE_TERMINATION.encode(),), reply=facts.READ_TERMINATION.encode())

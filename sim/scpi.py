@@ -46,7 +46,7 @@ class DeviceClear(Exception):
 
 
 def never() -> bool:
-    """Return False: the test for a device clear of messages that did not come over a wire."""
+    """Return False: a message that did not come over a wire has no device clear."""
     return False
 
 

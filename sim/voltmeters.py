@@ -174,7 +174,7 @@ class Measurement(Protocol):
 
 @dataclass(frozen=True)
 class InputFlaws:
-    """What real wiring and a real input add; zeros are an ideal input.
+    """Errors that real wiring and a real input add to a signal; all zero for an ideal input.
 
     `source_ohm` is the resistance of the source, which an input of 10 MOhm loads. `mains_v` is the amplitude of
     the mains voltage on the signal; an integration over whole cycles cancels it. `zero_drift_v_s` is the drift of
@@ -207,14 +207,14 @@ _HIGH_IMPEDANCE_OHM: Final = 10e9
 
 
 class Converter:
-    """Converts the voltage at the terminals to readings, with the ranges and errors in the `facts` of a meter.
+    """The converter from the voltage at the terminals to readings, with the ranges and errors in `facts`.
 
     With `noise` a sample has white noise according to its integration time and is rounded to the resolution;
-    without, it is exact (although a reply has only 8 decimals). `accuracy` "90 days" draws a gain error, an offset
-    and their temperature coefficients for each range once, within half the limits of error; other values state the
-    errors. `flaws` are the fields of `InputFlaws`. The terminals carry only a DC voltage: AC functions, current,
-    frequency and period read zero; resistance, continuity and diode see open leads; the ratio has no reference.
-    While `overloaded` is set, every sample is beyond the range.
+    without, it is exact (although a reply has only 8 decimals). `accuracy` "90 days" draws a gain error, an
+    offset and their temperature coefficients for each range once, within half the limits of error; other values
+    state the errors. `flaws` are the fields of `InputFlaws`. The terminals carry only a DC voltage: AC functions,
+    current, frequency and period read zero; resistance, continuity and diode see open leads; the ratio has no
+    reference. While `overloaded` is set, every sample is beyond the range.
     """
 
     def __init__(
@@ -285,7 +285,7 @@ class Converter:
                 return 0.0
 
     def _at_input_v(self, configuration: Measurement, time_s: float) -> float:
-        """Return the voltage that is converted: the signal, loaded by the input, and what the input adds to it."""
+        """Return the voltage that is converted: the signal as loaded by the input, plus errors of the input."""
         signal_v, flaws = self._source.signal_v(time_s), self._flaws
         if flaws is None:
             return signal_v

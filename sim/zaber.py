@@ -29,7 +29,7 @@ class _Rejected(Exception):
 
 
 class ZaberStage(PlainDialect):
-    """One device whose axis `axis` is the head; `steps_per_degree` microsteps turn it by 1°.
+    """One Zaber device whose axis `axis` is the head; `steps_per_degree` microsteps turn it by 1°.
 
     With `homed` False the stage has just been switched on without an absolute encoder and must be homed first.
     With `encoder` it detects when it is stuck (flag FS); without, it only counts steps.

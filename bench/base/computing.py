@@ -116,7 +116,7 @@ EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
 
 
 def missing(error: BaseException) -> str:
-    """Return the sentence for an import error of an optional package, an empty string for any other error."""
+    """Return a sentence that names the package and its extra if an optional package is missing; else ""."""
     package = (error.name or "").partition(".")[0] if isinstance(error, ImportError) else ""
     for extra, packages in EXTRAS.items():
         if package in packages:

@@ -2,9 +2,9 @@
 
 Results, records and JSON therefore stay English, and the page of an old record can be in another language.
 `message` marks a text in the code; in an f-string the values become numbered blanks: `message(f"{n} rows")` is
-"{0} rows" in the catalogue (`catalogues/uk.po`). A view calls `translated`, which finds the entry of which a text
-is a filled copy, translates the values as far as they are texts, and writes numbers with the decimal sign of
-the language. Templates are translated as a whole (`bench.base.template_texts`).
+"{0} rows" in the catalogue (`catalogues/uk.po`). A view calls `translated`, which finds the entry that gives the
+text when its blanks are filled. It translates the values that are texts, and writes numbers with the decimal sign
+of the language. Templates are translated as a whole (`bench.base.template_texts`).
 """
 
 from __future__ import annotations
@@ -138,14 +138,17 @@ def local_number(text: str) -> str:
 _AROUND: Final = re.compile(r"([\s:;,.([«»✓✗–·]*)(.*?)([\s:;,.)\]]*)", re.DOTALL)
 """Signs around a text, its core, and signs after it."""
 _SURE, _SHORT = 5, 60
-"""A filled copy of a text of so many letters is surely one; with fewer, values have up to `_SHORT` signs."""
+"""A match with a text of so many letters is certain; with fewer, values may have up to `_SHORT` signs."""
 _WORD: Final = re.compile(r"\b[a-z]{3,}\b")
 _BLANK: Final = re.compile(r"\{(\d+)\}")
 
 
 @dataclass(frozen=True)
 class Entry:
-    """An English text of a catalogue with numbered blanks, `plural` for a count other than one, and its context."""
+    """An entry of a catalogue: an English text with numbered blanks.
+
+    `plural` is its form for a count other than one; `context` distinguishes equal English texts.
+    """
 
     english: str
     plural: str = ""
@@ -155,9 +158,9 @@ class Entry:
 
     @property
     def of_modules(self) -> bool:
-        """Whether a module uses the text.
+        """Whether a module uses the text, so that it must be recognised with its blanks filled.
 
-        Its filled copies must then be recognised; templates look the text up instead.
+        Templates need no recognition: they look the text up with its blanks.
         """
         return not self.files or any(not file.endswith((".j2", ".js")) for file in self.files.split())
 
@@ -260,7 +263,7 @@ class Catalogue:
         return self._exactly(text) or self._filled(text) or self._filled(text, sure=False) or text
 
     def _settled(self, text: str) -> bool:
-        """Return whether a part of a text is translated, or a name or numbers that need no translation."""
+        """Return whether a part of a text is translated, or needs no translation: a single word, or numbers."""
         return " " not in text.strip() or not self._foreign(text)
 
     def _foreign(self, text: str) -> bool:
@@ -271,9 +274,10 @@ class Catalogue:
         return None if entry is None else self.fill(entry, {})
 
     def _filled(self, text: str, *, sure: bool = True) -> str | None:
-        """Return the translation of the entry of which a text is a filled copy; None if there is none.
+        """Return the translation of a text with filled blanks, by the entry that it matches; None if none does.
 
-        Without `sure` only texts of few letters count, such as "{0} in {1}", and short values.
+        With `sure` false, the entries are those with few letters, such as "{0} in {1}", and only short values
+        match.
         """
         for literal, entry, pattern in self._patterns[sure]:
             if literal in text and (found := pattern.fullmatch(text)) is not None:
@@ -286,7 +290,7 @@ class Catalogue:
 
 
 def _letters(entry: Entry) -> int:
-    """Return the number of letters and digits of a text beside its blanks."""
+    """Return the number of letters and digits in a text outside its blanks."""
     return len(re.findall(r"[^\W_]", _BLANK.sub("", entry.english)))
 
 

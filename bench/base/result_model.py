@@ -42,7 +42,7 @@ Matrix = Annotated[list[list[float]], BeforeValidator(_listed)]
 
 
 class ResultModel(BaseModel):
-    """Base class of results and their parts: frozen, without unknown members, NaN or infinity."""
+    """Base class of results and their parts: frozen; it rejects unknown members, NaN and infinity."""
 
     model_config = ConfigDict(
         frozen=True,

@@ -31,7 +31,7 @@ class _Rows(Table):
     """A table whose columns are as wide as their visible text."""
 
     def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
-        """Add a row of cells."""
+        """Add a row; control characters in its texts are shown as escapes."""
         super().add_row(*(visible(cell) if isinstance(cell, str) else cell for cell in cells), **options)
 
 

@@ -49,14 +49,17 @@ _LETTER: Final = re.compile(r"[^\W\d_]{2}")
 
 @dataclass
 class _Segment:
-    """The tokens of a text in the making, as (kind, source); `raw` are the values shown as they are."""
+    """The tokens, as (kind, source), of one text of a template.
+
+    `raw` has the indices of values that are shown without translation and local decimal sign.
+    """
 
     tokens: list[tuple[str, str]] = field(default_factory=list)
     raw: set[int] = field(default_factory=set)
 
 
 def texts_in(source: str) -> Iterator[Entry]:
-    """Yield the texts of a template with their blanks; a page marked `{# English only #}`."""
+    """Yield the texts of a template with their blanks; none if it begins with `{# English only #}`."""
     if source.startswith(ENGLISH_ONLY):
         return
     for part in _parts(source):
@@ -116,7 +119,10 @@ def _parts(source: str) -> Iterator[str | _Segment]:
 
 
 def _entry_of(segment: _Segment) -> tuple[Entry | None, list[str], str]:
-    """Return the entry of a segment, None without words; the expressions of its blanks; that of the count."""
+    """Return the catalogue entry of a segment, the expressions of its blanks, and the expression of its count.
+
+    The entry is None for a segment without words; the count is "" for a text without plural.
+    """
     english, plural, values, count = "", "", [], ""
     for at, (kind, told) in enumerate(segment.tokens):
         one, many = told, told
@@ -142,7 +148,7 @@ VOID: Final = ("<br", "<input", "<img", "<hr", "<wbr")
 
 
 def _trimmed(segment: _Segment) -> tuple[str, _Segment, str]:
-    """Return a segment without the white space and the tags around its text, and what was around it."""
+    """Return a segment without its outer white space and tags, with the source before it and after it."""
     tokens = list(enumerate(segment.tokens))
     before, after = "", ""
 
@@ -181,7 +187,7 @@ class TranslatedTemplates(Extension):
         environment.globals.update(_text=_text, _shown=shown)
 
     def preprocess(self, source: str, name: str | None, filename: str | None = None) -> str:
-        """Return the source of a template with its texts as look-ups; a style sheet stays as it is."""
+        """Return the source of a template with its texts replaced by look-ups; style sheets are unchanged."""
         if source.startswith(ENGLISH_ONLY) or (name is not None and ".html" not in name):
             return source
         source = source.replace('<html lang="en">', f'<html lang="{language()}">')
@@ -222,7 +228,7 @@ def _tag(part: str) -> str:
 
 
 def _text(english: str, plural: str, count: float | None, *values: object) -> Markup:
-    """Return a text of a template in the language of views; values without markup are escaped."""
+    """Return a text of a template in the current language; values without markup are escaped."""
     escaped = {str(at): str(Markup("{}").format(value)) for at, value in enumerate(values)}
     return Markup(catalogue(language()).fill(Entry(english, plural), escaped, count))  # noqa: S704 - our own text
 

@@ -185,7 +185,7 @@ def plain_unit(unit: str) -> str:
 def unit_of(unit: str) -> tuple[float, Dimension]:
     """Return the size of `unit` in SI units, and its dimension: "mV" gives (0.001, (("V", 1.0),)).
 
-    `unit` is in plain letters (`plain_unit`), empty for a plain number. Raises `ValueError` for an unknown unit.
+    `unit` is written as by `plain_unit`, empty for a plain number. Raises `ValueError` for an unknown unit.
     """
     if not unit:
         return 1.0, ()
@@ -258,7 +258,7 @@ SizeA = Annotated[float, not_negative(CURRENT)]
 
 
 def quantity_of(annotation: Any, metadata: Sequence[Any]) -> QuantityKind | None:
-    """Return the physical quantity that an annotated number of a model stands for; None for a plain number."""
+    """Return the kind of quantity of an annotated number in a model; None for a plain number."""
     for entry in metadata:
         read = getattr(entry, "func", None)
         if read is None or not inspect.isfunction(read):

@@ -114,7 +114,10 @@ def _nearest(word: str, known: Iterable[str]) -> str | None:
 
 
 def _written(location: tuple[int | str, ...], lines: Mapping[Place, int]) -> Place:
-    """Return a pydantic location without the parts not in the file: pydantic adds the names of alternatives."""
+    """Return the location of a pydantic error as a place in the file.
+
+    Steps that are not in the file are left out: pydantic adds the names of alternative models.
+    """
     place: Place = ()
     for step in location:
         if (*place, step) in lines:

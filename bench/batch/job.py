@@ -70,7 +70,7 @@ class Job:
     def checked(self) -> Job:
         """Return the job with absolute paths.
 
-        Raises the errors of the commands for options that are invalid for every run.
+        Options that are invalid for every run raise the same errors as in the commands.
         """
         estimator = find_estimator(self.estimator).name
         check_gravity(self.g_m_s2)
@@ -99,7 +99,7 @@ class Job:
 
 
 def job_of(request: Batch) -> Job:
-    """Return the job of a request, with the effects that the environment names."""
+    """Return the job of a request, including the effect files that the environment names."""
     other_names = {"g": "g_m_s2", "limit": "limit_g"}
     given = {other_names.get(one.name, one.name): getattr(request, one.name) for one in fields(request)}
     mine = {one.name: given[one.name] for one in fields(Job) if one.name in given}
@@ -120,7 +120,7 @@ def _named(file: str) -> dict[str, str]:
 
 @cache
 def program() -> Mapping[str, str]:
-    """Return the identity of the program that makes the results: versions and the SHA-256 of its own code.
+    """Return the identity of the program that computes the results: its versions and the SHA-256 of its code.
 
     The hash is needed because the code in a git checkout can change while the version stays the same.
     """

@@ -33,7 +33,7 @@ _PARTS_OF_THE_LISTED: Final = (
 def carried_out(request: Batch, tell: Callable[[Iterable[str]], None]) -> BatchResult:
     """Compute the pending runs of a batch; return the result for all its runs. `tell` receives notes.
 
-    Raises `Refused` for options that are invalid for every run, and when Ctrl-C ended the batch.
+    Raises `Refused` for options that are invalid for every run, and if Ctrl-C ends the batch.
     """
     job = job_of(request).checked()
     listed = list_runs(request.over, runs_folder(request.runs), request.catalogue)
@@ -68,7 +68,7 @@ def _cores() -> int:
 
 
 def outcome_in(folder: Path) -> BatchResult:
-    """Return the result so far of the batch in a folder. Raises `Refused` where there is no batch."""
+    """Return the result so far of the batch in a folder. Raises `Refused` if there is no batch in it."""
     store = Store(folder)
     store.noted()
     with store:

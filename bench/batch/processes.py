@@ -45,7 +45,7 @@ def by_processes(job: Job, runs: Iterator[str], count: int, recycled: int | None
 
 @dataclass(eq=False)
 class _Worker:
-    """A worker process: its connection, and the runs queued at it, of which the first is in work."""
+    """A worker process: its connection, and the runs queued for it, of which it is computing the first."""
 
     process: Any
     wire: Connection
@@ -83,7 +83,7 @@ class _Pool:
     # --- giving -------------------------------------------------------------------------------------
 
     def _filled(self) -> bool:
-        """Hand runs to idle processes and start processes as needed. Return False when all is done."""
+        """Hand runs to idle processes and start processes as needed; return False when all runs are done."""
         for worker in self._workers:
             while worker.ready and len(worker.at_hand) < AHEAD and worker.given < self._recycled:
                 run = self._take()
@@ -134,7 +134,7 @@ class _Pool:
             its.close()
 
     def _came_to_nothing(self, how: str) -> None:
-        """Count a process that died before it was ready. Raises `Refused` when this happens too often."""
+        """Count a process that died before it was ready. Raises `Refused` if too many did so."""
         self._stillborn += 1
         if self._stillborn >= TRIES * self._count:
             raise Refused(f"the worker processes end before they start ({how}); try --workers 1")
@@ -180,7 +180,7 @@ class _Pool:
 
 
 def died_at(run: str, why: str) -> Row:
-    """Return the row of a run that repeatedly killed its process; `why` is the reason stated."""
+    """Return the row of a run that repeatedly killed its process; `why` is the reason that the row states."""
     told = f"every process failed at this run: {why}; try it alone"
     return {"run": run, "name": Path(run).name, "failed": told}
 
@@ -221,7 +221,7 @@ def _work(job: Job, wire: Connection) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process when its parent ends, even during a run: nobody would read the row."""
+    """End this process when its parent ends, even during a run, because nobody would read the row."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
@@ -239,8 +239,8 @@ _LOOKED_AGAIN: Final = 100
 def by_scheduler(job: Job, runs: Iterator[str], address: str) -> Iterator[Row]:
     """Yield the rows of runs as they are done, in any order, computed by the workers of a scheduler.
 
-    The paths of runs must be valid at the workers, too. `runs` is consumed only as workers need it. Raises
-    `Refused` where no scheduler answers or it disconnects, and where a worker has a different program.
+    The paths of runs must be valid on the computers of the workers, too. `runs` is consumed only as workers need
+    it. Raises `Refused` if no scheduler answers, if it disconnects, and if a worker has a different program.
     """
     dask: Any = import_module("distributed")
 

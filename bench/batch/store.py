@@ -49,7 +49,8 @@ class Listed:
 def list_runs(
     over: Sequence[str], runs: Path, catalogue: str | None = None, option: str = "--over"
 ) -> Listed:
-    """Return the runs that `over` names: words of a query (`unit=Q-17`, all of which hold), or patterns.
+    """Return the runs that `over` selects, either by a query (words such as `unit=Q-17`, all required) or by
+    patterns.
 
     Patterns are shell patterns (`*`, `?`, `[…]`, `**` for nested folders), matched in the working folder or else in
     the folder `runs`. A folder that is not a run stands for the runs in it. Raises `Refused` if no run is found;
@@ -225,7 +226,7 @@ class Store:
             )
 
     def noted(self) -> dict[str, Any]:
-        """Return the stored job of the batch. Raises `Refused` where its file cannot be read."""
+        """Return the stored job of the batch. Raises `Refused` if its file cannot be read."""
         file = self.folder / BATCH
         try:
             noted: dict[str, Any] = from_text(read_regular(file))
@@ -312,7 +313,7 @@ def _said(value: Any) -> str:
 
 
 def _write_synced(file: Path, content: Any) -> None:
-    """Write a file and sync it and its folder to the disk, before it has its name."""
+    """Write a file under a temporary name, sync it and its folder to the disk, and then rename it."""
     half = file.with_name(file.name + _HALF)
     with half.open("wb") as written:
         written.write(content)
@@ -333,7 +334,7 @@ Computed = Callable[[Iterator[str]], Iterator[Row]]
 
 @dataclass
 class PartWriter:
-    """A buffer of rows that are not in a part yet, and the store to which parts are written."""
+    """A buffer of rows that are not yet in a part, and the store to which parts are written."""
 
     store: Store
     command: str
@@ -342,7 +343,7 @@ class PartWriter:
     _since_s: float = 0.0
 
     def carry_out(self, progress: BatchProgress, computed: Computed) -> None:
-        """Compute the pending runs and write every row received to a part, unless the program is killed."""
+        """Compute the pending runs and write all rows received to parts, even if the computation is interrupted."""
         self._since_s = self.clock.now_s()
         rows = computed(iter(progress.pending))
         try:

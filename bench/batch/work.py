@@ -131,7 +131,7 @@ def _of_meters(job: Job, source: Source, result: RecordCalibrationResult) -> Row
 
 
 def _meters_of(told: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
-    """Return value and u of gain and offset by column of a stored result."""
+    """Return value and u of gain and offset in a stored result, by column of the table."""
     return {
         f"{what}_{channel}": (float(part[what]["value"]), float(part[what]["u"]))
         for channel, part in told["channels"].items()
@@ -224,7 +224,9 @@ def _diagnosis(source: Source) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class CalibrationValues:
-    """The calibration in a row: values and u (12,) in unit/g and unit; p of lack of fit, None if untested."""
+    """The calibration in a row: values and u (12,) in unit/g and unit, and the p-value of lack of fit, None if
+    untested.
+    """
 
     estimator: str
     model: str
@@ -246,9 +248,9 @@ class CalibrationValues:
 
     @classmethod
     def of_file(cls, told: Mapping[str, Any]) -> CalibrationValues:
-        """Return the values in a result, computed or read.
+        """Return the calibration in a result, computed now or read from a file.
 
-        Raises `KeyError`, `TypeError` and the like if the file is no such result.
+        Raises `KeyError`, `TypeError` and the like for any other data.
         """
         sizes = [told["coefficients"][name] for name in COEFFICIENTS]
         p = told["residual"]["p"]
@@ -286,7 +288,10 @@ class VerdictValues:
 
     @classmethod
     def of_file(cls, told: Mapping[str, Any]) -> VerdictValues:
-        """Return the verdict in a result, computed now or read; files of earlier versions contain no statement."""
+        """Return the verdict in a result, computed now or read from a file.
+
+        Files of earlier versions contain no statement.
+        """
         passed = bool(told["passed"])
         points = [(float(point["delta_g"]), float(point["u"])) for point in told["points"]]
         delta_g, u = max(points, key=lambda point: abs(point[0]), default=(None, None))
@@ -317,7 +322,7 @@ class Named:
 
 @dataclass(frozen=True)
 class Stored:
-    """Earlier results in a run's folder; None for each that is missing or unreadable (`notes` say why)."""
+    """Earlier results in a run's folder, each None if it is missing or unreadable; `notes` say why."""
 
     calibration: CalibrationValues | None = None
     verdict: VerdictValues | None = None
@@ -354,10 +359,10 @@ def _read(file: Path, understood: Any, notes: list[str]) -> Any:
 def changes(before: CalibrationValues | None, now: CalibrationValues) -> Row:
     """Return the columns of the earlier values, the new values and their changes.
 
-    Or only the new values if there are no earlier ones. Both use the same readings, so a change is no random
-    deviation. It is stated in units of the earlier u, or of the new u where the earlier coefficient had none (fixed
-    by convention). Where neither has a u, the change is zero or unknown. Results in different units of the signals
-    are not compared.
+    Without earlier values there are only the new ones. Both use the same readings, so a change is no random
+    deviation. It is stated in units of the earlier u, or of the new u if the earlier coefficient had none (fixed by
+    convention). If neither has a u, the change is zero or unknown. Results in different units of the signals are
+    not compared.
     """
     row: Row = {**_columns(now, ""), **({} if before is None else _columns(before, "_stored"))}
     if before is None:

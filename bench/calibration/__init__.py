@@ -1,6 +1,6 @@
 """Estimation of the coefficients with their uncertainty, and the check at the verification points.
 
-The check stands in `bench.calibration.verification`.
+The check is in `bench.calibration.verification`.
 """
 
 from bench.calibration.calibrate import calibrate

@@ -1,4 +1,4 @@
-"""A fit at 1 g joined with points above 1 g: a centrifuge's forces with their uncertainty."""
+"""A fit at 1 g joined with points above 1 g: forces of a centrifuge with their uncertainty."""
 
 from __future__ import annotations
 
@@ -26,10 +26,11 @@ STILL: Final = 1e-3
 
 @dataclass(frozen=True)
 class AboveOneG:
-    """Points above 1 g in a joint fit: the largest force, g, and their chi-square against the fit at 1 g.
+    """Points above 1 g that joined a fit at 1 g, and how well they agree with it.
 
-    `force` (n, 3) is in g, `gain` (12 + q, n, 3) the map from their signals to the unknowns. `dof` counts the
-    signals less the terms that 1 g alone leaves open.
+    `force` (n, 3) is in g, `gain` (12 + q, n, 3) is the linear map from their signals to the unknowns. `chi2` is
+    the chi-square of the points against the fit at 1 g. `dof` is the number of signals minus the unknowns that
+    readings at 1 g leave free.
     """
 
     force: Floats
@@ -56,10 +57,10 @@ class AboveOneG:
 def join(
     problem: Problem, fit: Fit, points: CentrifugePoints, g_m_s2: float, opened: int
 ) -> tuple[Fit, AboveOneG]:
-    """Return the fit after the points, and how well they agree; `opened` terms are free at 1 g.
+    """Return the fit after the points have joined, and their agreement with it.
 
-    The fit at 1 g is the prior, with its covariance; the points are linearised again until nothing moves. Raises
-    `CalibrationError` if they do not converge.
+    The fit at 1 g, with its covariance, is the prior. `opened` is the number of unknowns that it leaves free. The
+    points are linearised until no unknown moves. Raises `CalibrationError` if this does not converge.
     """
     force = points.force_ms2 / g_m_s2
     conditions, kept = Conditions.of(["1"] * len(force), np.zeros(len(force))), np.isfinite(points.signal)
@@ -115,7 +116,10 @@ def _noise(
     predicted: Callable[[Floats, Floats], Floats], at: Floats, points: CentrifugePoints, g_m_s2: float,
     reading: Floats,
 ) -> Floats:  # fmt: skip
-    """Return the covariance (3n, 3n) of the points' signals: noise `reading` (3,), and the errors of the force."""
+    """Return the covariance (3n, 3n) of the points' signals: noise of the readings and errors of the force.
+
+    `reading` (3,) is the noise of one signal of each channel.
+    """
     force, size = points.force_ms2 / g_m_s2, np.linalg.norm(points.force_ms2, axis=1)[:, None] / g_m_s2
     along = force / np.where(size > 0.0, size, 1.0)
     slope = (predicted(at, force + STEP_G * along) - predicted(at, force - STEP_G * along)) / (2 * STEP_G)

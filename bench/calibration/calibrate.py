@@ -200,9 +200,9 @@ def usable_rows(readings: Readings, model: ForwardModel) -> Readings:
 
 
 def _free_rows(chosen: FittedRows, readings: Readings) -> FreeRows | None:
-    """Return the rows that join the fit by their modulus, or None.
+    """Return the rows that join the fit by their modulus, or None without such rows.
 
-    Their elapsed times and temperatures refer to the whole table, not to these rows alone.
+    Their elapsed times and temperatures are those of the whole table, not of these rows alone.
     """
     if not len(chosen.free):
         return None
@@ -275,7 +275,7 @@ def first_guess(problem: Problem, signal: Floats, resolution: float = 0.0) -> Bl
 def _fitted(
     problem: Problem, signal: Floats, refit: partial[gls.Fit], by: Estimator, chosen: FittedRows
 ) -> tuple[gls.Fit, tuple[Outlier, ...], tuple[str, ...]]:
-    """Return the estimator's fit, the outliers that it drops, and a note on any outlier that it keeps."""
+    """Return the estimator's fit, the outliers to which it gives no weight, and a note on any that it keeps."""
     fit = refit()
     largest = max(float(np.max(np.abs(t.signal), initial=0.0)) for t in (chosen.oriented, chosen.free))
     if fit.noise.reading < ROUNDING * largest:
@@ -294,9 +294,9 @@ def _fitted(
 
 
 def _birge(test: LackOfFit, shared: SharedErrorFit) -> float:
-    """Return the factor that widens u for a lack of fit that no shared variance component explains.
+    """Return the Birge ratio that widens u for a lack of fit; 1 if shared variance components explain it.
 
-    It is the Birge ratio, the root of the reduced chi-square. Source: R. T. Birge, Phys. Rev. 40 (1932) 207.
+    It is the root of the reduced chi-square. Source: R. T. Birge, Phys. Rev. 40 (1932) 207.
     """
     if shared.components or not test.shown or test.dof <= 0:
         return 1.0
@@ -304,7 +304,7 @@ def _birge(test: LackOfFit, shared: SharedErrorFit) -> float:
 
 
 def _of_assumed(problem: Problem, fit: gls.Fit, assumed: Mapping[str, float], by: Estimator) -> Floats:
-    """Return the part (12, 12) of the covariance that comes from stand angles of assumed size."""
+    """Return the part (12, 12) of the covariance due to stand angles whose size is only assumed."""
     names = [STAND_ANGLES[unknown.column] for unknown in problem.stand]
     places = [j for j, name in enumerate(names) if name in assumed]
     if not places:

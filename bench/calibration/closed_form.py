@@ -25,7 +25,7 @@ def closed_form(signals: Floats) -> Floats:
     root2 = np.sqrt(2.0)
 
     def sine(u: Floats) -> Floats:
-        """Return the scale factor along x from the points where the sine is not zero."""
+        """Return the scale factor along the platform's x from the points where the sine is not zero."""
         return np.asarray((u[2] - u[6] + u[1] + u[3] - u[5] - u[7]) / (2 * (1 + root2)))
 
     def cosine(u: Floats) -> Floats:

@@ -42,8 +42,9 @@ class SharedErrorFit:
 
     `covariance` (3n + m, 3n + m) is the covariance of the 3n signals of n oriented readings and of m moduli; None
     without components. `wander` (3,) is the rms deviation of each bias from its mean over the run, in the unit of
-    the signal. If a drift was found it is the drift's size, widened for its few degrees of freedom; otherwise the
-    posterior mean of a drift too small to show. It is None if no drift was searched for.
+    the signal. If a drift was found, it is the size of the drift, widened for its few degrees of freedom;
+    otherwise it is the posterior mean of a drift that is not significant. It is None if no drift was searched
+    for.
     """
 
     fit: Fit
@@ -106,10 +107,10 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> SharedErro
 def _taken_in(
     problem: Problem, fit: Fit, basic: list[_Term], further: list[_Term], floor: float
 ) -> tuple[list[_Term], Floats, Floats, Floats]:
-    """Return the accepted terms, their variances and p-values (k,), and each bias's possible wander (3,).
+    """Return the accepted terms, their variances and p-values (k,), and the possible bias wander (3,).
 
-    All kinds of component form one family of tests with the familywise error rate `ASKED_P`. By Holm's
-    step-down method each next kind is tested in a model with the accepted ones.
+    All kinds of component form one family of tests with the familywise error rate `ASKED_P`. By Holm's step-down
+    method each next kind is tested in a model that contains the kinds already accepted.
     """
     terms, left, chance = list(basic), list(further), np.zeros(len(basic))
     theta = np.ones(len(basic))
@@ -162,7 +163,7 @@ def _wander(terms: list[_Term], variances: Floats) -> Floats:
 
 
 def _basic(fit: Fit) -> list[_Term]:
-    """Return the noise of each channel and the setting error as terms, scaled to the sizes in `fit`."""
+    """Return the noise of each channel and the setting error as terms, scaled by their sizes in `fit`."""
     n = len(fit.residuals)
     free = fit.system.free
     terms = []
@@ -185,7 +186,7 @@ def _typical(fit: Fit) -> float:
 
 
 def _further(conditions: Conditions, fit: Fit) -> Iterator[_Term]:
-    """Yield the candidate components: setting, angle and visit for all channels, pass and drift for each."""
+    """Yield the candidate components: setting, angle and visit for all channels; pass and drift per channel."""
     settings = repeat_groups(conditions)
     passes = _labels(conditions.mount, conditions.pass_number)
     visits = _visits(conditions)
@@ -212,7 +213,7 @@ def _labels(*of: Ints) -> Ints:
 
 
 def _visits(conditions: Conditions) -> Ints:
-    """Return the visit number of each reading (n,): a visit is a stay at one point of one pass."""
+    """Return the visit number of each reading (n,): a visit is an uninterrupted stay at one point of one pass."""
     same = np.ones(max(len(conditions) - 1, 0), dtype=bool)
     for column in (conditions.mount, conditions.pass_number, conditions.point):
         same &= column[1:] == column[:-1]
@@ -318,7 +319,7 @@ def _noise(fit: Fit, terms: list[_Term], theta: Floats, dof: Floats, base: int) 
 def _drift(
     problem: Problem, mixed: Mixed, at: Projection, drifts: list[tuple[_Term, Floats, float]], n: int
 ) -> BiasWander:
-    """Return the best linear unbiased prediction of each bias over time, with its straight-line slope per hour."""
+    """Return the best linear unbiased prediction of each bias over time, with its slope per hour."""
     time_h = problem.conditions.elapsed_s / HOUR
     line = time_h - time_h.mean()
     size, course = np.zeros(3), np.zeros((n, 3))

@@ -216,8 +216,8 @@ class MeasuredValues:
 def _largest_sure(limit: float, known: MeasuredValues) -> Floats:
     """Return the largest |y| (n,) at which a false acceptance is at most as probable as `FALSE_ACCEPTANCE`.
 
-    That holds for both signs of y. It is at most the limit, and −limit if not even y = 0 qualifies. Bisection finds
-    it, since the probability for the worse sign grows with |y|.
+    That holds for both signs of y. The result is at most the limit, and −limit if not even y = 0 qualifies. It is
+    found by bisection, because the probability for the worse sign grows with |y|.
     """
 
     def sure(size: Floats) -> Mask:
@@ -279,7 +279,7 @@ def _beyond(mean: Floats, size: Floats, limit: float, dof: Floats) -> Floats:
 
 
 def _mixture(y: Floats, u: Floats, dof: Floats, population: Population) -> tuple[Floats, Floats]:
-    """Return standard deviations and posterior weights, each (m, …), of the normals whose mixture is the t."""
+    """Return the normal mixture that replaces Student t: standard deviations and posterior weights, (m, …) each."""
     if np.all(np.isinf(dof)):
         return u[None], np.ones((1, *y.shape))
     factors, log_weights = _scales(dof)
@@ -315,9 +315,9 @@ def probability_one_outside(
 ) -> float:
     """Return the probability that at least one of n quantities lies outside ±limit.
 
-    `value` (n,) has the covariance `covariance` (n, n); the least of `dof` holds for all, since they were estimated
-    together. `population` is the prior of each quantity. Whether the points of one block share one error is not
-    known in advance: the values decide, with the prior probability `_ALIKE`.
+    `value` (n,) has the covariance `covariance` (n, n); the least of `dof` holds for all, since they were
+    estimated together. `population` is the prior of each quantity. The quantities may share one common error or
+    not; the prior probability that they do is `_ALIKE`.
 
     The result is from `_DRAWS` draws with a fixed seed, hence reproducible; a probability of 0.01 is accurate to
     0.0003. Rare events are bounded by the single probabilities: at least the largest, at most their sum.
@@ -347,14 +347,17 @@ def probability_worst_outside(
 ) -> float:
     """Return the largest probability that any single quantity lies outside ±limit, given all values.
 
-    The arguments are those of `probability_one_outside`.
+    See `probability_one_outside` for the arguments.
     """
     parts = _after(value, covariance, float(np.min(np.asarray(dof))), population)
     return float(np.max(_each_outside(parts, limit)))
 
 
 def _each_outside(parts: Sequence[tuple[float, Floats, Floats]], limit: float) -> Floats:
-    """Return the probability (n,) outside ±limit of each quantity, for a mixture of (weight, mean, covariance)."""
+    """Return for each quantity the probability (n,) that it is outside ±limit, given a mixture of normals.
+
+    Each of `parts` is the weight, mean (n,) and covariance (n, n) of one normal.
+    """
     return np.asarray(sum(w * probability_outside(mean, _sizes(c), limit) for w, mean, c in parts))
 
 

@@ -76,7 +76,7 @@ class EffectUnknown:
 
 @dataclass(frozen=True)
 class FreeRows:
-    """Readings `signal` (m, 3) in unknown orientations, for which only the modulus |a| = 1 g is known."""
+    """Readings `signal` (m, 3) in unknown orientations, which enter a fit only by their modulus |a| = 1 g."""
 
     signal: Floats
     conditions: Conditions
@@ -129,8 +129,9 @@ class Problem:
 
     @property
     def prior_rows(self) -> Floats:
-        """The matrix (q, q) that whitens the q unknowns, each divided by its prior u: it makes them independent,
-        with unit variance.
+        """The matrix (q, q) that whitens the q unknowns, each divided by its prior u.
+
+        The products are independent and have unit variance.
         """
         q = len(self.stand) + len(self.effects)
         return np.eye(q) if self.hang is None else np.asarray(np.linalg.solve(self.hang, np.eye(q)))
@@ -197,8 +198,8 @@ class Problem:
         """Return the derivative of the signals with respect to the head angle, unit/rad, shape (n, 3).
 
         It is taken at the coefficients `block` and the other unknowns `others` (stand angles, then effect
-        parameters, as in `stand_matrix`). A setting error of the head times this is its error in the signals
-        of the n readings.
+        parameters, as in `stand_matrix`). Multiplied by a setting error of the head, rad, it gives the error of
+        the signals.
         """
         forward, back = (self.predict(block, others, step) for step in (STEP_RAD, -STEP_RAD))
         return (forward - back) / (2 * STEP_RAD)
@@ -250,17 +251,17 @@ class Problem:
 
     @cached_property
     def _columns(self) -> tuple[int, ...]:
-        """The stand angles that are unknown in any mounting."""
+        """Indices of the stand angles that are unknown in at least one mounting."""
         return tuple(sorted({unknown.column for unknown in self.stand}))
 
     @cached_property
     def _many_conditions(self) -> Conditions:
-        """The conditions repeated for each step of the differences, with mountings of their own."""
+        """The conditions repeated for each step of the differences; each repetition has mountings of its own."""
         return self.conditions.repeated(3 + 2 * len(self._columns))
 
     @cached_property
     def _last(self) -> dict[tuple[bytes, bytes], Linearisation]:
-        """Cache of the latest linearisations: fits begin and end at the same points."""
+        """Cache of the latest linearisations, because fits begin and end at the same points."""
         return {}
 
     def _kept(self, block: Block, others: Floats) -> Linearisation:
@@ -310,7 +311,7 @@ class Problem:
         return model.voltmeter_readings(model.output(force, self.conditions, block), self.conditions, block)
 
     def other_step(self, j: int) -> Floats:
-        """Return the difference step (q,) for unknown `j` after the coefficients: zero in all other elements."""
+        """Return the step (q,) of the central difference by unknown `j` after the coefficients, zero elsewhere."""
         step = np.zeros(len(self.stand) + len(self.effects))
         step[j] = 1e-3 * self.prior_u[j] if j >= len(self.stand) else STEP_RAD
         return step

@@ -38,7 +38,10 @@ def find_estimator(asked: str) -> Estimator:
 
 
 def in_a_budget(asked: str) -> Estimator:
-    """Return the estimator that represents the requested one in a budget. Raises `CalibrationError` if unknown."""
+    """Return the estimator that a budget uses instead of the requested one.
+
+    Raises `CalibrationError` for an unknown name.
+    """
     estimator = find_estimator(asked)
     return ESTIMATORS[estimator.counts_as or estimator.name]
 

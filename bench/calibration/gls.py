@@ -200,7 +200,11 @@ def linearise(
 
 @dataclass(frozen=True)
 class _Places:
-    """Indices of the unknowns of a step: `unknowns` among all 12 + q, `own` and `shifts` within the step."""
+    """Indices that place the unknowns of one step of the fit.
+
+    `unknowns` are their indices among all 12 + q; `own` and `shifts` are the indices, within the step, of the
+    active coefficients and of the shifts.
+    """
 
     unknowns: Ints
     own: Ints
@@ -215,9 +219,9 @@ def _places(problem: Problem, shifts: int, others: int) -> _Places:
 
 
 def finish(problem: Problem, fit: Fit, covariance: Floats, noise: Noise) -> Fit:
-    """Repeat the last step of a fit with the covariance (3n + m, 3n + m) of its 3n signals and m moduli.
+    """Return a fit with its last step repeated for the covariance (3n + m, 3n + m) of 3n signals and m moduli.
 
-    Return the fit. `noise` has the noise sizes that belong to this covariance. The linearisation does not change.
+    `noise` has the noise sizes that belong to this covariance. The linearisation does not change.
     """
     system, others = fit.system, fit.others
     places = _places(problem, len(fit.shifts), len(others))
@@ -296,7 +300,7 @@ def _result(
 
 
 def estimate_noise(problem: Problem, system: System, groups: Ints, others: Floats, floor: float) -> Noise:
-    """Estimate the noise from repeats within `groups` (n,), or from all residuals if the repeats are too few.
+    """Return the noise from repeats within `groups` (n,), or from all residuals if the repeats are too few.
 
     The estimate from residuals also uses the problem's prior of the noise. `floor` (unit of the signal) is the
     lower limit of the noise.
@@ -330,7 +334,7 @@ def estimate_noise(problem: Problem, system: System, groups: Ints, others: Float
 
 @dataclass(frozen=True)
 class Solution:
-    """One step of the fit: the change (p,) of the p unknowns, their covariance (p, p), and the factors of the gain.
+    """One step of the fit: the change (p,) of the p unknowns, their covariance (p, p), and its QR factors.
 
     The change is `inverse` (p, p) times the transpose of `q` times the whitened residuals. `q` has a row for each
     of 3n signals, m moduli and the priors, and p columns.
@@ -408,7 +412,7 @@ def lack_of_fit(problem: Problem, result: Fit) -> LackOfFit:
 def misfit_test(
     misfit: float, residuals: Floats, slope: Floats, noise: Noise, groups: Ints, unknowns: int
 ) -> LackOfFit:
-    """Test the chi-square `misfit` of a fit; `unknowns` counts its unknowns without a prior of their own.
+    """Test the chi-square `misfit` of a fit with `unknowns` unknowns that have no prior.
 
     `residuals` and `slope` (n, 3) and the repeat `groups` (n,) are as in `scatter_of_repeats`.
     """
@@ -451,12 +455,11 @@ def _as_it_is(task: WeightingTask) -> Fit:
 class Estimator:
     """An estimator of the coefficients; `phrase` describes it in a few words, `also` are aliases.
 
-    An estimator with fixed weights has `gain`, which returns its linear map (12, n, 3), and uses oriented readings
-    alone. Any other estimator has `weigh`, which returns its fit. A budget uses the map of this fit to readings
-    without errors, in which nothing is an outlier: being linear, it shows the effect of usual errors, not of
-    outliers. If another estimator has the same map, `counts_as` names that estimator. `angles_rad` returns the
-    angles (n,) that the estimator assumes, and raises `CalibrationError` for unsuitable readings; None stands for
-    the angles of the readings.
+    An estimator with fixed weights has `gain`, which returns its linear map (12, n, 3), and uses oriented
+    readings alone. Any other estimator has `weigh`, which returns its fit. A budget uses the map of such a fit to
+    readings without errors, and so without outliers. If another estimator has the same map, `counts_as` names
+    that estimator. `angles_rad` returns the angles (n,) that the estimator assumes, and raises `CalibrationError`
+    for unsuitable readings; if it is None, the estimator uses the angles of the readings.
     """
 
     name: str

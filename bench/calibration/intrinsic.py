@@ -1,8 +1,8 @@
 """The nine numbers of a block that do not depend on how it is mounted, and joint coverage factors.
 
-Three sensitivities, three angles between the sensing axes and three offsets are a function of K K^T and U0. A turn
-of the block common to all its installations changes K to K R and so none of them. Source: the intrinsic properties
-of J. Res. NIST 122 (2017) 32 and 126 (2021) 038.
+Three sensitivities, three angles between the sensing axes and three offsets are a function of K K^T and U0. If
+the block is turned by a rotation R in all installations alike, K becomes K R, and these numbers do not change.
+Source: the intrinsic properties of J. Res. NIST 122 (2017) 32 and 126 (2021) 038.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def intrinsic(block: Block, covariance: Floats) -> Derived:
 
 
 def through(jacobian: Floats, covariance: Floats) -> Floats:
-    """Return the covariance of linear combinations, made exactly symmetric."""
+    """Return the covariance of linear combinations, J C J^T for the `jacobian` J, made exactly symmetric."""
     found = jacobian @ covariance @ jacobian.T
     return np.asarray(0.5 * (found + found.T))
 
@@ -99,7 +99,7 @@ class Intrinsic(Derived):
 def intrinsic_of(found: Calibration) -> Intrinsic | None:
     """Return the nine intrinsic numbers of a calibration.
 
-    None if they are undefined, as for a block with a dead channel.
+    Returns None if they are undefined, as for a block with a dead channel.
     """
     try:
         own = intrinsic(found.block, found.covariance)
@@ -116,14 +116,14 @@ def intrinsic_of(found: Calibration) -> Intrinsic | None:
 def least_dof(found: Calibration) -> float:
     """Return the smallest effective degrees of freedom of the nine intrinsic numbers.
 
-    Infinite if they are undefined.
+    Returns infinity if these are undefined.
     """
     own = intrinsic_of(found)
     return float("inf") if own is None else float(np.min(own.dof))
 
 
 def _held(own: Derived, unseen: Floats) -> tuple[str, ...]:
-    """Return the numbers that change along `unseen` (12, d), changes of K of relative size 1."""
+    """Return the names of the numbers that change along `unseen` (12, d), changes of K of relative size 1."""
     change = own.jacobian @ unseen
     size = np.concatenate([own.values[:3], np.full(3, np.degrees(1.0)), np.ones(3)])
     moved = np.max(np.abs(change), axis=1, initial=0.0) > HELD * size
@@ -158,9 +158,10 @@ class JointFactor:
 
 
 def joint_factor(count: int, dof: float = np.inf, level: float = JOINT_LEVEL) -> JointFactor:
-    """Return the joint coverage factor of `count` numbers: sqrt(p F(p, dof)), for infinite dof sqrt(chi2(p)).
+    """Return the joint coverage factor of `count` numbers: sqrt(p F(p, dof)) for p numbers.
 
-    4.585 for twelve and 4.113 for nine at 95 % (JCGM 102:2011, 6.5.2). A dof below 1 counts as 1.
+    For infinite dof it is sqrt(chi2(p)): 4.585 for twelve and 4.113 for nine at 95 % (JCGM 102:2011, 6.5.2). A
+    dof below 1 counts as 1.
     """
     if np.isinf(dof):
         k = np.sqrt(special.chdtri(count, 1.0 - level))

@@ -82,7 +82,7 @@ def refuse_wrong_angle_unit(problem: Problem, signal: Floats, residuals: Floats)
 
 
 def _left(problem: Problem, signal: Floats, factor: float) -> float:
-    """Return the residual sum of squares of ordinary least squares, with the angles multiplied by `factor`."""
+    """Return the residual sum of squares of ordinary least squares after multiplying the angles by `factor`."""
     turned = replace(problem.conditions, angle_rad=problem.conditions.angle_rad * factor)
     _, left = least_squares(force_columns(replace(problem, conditions=turned)), signal)
     return float(np.sum(left**2))
@@ -136,7 +136,7 @@ def refuse_saturated(columns: Floats, signal: Floats, resolution: float) -> None
 
 
 def _equal_where_forces_differ(columns: Floats, signal: Floats, sides: Floats) -> bool:
-    """Return whether readings at one end are equal although a fit to all predicts them far apart."""
+    """Return whether the readings at one end of the range are equal though a fit predicts them far apart."""
     expected = columns @ least_squares(columns, signal)[0]
     return any(
         np.ptp(expected[sides == side]) > FAR_APART * np.ptp(expected)
@@ -276,7 +276,8 @@ _NAMES: Final = {
 def in_another_unit(channels: Sequence[str], part: str, unit: str, tens: int) -> str:
     """Return in words that signals are 10 to the power of `tens` times too large.
 
-    `part` names their part of the table (" of pass 2"), empty for all of it; `unit` is that of the file.
+    `part` names the affected part of the table (" of pass 2"), empty for all of it; `unit` is the unit in the
+    file.
     """
     everything = len(channels) == len(CHANNELS)
     what = "all signals" if everything else f"the signals of channel {', '.join(channels)}"
@@ -312,7 +313,7 @@ class WrongUnit:
 
     @property
     def whole(self) -> bool:
-        """Whether all signals are in another unit, which only the data sheet reveals."""
+        """Whether all signals are in another unit, so that only the data sheet can show it."""
         return not self.part and len(self.channels) == len(CHANNELS)
 
     @property
@@ -321,7 +322,7 @@ class WrongUnit:
         return in_another_unit(self.channels, self.part, self.unit, round(PREFIX) * self.size)
 
     def corrected(self, readings: Readings) -> Readings:
-        """Return a copy of the readings with the affected signals in the unit of the others."""
+        """Return a copy of the readings with the affected signals converted to their true unit."""
         factor = 10.0 ** (-PREFIX * self.power)
         return replace(
             readings,
@@ -395,7 +396,7 @@ def _powers(signal: Floats, force: Floats, labels: list[str], nominal: Sequence[
 
 
 def _with_still_parts(power: Ints, signal: Floats, force: Floats, labels: list[str]) -> None:
-    """Correct `power` for groups in which a channel hardly moves, by the unit that fits all rows best."""
+    """Correct `power` where a channel hardly moves in a group of rows: by the unit that fits all rows best."""
     for i in range(3):
         own = signal[:, i : i + 1] * 10.0 ** (-PREFIX * power[:, i : i + 1])
         if _unexplained(force, own) <= FITS:
@@ -456,7 +457,10 @@ def _described(
 
 
 def _of_other(readings: Readings, row: int, power: Ints, scaled: Floats, *, everywhere: bool) -> Ints:
-    """Return the power of 1000 (3,) for a row that is not oriented: that of all rows, or from its signal norm."""
+    """Return the power of 1000 (3,) for a row that is not oriented.
+
+    It is that of all rows if `everywhere`, else follows from the row's signal.
+    """
     if everywhere or readings.installation[row] in {REFERENCE, SHORTED}:
         return power[0] if everywhere else np.zeros(3, dtype=np.int64)
     usual = float(np.median(np.linalg.norm(scaled, axis=1)))

@@ -30,7 +30,7 @@ LEAST_SIGNALS: Final = 1.5 * LEAST_DOF
 
 @dataclass(frozen=True)
 class KnownNoise:
-    """Prior knowledge of the noise: channels (3,) in the unit, setting in rad, each with degrees of freedom.
+    """Prior knowledge of the noise: channels (3,), signal unit, and setting, rad, with degrees of freedom.
 
     Each variance has a scaled inverse chi-square distribution: it counts like repeats with as many degrees of
     freedom. The degrees of freedom of sizes from other runs allow for variation of the noise between runs. Sizes
@@ -52,7 +52,7 @@ class KnownNoise:
         return cls(np.full(3, reading), np.full(3, LEAST_DOF), setting, LEAST_DOF, stated=True)
 
     def beside(self, signals: float) -> KnownNoise | None:
-        """Return the prior to combine with `signals` residual signals; None if these signals suffice.
+        """Return the prior to combine with the residuals; None if their `signals` signals suffice by themselves.
 
         A stated prior keeps only the degrees of freedom that the signals lack; a prior of other runs counts in
         full.
@@ -66,7 +66,7 @@ class KnownNoise:
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom of the reading noise, as in `Noise.reading_dof`."""
+        """Degrees of freedom of the reading noise, counted as in `Noise.reading_dof`."""
         return float(np.mean(self.channel_dof))
 
     def given(self) -> Noise:
@@ -75,7 +75,7 @@ class KnownNoise:
         return Noise(rms(self.channels), self.setting_rad, np.inf, "given", channels=(x, y, z))
 
     def times(self, part: float) -> KnownNoise:
-        """Return the sizes multiplied by `part`."""
+        """Return the prior with its sizes multiplied by `part`."""
         return replace(self, channels=part * self.channels, setting_rad=part * self.setting_rad)
 
     def joined(self, own: Noise) -> Noise:
@@ -102,7 +102,7 @@ class KnownNoise:
         return bool(np.min(chance) < CONTRADICTS_P / 3)
 
     def _setting(self, own: Noise) -> float:
-        """Return the setting error, rad, from the mean of both variances, weighted by their uncertainties."""
+        """Return the setting error, rad, from the weighted mean of the variances of the run and of this prior."""
         known = self.setting_rad**2
         if own.setting_limits_rad is None or not np.isfinite(own.setting_limits_rad[1]):
             return self.setting_rad
@@ -135,7 +135,7 @@ class KnownStand:
     noise: KnownNoise | None = None
 
     def place(self, name: str, installation: str) -> int | None:
-        """Return the index in `keys` of an angle in an installation; None if its mean is unknown."""
+        """Return the index in `keys` of the mean of an angle in an installation; None if there is none."""
         for key in ((name, ""), (name, installation)):
             if key in self.keys:
                 return self.keys.index(key)
@@ -167,10 +167,10 @@ ONE_SITTING: Final = timedelta(days=1)
 def drifted(
     first: tuple[Sequence[str], datetime | None], later: tuple[Sequence[str], datetime | None]
 ) -> float:
-    """Return the fraction of the meters' limits by which their errors may differ, from 0 (they cancel) to 1.
+    """Return the fraction of the meters' limits by which their errors may differ between two uses: 0 to 1.
 
-    Each argument states one use of the meters: their identities and the time. Different or unnamed meters, and
-    unknown times, give 1.
+    Each use is stated by the identities of the meters and the time. At 0 the errors cancel. Different or unnamed
+    meters, and unknown times, give 1.
     """
     (meters, when), (other, then) = first, later
     if not meters or tuple(meters) != tuple(other) or when is None or then is None:
@@ -343,7 +343,7 @@ class LikelihoodResiduals:
 
     @cached_property
     def steepness(self) -> float:
-        """Root mean square of |du/dphi|, unit/rad."""
+        """Root mean square of |du/dphi| over the readings, unit/rad."""
         return max(rms(self._along[1]), 1e-300) if len(self.slope) else 1.0
 
     def spread(self, unknowns: int) -> float:
@@ -364,7 +364,7 @@ class LikelihoodResiduals:
         return np.einsum("nip,ni->np", self.columns, unit), length
 
     def likelihood(self, log_sizes: Floats) -> tuple[float, Floats, float]:
-        """Return -2 ln L, its gradient by the logarithms of both sizes, and its term y^T P y."""
+        """Return -2 ln L, its derivatives by the logarithms of reading noise and setting error, and y^T P y."""
         along, length = self._along
         p = self.unknowns
         reading, setting = np.exp(2 * log_sizes)
@@ -414,7 +414,10 @@ def require_told(noise: Noise) -> None:
 
 
 def _prior(of: LikelihoodResiduals, known: KnownNoise, floor: float) -> NoisePrior:
-    """Return the prior with its test by y^T P y: chi-square for stated sizes, F for those of other runs."""
+    """Return the prior, with its test by the residual sum of squares y^T P y.
+
+    The test is chi-square for stated sizes, F for sizes from other runs.
+    """
     reading, freedom = max(rms(known.channels), floor), of.count - of.fixed
     prior = NoisePrior(reading, known.setting_rad, known.dof, freedom, np.nan, np.nan, known.stated)
     if freedom <= 0:

@@ -55,7 +55,7 @@ class Direction:
 
     @property
     def coefficients(self) -> list[str]:
-        """The coefficients in the direction, without small parts."""
+        """Return the direction's coefficients, without small parts."""
         return self._telling([name for name in self.members if name in COEFFICIENTS])
 
     def _telling(self, names: list[str]) -> list[str]:
@@ -112,10 +112,10 @@ class Direction:
 
 
 class _Directions:
-    """A null space (p, d) resolved into directions that have a name, the plainest first.
+    """The null space (p, d), resolved into directions that have a name, the plainest first.
 
-    `null` is an orthonormal basis of it. All vectors are in scaled unknowns: the unknowns times `length` (p,), the
-    norms of their columns.
+    `null` is an orthonormal basis of the space that remains. All vectors are in scaled unknowns: the unknowns
+    times `length` (p,), the norms of their columns.
     """
 
     def __init__(self, null: Floats, length: Floats, names: tuple[str, ...], block: Block) -> None:
@@ -140,7 +140,7 @@ class _Directions:
         return tuple(found)
 
     def _take_turns(self) -> list[Direction]:
-        """Remove from the null space, and return, the turns of the block that it contains."""
+        """Return the turns of the block that the null space contains, and remove them from it."""
         part = self._null[self._fixed]
         if not part.shape[1]:
             return []
@@ -160,9 +160,9 @@ class _Directions:
             self._null = self._null @ _null_space(vectors.T @ self._null)
 
     def _sparse(self, basis: Floats) -> list[Floats]:
-        """Return a basis of the same space in which each vector has an unknown that is zero in all others.
+        """Return a basis of the same space in which each vector has an unknown that is zero in all other vectors.
 
-        That unknown is a coefficient only if no other will do.
+        That unknown is a coefficient only if no stand angle or effect is possible.
         """
         vectors = basis.copy()
         free = np.ones(len(vectors), dtype=bool)
@@ -193,7 +193,7 @@ class _Directions:
         return replace(found, only=self._only([self._names.index(name) for name in found.others], change))
 
     def _only(self, pair: list[int], change: Floats) -> str:
-        """Return which combination of two unknowns no null vector changes: "sum", "difference" or ""."""
+        """Return which combination of two unknowns the readings show: "sum", "difference" or "" for neither."""
         if len(pair) != 2:
             return ""
         ratio = change[pair[1]] / change[pair[0]]
@@ -221,7 +221,7 @@ def _null_space(matrix: Floats) -> Floats:
 
 
 def _plain_basis(axes: Floats) -> Floats:
-    """Return a basis of the span of axes (3, d) that contains those of x, y and z that lie in the span."""
+    """Return a basis of the span of axes (3, d); it contains each of x, y and z that lies in the span."""
     within = [k for k in range(3) if np.linalg.norm(axes[k]) > 1 - _IN_SPAN]
     plain = np.eye(3)[:, within]
     rest = axes @ _null_space(plain.T @ axes) if within else axes
@@ -265,7 +265,7 @@ class Observability:
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """The unknowns that take part in a null direction: the data alone do not determine them."""
+        """The unknowns that the data alone do not determine, because they occur in a null direction."""
         weight = np.abs(self.null).max(axis=1, initial=0.0)
         return tuple(n for n, w in zip(self.names, weight, strict=True) if w > MEMBER)
 
@@ -292,13 +292,16 @@ def with_angles(problem: Problem, names: Collection[str]) -> Problem:
 
 @dataclass(frozen=True)
 class Sensitivities:
-    """Derivatives of the readings by unknowns: `rows` (m, p), unit/SI, one row per signal; `names` (p,)."""
+    """Derivatives of signals by unknowns: `rows` (m, p), one row per signal, in its unit per SI unit.
+
+    `names` (p,) are the unknowns.
+    """
 
     rows: Floats
     names: tuple[str, ...]
 
     def of(self, name: str) -> Floats:
-        """Return the column of an unknown, shape (m,)."""
+        """Return the derivatives of all readings by the unknown `name`, shape (m,)."""
         return np.asarray(self.rows[:, self.names.index(name)])
 
     def without(self, names: Collection[str]) -> Sensitivities:
@@ -481,10 +484,7 @@ def _absent(
 
 
 def _shown(columns: Sensitivities, oriented: int, block: Block, name: str) -> str:
-    """Return in words how far the readings show an assumed angle, apart from common turns of the block's axes.
-
-    The first `oriented` rows of `columns` are signals, the rows after them moduli.
-    """
+    """Return in words how well the readings show an assumed angle, apart from a common turn of the block's axes."""
     if _is_hidden(columns, block, name):
         return message("nothing in these readings shows it")
     if not _is_hidden(Sensitivities(columns.rows[:oriented], columns.names), block, name):
@@ -522,7 +522,7 @@ def _together(names: list[str]) -> str:
 
 
 def _undetermined(found: Observability, unit: str) -> list[str]:
-    """Return sentences on unknowns that only their limits hold: one on all turns, one per other direction."""
+    """Return sentences on unknowns that only their limits confine: one on all turns, one per other direction."""
     turns = [d for d in found.directions if d.kind is DirectionKind.TURN]
     sentences = []
     if turns:

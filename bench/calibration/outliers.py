@@ -1,9 +1,9 @@
 """Outliers: readings that contradict the model and all other readings, found one by one.
 
 Candidates are each signal, each setting of the head (which moves three signals along du/dphi) and the modulus of
-each free position. A step gives the candidate with the largest studentised residual a shift of its own, and
-estimates noise and fit again; a shifted reading does not count for the noise. After the last step the readings up
-to the last significant one are outliers, since several may mask each other. The critical value allows for all
+each free position. Each step adds a free shift for the candidate with the largest studentised residual, and
+repeats the fit; a shifted reading does not count for the noise. Several outliers may mask each other. Therefore,
+after the last step, all candidates up to the last significant one are outliers. The critical value allows for all
 tests. Source: Rosner, Technometrics 25 (1983) 165 (generalised extreme studentised deviate), here with the
 residuals of a regression.
 """
@@ -72,8 +72,9 @@ def search(problem: Problem, fit: Fit, refit: Callable[[tuple[Shift, ...]], Fit]
 
 
 def looks(problem: Problem) -> int:
-    """Return the number of candidates tested for an outlier: the signals and the setting of each reading, and each
-    modulus.
+    """Return the number of candidates that are tested for an outlier.
+
+    They are the signals and the setting of each oriented reading, and each modulus.
     """
     return 4 * len(problem.conditions) + (0 if problem.free is None else len(problem.free.signal))
 

@@ -60,7 +60,7 @@ class Estimate:
 
     @property
     def told_by_data(self) -> bool:
-        """Whether the data reduced the uncertainty noticeably."""
+        """Whether the data reduced the prior uncertainty noticeably."""
         return self.u < HARDLY_BETTER * self.prior_u
 
 
@@ -250,10 +250,10 @@ class Component:
 
 @dataclass(frozen=True)
 class BiasWander:
-    """Wander of the biases about their mean over a run of `hours`: `size` (3,) rms, in the unit of the signal.
+    """Wander of the biases about their mean over a run of `hours`; `size` (3,) is its rms, in the signal's unit.
 
-    `course` (n, 3) is the estimated deviation at each reading, `per_hour` (3,) the slope of a straight line through
-    it.
+    `course` (n, 3) is the estimated deviation at each reading, `per_hour` (3,) the slope of a straight line
+    through it.
     """
 
     size: Floats
@@ -333,7 +333,7 @@ class Calibration(HasCovariance):
 
     @property
     def block_terms(self) -> Floats:
-        """Changes (12, q) of the coefficients by K2 and K3 of the block, each of size u."""
+        """Changes (12, q) of the coefficients by q errors of the block (K2 and K3), each of the size of its u."""
         parts = [s.of_block for s in self.sources if s.of_block is not None]
         return np.concatenate([np.zeros((12, 0)), *parts], axis=1)
 
@@ -349,7 +349,7 @@ class Calibration(HasCovariance):
 
     @property
     def modulus_rms_g(self) -> float:
-        """Root mean square of |a| - 1 over the free readings that are no outliers, g; NaN where there are none."""
+        """Root mean square of |a| - 1 over the free readings that are not outliers, g; NaN if there are none."""
         if self.free is None:
             return float("nan")
         out = {(o.series, o.installation, o.pass_number, o.point) for o in self.outliers}

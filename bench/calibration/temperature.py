@@ -159,7 +159,7 @@ def _oriented(rows: Readings) -> Mask:
 
 
 def _levels(temperature_c: Floats) -> Ints:
-    """Return the level of each temperature (n,), numbered from the lowest; none is wider than `PLATEAU_K`."""
+    """Return the level of each temperature (n,), numbered from the lowest; no level is wider than `PLATEAU_K`."""
     level = np.zeros(len(temperature_c), dtype=np.int64)
     number, lowest = -1, -np.inf
     for i in np.argsort(temperature_c, kind="stable"):
@@ -230,10 +230,11 @@ class TemperatureModel:
 
     Coefficient j at temperature T is the sum over d of `values[j, d]` (T - `reference_c`)^d.
 
-    `values` (12, D + 1) are in unit/g/K^d and unit/K^d, zero above `degrees` (12,). `covariance` (12 (D + 1), 12 (D
-    + 1)) is that of `values` row after row; it includes the uncertainty due to omitted terms. The model is valid
-    from `minimum_c` to `maximum_c`. `fitted` tests the fit against the noise, `curve` tests the polynomials against
-    coefficients free at each plateau (None if plateaus alone do not determine them).
+    `values` (12, D + 1) are in unit/g/K^d and unit/K^d, zero above `degrees` (12,). `covariance` (12 (D + 1), 12
+    (D + 1)) is that of `values` row after row; it includes the uncertainty due to omitted terms. The model is
+    valid from `minimum_c` to `maximum_c`. `fitted` is the test of the fit against the noise. `curve` is the test
+    of the polynomials against coefficients that are free at each plateau (None if a plateau alone does not
+    determine them).
     """
 
     unit: str
@@ -327,10 +328,11 @@ LOOKS: Final = 16
 
 @dataclass(frozen=True)
 class TableError:
-    """Largest differences found between the table and the polynomials, g.
+    """The largest errors of a compensation table against the polynomials, g.
 
-    `bias` is the interpolation error at 0 g, `per_g` its increase per g along any axis. `single` is the additional
-    error of single precision at accelerations up to `reach_g`. `looks` is the number of temperatures tested.
+    `bias` is the interpolation error at 0 g, `per_g` its increase per g along any axis. `single` is the
+    additional error of single precision at accelerations up to `reach_g`. `looks` is the number of temperatures
+    compared.
     """
 
     bias: float
@@ -449,8 +451,8 @@ def _by_rounding(
 ) -> float:
     """Return the largest error that single precision adds to a component of a, g.
 
-    It is the maximum at the temperatures `between` (m,), °C, of 26 directions, at 1 g and at `reach_g`. `entries`
-    (m, 12) are the interpolated entries of N and U0 in double precision.
+    It is the maximum over the temperatures `between` (m,), °C, and over 26 directions, at 1 g and at `reach_g`.
+    `entries` (m, 12) are the interpolated entries of N and U0 in double precision.
     """
     whole = [np.array(d) for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(d)]
     worst = 0.0

@@ -237,7 +237,10 @@ def choose_degrees(full: ThermalFit, highest: int) -> DegreeChoice:
 
 
 def held_at_zero(value: Floats, covariance: Floats, keep: Mask) -> tuple[Floats, Floats]:
-    """Return the least-squares estimate (t,) and covariance of the terms kept, with the others held at zero."""
+    """Return the estimate (t,) and covariance of the terms to `keep`, with all other terms held at zero.
+
+    It is the least-squares estimate that a fit of these terms alone would give.
+    """
     pull = np.linalg.solve(covariance[np.ix_(~keep, ~keep)], covariance[np.ix_(~keep, keep)])
     return value[keep] - value[~keep] @ pull, covariance[np.ix_(keep, keep)] - covariance[
         np.ix_(keep, ~keep)

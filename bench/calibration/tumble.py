@@ -65,7 +65,7 @@ def parameter_of(term: str) -> Parameter:
 
 
 def term_of(parameter: str) -> tuple[str, float]:
-    """Return the nonlinear term of an effect parameter, and by what the parameter's value is multiplied for it."""
+    """Return the nonlinear term of an effect parameter, and the factor from the parameter to the term."""
     return next(
         ((t, 1 / by) for t, (name, by) in AS_PARAMETER.items() if name == parameter), (parameter, 1.0)
     )
@@ -152,7 +152,7 @@ def separable(force: Floats, channel: int, terms: Sequence[str], conditions: Con
 NO_PRIOR: Final = 1.0
 """Prior standard deviation of a term, g/g^n: far beyond any plausible size, so that the data decide."""
 OPEN_AT_1_G: Final = 1e-2
-"""The same where points above 1 g follow: 500 times a plausible size, and their fit remains well conditioned."""
+"""`NO_PRIOR` if points above 1 g follow: 500 times a plausible size, so that their fit is well conditioned."""
 K: Final = 2.0
 """Coverage factor of U."""
 MOVES: Final = 0.01
@@ -192,8 +192,8 @@ class TumbleView(HasCovariance):
     `covariance_readings` is the part from the readings and the stated stand errors; if `combined`, `covariance`
     holds more. `judged` says which terms the orientations determine. `left_out` has the change, g or g/g^n, by 1
     g/g^n of a term that was not requested: by channel, term and quantity. `block` has the coefficients estimated
-    together with these terms. `gain` (m, n, 3) is the map from the readings `fitted` to the quantities, `slope` (n,
-    3) is du/dphi. `above` tells of points above 1 g that joined the fit.
+    together with these terms. `gain` (m, n, 3) is the map from the readings `fitted` to the quantities, `slope`
+    (n, 3) is du/dphi. `above` describes the points above 1 g that joined the fit.
     """
 
     unit: str
@@ -224,7 +224,7 @@ class TumbleView(HasCovariance):
         return [f"{channel}.{q.name}" for channel, own in self.axes.items() for q in own]
 
     def correlation(self, first: str, second: str) -> float:
-        """Return the correlation of two quantities, by `names`."""
+        """Return the correlation of two quantities, which are given by their `names`."""
         a, b = self.names.index(first), self.names.index(second)
         return float(self.covariance[a, b] / (self.u[a] * self.u[b]))
 
@@ -243,8 +243,9 @@ def tumble_view(
     """Estimate the requested terms (of `HOMES`) from the oriented readings; other arguments as in `calibrate`.
 
     The terms replace the effects of the model. Points `above` 1 g join the fit. At 1 g a power series is not
-    unique (DTIC AD0607702): only points above tell a cubic from what looks like one there. Raises
-    `CalibrationError` if the readings do not determine the twelve coefficients, or a term is unknown or repeated.
+    unique (DTIC AD0607702): only points above 1 g separate a cubic term from terms that act like one at 1 g.
+    Raises `CalibrationError` if the readings do not determine the twelve coefficients, or a term is unknown or
+    repeated.
     """
     strange = [term for term in terms if term not in HOMES]
     if strange or len(set(terms)) < len(terms):
@@ -288,7 +289,10 @@ def tumble_view(
 def _judged_with(
     above: CentrifugePoints, force: Floats, terms: Sequence[str], g_m_s2: float
 ) -> tuple[Separable, ...]:
-    """Return which terms each channel's points above 1 g, with the signals that were read, and 1 g determine."""
+    """Return which terms the points above 1 g and the readings at 1 g determine together, for each channel.
+
+    A point counts for a channel only if its signal was read.
+    """
     every = [np.concatenate([force, above.force_ms2[np.isfinite(read)] / g_m_s2]) for read in above.signal.T]
     nowhere = [Conditions.of(["1"] * len(one), np.zeros(len(one))) for one in every]
     return tuple(separable(every[k], k, terms, nowhere[k]) for k in range(3))
@@ -346,7 +350,7 @@ def _rows(problem: Problem, fit: gls.Fit, judged: Separable, channel: int, unit:
     scale = float(vector[own])
 
     def part(at: int, sign: float = 1.0) -> tuple[float, Floats]:
-        """Return a coefficient over the scale factor, with its derivatives."""
+        """Return coefficient `at` divided by the scale factor and multiplied by `sign`, with its derivatives."""
         value = sign * float(vector[at]) / scale
         return value, sign * ones[at] / scale - value / scale * ones[own]
 
@@ -368,7 +372,7 @@ def _rows(problem: Problem, fit: gls.Fit, judged: Separable, channel: int, unit:
 def sized(
     axes: Mapping[str, Sequence[Quantity]], covariance: Floats, readings: Floats
 ) -> dict[str, tuple[Quantity, ...]]:
-    """Return the quantities with u from `covariance` (m, m), and u_readings from its part `readings` (m, m)."""
+    """Return the quantities with u from `covariance` and u_readings from its part `readings`, (m, m) each."""
     u, shown = iter(u_of(covariance).tolist()), iter(u_of(readings).tolist())
     return {
         channel: tuple(replace(q, u=next(u), u_readings=next(shown)) for q in own)
@@ -377,7 +381,10 @@ def sized(
 
 
 def _contained(judged: Separable, name: str, channel: int) -> dict[str, float]:
-    """Return the shares of inseparable terms in a quantity; for an angle, with the sign of the angle."""
+    """Return the shares of inseparable terms that the quantity `name` contains.
+
+    For an angle they have the sign of the angle.
+    """
     if name not in MISALIGNMENTS:
         return judged.part_in(name)
     cross, _, sign = MISALIGNMENTS[name]
@@ -390,7 +397,10 @@ def _left_out(
     fit: gls.Fit, force: Floats, conditions: Conditions, terms: Sequence[str], through: Floats,
     axes: Mapping[str, Sequence[Quantity]], above: AboveOneG | None,
 ) -> dict[str, dict[str, dict[str, float]]]:  # fmt: skip
-    """Return the change of each quantity by 1 g/g^n of each term not requested, if above `MOVES`."""
+    """Return the changes of the quantities if a term that was not requested has the size 1 g/g^n.
+
+    They are keyed by channel, term and quantity; changes up to `MOVES` are left out.
+    """
     others = [term for term in HOMES if term not in terms]
     moved: dict[str, dict[str, dict[str, float]]] = {}
     first = 0
@@ -426,7 +436,7 @@ NOT_IN_VOLTS: Final = (
 def combine(
     view: TumbleView, bench: BenchFile, model: ForwardModel, terms: Sequence[str], day: date | None = None
 ) -> TumbleView:
-    """Return the view with the combined covariance; it omits the priors of `terms`, which are estimated.
+    """Return the view with its combined covariance, which has no priors for `terms`, because these are estimated.
 
     `day` is the date of the readings, from which the drift since each certificate follows. The meters' errors are
     in volts: a view in another unit only gets a note.

@@ -69,7 +69,7 @@ class VerificationPoint:
     def p_false_accept(self) -> float | None:
         """Probability of a false acceptance, for an accepted point or a conditional pass still to be decided.
 
-        Else None.
+        It is None for any other point.
         """
         left_open = self.statement is Statement.CONDITIONAL_PASS and not self.rejected
         return self.p_outside if self.passed or left_open else None
@@ -104,7 +104,7 @@ class Verification:
     """The verdict: |delta g| within the limit, by the decision rule, at every verification point.
 
     `missing` counts points that were planned or recorded but could not be judged; with one missing nothing is
-    accepted, since (10) applies to every point. `covariance` (n, n) is that of delta g at the points,
+    accepted, since (10) applies to every point. `covariance` (n, n) is the covariance of delta g at the points,
     `contributions` are its parts by name. `population` is the prior distribution of delta g, over many blocks.
     """
 
@@ -150,12 +150,12 @@ class Verification:
 
     @property
     def expanded(self) -> float:
-        """Largest expanded uncertainty of the points, local g."""
+        """Largest expanded uncertainty of delta g over the points, local g."""
         return max(point.U for point in self.points)
 
     @property
     def tur(self) -> float:
-        """Least test uncertainty ratio of the points."""
+        """Smallest test uncertainty ratio over the points."""
         return min(point.tur for point in self.points)
 
     @property
@@ -209,7 +209,7 @@ class Verification:
 
     @cached_property
     def global_risk(self) -> GlobalRisk | None:
-        """Global risks of the rule over the population, at the point with the largest U, or None."""
+        """Global risks of the rule over the population, at the point with the largest U; None without one."""
         if self.population is None:
             return None
         point = max(self.points, key=lambda p: p.U)
@@ -229,15 +229,15 @@ def verify(
     joint: Mapping[str, Floats] | None = None,
     population: Population | None = None,
 ) -> Verification:
-    """Apply (9)-(10) to the verification rows of a table.
+    """Return the verdict of the paper's check (9)-(10) on the verification rows of a table.
 
     `g_ratio` is the gravity to which the coefficients refer, divided by local gravity; it differs from 1 for a
-    block calibrated elsewhere. u of each delta g, with degrees of freedom `dof`, follows from the `covariance` (12,
-    12) of the coefficients and from `reading_noise`, independent in each signal (unit of the signal; one size, or
-    one per channel). `joint` replaces both: parts by name, (n, n) each, of the covariance of |a| at the points, in
-    the gravity of the coefficients. The setting error of the head has no effect, because the modulus does not
-    depend on it. `rule` is one of `RULES`, a `DecisionRule`, or None for the default. Raises `CalibrationError` if
-    there is no verification row, K is singular or the rule is unknown.
+    block calibrated elsewhere. u of each delta g, with degrees of freedom `dof`, follows from the `covariance`
+    (12, 12) of the coefficients and from `reading_noise`, independent in each signal (unit of the signal; one
+    size, or one per channel). `joint` replaces both: parts by name, (n, n) each, of the covariance of |a| at the
+    points, in the gravity of the coefficients. The setting error of the head has no effect, because the modulus
+    does not depend on it. `rule` is one of `RULES`, a `DecisionRule`, or None for the default. Raises
+    `CalibrationError` if there is no verification row, K is singular or the rule is unknown.
     """
     rows = readings.verification()
     if len(rows) == 0:

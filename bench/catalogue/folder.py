@@ -106,7 +106,7 @@ _TIME: Final = re.compile(rb'"time": "([^"]{1,40})"')
 
 
 class RecordSeen:
-    """A record scanned as bytes, for speed: its hash chain, the run's state, and the steps with a reading."""
+    """The findings of a fast scan of a record as bytes: hash chain, state of the run, steps with a reading."""
 
     def __init__(self, folder: Path, manifest: Manifest, manifest_sha256: str) -> None:
         self.folder = folder
@@ -167,8 +167,9 @@ class RecordSeen:
 
     @property
     def proved(self) -> str:
-        """How thoroughly the record was verified: "read" (every event), "chain" (hashes only), "none", or "broken"
-        if the check failed.
+        """How thoroughly the record was verified.
+
+        It is "read" (every event), "chain" (hashes only), "none", or "broken" if the check failed.
         """
         if self.problem:
             return "broken"
@@ -221,7 +222,7 @@ class FolderEntry:
 
 
 def read_folder(path: str, fingerprint: str, *, whole: bool = False) -> FolderEntry:
-    """Return the rows of a run folder, or the reason why it has none; `whole` reads every event of the record."""
+    """Return the rows of a run folder, or the reason why it has none; `whole` reads every event of its record."""
     try:
         rows = _rows(Path(path), whole=whole)
         return FolderEntry(
@@ -381,7 +382,7 @@ def _diagnosis(data: Any, run: int, record: RecordSeen) -> dict[str, list[Row]]:
 
 
 def _statement(data: Any) -> str:
-    """Return the statement of a verdict; pass or fail for results of earlier versions, which have no statement."""
+    """Return the statement of a verdict; for results of earlier versions, which have none, pass or fail."""
     return str(data.get("statement") or ("pass" if data["passed"] else "fail"))
 
 

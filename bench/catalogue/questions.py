@@ -106,7 +106,9 @@ def _like(column: ColumnElement[Any], value: str) -> Condition:
 
 
 def _signed(operator: str, condition: Condition) -> Condition:
-    """Return the condition for `=`, its negation for `!=`. Raises `ValueError` for any other operator."""
+    """Return `condition` for the operator `=`, and its negation for `!=`. Raises `ValueError` for any other
+    operator.
+    """
     if operator == "=":
         return condition
     if operator == "!=":
@@ -300,7 +302,9 @@ class AnswerTable:
         return AskResult(query=list(query), of=of, count=len(self), rows=self.mappings())
 
     def write_csv(self, file: Path) -> None:
-        """Write the table as CSV (RFC 4180). A ' precedes texts that a spreadsheet would run as formulas."""
+        """Write the table as CSV (RFC 4180). Texts that a spreadsheet would run as formulas get a leading
+        apostrophe.
+        """
         text = io.StringIO()
         writer = csv.writer(text)
         writer.writerow(self.columns)
@@ -322,7 +326,7 @@ class AnswerTable:
 
 
 def answer(catalogue: Catalogue, query: Sequence[str], of: str = "runs") -> AnswerTable:
-    """Return the answer to a question: its runs, or what they have in common, by the kind `of` (see `KINDS`).
+    """Return the answer to a question: its runs, or the objects of another kind `of` (see `KINDS`) that they used.
 
     Raises `Refused` for an invalid question.
     """
@@ -409,10 +413,10 @@ def _grouped(column: ColumnElement[Any], *further: Any) -> Callable[[Condition],
 def _used(
     table: Table, key: ColumnElement[Any], names: str, order: str, *further: Any
 ) -> Callable[[Condition], Select[Any]]:
-    """Return the query of a kind of objects that runs used (instruments, certificates), sorted by `order`.
+    """Return the query for objects that runs used (instruments, certificates), sorted by `order`.
 
-    `table` has the objects, `key` is their column in `USES`, `names` and `order` are columns of `table`.
-    `further` are counts in addition to the numbers of runs and units.
+    `table` has the objects, `key` is their column in `USES`, `names` and `order` are columns of `table`. `further`
+    are counts in addition to the numbers of runs and units.
     """
     columns = [table.c[name] for name in names.split()]
 

@@ -1,9 +1,9 @@
-"""The catalogue's database, SQLite or PostgreSQL: its location, its tables, and the renewal of old ones.
+"""The catalogue's database, SQLite or PostgreSQL: its location, its tables, and the rebuilding of old ones.
 
 Values that were not recorded are NULL; times are UTC; sizes are SI with the unit in the name. A row's key is
-derived from the object it describes (the hash of `run.json`, an instrument's identity, …). Any number of
-programs, in any order and in any database, therefore write the same rows. Arrays are float64, little-endian, row
-by row.
+derived from the object that the row describes (the hash of `run.json`, an instrument's identity, …). Any number of
+programs, in any order and in any database, therefore write the same rows. Arrays are float64, little-endian, row by
+row.
 """
 
 from __future__ import annotations
@@ -244,7 +244,7 @@ _WRITES: Final = "writes"
 
 @dataclass(frozen=True)
 class Catalogue:
-    """An open catalogue. `where` names it, without a password; `engine` connects to the database.
+    """An open catalogue. `where` is its file or address, without a password; `engine` connects to the database.
 
     `renewed` is a sentence on the rebuilding of an older catalogue, otherwise empty.
     """
@@ -343,7 +343,10 @@ def _connect_args(kind: str) -> dict[str, Any]:
 
 
 def _prepare_file(file: Path, *, existing: bool) -> None:
-    """Create the folder of the file. Raises `Refused` for no file, or for a missing one that must exist."""
+    """Create the folder of the catalogue's file.
+
+    Raises `Refused` if the path is no file, or if the file is missing and must exist.
+    """
     if file.is_dir():
         raise Refused(f"{file}: is a folder; name a file for the catalogue")
     if existing and not file.is_file():
@@ -382,7 +385,10 @@ def _listen(engine: Engine) -> None:
 
 
 def _take_up_wal(connection: Any) -> None:
-    """Switch a file to a write-ahead log; retry, because SQLite fails at once if several programs do so."""
+    """Switch a database file to a write-ahead log.
+
+    Retry, because SQLite fails at once if several programs do so.
+    """
     until = time.monotonic() + BUSY_MS / 1e3
     while True:
         try:
@@ -424,7 +430,7 @@ def _with_tables(catalogue: Catalogue, *, renew: bool) -> Catalogue:
 
 
 def _schema_of(connection: Connection) -> int | None:
-    """Return the schema version; 0 for a catalogue that records none, None for a database that is no catalogue."""
+    """Return the schema version; 0 for a catalogue that records none, None if the database is no catalogue."""
     there = set(inspect(connection).get_table_names())
     if ABOUT.name in there:
         return int(connection.execute(select(ABOUT.c.schema)).scalar_one())
@@ -478,7 +484,7 @@ def forget_dues(connection: Connection, changed: ColumnElement[bool]) -> None:
 
 @contextmanager
 def _refusing(where: str) -> Iterator[None]:
-    """Turn a database error into `Refused` with a sentence."""
+    """Turn a database error within the context into `Refused`, with a sentence for the user."""
     from sqlalchemy.exc import DBAPIError, OperationalError
 
     try:

@@ -1,9 +1,9 @@
 """Synchronisation of the catalogue with run folders: new or changed ones are read, vanished ones marked.
 
-The folders are authoritative: a deleted catalogue is rebuilt from them. Many folders are read by worker
-processes. Rows are written in atomic batches, so that the next sync continues an interrupted one, and two at
-once lose nothing. A row's key is derived from the object it describes. A folder that was moved or renamed
-therefore gives the same run; a copy next to it is reported and counts once.
+The folders are authoritative: a deleted catalogue is rebuilt from them. Many folders are read by worker processes.
+Rows are written in atomic batches, so that the next sync continues an interrupted one, and simultaneous syncs lose
+nothing. A row's key is derived from the object that the row describes. A folder that was moved or renamed therefore
+gives the same run; a copy next to it is reported and counts once.
 """
 
 from __future__ import annotations
@@ -199,7 +199,7 @@ def _is_text(path: str) -> bool:
 
 
 def _unread(connection: Connection) -> set[str]:
-    """Return the folders whose runs were dropped with an older schema and can be read again."""
+    """Return the folders that must be read again because their runs were dropped with an older schema."""
     missing = FOLDERS.c.run.is_not(None) & FOLDERS.c.run.not_in(select(RUNS.c.id))
     paths = connection.execute(select(FOLDERS.c.path).where(missing)).scalars()
     return {path for path in paths if Path(path, MANIFEST).exists()}
@@ -349,7 +349,7 @@ def _mark_odd(connection: Connection, odd: dict[str, str]) -> None:
 
 
 def _write_registers(connection: Connection, registers: Sequence[str], done: Synced) -> None:
-    """Replace the rows of registers. A damaged one is reported as a problem, and its old rows stay."""
+    """Replace the rows of registers; a damaged register is reported as a problem, and keeps its old rows."""
     for folder in registers:
         try:
             rows = issued_in(folder)

@@ -77,7 +77,7 @@ def due_units(
     before: str | None = None,
     processes: int | None = None,
 ) -> DueResult:
-    """Return the due dates of the units of a question, earliest first, and the units without a date.
+    """Return the due dates of the units that a question selects, earliest first, and the units without a date.
 
     `limit_g` is the error allowed, by default the limit of each unit's last verification. `interval_days` applies
     to units without a sufficient history. `before` (ISO 8601) leaves out units that are due on that day or later.
@@ -187,7 +187,7 @@ def _reckon(
 
 
 def _keep(catalogue: Catalogue, found: Reckoned, asked: str) -> None:
-    """Cache the due dates of the units whose data have not changed since."""
+    """Cache the due dates of those units whose data have not changed since these dates were computed."""
     with suppress(Refused), catalogue.writing() as connection:  # read-only users get no cache
         for name, told, mark in found:
             if mark and _mark(connection, name) == mark:
@@ -256,7 +256,7 @@ def _calibration(table: CoefficientTable, k: int) -> UnitCalibration:
 
 
 def unit_calibrations(catalogue: Catalogue, unit: str) -> list[UnitCalibration]:
-    """Return the comparable calibrations of a unit, as in its history, for its figure.
+    """Return the comparable calibrations of a unit, as in its history, for the figure of the unit.
 
     Raises `Refused` if no unit or several have that name.
     """
@@ -265,9 +265,7 @@ def unit_calibrations(catalogue: Catalogue, unit: str) -> list[UnitCalibration]:
 
 
 def compared_of(catalogue: Catalogue, name: str) -> tuple[CoefficientTable, bool, list[str]]:
-    """Return the comparable calibrations of a unit, whether they are simulated, and notes on calibrations
-    left out.
-    """
+    """Return the comparable calibrations of a unit, whether they are simulated, and notes on those left out."""
     table = coefficient_table(catalogue, [f"unit={name}"])
     notes = [f"without {words}" for words in table.left_out]
     return *_compared(table, notes), notes
@@ -319,7 +317,7 @@ def _rows(table: CoefficientTable, mask: Mask) -> CoefficientTable:
 
 
 def _per_g(table: CoefficientTable, g_m_s2: float) -> CoefficientTable:
-    """Return the calibrations for another unit of acceleration, g = `g_m_s2` (m/s²); biases stay the same."""
+    """Return the calibrations with scale factors in unit/g for g = `g_m_s2` (m/s²); biases stay the same."""
     factor = to_gravity(table.g_m_s2, g_m_s2)
     return replace(
         table,
@@ -331,7 +329,7 @@ def _per_g(table: CoefficientTable, g_m_s2: float) -> CoefficientTable:
 
 
 def limit_of(catalogue: Catalogue, query: list[str]) -> float | None:
-    """Return the limit of the last verification among the runs of a question, local g.
+    """Return the limit of |Δg|, in local g, of the last verification among the runs of a question.
 
     None if no run states a limit.
     """
@@ -351,7 +349,7 @@ def limit_of(catalogue: Catalogue, query: list[str]) -> float | None:
 def due_of(
     table: CoefficientTable, limit_g: float | None, interval_days: float, *, simulated: bool
 ) -> tuple[Due | None, str]:
-    """Return the due date of a unit by its calibrations, or None and the reason for having none."""
+    """Return the due date of a unit from its calibrations, or None and the reason why there is none."""
     if not len(table):
         return None, "no trusted calibration has a date"
     if limit_g is None:

@@ -187,7 +187,7 @@ def measured_of(table: CoefficientTable) -> tuple[ComparedCalibrations, Mask, tu
 
 
 def _regular(table: CoefficientTable) -> Mask:
-    """Return the mask (n,) of the calibrations that determined all twelve coefficients."""
+    """Return the mask (n,) of the calibrations whose readings determined all twelve coefficients."""
     variance = np.diagonal(table.covariance, axis1=1, axis2=2)
     return np.asarray(np.all(variance > 0, axis=1) & np.all(np.isfinite(variance), axis=1))
 

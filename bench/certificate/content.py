@@ -81,8 +81,8 @@ class Values:
 class Condition:
     """A quantity that influences the calibration, and its range `low` to `high` during the run, in `unit`.
 
-    `key` is the key of its name in `words.yaml`; `about`, such as the supply rail, fills the blank in that
-    name. `u` is the standard uncertainty of the quantity, None if only the range is known. `source` names the
+    `key` is the key of the quantity's name in `words.yaml`; `about`, such as the supply rail, fills the blank in
+    that name. `u` is the standard uncertainty of the quantity, None if only the range is known. `source` names the
     sensor or the estimate behind the values.
     """
 
@@ -99,8 +99,8 @@ class Condition:
 class Instrument:
     """An instrument used in the run, with its certificate on the day of the run.
 
-    `identity` is its answer to the identification query. `foreign` is true if the certificate belongs to
-    another instrument. `why_not` is the reason why the corrections in the certificate were not applied.
+    `identity` is the instrument's answer to the identification query. `foreign` is true if the certificate belongs
+    to another instrument. `why_not` is the reason why the corrections in the certificate were not applied.
     """
 
     name: str
@@ -143,7 +143,7 @@ class Item:
 class Method:
     """The calibration method: procedure, hash of the plan, estimator and measurement model.
 
-    `procedure` and `plan_hash` are empty where the record does not state them, as in some imported readings.
+    `procedure` and `plan_hash` are empty if the record does not state them, as for some imported readings.
     """
 
     procedure: str
@@ -232,7 +232,7 @@ class Issue:
 
     @property
     def day(self) -> str:
-        """The day on which it was issued."""
+        """The day on which the certificate was issued."""
         return self.issued[:10]
 
 
@@ -308,7 +308,7 @@ class Certificate:
 
     @property
     def state(self) -> str:
-        """Whether the results show the unit as found or as left; empty if not stated."""
+        """The state of the unit to which the results apply, as found or as left; empty if not stated."""
         return "" if self.unit is None else self.unit.state
 
     @property
@@ -381,7 +381,7 @@ def uncertified(found: RunFindings) -> tuple[str, ...]:
 
 
 def rule_said(say: Callable[..., Said], rule: DecisionRule) -> Said:
-    """Return a decision rule in words; `say` returns the text for a key in `words.yaml`."""
+    """Return a decision rule in words, made by `say`, which returns the text for a key in `words.yaml`."""
     if rule.guard_band is None:
         return say("rule_unstated", times=f"{100 * FALSE_ACCEPTANCE:g}")
     return say(_RULES[rule.name], times=f"{rule.guard_band:g}")

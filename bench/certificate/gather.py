@@ -88,10 +88,7 @@ def _house_rule(laboratory: Laboratory | None) -> DecisionRule | None:
 
 
 def texts_for(laboratory: Laboratory | None) -> tuple[Texts, ...]:
-    """Return the texts in each language of a laboratory, with its own wordings.
-
-    In English if there is no laboratory.
-    """
+    """Return the texts in each language of a laboratory, with its own wordings; English without a laboratory."""
     if laboratory is None:
         return (texts_of(_FIRST_LANGUAGE),)
     return tuple(
@@ -330,7 +327,7 @@ def _contributions(result: CalibrationResult) -> Iterator[Contribution]:
 
 
 def _result_json(run: Run, result: CalibrationResult, verdict: VerificationResult | None) -> str:
-    """Return the result and the verdict as JSON; the run's name replaces every path of its local folder."""
+    """Return the result and the verdict as JSON; paths in the run's local folder are replaced by its name."""
     told = {**result.to_dict(), "verification": None if verdict is None else verdict.to_dict()}
     told["source"] = run.name
     for part in (told, told["verification"] or {}):

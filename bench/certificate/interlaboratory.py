@@ -39,7 +39,9 @@ SHA256: Final = re.compile(r"[0-9a-f]{64}")
 
 @dataclass(frozen=True)
 class Stop:
-    """One stop of the block: its blind `code`, the laboratory, whether this is the pilot, and the seal if given."""
+    """One stop of the block: its blind `code`, the laboratory, whether it is the pilot, and the seal of its result
+    if given.
+    """
 
     code: str
     laboratory: str
@@ -55,7 +57,7 @@ class Kit:
     stops: tuple[Stop, ...] = field(default_factory=tuple)
 
     def stop(self, code: str) -> Stop:
-        """Return the stop of a code. Raises `Refused` for an unknown one."""
+        """Return the stop with a blind code. Raises `Refused` for an unknown code."""
         found = next((stop for stop in self.stops if stop.code == code), None)
         if found is None:
             raise Refused(f"{code}: no such code; the plan has {', '.join(s.code for s in self.stops)}")
@@ -65,8 +67,8 @@ class Kit:
 def plan_kit(block: str, laboratories: Sequence[str], seed: int) -> Kit:
     """Return the plan: the first laboratory is the pilot, which measures first, after every two others, and last.
 
-    `seed` draws the order of the others and the codes. Raises `Refused` for fewer than three laboratories, or a
-    name given twice.
+    The order of the other laboratories and the codes are random, drawn with `seed`. Raises `Refused` for fewer than
+    three laboratories, or a name given twice.
     """
     if len(laboratories) < 3 or len(set(laboratories)) < len(laboratories):
         raise Refused("--laboratory: name three or more, each once, the pilot first")
@@ -84,7 +86,7 @@ def plan_kit(block: str, laboratories: Sequence[str], seed: int) -> Kit:
 
 
 def write_kit(path: Path, kit: Kit) -> None:
-    """Write the plan as YAML; the coordinator keeps it, since it says whose each code is."""
+    """Write the plan as YAML; only the coordinator may have it, because it maps codes to laboratories."""
     stops = [
         {"code": s.code, "laboratory": s.laboratory, "pilot": s.pilot, "check": CHECK, "seal": s.seal}
         for s in kit.stops
@@ -113,7 +115,7 @@ def load_kit(path: Path) -> Kit:
 
 
 def seal_of(result: str) -> str:
-    """Return the seal of a result: the SHA-256 of its file, or the seal itself if it is one."""
+    """Return the seal of a result: the SHA-256 of the file `result`, or `result` itself if it is a seal."""
     if SHA256.fullmatch(result):
         return result
     try:
@@ -123,7 +125,7 @@ def seal_of(result: str) -> str:
 
 
 def sealed(kit: Kit, given: Mapping[str, str]) -> Kit:
-    """Return the plan with the seals of results by code. Raises `Refused` for a code that is sealed already."""
+    """Return the plan with the seals of results, given by code. Raises `Refused` for a code already sealed."""
     for code in given:
         if kit.stop(code).seal not in {"", seal_of(given[code])}:
             raise Refused(f"{code}: is sealed already with another result; agree on a new code")
@@ -138,12 +140,12 @@ def evaluate_kit(
     g_m_s2: float | None = None,
     checks: Mapping[str, Sequence[str]] | None = None,
 ) -> KitResult:
-    """Return the evaluation of results by code: files of `calibrate --json`, or DCCs (XML, PDF) of any program.
+    """Return the evaluation of results, given by code: files of `calibrate --json`, or DCCs (XML, PDF) of any
+    program.
 
-    `g_m_s2` is the local gravity of certificates that do not state it. `checks` are readings of monitors by code,
-    in order of time. What the block changed between them and between the pilot's stops, beyond u, widens u of each
-    difference. Raises `Refused` if a seal is missing or
-    broken, or a stop has no result.
+    `g_m_s2` is the local gravity (m/s²) of certificates that do not state it. `checks` are readings of monitors by
+    code, in order of time. Changes of the block between monitors and between the pilot's stops, in excess of u,
+    widen the u of each difference. Raises `Refused` if a seal is missing or broken, or a stop has no result.
     """
     problems = [f"{s.code}: no result is given" for s in kit.stops if s.code not in given]
     problems += [
@@ -189,7 +191,10 @@ _Seen = tuple[str, str, Literal["calibration", "monitor"], Drift]
 
 
 def _between_pilots(pilots: Sequence[str], there: Mapping[str, Snapshot]) -> Iterator[_Seen]:
-    """Yield the change of the nine from each stop of the pilot to its next; errors that both share cancel."""
+    """Yield the change of the nine intrinsic numbers from each stop of the pilot to its next.
+
+    Errors that both stops share cancel.
+    """
     for first, last in pairwise(pilots):
         nine = [there[code].per(STANDARD_GRAVITY).in_nine() for code in (first, last)]
         covariance = joint_of(nine).of_sums(np.tile([-1.0, 1.0], (len(INTRINSIC), 1)))
@@ -197,7 +202,7 @@ def _between_pilots(pilots: Sequence[str], there: Mapping[str, Snapshot]) -> Ite
 
 
 def _between_checks(kit: Kit, checks: Mapping[str, Sequence[str]]) -> Iterator[_Seen]:
-    """Yield the change between successive monitors at one stop, and between those of the pilot's stops."""
+    """Yield the change of the block between successive monitors at one stop, and between the pilot's stops."""
     before: tuple[str, CheckRun] | None = None
     for stop in sorted(kit.stops, key=lambda stop: not stop.pilot):
         of_stop = Request(list(checks.get(stop.code, ())), runs_folder(None))
@@ -229,7 +234,7 @@ def _notes(one: Snapshot) -> Iterator[str]:
 
 
 def _by_code(given: Sequence[str]) -> dict[str, list[str]]:
-    """Return the files by code. Raises `Refused` for one that is not given as CODE=FILE."""
+    """Return the files by code. Raises `Refused` for a text that is not CODE=FILE."""
     files: dict[str, list[str]] = {}
     for code, _, file in (one.partition("=") for one in given):
         if not code or not file:
@@ -261,7 +266,7 @@ def kit_planned(request: PlanKit) -> Kit:
 def kit_sealed(request: SealKit) -> Kit:
     """Note the seal (SHA-256) of each result, given as CODE=FILE, in the plan; return the plan.
 
-    Raises `Refused` for an unknown code, or one that is sealed with another result.
+    Raises `Refused` for an unknown code, or for one that is sealed with another result.
     """
     path = Path(request.plan)
     kit = sealed(load_kit(path), _results(request))
@@ -270,10 +275,10 @@ def kit_sealed(request: SealKit) -> Kit:
 
 
 def kit_evaluated(request: EvaluateKit) -> KitResult:
-    """Return each laboratory against the consensus of the others in the nine numbers, as `bench kit evaluate` does.
+    """Compare each laboratory with the consensus of the others, as `bench kit evaluate` does.
 
-    Results and checks are given as CODE=FILE. Raises `Refused` if a seal is missing or broken, or a stop has no
-    result.
+    The comparison is in the nine intrinsic numbers. Results and checks are given as CODE=FILE. Raises `Refused` if
+    a seal is missing or broken, or a stop has no result.
     """
     return evaluate_kit(load_kit(Path(request.plan)), _results(request), request.g, _by_code(request.check))
 

@@ -72,8 +72,8 @@ def texts_of(language: str) -> Texts:
 class OnCertificate:
     """A mark for a field of a laboratory or order file that is printed on the certificate under its own name.
 
-    `page` is the page of the PDF. `otherwise` is a key in `words.yaml`. If it is set, the row is always printed,
-    with the text of `otherwise` if the file does not state the field; such rows come first.
+    `page` is the page of the PDF. If `otherwise`, a key in `words.yaml`, is set, the row is always printed: a field
+    that the file does not state then has this text. Such rows come first.
     """
 
     page: Literal["front", "method", "conditions"]
@@ -82,7 +82,7 @@ class OnCertificate:
 
 @dataclass(frozen=True)
 class StatedField:
-    """A field for a certificate: the key of its label, its `texts` (possibly none) and its place."""
+    """A field for a certificate: the key of its label, its `texts` (possibly none) and its page."""
 
     key: str
     texts: tuple[str, ...]
@@ -242,9 +242,10 @@ class Laboratory(Contact, StatedRule):
         return (SIMULATED_SERIES if simulated else "") + _FIELD.sub(filled, self.numbers)
 
     def authorised_person(self, name: str, option: str = "--authorised-by") -> Person:
-        """Return the person of this name, who may authorise: of the register of persons, or else of the file.
+        """Return the person of this name who may authorise certificates.
 
-        Raises `Refused`, naming the option, for anybody else.
+        The person must be in the register of persons or, without a register, in the laboratory file. Raises
+        `Refused`, naming the option, for anybody else.
         """
         from bench.services.persons import authorised_by
 
@@ -288,7 +289,9 @@ class Adjusted(FileModel):
 
 
 class External(FileModel):
-    """Results that another body provided: `what` they are, `by` whom (ISO/IEC 17025:2017, 7.8.2.1 p)."""
+    """Results from an external provider: `what` they are, `by` whom they were provided (ISO/IEC 17025:2017, 7.8.2.1
+    p).
+    """
 
     what: str
     by: str
@@ -306,10 +309,10 @@ class Supplied(FileModel):
 
 
 class UnitOrder(FileModel):
-    """A unit of an order: its receipt, its condition, and whether the run shows it as found or as left.
+    """A unit in an order: its receipt, its condition, and whether the run shows it as found or as left.
 
-    An entry without `serial` applies to all units. `calibrated` is the day of calibration for imported
-    readings without a date. `deviations` are deviations from the method.
+    An entry without `serial` applies to all units. `calibrated` is the day of calibration for imported readings
+    without a date. `deviations` are deviations from the method.
     """
 
     serial: str | None = None

@@ -91,7 +91,7 @@ def laboratory_in(file: Path | None) -> Laboratory:
 
 
 def _outcome(run: str, number: str | None = None, **told: Any) -> IssuedRun:
-    """Return the outcome for a run; `told` replaces the default members."""
+    """Return the outcome for a run; `told` replaces members that otherwise have default values."""
     usual: dict[str, Any] = {"files": [], "why": None, "issued_before": False, "lacks": []}
     return IssuedRun(run=run, number=number, **{**usual, **told})
 
@@ -159,7 +159,10 @@ def _issue(
 
 
 def _wanted(name: str, desk: Desk, laboratory: Laboratory, order: Order) -> Certificate:
-    """Return the certificate of a run. Raises `Refused` where the laboratory demands a validated program."""
+    """Return the certificate of a run.
+
+    Raises `Refused` if the laboratory requires a validated program and this program is not validated.
+    """
     certificate = certificate_of(name, desk.runs, laboratory, order)
     if laboratory.require_validation and not certificate.simulated:
         from bench.services.validated import refuse_unvalidated_certificate
@@ -195,7 +198,7 @@ def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) ->
 
 
 def revoke(request: RevokeCertificate) -> None:
-    """Record the revocation of a certificate. Raises `Refused` for one that is not valid now."""
+    """Record the revocation of a certificate. Raises `Refused` if it is not valid now."""
     laboratory = laboratory_in(request.laboratory)
     if request.authorised_by is None:
         raise Refused("give --authorised-by NAME")
@@ -207,7 +210,7 @@ def revoke(request: RevokeCertificate) -> None:
 
 
 def holds(register: Register, number: str) -> NumberStatus:
-    """Return the status of a valid certificate. Raises `Refused` if it is no longer valid or was never issued."""
+    """Return the status of a certificate number. Raises `Refused` unless that certificate is valid now."""
     standing = issued(register, number)
     if standing.state != ISSUED:
         told = f"by {standing.by}" if standing.state != REVOKED else f": {standing.by}"
@@ -348,10 +351,10 @@ def made_again(register: Register, number: str, runs: Path) -> Bodies:
 
 
 def checked(request: CheckRegister) -> tuple[RegisterResult, list[Path]]:
-    """Return the content of a register, for one certificate number or all, and the files copied to `request.out`.
+    """Return the content of a register, for one certificate number or all, and the paths of copied files.
 
-    With `request.again`, each certificate is reproduced from its record and compared. Raises `Refused` for a number
-    that was never issued.
+    The files are copied to `request.out`. With `request.again`, each certificate is reproduced from its record and
+    compared. Raises `Refused` for a number that was never issued.
     """
     if request.out is not None and request.number is None:
         raise Refused("--out: give the number of the certificate to hand out")

@@ -43,7 +43,7 @@ def attachments_of(certificate: Certificate, dcc: bytes) -> tuple[Attached, ...]
 def data_of(certificate: Certificate, dcc: bytes) -> dict[str, Any]:
     """Return the input data of the page template. Raises `Refused` for a logo that is not a picture.
 
-    Numbers, figures and texts that are not in `words.yaml` are in the main language.
+    Numbers, figures, and texts that do not come from `words.yaml`, are in the main language only.
     """
     with speaking(known_language(certificate.texts[0].language) or ENGLISH):
         return _data_of(certificate, dcc)

@@ -1,4 +1,4 @@
-"""The blocks of the pages after the first: method, conditions, results, conformity, record."""
+"""The contents of a certificate's pages after the first: method, conditions, results, conformity, record."""
 
 from __future__ import annotations
 
@@ -81,7 +81,8 @@ class Writer:
         *,
         whole: bool = False,
     ) -> Block:
-        """Return a table block: `align` has l or r for each column, `columns` "auto" or a share of the width.
+        """Return a table block: `align` has "l" or "r" for each column; `columns` has the width of each, "auto" or
+        a share.
 
         A `whole` table is kept on one page.
         """
@@ -108,7 +109,7 @@ def symbol(name: str) -> Cell:
 
 
 def value_cells(value: Value, size: float = 1.0, unit: str = "") -> list[Cell]:
-    """Return the cells of a result in units of `size`: name, value, U, k, degrees of freedom, unit."""
+    """Return the cells of a result: name, value, U, k, degrees of freedom, unit; numbers are in units of `size`."""
     U = value.U / size
     freedom = (
         "∞"
@@ -162,7 +163,7 @@ def code(text: str) -> Cell:
 
 
 def broken(digest: str) -> list[Cell]:
-    """Return the cells for a hash, one for each line."""
+    """Return a hash divided into table cells, one for each line."""
     return [code(digest[at : at + _CODE_LENGTH]) for at in range(0, len(digest), _CODE_LENGTH)]
 
 
@@ -174,7 +175,7 @@ def span(low: float, high: float, u: float | None, unit: str) -> str:
 
 
 def plain(told: Any) -> Any:
-    """Return data with control characters made visible, so that no text can hide anything on the page."""
+    """Return data with control characters made visible, so that no text can hide another on the page."""
     if isinstance(told, dict):
         return {name: plain(of) for name, of in told.items()}
     if isinstance(told, list | tuple):
@@ -187,7 +188,10 @@ _RESULT_COLUMNS: Final = ["auto", 1.2, 1, 0.7, 0.8, 0.6]
 
 
 def pages(certificate: Certificate, write: Writer, attached: list[tuple[str, str, str]]) -> list[Block]:
-    """Return the blocks after the first page; `attached` lists name, description and SHA-256 of each file."""
+    """Return the blocks of the certificate's pages after the first.
+
+    `attached` lists name, description and SHA-256 of each attached file.
+    """
     found = certificate.found
     return [
         *_method(certificate, write),

@@ -48,10 +48,10 @@ class Unsigned(NotIntact):
 
 @dataclass(frozen=True)
 class SignedXml:
-    """A signed XML: its `content` in canonical form, without comments and signature, and the signer's `chain`.
+    """A signed XML: its `content` in canonical form, without comments and signature, and the signer's certificate
+    `chain`.
 
-    `signed_at` is the time by the signer's clock. `comments` counts the comments in the file, which are not
-    signed.
+    `signed_at` is the time by the signer's clock. `comments` counts the comments in the file, which are not signed.
     """
 
     content: bytes
@@ -276,7 +276,7 @@ def sign_pdf(body: bytes, signatory: Signatory, now: datetime, reason: str, plac
 
     class Writer(IncrementalPdfFileWriter):
         def ensure_output_version(self, version: Any) -> None:
-            """Keep the version 1.7, which PDF/A-3 requires; PAdES requires only its extension (ESIC)."""
+            """Keep PDF version 1.7, as PDF/A-3 requires; for PAdES, its extension ESIC suffices."""
 
     told = signers.PdfSignatureMetadata(
         field_name=FIELD,
@@ -353,10 +353,10 @@ def _written_anew(content: bytes) -> bytes:
 
 
 def _check_wrapping(data: Any, signer: Any) -> None:
-    """Raise `NotIntact` if the parts of the CMS structure that no signature covers differ from what is written.
+    """Raise `NotIntact` if parts of the CMS structure that no signature covers are not as this program writes them.
 
-    They are the versions, the digest algorithms and the unsigned attributes (RFC 5652, 5.1, 5.3). Some readers
-    ignore them.
+    These parts are the versions, the digest algorithms and the unsigned attributes (RFC 5652, 5.1, 5.3). Some
+    readers ignore them.
     """
     from asn1crypto.algos import DigestAlgorithm
     from asn1crypto.core import Null

@@ -67,11 +67,11 @@ UNKNOWN: Final = (
 class Verdict:
     """The findings on a certificate.
 
-    `wrong` lists the reasons why it is not intact, `agreed` the comparisons that agreed, `not_signed` what the
-    signature does not cover, and `not_proved` what the verification cannot show. `why_not_trusted` is None
-    without a trust file and "" for a trusted signer. `shown` are the values in the certificate, also if it is
-    `unsigned`. `standing` is None if no register is available. `issued` is false for a file that cannot be an
-    issued certificate.
+    `wrong` lists the reasons why it is not intact, and `agreed` the comparisons that succeeded. `not_signed` lists
+    what the signature does not cover, `not_proved` what the verification cannot show. `why_not_trusted` is None
+    without a trust file and "" for a trusted signer. `shown` are the values in the certificate, even if it is
+    `unsigned`. `standing` is its status in the register, None if no register is available. `issued` is false for a
+    file that cannot be an issued certificate.
     """
 
     file: str
@@ -95,8 +95,7 @@ class Verdict:
 
     @property
     def accepted(self) -> bool:
-        """Whether the certificate is intact, its signer is not distrusted, and its number is valid, as far as each
-        was checked.
+        """Whether the certificate is intact, the signer trusted and the number valid, as far as each was checked.
 
         An unsigned certificate is accepted only if a register that the user named contains it. A register found in
         the file's folder is not enough, because anybody can write one.
@@ -215,7 +214,7 @@ def _verify_xml(verdict: Verdict, document: bytes, trusted: Sequence[Certificate
 
 
 def _signed_or_not(document: bytes) -> tuple[SignedXml | None, bytes]:
-    """Return the signature of an XML, None if it is unsigned, and the content of the XML."""
+    """Return the signature of an XML (None if it is unsigned) and the XML's content."""
     try:
         signed = check_xml(document)
     except Unsigned:
@@ -276,7 +275,10 @@ def _agree(verdict: Verdict, shown: ShownValues, attached: dict[str, bytes], tit
 
 
 def _hold_together(verdict: Verdict, file: bytes, document: bytes, name: str) -> None:
-    """Verify the PDF in the folder of an XML, and compare the XML inside the PDF with it. Raises `NotIntact`."""
+    """Verify the PDF in the folder of an XML, and compare the XML inside the PDF with the separate one.
+
+    Raises `NotIntact`.
+    """
     apart = Verdict(name)
     try:
         attached = _verify_pdf(apart, file, None)
@@ -344,11 +346,11 @@ def _agree_on_numbers(shown: ShownValues) -> None:
 
 
 def against_record(verdict: Verdict, shown: ShownValues, runs: Path) -> None:
-    """Compare a certificate with the record of its run, if `runs` has it.
+    """Compare a certificate with the record of its run, if `runs` contains it.
 
-    A run of the same name with other inputs (`run.json`) is another record. In the right record the chain of hashes
-    must end as in the seal, and the readings must give the same result: every digit on the same computer, within a
-    small part of u on another, whose libraries may round differently.
+    A run of the same name with other inputs (`run.json`) is a different record. In the right record, the chain of
+    hashes must end as in the seal, and the readings must give the same result. On the same computer every digit
+    must agree; on another, whose libraries may round differently, a small fraction of u is tolerated.
     """
     try:
         seal = Seal.from_json(json.loads(shown.files["seal.json"]))
@@ -389,7 +391,7 @@ def against_record(verdict: Verdict, shown: ShownValues, runs: Path) -> None:
 
 
 def _recorded(seal: Seal, runs: Path) -> Run | None:
-    """Return the sealed run in the folder `runs`, None if it or its inputs are not there."""
+    """Return the sealed run in the folder `runs`; None if the run or its inputs are not there."""
     if not seal.run or Path(seal.run).name != seal.run or not (runs / seal.run).is_dir():
         return None
     run = find_run(seal.run, runs)

@@ -50,7 +50,7 @@ def _common(
 
 @cache
 def _program() -> Any:
-    """Return the group of commands: the library would make it, and each command known by then, at every call."""
+    """Return the group of commands, made once; the library would make it again at every call."""
     return get_command(app)
 
 
@@ -84,7 +84,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _command_in(given: list[str]) -> str:
-    """Return the command among the arguments as a message names it, such as "bench run"."""
+    """Return the command that the arguments name, as messages write it, such as "bench run"."""
     return " ".join(["bench", *[word for word in given if word in COMMANDS][:1]])
 
 

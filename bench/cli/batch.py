@@ -51,7 +51,10 @@ def show(
 
 
 def _carried_out(request: Batch, json: str | None) -> BatchResult:
-    """Carry out or continue a batch, print and return its result; show progress as a bar, or as lines for a log."""
+    """Carry out or continue a batch; print and return its result.
+
+    Progress is shown as a bar, or as lines for a log if standard error is not a terminal.
+    """
     one_thread()
     import duckdb  # noqa: F401 - fail now if it is missing
     import pyarrow  # noqa: F401

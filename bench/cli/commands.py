@@ -1,6 +1,6 @@
 """The commands and their help. A command's module is imported when it is used, so that `bench --help` is quick.
 
-The help shows common options first; the others only where the whole help is asked for.
+The help shows common options; `--help-all` shows all options.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _VALUES: Final = {"int": "N", "int range": "N", "float": "X", "float range": "X"
 
 
 def ask_whole_help(ctx: Any) -> None:
-    """Make the help of a context's command, and of its subcommands, show all options."""
+    """Make the help of the context's command, and of its subcommands, show all options."""
     ctx.meta[_ASKED] = True
 
 
@@ -34,7 +34,7 @@ def is_whole_help(ctx: Any) -> bool:
 
 
 def with_plain_help(ctx: Any, args: list[str]) -> list[str]:
-    """Replace `--help-all` by `--help` in the arguments, and note that the whole help is requested."""
+    """Replace `--help-all` by `--help` in the arguments; note in the context that the whole help is requested."""
     options = args[: args.index("--")] if "--" in args else args
     if WHOLE not in options:
         return args
@@ -44,19 +44,19 @@ def with_plain_help(ctx: Any, args: list[str]) -> list[str]:
 
 
 def argument_name(argument: Any) -> str:
-    """Return how the help names an argument."""
+    """Return the name of an argument as the help shows it."""
     return str(argument.metavar or argument.name.upper())
 
 
 class BenchCommand(TyperCommand):
-    """A command whose help shows the common options, and all of them with `--help-all`."""
+    """A command whose help shows the common options; with `--help-all`, all options."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments; `--help-all` shows the whole help."""
         return list(super().parse_args(ctx, with_plain_help(ctx, args)))
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """Return the arguments, in brackets where optional, and then the options."""
+        """Return the parts of the usage line: the arguments, optional ones in brackets, then the options."""
         arguments = [one for one in self.params if one.param_type_name == "argument"]
         return [*map(_in_usage, arguments), "[OPTIONS]"]
 
@@ -86,10 +86,10 @@ class BenchCommand(TyperCommand):
 
 
 class CommandGroup(TyperGroup):
-    """A group of commands whose help lists each with its whole summary."""
+    """A group of commands whose help shows the whole summary of each."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the arguments; `--help-all` in place of a command shows the whole help of the group."""
+        """Parse the arguments; `--help-all` instead of a command shows the whole help of the group."""
         given = with_plain_help(ctx, args) if args[:1] == [WHOLE] else args
         return list(super().parse_args(ctx, given))
 
@@ -207,7 +207,7 @@ class Commands(CommandGroup):
         return load_command(cmd_name) if cmd_name in COMMANDS else None
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write the common commands on one screen; all commands and options if the whole help is asked for."""
+        """Write the common commands on one screen; all commands and options if the whole help is requested."""
         if is_whole_help(ctx):
             super().format_help(ctx, formatter)
             return
@@ -241,7 +241,7 @@ class Commands(CommandGroup):
 def load_command(name: str) -> Any:
     """Import the module of a command; return the library's object for the command or the group of commands.
 
-    It is made once: the library evaluates all annotations of the command again each time.
+    The object is cached, because the library evaluates all annotations of the command each time it makes one.
     """
     word = name.replace("-", "_") + "_" * iskeyword(name)
     module = import_module(f"bench.cli.{MODULES.get(name, word)}")

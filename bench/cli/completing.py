@@ -18,7 +18,7 @@ def runs(ctx: typer.Context, incomplete: str) -> list[str]:
 
 
 def sources(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the matching runs, and the matching readings files in the folder typed so far."""
+    """Return the matching runs, and the matching readings files in the folder part of `incomplete`."""
     return [*runs(ctx, incomplete), *_files(incomplete, ".csv")]
 
 
@@ -43,7 +43,7 @@ def _shipped(incomplete: str, kind: str) -> list[str]:
 
 
 def _files(incomplete: str, suffix: str) -> list[str]:
-    """Return the matching files with a suffix, and the matching folders, as they would be typed."""
+    """Return the matching files with a suffix, and the matching folders, as a user would type them."""
     typed, _, begun = incomplete.rpartition("/")
     lead = f"{typed}/" if "/" in incomplete else ""
     try:

@@ -63,7 +63,9 @@ def calibrate(
 def _each(
     requests: Sequence[Calibrate | Verify], work: Callable[[Source], T], json: str | None, out: Path | None
 ) -> list[T | Failed]:
-    """Read the source of each request and print its bench file; return the result of `work`, or a `Failed`."""
+    """Read the source of each request and print its bench file; return for each the result of `work`, or a
+    `Failed`.
+    """
     from bench.services.source import done, each, load_each, reading
 
     loaded = load_each(reading(requests[0], *(one.source for one in requests), out=out))

@@ -47,7 +47,10 @@ def instruments(request: InstrumentsRequest, json: JsonOption = None) -> int:
 
 
 def _named(bench: str | None) -> str | None:
-    """Return the bench file named, or None if BENCH_FILE names one. Raises `Refused` if neither does."""
+    """Return `bench`, the bench file named on the command line, or None if BENCH_FILE names one.
+
+    Raises `Refused` if neither names one.
+    """
     if not (bench or os.environ.get("BENCH_FILE")):
         raise Refused(
             "no bench file named; give --bench FILE or set BENCH_FILE (--discover lists what is connected)"
@@ -243,7 +246,10 @@ def _show(bench: BenchFile, serving: Serving) -> None:
 
 @contextmanager
 def _held(host: str, port: int | None) -> Iterator[None]:
-    """Lock the first port if one was chosen. A second program is refused, with a message that names the holder."""
+    """Lock the first port if the user chose one.
+
+    A second program on the port is refused, with a message that names the program that uses it.
+    """
     from bench.base.files import cache_folder
     from bench.run.assembly.served import HELD
     from drivers.wire.resources import Holding

@@ -47,7 +47,7 @@ def run(request: RunRequest, json: JsonOption = None) -> int:
 
 
 def _measured(request: RunRequest, json: str | None) -> tuple[Run, int]:
-    """Carry out a run and print its results; return it with the exit status."""
+    """Carry out a run and print its results; return the run and the exit status."""
     from bench.services.execution import started
 
     out = printing.console(json=json)

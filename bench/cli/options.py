@@ -33,8 +33,9 @@ devices_given: ContextVar[tuple[str, ...]] = ContextVar("devices_given", default
 
 
 def with_own_parts(command: Any) -> Any:
-    """Return a command with the option `--devices` if it uses a bench file, and `--effects` if it uses a bench file
-    or a model.
+    """Return a command with the options for the user's own devices and effects.
+
+    `--devices` is added if the command uses a bench file, `--effects` if it uses a bench file or a model.
     """
     takes = {parameter.name for parameter in command.params}
     if command.name == "resume" or "bench" in takes:
@@ -61,7 +62,7 @@ def _use_language(ctx: typer.Context, name: str | None) -> None:
 
 
 def _folder_or_file(name: str, metavar: str, words: str, use: Callable[..., None]) -> Any:
-    """Return a repeatable option."""
+    """Return a repeatable option whose value is a folder or file, which `use` receives."""
     return _own_option(name, metavar, words, use, list[str] | None)
 
 
@@ -159,8 +160,9 @@ def group(name: str, example: str, cls: type[CommandGroup] = CommandGroup) -> ty
 
 
 class WithEstimators(BenchCommand):
-    """A command whose help names the estimators; they are looked up only for the help, because that takes a
-    second.
+    """A command whose help names the estimators.
+
+    They are looked up only for the help, because that takes a second.
     """
 
     def get_help(self, ctx: Any) -> str:
@@ -196,7 +198,8 @@ StrictFitOption = Annotated[
 def requested(command: Callable[..., int]) -> Callable[..., int]:
     """Return a command whose options are the fields of its request, which it constructs from them.
 
-    A command whose first parameter is a list of requests takes several sources; each request has one of them.
+    A command whose first parameter is a list of requests accepts several sources, and receives one request for
+    each.
     """
     hints = get_type_hints(command, include_extras=True)
     name, request, several = next(_requests(hints))
@@ -269,7 +272,10 @@ def _older(field: RequestField) -> inspect.Parameter:
 
 
 def _in_either_way(field: RequestField, argument: Any, option: Any) -> Any:
-    """Return the value of an argument that may also be given as an option. Raises `Refused` for two values."""
+    """Return the value of a command's argument that may also be given as an option.
+
+    Raises `Refused` if both are given.
+    """
     if option is None:
         return argument
     if argument not in {field.default, option}:

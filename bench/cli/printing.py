@@ -91,7 +91,7 @@ def told(
     show: Callable[[Console], None],
     files: Iterable[tuple[str, Path, str | bytes]] = (),
 ) -> int:
-    """Print a result by `show`, write its derived `files`, then its JSON; return the exit status 0."""
+    """Print a result with `show`, write its derived `files`, then its JSON; return the exit status 0."""
     out = console(json=json)
     show(out)
     write_files(files, out, asked=True)
@@ -100,9 +100,9 @@ def told(
 
 
 def failed(results: Sequence[object]) -> bool:
-    """Print each source that could not be evaluated, in a line; return whether there is any.
+    """Print a line for each source that could not be evaluated; return whether there is any.
 
-    Raises `Refused` if several failed for the same reason, because the cause is then not the sources.
+    Raises `Refused` if several failed for the same reason, because the sources are then not its cause.
     """
     from bench.services.source import failures
 
@@ -117,9 +117,9 @@ def failed(results: Sequence[object]) -> bool:
 
 
 def write_beside(path: Path, text: str | bytes, *, asked: bool) -> bool:
-    """Write a derived file; return whether it was written.
+    """Write a derived file beside its source; return whether it was written.
 
-    If the place is not writable, a requested file (`asked`) raises `OSError`; any other file is left out, with a
+    If the folder is not writable, a requested file (`asked`) raises `OSError`; any other file is left out, with a
     note.
     """
     from bench.base.files import write_whole
@@ -138,7 +138,7 @@ def write_beside(path: Path, text: str | bytes, *, asked: bool) -> bool:
 def write_result(
     source: Source, command: str, result: dict[str, Any], *, what_if: bool = False
 ) -> Path | None:
-    """Write the result of a command to its place for a source; return the file, None if it cannot be written.
+    """Write a command's result to its usual file for a source; return the file, None if it cannot be written.
 
     A result with other options than the run's (`what_if`) never overwrites the run's own result.
     """
@@ -188,7 +188,7 @@ def bench_files(sources: Sequence[Source], json: str | None) -> None:
 def evaluated(
     result: Calibrated | VerificationResult, command: str, json: str | None, *, what_if: bool
 ) -> None:
-    """Write the result of a command for a source and print it; with `--json -`, print only the notes on it."""
+    """Write and print the result of a command for a source; with `--json -`, print only its notes."""
     file = write_result(result.source, command, result.to_dict(), what_if=what_if or result.source.what_if)
     if json == "-":
         notes_aside(result.notes)
@@ -260,9 +260,9 @@ EVERY_S: Final = 30.0
 
 @contextmanager
 def in_lines(clock: Clock | None = None) -> Iterator[None]:
-    """Print progress on standard error, at most every 30 s, if it is not a terminal: a log of long computations.
+    """Print progress as lines on standard error, for the log of a long computation.
 
-    Nothing is printed with `--quiet`.
+    A line is printed at most every 30 s, none if standard error is a terminal or with `--quiet`.
     """
     if sys.stderr.isatty() or quiet.get():
         yield

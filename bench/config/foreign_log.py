@@ -1,8 +1,6 @@
-"""Logs of others as readings files: a mapping says which of their columns is what, in which unit and time format.
+"""Conversion of other programs' logs to readings files, by a mapping of their columns, units and time format.
 
-log_columns: 1
-time_format: "%Y-%m-%d %H:%M:%S"
-columns:
+log_columns: 1 time_format: "%Y-%m-%d %H:%M:%S" columns:
   time_s: timestamp
   reference_v: {columns: [k1, k2, k3], unit: V}     # their mean; their scatter goes into reference_sd_v
   ux_v: {columns: dut, unit: uV}
@@ -31,7 +29,7 @@ from bench.base.yaml_files import FileModel, Place
 from bench.readings.csv import LISTED_AT_ONCE, ReadingsError
 
 SUFFIXES: Final[Mapping[str, str]] = {"_v": "V", "_s": "s", "_a": "A"}
-"""The SI unit of a column of a readings file by the end of its name; of others the number is kept as it is."""
+"""The SI unit of a column of a readings file, by its suffix; other columns are not converted."""
 TIME: Final = "time_s"
 KELVIN: Final = 273.15
 MOST_PREVIEWED: Final = 5
@@ -49,9 +47,9 @@ def _listed(value: Any) -> Any:
 
 
 class LogColumn(FileModel):
-    """The columns of the log whose mean becomes a column of the readings file.
+    """The columns of a log whose mean becomes one column of the readings file.
 
-    `unit` is the unit in the log; `add`, in SI, is added.
+    `unit` is the unit in the log. `add`, in SI, is added to the mean.
     """
 
     columns: Annotated[tuple[str, ...], BeforeValidator(_listed)]
@@ -60,9 +58,10 @@ class LogColumn(FileModel):
 
 
 class LogColumns(FileModel):
-    """A mapping of the columns of a log to those of a readings file; `time_format` is that of `strptime` or `iso`.
+    """A mapping from the columns of a log to those of a readings file.
 
-    `comment` is the beginning of lines that are no rows. `constants` are cells that are the same in every row.
+    `time_format` is that of `strptime`, or `iso`. Lines that begin with `comment` are skipped. `constants` are
+    cells that are the same in every row.
     """
 
     log_columns: Literal["1"]
@@ -87,7 +86,10 @@ class LogColumns(FileModel):
 
 
 def _factor(name: str, unit: str | None) -> float:
-    """Return the size of a log's unit in that of a column. Raises `ValueError` for a unit of another quantity."""
+    """Return the size of a log's unit in the unit of column `name`.
+
+    Raises `ValueError` if the quantities differ.
+    """
     wanted = next((si for end, si in SUFFIXES.items() if name.endswith(end)), None)
     if unit is None:
         return 1.0

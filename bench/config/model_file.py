@@ -1,4 +1,4 @@
-"""Model files: the effects of a forward model with their values; naming of unnamed terms."""
+"""Model files: the effects of a forward model with their values; and how an unnamed term gets a name."""
 
 from __future__ import annotations
 
@@ -391,7 +391,7 @@ def _written_left_open(applied: AppliedEffect) -> dict[str, Any]:
 
 
 def _said_of_open(effect: InPart, times: float, u: float) -> str:
-    """Return the description of an entry of `left_open`: each change with its u, scaled as in the sum."""
+    """Return the description of an entry of `left_open`: each change times `times`, ± its part of `u`."""
     listed = []
     for one in effect.parts:
         sizes = [
@@ -453,7 +453,7 @@ WIDENED: Final = ("tau", "lag")
 
 @dataclass(frozen=True)
 class AcceptedTerms:
-    """The named effect, and the effects of the model after it has replaced its terms."""
+    """The result of naming unnamed terms: the new effect, and the effects of the model with it instead of them."""
 
     effect: FormulaEffect
     effects: tuple[AppliedEffect, ...]
@@ -465,10 +465,10 @@ def unnamed_in(effects: Sequence[AppliedEffect]) -> list[str]:
 
 
 def accept(effects: Sequence[AppliedEffect], terms: Sequence[str], name: str, sentence: str) -> AcceptedTerms:
-    """Combine the unnamed terms listed in `terms` (all, if it is empty) into one effect with a name and a sentence.
+    """Combine unnamed terms into one effect with a name and a sentence: those in `terms`, or all if it is empty.
 
-    The effect replaces the terms among `effects`. Raises `ValueError` for unknown terms, or terms at different
-    places.
+    The effect replaces the terms among `effects`. Raises `ValueError` for unknown terms, or terms that act at
+    different stages.
     """
     known = unnamed_in(effects)
     if not known:
@@ -536,7 +536,10 @@ def _with_names(expression: str, names: dict[str, str]) -> str:
 
 
 def _widened(parameter: Parameter, largest: float) -> Parameter:
-    """Return the parameter with an enlarged plausible size, at least the size found, or a grid around a shape."""
+    """Return the parameter for searches: its plausible size at least `largest`, or a grid around a shape.
+
+    Shapes that are not in `WIDENED` are returned unchanged.
+    """
     if parameter.is_shape:
         if parameter.name not in WIDENED:
             return parameter

@@ -40,7 +40,7 @@ LOG_SIZE_WEIGHTS: Final = tuple(float(np.log(w)) for w in (0.6, 0.28, 0.12))
 KNOWN_SIZE: Final = 20.0
 """Prior size, in plausible sizes, of an effect already in the model: wide, so that the data determine it."""
 
-CHUNK: Final = 25
+CHUNK: Final = 100
 """Data sets scored at once."""
 
 

@@ -67,12 +67,12 @@ class Span:
 class Whitener:
     """A linear map of N rows to numbers with independent noise of equal variance.
 
-    `blocks` are sets of rows with correlated noise, each with the inverse Cholesky factor of its covariance.
-    `fitted` are the subspaces that the map removes, orthogonal to each other; several accelerometer blocks
-    have one each. Apply the map with `@`.
+    `blocks` are sets of rows with correlated noise, b of equal size n together: their rows, b n in sequence,
+    and the inverse Cholesky factors of their covariances (b, n, n). `fitted` are the subspaces that the map
+    removes, orthogonal to each other; several accelerometer blocks have one each. Apply the map with `@`.
     """
 
-    blocks: tuple[tuple[Ints, Floats], ...]
+    blocks: tuple[tuple[slice | Ints, Floats], ...]
     fitted: tuple[Span, ...] = ()
 
     def __matmul__(self, columns: Floats) -> Floats:
@@ -89,28 +89,34 @@ class Whitener:
             span.leave(white, 1.0 - span.kept**2)
         weighed = np.empty_like(white)
         for rows, factor in self.blocks:
-            weighed[rows] = factor.T @ white[rows]
+            weighed[rows] = _times(np.swapaxes(factor, 1, 2), white[rows])
         return weighed
 
     @property
     def diagonal(self) -> Floats:
         """The diagonal of the matrix (N, N) by which `weigh` multiplies, shape (N,)."""
-        many = sum(len(rows) for rows, _ in self.blocks)
+        many = sum(factor.shape[0] * factor.shape[1] for _, factor in self.blocks)
         diagonal = np.empty(many)
         for rows, factor in self.blocks:
-            diagonal[rows] = np.sum(factor**2, axis=0)
+            diagonal[rows] = np.sum(factor**2, axis=1).ravel()
         for span in self.fitted:
             basis = np.zeros((many, len(span.kept)))
             basis[span.rows] = span.basis
             for rows, factor in self.blocks:
-                diagonal[rows] -= (factor.T @ basis[rows]) ** 2 @ (1.0 - span.kept**2)
+                inside = _times(np.swapaxes(factor, 1, 2), basis[rows])
+                diagonal[rows] -= inside**2 @ (1.0 - span.kept**2)
         return diagonal
 
     def _half(self, columns: Floats) -> Floats:
         white = np.empty_like(columns, dtype=np.float64)
         for rows, factor in self.blocks:
-            white[rows] = factor @ columns[rows]
+            white[rows] = _times(factor, columns[rows])
         return white
+
+
+def _times(matrices: Floats, columns: Floats) -> Floats:
+    """Return each matrix (b, n, n) times its own n rows of the columns (b n, …)."""
+    return (matrices @ columns.reshape(*matrices.shape[:2], -1)).reshape(columns.shape)
 
 
 @dataclass(frozen=True)
@@ -161,7 +167,7 @@ def make_noise_grid(
     typical = float(np.sqrt(np.mean(slope2)))
     known = np.log(max(setting_rad * typical / sigma, 1e-2)) if setting_rad > 0 else None
     wide = _wide(linear)
-    blocks = _blocks(linear, wide)
+    blocks = _blocks(linear, wide, sigma)
     whites, log_dets = zip(
         *(_white(linear, ratio / typical, sigma, wide, blocks) for ratio in ratios), strict=True
     )
@@ -179,7 +185,7 @@ def make_noise_grid(
 def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whitener:
     """Return the whitening map for a known noise of a reading, `sigma`, and a known setting error."""
     wide = _wide(linear)
-    return _white(linear, setting_rad / sigma, sigma, wide, _blocks(linear, wide))[0]
+    return _white(linear, setting_rad / sigma, sigma, wide, _blocks(linear, wide, sigma))[0]
 
 
 def _wide(linear: LinearSystem) -> Mask:
@@ -188,38 +194,63 @@ def _wide(linear: LinearSystem) -> Mask:
     return np.asarray(np.count_nonzero(linear.random, axis=0) > most)
 
 
-def _blocks(linear: LinearSystem, wide: Mask) -> tuple[Ints, ...]:
-    """Return the blocks of rows joined by a setting or by a column that is not `wide`, in ascending order."""
-    row, column = np.nonzero(linear.random[:, ~wide])
+@dataclass(frozen=True)
+class RowBlocks:
+    """Blocks of n rows with correlated noise, `rows` (b, n), and the covariances of this noise (b, n, n).
+
+    `apart` is the covariance without the setting error, in units of the noise of a reading squared. `setting`
+    is the covariance that a setting error of 1 rad adds, in units of the signal squared.
+    """
+
+    rows: Ints
+    apart: Floats
+    setting: Floats
+
+
+def _blocks(linear: LinearSystem, wide: Mask, sigma: float) -> list[RowBlocks]:
+    """Return the blocks of rows joined by a setting or by a column that is not `wide`, by size."""
+    local = linear.random[:, ~wide] / sigma
+    row, column = np.nonzero(local)
     oriented = np.flatnonzero(linear.setting >= 0)
-    ends = np.concatenate([column, np.count_nonzero(~wide) + linear.setting[oriented]])
+    ends = np.concatenate([column, local.shape[1] + linear.setting[oriented]])
     row = np.concatenate([row, oriented])
-    size = len(linear) + np.count_nonzero(~wide) + linear.settings
+    size = len(linear) + local.shape[1] + linear.settings
     edges = coo_array((np.ones(len(row)), (row, len(linear) + ends)), shape=(size, size))
     _, label = connected_components(edges, directed=False)
     mine = label[: len(linear)]
     order = np.argsort(mine, kind="stable")
     starts = np.flatnonzero(np.diff(mine[order], prepend=-1))
-    return tuple(np.split(order, starts[1:]))
+    by_size: dict[int, list[Ints]] = {}
+    for rows in np.split(order, starts[1:]):
+        by_size.setdefault(len(rows), []).append(rows)
+    return [_row_blocks(linear, local, np.array(alike)) for alike in by_size.values()]
+
+
+def _row_blocks(linear: LinearSystem, local: Floats, rows: Ints) -> RowBlocks:
+    """Return the blocks `rows` (b, n) with their covariances; `local` (N, k) are random columns, white."""
+    apart = np.eye(rows.shape[1]) * linear.relative[rows][:, :, None] ** 2
+    for number, own in enumerate(rows):
+        joined = local[own]
+        joined = joined[:, np.any(joined, axis=0)]
+        apart[number] += joined @ joined.T
+    setting, slope = linear.setting[rows], linear.slope[rows]
+    same = setting[:, :, None] == setting[:, None, :]
+    return RowBlocks(rows, apart, np.where(same, slope[:, :, None] * slope[:, None, :], 0.0))
 
 
 def _white(
-    linear: LinearSystem, setting: float, sigma: float, wide: Mask, blocks: tuple[Ints, ...]
+    linear: LinearSystem, setting: float, sigma: float, wide: Mask, blocks: Sequence[RowBlocks]
 ) -> tuple[Whitener, float]:
     factors = []
     log_det = 0.0
-    for rows in blocks:
-        joined = linear.random[rows][:, ~wide] / sigma
-        joined = joined[:, np.any(joined, axis=0)]
-        own = linear.setting[rows]
-        slope = setting * linear.slope[rows]
-        covariance = np.diag(linear.relative[rows] ** 2) + joined @ joined.T
-        covariance += np.where(own[:, None] == own, np.outer(slope, slope), 0.0)
-        cholesky = np.linalg.cholesky(covariance)
-        log_det -= float(np.sum(np.log(np.diag(cholesky))))
+    for block in blocks:
+        rows = _as_slice(block.rows.ravel())
+        cholesky = np.linalg.cholesky(block.apart + setting**2 * block.setting)
+        log_det -= float(np.sum(np.log(np.diagonal(cholesky, axis1=1, axis2=2))))
         factors.append((rows, np.linalg.inv(cholesky)))
-    spans, more = _fitted(Whitener(tuple(factors)), linear.fixed, linear.random[:, wide] / sigma)
-    return Whitener(tuple(factors), spans), log_det + more
+    half = Whitener(tuple(factors))
+    spans, more = _fitted(half, linear.fixed, linear.random[:, wide] / sigma)
+    return Whitener(half.blocks, spans), log_det + more
 
 
 def _fitted(half: Whitener, fixed: Floats, wide: Floats) -> tuple[tuple[Span, ...], float]:
@@ -246,8 +277,9 @@ def _fitted(half: Whitener, fixed: Floats, wide: Floats) -> tuple[tuple[Span, ..
 
 def _as_slice(rows: Ints) -> slice | Ints:
     """Return rows that follow one another as a slice, which copies nothing."""
-    first, last = int(rows[0]), int(rows[-1])
-    return slice(first, last + 1) if last - first == len(rows) - 1 else rows
+    first = int(rows[0])
+    one_by_one = np.array_equal(rows, np.arange(first, first + len(rows)))
+    return slice(first, first + len(rows)) if one_by_one else rows
 
 
 @dataclass(frozen=True)

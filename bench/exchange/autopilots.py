@@ -21,7 +21,10 @@ DIGITS: Final = 3
 
 @dataclass(frozen=True)
 class Sensor:
-    """The block as a sensor in m/s^2: z = M a + b, z = 9.80665 U / `nominal` (3,), scale factors in unit/g."""
+    """The block as a sensor in m/s²: z = M a + b.
+
+    The signals U are converted by z = 9.80665 U / `nominal` (3,), scale factors in unit/g.
+    """
 
     nominal: Floats
     M: Floats
@@ -99,9 +102,9 @@ def diagonal(sensor: Sensor) -> Diagonal:
 
 @dataclass(frozen=True)
 class Triangular:
-    """The form of Kalibr: z = M R a + b with M lower triangular and R the rotation to the axes of M.
+    """The form of Kalibr: z = M R a + b, with M lower triangular and R the rotation to the axes of M.
 
-    `turn_rad` is the angle of R, rad.
+    `turn_rad` is the angle of the rotation R, rad.
     """
 
     M: Floats
@@ -135,9 +138,10 @@ def _size(error_g: float) -> str:
 class Autopilot:
     """The parameters of an autopilot's first accelerometer: names with `{}` for the axis, and allowed ranges.
 
-    `id` and `turn` are its parameters for the sensor's id and for the turn to the board's axes. `head` and `before`
-    are the comments that its files begin with and have before the values; `row` is the line of a value; `read` is
-    Python that reads names and values from such a file. `sorted_by_name` puts the two values of an axis together.
+    `id` and `turn` are the names of its parameters for the sensor's id and for the rotation to the board's axes.
+    `head` and `before` are comments at the beginning of its files and before the values; `row` is the format of a
+    value's line. `read` is Python code that reads names and values from such a file. `sorted_by_name` puts the two
+    values of an axis together.
     """
 
     name: str
@@ -154,13 +158,13 @@ class Autopilot:
     sorted_by_name: bool = False
 
     def values(self, form: Diagonal) -> dict[str, float]:
-        """Return the values by the names of the parameters, in the order of the file."""
+        """Return the values by parameter name, in the order of the file."""
         rows = [(self.offset.format(axis), value) for axis, value in axis_rows(form.offset)]
         rows += [(self.scale.format(axis), value) for axis, value in axis_rows(form.scale)]
         return dict(sorted(rows) if self.sorted_by_name else rows)
 
     def notes(self, result: BlockResult, nominal: Floats | None = None) -> list[str]:
-        """Return comment lines on what the form omits, and on values that the autopilot would refuse."""
+        """Return comment lines on what the form omits, and on values that the autopilot would reject."""
         form = diagonal(sensor_of(result, nominal))
         limits = ((self.offset, form.offset, self.offsets), (self.scale, form.scale, self.scales))
         return form.told() + [
@@ -210,9 +214,9 @@ ARDUPILOT: Final = Autopilot(
 
 
 def _tested(of: Autopilot, result: BlockResult, sensor: Sensor, values: dict[str, float]) -> list[str]:
-    """Return comment lines with the picture of signs, the check vectors, and the test of the file.
+    """Return comment lines with the drawing of axes and signs, the check vectors, and the file's test of itself.
 
-    The accelerations are those of the form as it is written, in double precision: without cross-axis terms.
+    The accelerations are computed in double precision from the values as written, without cross-axis terms.
     """
     written = {name: float(f"{value:.9g}") for name, value in values.items()}
     off, by = (np.array([written[name.format(axis)] for axis in "XYZ"]) for name in (of.offset, of.scale))
@@ -250,7 +254,7 @@ def _head(result: BlockResult, sensor: Sensor, notes: list[str]) -> list[str]:
 def kalibr_yaml(result: BlockResult, nominal: Floats | None = None) -> str:
     """Return the Kalibr file: the chain `imu0` with the model and M.
 
-    Also `bias` and `C_accel_block`, which Kalibr ignores.
+    It also has `bias` and `C_accel_block`, which Kalibr ignores.
     """
     sensor = sensor_of(result, nominal)
     form = lower_triangular(sensor)

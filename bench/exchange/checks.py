@@ -1,9 +1,9 @@
-"""Check vectors of exported files, the tests that files carry of themselves, and the picture of signs and axes.
+"""Check vectors of exported files, the tests by which files check themselves, and the drawing of signs and axes.
 
     $ python -c "$(sed -n 's/^# test: //p' unit-17.csv)" unit-17.csv
 
-A test is three lines of Python without other packages than a reader of the form needs. It computes the corrected
-accelerations of the file's check vectors from the file's own numbers, and fails if one is off by more than
+A test is three lines of Python that need no packages other than a reader of the form. It computes the corrected
+accelerations of the file's check vectors from the file's own numbers. It fails if one is off by more than
 `TOLERANCE` of 1 g.
 """
 
@@ -37,7 +37,7 @@ POSITIONS: Final[Floats] = np.array(_CORNERS) / np.sqrt(3.0)
 
 
 def picture(unit: str) -> list[str]:
-    """Return lines that draw the axes, the sign, the order and the units of `a` and `U`."""
+    """Return lines that draw the axes, and state sign, order and units of `a` and `U`."""
     return [
         "        +z    up     at rest the axis that points up reads +1 g:",
         "         |   ^       z up:     a = ( 0,  0, +1)   z down: a = ( 0,  0, -1)",
@@ -73,8 +73,8 @@ READ_CHECKS: Final = (
 def judged(g: str = "1.0", at: int = 3, count: int = COUNT) -> str:
     """Return the last line of a test.
 
-    In the test, `a` maps the first `at` numbers of a check vector to an acceleration of size `g`; `count` is the
-    number of check vectors that the file must have.
+    The test has a function `a`, which maps the first `at` numbers of a check vector to an acceleration; 1 g is `g`
+    in its unit. `count` is the number of check vectors that the file must have.
     """
     worst = (
         f"max([abs(p - q) for r in c for p, q in zip(a(r[:{at}]), r[{at}:])] + [9e9] * (len(c) != {count}))"

@@ -26,7 +26,7 @@ from bench.exchange.checks import (
 
 
 def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[str]:
-    """Return the header lines of an exported file: content (compensation of `of`), valid range and errors."""
+    """Return the header lines of an exported file: what it compensates (`of`), valid range and errors."""
     error = table.error
     return [
         f"Compensation of {of}",

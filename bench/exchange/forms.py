@@ -34,10 +34,11 @@ def json_text(result: BlockResult) -> str:
 
 
 def csv_text(result: BlockResult) -> str:
-    """Return a table of every number (name, value, u, U, unit), then the covariances, each under a line of its own.
+    """Return CSV text: a table of all numbers (name, value, u, U, unit), then the covariances, each with a title
+    line.
 
-    Comment lines begin with #; a covariance has its names in the first row and the first column. Each number
-    has enough digits to be read back exactly.
+    Comment lines begin with #; a covariance has its names in the first row and the first column. Each number has
+    enough digits to be read back exactly.
     """
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\r\n")
@@ -166,7 +167,7 @@ AXES = "xyz"
 
 
 def workbook(result: BlockResult) -> bytes:
-    """Return an .xlsx file: origin, every number, three covariances, and a sheet that converts signals."""
+    """Return an .xlsx file: the origin, all numbers, three covariances, and a sheet that converts signals."""
     from openpyxl import Workbook
 
     book = Workbook()
@@ -290,7 +291,7 @@ def _checks(sheet: Worksheet, result: BlockResult) -> None:
 
 
 def print_coefficients(result: BlockResult, on: Console) -> None:
-    """Print the facts that every form begins with, then N and U0, then the misalignment angles."""
+    """Print the header facts of every form, then N and U0, then the misalignment angles."""
     for line in result.head():
         on.print(line, style="bold" if line.startswith("SIMULATED") else None)
     on.print("a = N (U - U0), a the specific force in g of the place")
@@ -302,7 +303,7 @@ def print_coefficients(result: BlockResult, on: Console) -> None:
 
 
 def _table(rows: Iterable[ReportedNumber], k: float, times: float = 1.0, unit: str = "") -> Table:
-    """Return the rows with u and U, rounded to two digits of u."""
+    """Return a table of numbers with u and U, rounded to two digits of u."""
     shown = table("", ">value", ">u", f">U (k={k:g})", "")
     for row in rows:
         digits = places(times * row.u)
@@ -318,9 +319,9 @@ def _table(rows: Iterable[ReportedNumber], k: float, times: float = 1.0, unit: s
 class ExportForm:
     """A form: its name in `words`, the suffix of its file's name, and the function that writes it.
 
-    `loses` returns comment lines on the parts of a result that the form omits; it is None for a form that omits
-    nothing. Both functions take the scale factors (3,), unit/g, that convert signals to m/s^2; None means the
-    block's own, rounded.
+    `loses` is a function that returns comment lines on the parts of a result that the form omits; it is None if the
+    form omits nothing. Both functions accept the scale factors (3,), unit/g, that convert signals to m/s²; None
+    means the block's own, rounded.
     """
 
     words: str

@@ -71,7 +71,7 @@ class IntrinsicNumbersPart(DerivedPart):
 
 
 class CheckPart(ResultModel):
-    """Check vectors (signals and the accelerations that must result), and the file's test with these vectors."""
+    """Check vectors (signals and the accelerations that must result), and the file's test with them."""
 
     signs: list[str] = Field(description="a picture of axes, signs, order and units")
     tolerance: float = Field(description="largest difference from `corrected`, g")
@@ -81,7 +81,7 @@ class CheckPart(ResultModel):
 
 
 class BlockPart(ResultModel):
-    """The block, if it is stated."""
+    """The type and serial number of the block, if they are stated."""
 
     type: str
     serial: str
@@ -131,15 +131,15 @@ _JSON_TEST: Final = (
 
 @dataclass(frozen=True)
 class BlockResult:
-    """The coefficients of one block: U = K a + U0, a in g of the place, `g_m_s2`, U in `unit`.
+    """The coefficients of one block: U = K a + U0, with a in local g of `g_m_s2` (m/s²) and U in `unit`.
 
     `covariance` (12, 12) is in the order of `COEFFICIENTS`; `covariance_readings` is the part from the readings,
     None if the result does not state it separately. `expanded` maps names of numbers to the expanded uncertainties
     U in the result; for all other numbers U is `k` times u. `gravity_u` is the relative standard uncertainty of
-    `g_m_s2`, 0 if the result does not contain it; numbers per g do not include it. `bench` is the result's
+    `g_m_s2`, 0 if the result does not state it; numbers per g do not include it. `bench` is the result's
     description of its bench file, `certificates` describe those of its instruments. `block_type`, `serial` and
-    `made_at` are empty if unknown. `temperature` names the temperature effects that the calibration removed, so
-    that these numbers do not contain them; empty for none.
+    `made_at` are empty if unknown. `temperature` names the temperature effects that the calibration removed from
+    these numbers; empty for none.
     """
 
     block: Block

@@ -78,7 +78,8 @@ ONE_SIDED: Final = 1.645
 class EstimatedSize:
     """An estimated standard deviation, its standard uncertainty (NaN if it is zero), its upper 95 % limit.
 
-    `p_all_looks` is the p-value of the likelihood ratio, corrected for twelve coefficients; NaN if not tested.
+    `p_all_looks` is the p-value of the likelihood-ratio test that it is zero, corrected for twelve coefficients;
+    NaN if not tested.
     """
 
     value: float
@@ -139,7 +140,8 @@ class OutlyingEffect:
 
 @dataclass(frozen=True)
 class BenchOrBlock:
-    """The variation between units and between benches; `effect` of each bench and its `u` are (B, 12).
+    """The variation between units and between B benches: `effect` (B, 12) of each bench, with its standard
+    uncertainty `u`.
 
     `connected` are the sets of benches linked by common units; an effect is the difference from the mean of its
     set. The effect of a bench that shares no unit with another is NaN. `units_apart` are the outlying units.

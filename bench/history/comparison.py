@@ -1,7 +1,7 @@
 """Comparison of calibrations of one block: E_n numbers, joint chi-square tests, shared errors.
 
-Calibrations are compared in the nine numbers that do not depend on the mounting, whose joint test decides; the
-twelve coefficients are compared too. What compares calibrations takes snapshots of either.
+Calibrations are compared in the nine numbers that do not depend on the mounting, whose joint test decides, and in
+the twelve coefficients.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ class Snapshot:
     `block` is the type and serial number of the block, empty if not recorded. `same_meters` (12, 12) is the
     covariance without the part that cancels if the same meters measure again, None if there is no such part;
     `meters` are the meters' identities, empty if unknown. Each column of `block_terms` (12, q) is the error due to
-    one u of K2 or K3 of the block, which is the same in each of its calibrations. `wander` (3,) is the rms wander
-    of each bias about its mean in the run. `dof` is the smallest effective degrees of freedom of the nine intrinsic
-    numbers. A snapshot in the nine intrinsic numbers has arrays of nine instead of twelve; the biases come last in
-    both.
+    a one-u error of the block's nonlinearity K2 or K3; it is the same in each of its calibrations. `wander` (3,) is
+    the rms wander of each bias about its mean in the run. `dof` is the smallest effective degrees of freedom of the
+    nine intrinsic numbers. A snapshot in the nine intrinsic numbers has arrays of nine instead of twelve; the
+    biases come last in both.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Snapshot:
     dof: float = np.inf
 
     def per(self, g_m_s2: float) -> Snapshot:
-        """Return the snapshot with scale factors converted to another local g; per m/s² they stay the same."""
+        """Return the snapshot with its scale factors in unit/g for a local g of `g_m_s2` (m/s²)."""
         factor = to_gravity(self.g_m_s2, g_m_s2)
         both = np.outer(factor, factor)
         own = None if self.same_meters is None else self.same_meters * both
@@ -179,7 +179,8 @@ class DriftLines:
 
 @dataclass(frozen=True)
 class InNumbers:
-    """The comparison of all later calibrations with the first in the numbers `names`, the nine or the twelve.
+    """The changes of all later calibrations from the first, in nine intrinsic numbers or twelve coefficients:
+    `names`.
 
     `p_constant` is the p-value of the hypothesis that none of them changed in any calibration. `drift` is None if
     dates are missing, the calibrations are too few, or their time span is too short.
@@ -278,9 +279,9 @@ def _changes(first: Snapshot, later: Snapshot, difference: Floats, u: Floats, p:
 
 
 def _p_of(chi2: float, count: int, dof: float) -> float:
-    """Return the p-value of a chi-square of `count` numbers whose u has `dof` degrees of freedom.
+    """Return the p-value of the chi-square `chi2` of `count` numbers whose u has `dof` degrees of freedom.
 
-    chi2/count is then F distributed, as the joint coverage factor sqrt(p F) has it.
+    For a finite `dof`, chi2/count follows the F distribution.
     """
     if np.isinf(dof):
         return float(special.chdtrc(count, chi2))
@@ -413,8 +414,8 @@ class Joint:
     """The joint covariance of all twelve coefficients (or nine intrinsic numbers) of n calibrations, in parts.
 
     `own` (n, 12, 12) is the independent part of each. `meters` (n, 12, 12) are square roots of the covariances due
-    to the meters, which `alike` (n, n) correlates between calibrations. `terms` (n, 12, q) are the errors due to K2
-    and K3 of the block, shared by all calibrations with the same block index in `block` (n,).
+    to the meters; `alike` (n, n) is the correlation of these errors between calibrations. `terms` (n, 12, q) are
+    the errors due to K2 and K3 of the block, shared by all calibrations with the same block index in `block` (n,).
     """
 
     own: Floats

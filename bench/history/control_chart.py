@@ -1,6 +1,7 @@
 """The control chart of a check block: runs judged against a baseline, with reasons and notes in words.
 
-A chart is of the nine numbers that do not depend on the mounting, or of the twelve coefficients, as its runs are.
+A chart shows the nine numbers that do not depend on the mounting, or the twelve coefficients: whichever its runs
+contain.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ def reasons_of(chart: ControlChart, row: int) -> tuple[str, ...]:
 
 
 def _which(chart: ControlChart, z: Floats, limit: float) -> str:
-    """Return the numbers beyond their own limit, farthest first; if there are none, the farthest of all."""
+    """Return the names of the numbers beyond their own limit, farthest first; without any, of the farthest."""
     order = np.argsort(-np.abs(z))
     beyond = [k for k in order if abs(z[k]) > limit]
     named = [f"{chart.names[k]} {z[k]:+.1f} u".replace("-", MINUS) for k in order]
@@ -173,8 +174,9 @@ class CheckRun:
     names: tuple[str, ...] = ()
 
     def in_nine(self) -> CheckRun:
-        """Return the run in the nine intrinsic numbers. Raises `CalibrationError` for a K that describes no
-        block.
+        """Return the run in the nine intrinsic numbers.
+
+        Raises `CalibrationError` for a K that describes no block.
         """
         own = nine_of(self.name, self.value, self.covariance)
         J = own.jacobian
@@ -262,11 +264,10 @@ class ControlChart:
     def expected(self, when: datetime) -> tuple[Floats, Floats]:
         """Return the expected values of a further run at the time `when`, and the covariance of deviations.
 
-        Both have one entry per number of the block, in the order of `names`: shapes (m,) and (m, m). The
-        expected values are the centre of the chart plus the known drift since `begun`, plus the further drift
-        that the runs show wherever that is significant. The covariance is the sum of that of the centre, that
-        between runs, and that of the drift, whose standard uncertainty grows in proportion to the time since
-        `begun`.
+        Both have one entry per number of the block, in the order of `names`: shapes (m,) and (m, m). The expected
+        values are the centre of the chart plus the known drift since `begun`, plus the further drift that the runs
+        show wherever that is significant. The covariance is the sum of three parts: of the centre, between runs,
+        and of the drift. The standard uncertainty of the drift grows in proportion to the time since `begun`.
         """
         years = (when.timestamp() - self.begun) / SECONDS_PER_YEAR
         lines, value = _Lines(self.begun, self.known), self.centre.value
@@ -401,7 +402,9 @@ class _Lines:
         return values - self.years(runs)[:, None] * self._drift.per_year
 
     def error(self, runs: Sequence[CheckRun]) -> Floats:
-        """Return the effect on the values of a drift error of one u, by coefficient, (n, 12, 12)."""
+        """Return the change (n, 12, 12) of each run's values if the drift rate of each coefficient is wrong by one
+        u.
+        """
         return self.years(runs)[:, None, None] * np.diag(self.u(len(runs[0].value)))
 
     def u(self, size: int) -> Floats:
@@ -497,9 +500,10 @@ def _drift(
     lines: _Lines,
     design: ChartDesign,
 ) -> DriftSeen | None:
-    """Return the drift of the baseline and accepted runs beyond the known one, whose u it includes.
+    """Return the drift of the baseline and accepted runs in excess of the known drift.
 
-    None for few runs, a short time or different meters.
+    Its u includes that of the known drift. The result is None if the runs are too few, their time span is too
+    short, or their meters differ.
     """
     kept = [run for run, p in zip(later, shewhart.p_joint, strict=True) if p >= design.alpha]
     runs = [*baseline, *kept]

@@ -42,8 +42,8 @@ class UnitDrift:
     `rate` with standard uncertainty `u_rate` is per year. `between` is the scatter between calibrations beyond
     their stated u, `walk` the random walk in a year (1 σ each, restricted maximum likelihood, 0 if not detected);
     `…_most` are their upper 95 % limits. `first` and `last` are the dates of the first and last calibration,
-    `count` is their number. `p_all_looks` is the p-value of the rate with Bonferroni's correction for all
-    of them. `states` serve to predict; `common` is the u of errors that all calibrations share.
+    `count` is their number. `p_all_looks` is the p-value of the rate with Bonferroni's correction for the number of
+    coefficients. `states` serve to predict; `common` is the u of errors that all calibrations share.
     """
 
     rate: Floats
@@ -84,12 +84,13 @@ class UnitDrift:
 
 @dataclass(frozen=True)
 class States:
-    """The state at the last calibration, by coefficient, for m pairs of sizes of scatter and walk: (12, m, …).
+    """The filtered state at the last calibration, by coefficient, for m pairs of scatter and walk variances: (12,
+    m, …).
 
     `weight` sums to 1 over m. `between` and `walk` are variances (`walk` per year). `line` (12, m, 2) is level and
     rate, with `covariance` (12, m, 2, 2). `walked` (12, m) and `columns` (12, m, 2) are the filtered walk of the
-    values and of the two columns of the line; `left` (12, m) is its variance. `last_year` is the time of the last
-    calibration since the first.
+    values and of the two columns of the line; `left` (12, m) is the variance of the walk. `last_year` is the time
+    of the last calibration since the first.
     """
 
     last_year: float
@@ -137,8 +138,9 @@ class States:
 
 @dataclass(frozen=True)
 class OfUnit:
-    """The drift of a unit in the `nine` intrinsic numbers and in the twelve coefficients, with notes on other
-    effects that may look like drift.
+    """The drift of a unit in the `nine` intrinsic numbers and in the `twelve` coefficients.
+
+    Notes name other effects that may look like drift.
     """
 
     unit: str
@@ -323,7 +325,7 @@ def _within(nodes: Floats, density: Floats) -> tuple[Floats, Floats]:
 
 
 def _taken(values: Floats, index: Ints) -> Floats:
-    """Return the element at `index` (12,) from each row of `values` (12, g)."""
+    """Return the element (12,) at `index` (12,) from each row of `values` (12, g)."""
     return np.take_along_axis(values, index[:, None], axis=1)[:, 0]
 
 

@@ -52,9 +52,7 @@ class Participants:
 
     @cached_property
     def between_dof(self) -> int:
-        """Degrees of freedom between benches: the number of benches minus the number of connected sets of
-        benches.
-        """
+        """Degrees of freedom between benches: the number of benches less the number of their connected sets."""
         both = np.linalg.matrix_rank(np.concatenate([self.Z_unit, self.Z_bench], axis=1))
         return int(both) - int(self.unit.max()) - 1
 
@@ -376,9 +374,9 @@ LEAST_LABORATORIES: Final = 3
 class LaboratoryJudged:
     """A laboratory's m numbers against the Mandel-Paule consensus of all others.
 
-    `difference` (m,) has the standard uncertainties `u` (m,): the laboratory's own as stated, without a term
-    between laboratories, and that of the others' consensus, which holds their `dark` uncertainty (m,). `chi2` tests
-    the m jointly, `p_all_looks` is its p-value after Holm's correction over laboratories.
+    `difference` (m,) is the laboratory's value minus the consensus. Its standard uncertainty `u` (m,) combines the
+    laboratory's stated u with the u of the consensus, which includes the `dark` uncertainty (m,) of the others.
+    `chi2` tests all m numbers jointly; `p_all_looks` is its p-value after Holm's correction over laboratories.
     """
 
     difference: Floats
@@ -403,7 +401,7 @@ class LaboratoryJudged:
 class Drift:
     """The `change` (k,) of a travelling unit between two measurements with the same instruments, in k numbers.
 
-    Its `covariance` (k, k) has `dof` degrees of freedom, infinite if it is stated.
+    Its `covariance` (k, k) has `dof` degrees of freedom, infinite if the covariance was not estimated from repeats.
     """
 
     names: tuple[str, ...]
@@ -413,7 +411,7 @@ class Drift:
 
     @property
     def p(self) -> float:
-        """The p-value of the joint test that nothing changed: chi-square, or F if u is of few repeats."""
+        """The p-value of the joint test that nothing changed: chi-square, or F if `dof` is finite."""
         scaled = self.change / u_of(self.covariance)
         scale = np.outer(u_of(self.covariance), u_of(self.covariance))
         chi2, k = float(scaled @ np.linalg.solve(self.covariance / scale, scaled)), len(self.change)
@@ -423,8 +421,9 @@ class Drift:
 def transport_dark(drifts: Sequence[Drift], names: Sequence[str]) -> Floats:
     """Return the scatter (1 sigma) of a travelling unit's state from stop to stop, beyond u, by number (m,).
 
-    It is the Mandel-Paule solution for changes whose variance is u^2 + 2 dark^2; 0 where nothing exceeds u, and
-    everywhere unless a change is significant (Holm): the scatter of few returns would else widen u by chance.
+    It is the Mandel-Paule solution for changes whose variance is u^2 + 2 dark^2, and 0 if they do not exceed u. It
+    is 0 for all numbers unless some change is significant after Holm's correction; otherwise the scatter of a few
+    returns would widen u by chance.
     """
     found = np.zeros(len(names))
     changed = any(holm(np.array([drift.p for drift in drifts])) < APART_P) if drifts else False
@@ -441,10 +440,11 @@ def transport_dark(drifts: Sequence[Drift], names: Sequence[str]) -> Floats:
 def against_others(
     values: Floats, covariances: Floats, transport: Floats | None = None
 ) -> tuple[LaboratoryJudged, ...]:
-    """Return each of n laboratories, `values` (n, m) with `covariances` (n, m, m), against the others.
+    """Compare each of n laboratories, `values` (n, m) with `covariances` (n, m, m), with the consensus of the
+    others.
 
     `transport` (m,) is the scatter of the unit's state between laboratories (`transport_dark`), which widens u.
-    Raises `CalibrationError` for fewer than three laboratories: of two, nobody can say which is off.
+    Raises `CalibrationError` for fewer than three laboratories, because two cannot show which one deviates.
     """
     n, m = values.shape
     if transport is not None:

@@ -34,7 +34,7 @@ NEVER: Final = (
 class LearnedSize:
     """A learned quantity in `unit` with u and degrees of freedom.
 
-    `told` is false if the runs did not determine it and it keeps its prior.
+    `told` is false if the runs do not determine the quantity, so that its prior is kept.
     """
 
     name: str
@@ -47,7 +47,9 @@ class LearnedSize:
 
 @dataclass(frozen=True)
 class Variance:
-    """A variance component `theta` with its u, in terms of `unit` squared; `held` is true if it keeps its prior."""
+    """A variance component `theta` with its u, both in multiples of `unit` squared; `held` is true if its prior is
+    kept.
+    """
 
     name: str
     theta: float
@@ -242,9 +244,7 @@ class MeterRun:
 
 
 def lengths_and_biases(coefficients: Floats) -> tuple[Floats, Floats]:
-    """Return ln |row| of K and bias over |row| by channel, (6,), and their derivatives by the twelve coefficients,
-    (6, 12).
-    """
+    """Return ln |row| of K and bias over |row| by channel, (6,), and derivatives (6, 12) by the coefficients."""
     rows, bias = coefficients[:9].reshape(3, 3), coefficients[9:]
     length = np.linalg.norm(rows, axis=1)
     slope = np.zeros((6, 12))

@@ -75,7 +75,7 @@ class LikelihoodPoint:
 class Weighed:
     """The sums (runs, w, w) of (B, F, y) of each run, weighted by V^-1 instead of R^-1, and ln det of V/R, (runs,).
 
-    R is the covariance of the noise alone; V includes the shared variances.
+    R is the covariance of the noise alone; V includes the shared variances. `RunSums` explains B, F and y.
     """
 
     whole: Floats
@@ -223,7 +223,10 @@ def _angles(body: RunSums, theta: Floats, beliefs: Beliefs) -> list[Contradictio
 def _angle_test(
     body: RunSums, r: int, theta: Floats, means: Floats, covariance: Floats
 ) -> tuple[float, float]:
-    """Return reduced chi-square and p-value of the angles of run `r` against the prediction from the others."""
+    """Test the angles of run `r` against their prediction from the other runs.
+
+    Returns the reduced chi-square and the p-value.
+    """
     c = body.columns
     own = np.flatnonzero(body.mean[r] >= 0)
     by_means = body.by_mean(len(means) - body.waves)[r][own, c:-1]
@@ -390,7 +393,10 @@ def told_by_runs(body: RunSums, layout: Layout, free: Beliefs) -> tuple[Beliefs,
 
 
 def _holding(beliefs: Beliefs, layout: Layout, j: int) -> Beliefs:
-    """Return the beliefs with the variance of a kind held; its mean receives the rest of the stated variance."""
+    """Return the beliefs with the variance of angle kind `j` fixed at its prior.
+
+    The mean of this kind receives the rest of its stated variance.
+    """
     centre, spread = beliefs.centre.copy(), beliefs.spread.copy()
     centre[j], spread[j] = HELD_CENTRE, HELD_SPREAD
     own = np.array([name == layout.kinds[j] for name, _ in layout.means])

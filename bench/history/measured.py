@@ -88,8 +88,9 @@ class ComparedCalibrations:
 
     @property
     def own_variance(self) -> Floats:
-        """The stated variances minus the variance that calibrations with the same meters share, but at least the
-        fraction `LEAST_OWN` of the stated variance, (n, 12).
+        """The stated variances (n, 12) less the part shared by calibrations with the same meters.
+
+        At least the fraction `LEAST_OWN` of the stated variance remains.
         """
         return np.maximum(self.variance - self.meters**2, LEAST_OWN * self.variance)
 
@@ -103,7 +104,7 @@ def to_gravity(g_m_s2: Floats | float, other: float = STANDARD_GRAVITY) -> Float
 def nine_of(name: str, vector: Floats, covariance: Floats) -> Derived:
     """Return the nine intrinsic numbers of coefficients (12,) with a covariance (12, 12).
 
-    Raises `CalibrationError` if they are undefined, as for a block with a dead channel; it begins with `name`.
+    Raises `CalibrationError` if they are undefined, as for a block with a dead channel; `name` begins its message.
     """
     try:
         return intrinsic(Block.from_vector(vector), covariance)

@@ -21,10 +21,11 @@ BASELINE: Final = 5
 
 
 def monitor_run(name: str, when: datetime, signal: Floats, force: Floats) -> CheckRun:
-    """Return bias (g) and scale factor of each axis that was turned, and of two also their angle (deg).
+    """Return the bias (g) and scale factor of each axis that was turned; for two axes, also the angle between them
+    (deg).
 
-    `signal` (n, 3) at the nominal `force` (n, 3), g. u is that of the scatter of repeats. Raises `CalibrationError`
-    if no axis was read up and down, or no position twice.
+    `signal` (n, 3) was read at the nominal `force` (n, 3), g. The u follows from the scatter of repeats. Raises
+    `CalibrationError` if no axis was read both up and down, or no position twice.
     """
     turned = np.flatnonzero((force.max(axis=0) > LEAST_G) & (force.min(axis=0) < -LEAST_G))
     columns = np.column_stack([np.ones(len(force)), force[:, turned]])

@@ -171,7 +171,8 @@ def _positive(matrix: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Joined:
-    """A calibration combined with a prior: `vector` (12,), `covariance` (12, 12), prior weight `part` (12, 12).
+    """A calibration combined with a prior: `vector` (12,), `covariance` (12, 12), weight `part` (12, 12) of the
+    prior.
 
     `chi2`, with twelve degrees of freedom, and its p-value `p` test whether prior and readings agree. If they do
     not, the calibration is unchanged and `used` is false. `pull` (12,) is the calibration minus the prior mean,

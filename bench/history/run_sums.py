@@ -36,10 +36,10 @@ class RunFit:
 
     `y` (n, 3) are residuals, with the fitted contribution of the stand angles added back. `X` (n, 3, …) are
     derivatives by the run's own unknowns: 12 coefficients and any effects. `stand` (n, 3, a) are derivatives by the
-    stand angles `angles` (a,), each a name and an installation; `levels` (a, 2) is the value of each angle by a
-    level with its u, rad (NaN if unmeasured). `slope` (n, 3) is du/dphi. `waves` (n, 3, 2 WAVES) are harmonics of
-    the head; `walk` (n, q) are shapes of a random walk per root hour. `scatter` is the scatter of repeats, `floor`
-    the lowest credible noise.
+    stand angles `angles` (a,), each a name and an installation; `levels` (a, 2) has each angle as measured by a
+    spirit level, with its u, rad (NaN if unmeasured). `slope` (n, 3) is du/dphi. `waves` (n, 3, 2 WAVES) are
+    harmonics of the head; `walk` (n, q) are shapes of a random walk per root hour. `scatter` is the scatter of
+    repeats, `floor` the lowest credible noise.
     """
 
     name: str
@@ -56,7 +56,9 @@ class RunFit:
     unit: str
 
     def noise(self) -> Floats | None:
-        """Return the variances (4,) of x, y, z and the setting from the run's repeats; None for too few."""
+        """Return the noise variances (4,) of x, y, z and of the setting error from the run's repeats; None
+        for too few.
+        """
         if self.scatter.settings < LEAST_SETTINGS:
             return None
         own = self.scatter
@@ -295,7 +297,8 @@ def _beyond_repeats(run: RunFit, gram: Floats, variances: Floats, angles: int) -
 
 
 def pooled_noise(runs: Sequence[RunFit], floor: float) -> Floats:
-    """Return the variances (4,) of x, y, z and the setting, estimated from the repeats of all runs.
+    """Return the noise variances (4,) of channels x, y, z and of the setting error, from the repeats of all
+    runs.
 
     `floor` is the lowest credible noise. Raises `CalibrationError` for too few repeats.
     """
@@ -369,7 +372,10 @@ LEAST_SHOWN: Final = 0.01
 
 
 def _pooled_dof(freedom: Floats, slope: Floats, variances: Floats) -> Floats:
-    """Return 2 v^2/u(v)^2 of the variances (4,); for a setting error near zero, u(v) stays finite."""
+    """Return the degrees of freedom 2 v^2/u(v)^2 of the variances v (4,).
+
+    The u(v) of a setting error near zero is bounded, so that its degrees of freedom stay defined.
+    """
     shown = float(np.mean(np.sum(slope**2, axis=1)))
     least = LEAST_SHOWN * float(np.mean(variances[:3])) / shown if shown > 0 else 0.0
     inside = variances.copy()

@@ -32,7 +32,7 @@ STEADY: Final = 0.01
 class StaticRecord:
     """Signals (n, c) of `channels` in `unit`, sampled every `interval_s` seconds; `source` names their origin.
 
-    A sample is NaN where a record at a known input has a gap; `notes` say so.
+    A record at a known input may have gaps: their samples are NaN, and `notes` say so.
     """
 
     source: str
@@ -54,7 +54,7 @@ class StaticRecord:
 
     @property
     def known(self) -> Mask:
-        """Which samples are there, (n,)."""
+        """Which samples are numbers, and not gaps (NaN), (n,)."""
         return np.asarray(np.isfinite(self.signal).all(axis=1))
 
     @property
@@ -143,10 +143,10 @@ LONGEST_GAPS: Final = 10.0
 
 
 def on_grid(source: str, time_s: Floats, signal: Floats, channels: tuple[str, ...]) -> StaticRecord:
-    """Return a record whose times (n,) jitter or have gaps, in V: each sample (n, c) at the nearest time of a grid.
+    """Return a record in V, with each sample (n, c) moved to the nearest time of a uniform grid.
 
-    Samples at one time of the grid are averaged; where there is none, the record has NaN. Raises `CalibrationError`
-    for too few samples, and for a record that is mostly gaps.
+    The times `time_s` (n,) may jitter or have gaps. Samples at one time of the grid are averaged; a time without a
+    sample has NaN. Raises `CalibrationError` for too few samples, and for a record that is mostly gaps.
     """
     if len(time_s) < LEAST_SAMPLES:
         raise CalibrationError(
@@ -308,7 +308,7 @@ def spectrum_of(record: StaticRecord) -> Spectrum:
 
 
 def _stretches(record: StaticRecord) -> list[Floats]:
-    """Return the parts (m, c) of a record without longer gaps."""
+    """Return the parts (m, c) of a record between its longer gaps."""
     at = np.flatnonzero(record.known)
     bounds = [0, *(np.flatnonzero(np.diff(at) > SHORT_GAP + 1) + 1).tolist(), len(at)]
     parts = []

@@ -26,7 +26,10 @@ REMOUNT_S: Final = 1200.0
 
 
 class Mounting(NamedTuple):
-    """One mounting of the block, during which the stand angles stay constant. As text: "2", in series 3 "2/3"."""
+    """One mounting of the block, during which the stand angles stay constant.
+
+    As text it is the installation, "2"; from the second series on the series is added: "2/3" in series 3.
+    """
 
     series: int
     installation: str

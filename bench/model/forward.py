@@ -49,7 +49,7 @@ class ForwardModel:
     def readings(
         self, block: Block, conditions: Conditions, stand_rad: Floats, setting_error_rad: Floats | float = 0.0
     ) -> Floats:
-        """Return the predicted readings in volts, shape (n, 3); arguments as for `specific_force`."""
+        """Return the predicted readings in volts, shape (n, 3); the arguments are those of `specific_force`."""
         force = self.specific_force(conditions, stand_rad, block, setting_error_rad)
         return self.voltmeter_readings(self.output(force, conditions, block), conditions, block)
 

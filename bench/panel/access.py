@@ -54,7 +54,7 @@ class Settings:
 
     @property
     def loopback(self) -> bool:
-        """Whether only this computer can reach the panel, directly and without a proxy."""
+        """Whether only this computer can reach the panel, because it has a loopback address and no proxy."""
         return not self.address and is_loopback(self.host)
 
     @property
@@ -92,7 +92,8 @@ def is_loopback(host: str) -> bool:
 class Role(StrEnum):
     """The role of a person.
 
-    Each role has all rights of the ones before: look and stop; move and answer; force control.
+    Each role has all rights of the roles before it. The rights are, in order: look and stop; move and answer; force
+    control.
     """
 
     VIEWER = "viewer"
@@ -115,7 +116,7 @@ class Person:
 
     @property
     def csrf(self) -> str:
-        """The CSRF token in every form of this session, which no other site can know."""
+        """The CSRF token in every form of this session, by which a request proves that it comes from the panel."""
         return hashlib.sha256(f"form:{self.secret}".encode()).hexdigest()[:32]
 
     def require(self, least: Role) -> None:
@@ -206,7 +207,7 @@ LANGUAGE: Final = "bench-language"
 
 
 def _language_of(request: Request) -> str | None:
-    """Return the first known language of the cookie and of Accept-Language; None leaves that of the program."""
+    """Return the language in the cookie, else the first known one of Accept-Language; None: the program's."""
     accepted = request.headers.get("accept-language", "")[:200].split(",")
     wanted = [request.cookies.get(LANGUAGE, ""), *(one.partition(";")[0] for one in accepted)]
     return next(filter(None, map(known_language, wanted)), None)
@@ -257,7 +258,7 @@ def private_folder(folder: Path) -> Path:
 
 
 def is_held(lock: FileLock) -> bool:
-    """Return whether a program holds a lock now; false for one that cannot be taken at all."""
+    """Return whether a program holds a lock now; False for a lock that cannot be acquired at all."""
     try:
         with lock.acquire(timeout=0):
             return False
@@ -270,7 +271,7 @@ def is_held(lock: FileLock) -> bool:
 class KeptList:
     """A list of JSON objects in a file with a lock, so that several programs can change it.
 
-    `remedy` tells the user what to do about a damaged file that has no copy.
+    `remedy` is what to tell the user about a damaged file that has no copy.
     """
 
     def __init__(
@@ -309,7 +310,7 @@ class KeptList:
 
     @contextmanager
     def changed(self) -> Iterator[list[dict[str, Any]]]:
-        """Yield the rows for changes in place; write them at the end of the context. Raises `RecordError`."""
+        """Yield the rows, to be changed in place; write them at the end of the context. Raises `RecordError`."""
         try:
             with self._lock:
                 rows = self.rows()
@@ -337,7 +338,7 @@ MOST_LINKS: Final = 50
 class Access:
     """The tokens, links and sessions of a panel, stored in a folder that only its owner can enter.
 
-    Where the laboratory has a register of persons, its persons, rights and tokens count instead of the panel's.
+    If the laboratory has a register of persons, its persons, rights and tokens replace those of the panel.
     """
 
     def __init__(
@@ -352,7 +353,7 @@ class Access:
 
     @property
     def persons(self) -> Persons | None:
-        """The laboratory's register of persons; None where none stands. Raises `Refused` if it is damaged."""
+        """The laboratory's register of persons; None if there is none. Raises `Refused` if it is damaged."""
         return persons_of(self._laboratory)
 
     def _refuse_own_tokens(self, command: str) -> None:
@@ -366,7 +367,7 @@ class Access:
     def new_token(self, name: str, role: Role) -> str:
         """Create a token and return it; it is not shown again.
 
-        Raises `RecordError` if the name has one, and where the laboratory has a register of persons.
+        Raises `RecordError` if the name has a token already, and if the laboratory has a register of persons.
         """
         self._refuse_own_tokens("change NAME --token")
         name = checked_name(name)
@@ -394,7 +395,7 @@ class Access:
     def revoke(self, name: str) -> None:
         """Delete a person's token, which ends its sessions.
 
-        Raises `RecordError` if there is no token, and where the laboratory has a register of persons.
+        Raises `RecordError` if there is no token, and if the laboratory has a register of persons.
         """
         self._refuse_own_tokens("end NAME")
         with self._tokens.changed() as rows:
@@ -407,9 +408,9 @@ class Access:
     # --- one-time links -----------------------------------------------------------------------------
 
     def new_link(self, name: str) -> str:
-        """Return the secret of a new link, which signs an operator in once within half an hour.
+        """Return the secret of a new link, with which an operator can sign in once within half an hour.
 
-        Raises `Refused` for a name of nobody who may operate, where the laboratory has a register of persons.
+        If the laboratory has a register of persons, a name without the right to operate raises `Refused`.
         """
         if (register := self.persons) is not None:
             register.chosen(name, Right.OPERATE, "a link for")
@@ -500,7 +501,7 @@ class Access:
 
 
 def role_of(person: laboratory.Person) -> Role:
-    """Return the role that a person of the laboratory has in the panel, by rights."""
+    """Return the role in the panel that follows from the rights of a person of the laboratory."""
     if Right.SUPERVISE in person.may:
         return Role.SUPERVISOR
     return Role.OPERATOR if Right.OPERATE in person.may else Role.VIEWER

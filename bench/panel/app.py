@@ -1,4 +1,4 @@
-"""The panel's web application: routes, connection limits, starting the server, one-time links to it."""
+"""The panel's web application: routes, connection limits, starting the server, one-time links to sign in."""
 
 from __future__ import annotations
 
@@ -230,7 +230,10 @@ class Connection(H11Protocol):
 
 
 class OncePerMinute(logging.Filter):
-    """A log filter that passes each warning once a minute, so that clients cannot fill the disk, and all errors."""
+    """A log filter that passes each warning at most once a minute, and all errors.
+
+    Clients can thus not fill the disk with warnings.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -376,7 +379,7 @@ def link_of(runs: Path, name: str = "", laboratory: Path | None = None) -> str:
 
 
 def open_panel(runs: Path, after: str = "/", name: str = "", laboratory: Path | None = None) -> str:
-    """Return a one-time link to the page `after` of a folder's panel; start a panel first if none serves it.
+    """Return a one-time link to the page `after` of a folder's panel; start the panel if none serves the folder.
 
     `name` is the person who follows the link, by default the user of this computer.
 

@@ -37,9 +37,10 @@ Values = Mapping[str, str]
 
 @dataclass(frozen=True)
 class BenchField:
-    """A field of the form: an input whose name is its dotted place in the bench file.
+    """A field of the form: an input whose name is the dotted path of its value in the bench file.
 
-    `choices` are (value, words), empty for a text; `shows` says whether other fields depend on the choice.
+    `choices` are pairs (value, words), empty for a text field; `shows` says whether other fields depend on the
+    choice.
     """
 
     name: str
@@ -67,7 +68,7 @@ class Group:
 
     @property
     def place(self) -> str:
-        """The dotted place of the section in the file."""
+        """The dotted path of the section in the file."""
         return dotted(self.at)
 
 
@@ -107,7 +108,7 @@ def _gravity(values: Values) -> Group:
 
 
 def _forms_of_gravity() -> dict[str, tuple[Any, tuple[Any, ...]]]:
-    """Return the ways to state gravity: type and metadata, by the tag of the model."""
+    """Return, by tag of the model, the type and metadata of each way to state gravity."""
     found: dict[str, tuple[Any, tuple[Any, ...]]] = {}
 
     def look(annotation: Any) -> None:
@@ -175,7 +176,8 @@ def _driver_words(name: str, section: type[Any]) -> str:
 def fields_in(
     model: type[BaseModel], at: Place, skip: frozenset[str] = frozenset(), default: Any = None
 ) -> Iterator[tuple[str, BenchField]]:
-    """Yield the fields of a model at a place, by name, and the fields of its required sections.
+    """Yield the fields of a model, and of its required sections, with their names; `at` is the model's path in the
+    file.
 
     Certificates, lists and optional sections have no field: the user writes them in the file. `default` is the
     section that applies if the file omits it.
@@ -236,7 +238,7 @@ _PLAIN: Final[Mapping[Any, str]] = {
 
 
 def _words(annotation: Any, metadata: Iterable[Any]) -> str | None:
-    """Return what a field holds, in words; None for a list or section, which has no field."""
+    """Return in words what a field's value is; None for a list or section, which has no field."""
     kind = quantity_of(annotation, tuple(metadata))
     if kind is not None:
         return f"{kind.called} such as {kind.example}"
@@ -285,7 +287,7 @@ def first_sentence(model: type[BaseModel]) -> str:
 
 
 def values_of(data: Any) -> dict[str, str]:
-    """Return the texts of a parsed bench file by dotted place, with the choices of the form."""
+    """Return the values of a parsed bench file as texts, by dotted path, with the choices of the form."""
     values: dict[str, str] = {}
 
     def look(part: Any, at: Place) -> None:
@@ -335,10 +337,11 @@ def _form_of(written: Any) -> str:
 
 
 def completed(values: Values, before: Values) -> dict[str, str]:
-    """Return typed values with the examples of newly chosen drivers for fields not shown yet, except resources.
+    """Return the typed values, completed with examples for newly chosen drivers.
 
-    `before` are the values of the file. If there is a single voltmeter, it becomes a scanning one; an added
-    voltmeter is like the first, for the next signal.
+    Fields that the form did not show yet get the examples, except resources. `before` are the values of the file.
+    If there is a single voltmeter, it becomes a scanning one; an added voltmeter is like the first, for the next
+    signal.
     """
     full = dict(values)
     number = number_of_meters(full)
@@ -377,7 +380,7 @@ def _exemplify(values: dict[str, str], before: Values, name: str) -> None:
 
 @dataclass
 class Placed:
-    """The mistakes of a bench file: the mistakes of each field and group by name, and all others."""
+    """The mistakes of a bench file: those of each field and group, by name, and all others."""
 
     at: dict[str, list[str]] = field(default_factory=dict)
     elsewhere: list[FileMistake] = field(default_factory=list)
@@ -392,7 +395,7 @@ _MISSING: Final = re.compile(r"'([^']+)' is missing")
 
 
 def placed(mistakes: Iterable[FileMistake], groups: Iterable[Group]) -> Placed:
-    """Return mistakes with their fields.
+    """Return the mistakes assigned to the fields of the form.
 
     A mistake that belongs to no field is listed at its group, or else among the others.
     """

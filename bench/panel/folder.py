@@ -1,4 +1,4 @@
-"""The folder of runs: safe access to its runs and files, the table of runs, the certificates of a run."""
+"""The folder of runs: safe access to runs and their files, the table of runs, the certificates of a run."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def read_page(run: Run, name: str) -> bytes:
 
 @dataclass(frozen=True)
 class Issued:
-    """A certificate of a run: its number, status (`state`) and cause (`by`), whether it is signed, its files."""
+    """A certificate of a run: number, status (`state`) and its cause (`by`), whether it is signed, files."""
 
     number: str
     state: str
@@ -240,7 +240,7 @@ class RunsTable:
 
 
 def _now(folder: RunsFolder, row: RunRow) -> RunRow:
-    """Return a cached row with its current state: a program may have resumed the run without a new event."""
+    """Return a cached row with the run's current state, since a program may have resumed it without a new event."""
     if row.to_go_on and is_being_written(folder.path / row.name):
         return replace(row, state=state_at_the_end(folder.path / row.name), to_go_on="")
     return row

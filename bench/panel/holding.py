@@ -52,7 +52,7 @@ WORDS: Final = {
 
 @dataclass(frozen=True)
 class Holding:
-    """The state of control: the holder (empty for nobody), `since` when and by which deed (`how`).
+    """The state of control of a run: the holder (empty for nobody), `since` when, and by which deed (`how`).
 
     `asking` lists the persons who request control, in order; `denied` those whose last request was denied.
     """
@@ -135,8 +135,8 @@ def change(
 ) -> Holding:
     """Carry out a person's command (a key of `WORDS`) on the control of a run; return the new state.
 
-    `to` is the person to grant or deny, by default the first who asked. Raises `Refusal` if the command is not
-    allowed, `OSError` if the journal cannot be written.
+    `to` is the person to whom control is granted or denied, by default the first who asked. Raises `Refusal` if the
+    command is not allowed, `OSError` if the journal cannot be written.
     """
     if word not in WORDS:
         raise Refusal(400, message(f"ask for one of {', '.join(WORDS)}"))
@@ -162,7 +162,10 @@ def change(
 
 
 def _checked(holding: Holding, word: str, person: Person, to: str) -> str:
-    """Return the person to grant or deny, "" for other commands. Raises `Refusal` if the command is not allowed."""
+    """Return the person to whom a command grants or denies control; "" for other commands.
+
+    Raises `Refusal` if the command is not allowed.
+    """
     person.require(Role.SUPERVISOR if word == "force" else Role.OPERATOR)
     holds = holding.holder == person.name
     match word:

@@ -1,4 +1,4 @@
-"""Processes that the panel starts to check, try, run, resume and diagnose; the choice of files for a run."""
+"""Processes that the panel starts to check, try, run, resume and diagnose; the files that a run may use."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ class WantedRun:
         return RunRequest(**{"procedure": "", **self.fields})  # type: ignore[arg-type]
 
     def hashed(self) -> WantedRun:
-        """Return the requested run with the current hashes of its files. Raises `Refusal`."""
+        """Return the requested run with the present hashes of its files. Raises `Refusal` if one cannot be read."""
         return replace(self, sha256=self._hashes())
 
     def changed(self) -> bool:
@@ -153,11 +153,11 @@ class WantedRun:
 
 @dataclass(frozen=True)
 class TrialResult:
-    """The findings of check and dry run. `stage` is "checking", "trying" or "done".
+    """The findings of the check and the dry run that precede a run. `stage` is "checking", "trying" or "done".
 
-    `check` is the output of `bench check --json`, `mistakes` the errors if the files cannot be read; `tried` is the
-    exit status of the dry run, None without one, and `said` the end of its output; `result` is the output of
-    `bench run --json`.
+    `check` is the output of `bench check --json`, `mistakes` are the errors if the files cannot be read. `tried` is
+    the exit status of the dry run (None without one), `said` the end of its output, `result` the output of `bench
+    run --json`.
     """
 
     stage: str = "checking"
@@ -179,13 +179,13 @@ class TrialResult:
 
 
 class WorkFolder:
-    """A folder in which a process of the panel stores its findings; it holds a lock while it is alive."""
+    """A folder in which a process of the panel stores its findings; a lock shows that the process is alive."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     def tell(self, found: Any) -> None:
-        """Store the findings so far, a dataclass."""
+        """Store `found`, a dataclass with the findings so far."""
         write_whole(self.path / FOUND, to_text(asdict(found)))
 
     def lock(self) -> FileLock:
@@ -249,7 +249,7 @@ class Wishes:
         self._folder = folder
 
     def new(self, wanted: WantedRun) -> WishFolder:
-        """Store a requested run and return its folder. Raises `Refusal` (429) if too many are being tried."""
+        """Store a requested run and return its folder. Raises `Refusal` (429) if too many runs are being tried."""
         self._folder.mkdir(mode=0o700, exist_ok=True)
         before = [one for one in self._folder.iterdir() if one.is_dir()]
         before.sort(key=lambda one: one.stat().st_mtime)
@@ -305,7 +305,7 @@ def name_of(wanted: WantedRun, runs: RunsFolder) -> str:
 def start_run(wish: WishFolder, name: str, runs: RunsFolder) -> Run:
     """Start a requested run in a separate process; return the run once its record exists. Raises `Refusal`.
 
-    `name` is its name, from `name_of`.
+    `name` is the run's name, from `name_of`.
     """
     wanted = wish.wanted()
     if wanted.changed():
@@ -439,7 +439,7 @@ def _beginning(file: Path) -> bytes:
 
 
 def main() -> None:
-    """Check and try the wish in the folder given on the command line."""
+    """Carry out the check and the dry run of the requested run whose folder is on the command line."""
     wish = WishFolder(Path(sys.argv[1]))
     with wish.lock():
         found = checked(wish.wanted(), wish.path)
@@ -462,7 +462,7 @@ def checked(wanted: WantedRun, folder: Path) -> TrialResult:
 
 
 def tried(wish: WishFolder, found: TrialResult) -> TrialResult:
-    """Carry out a dry run of a wish and return the findings with its outcome added."""
+    """Carry out the dry run of a requested run; return the findings with its outcome added."""
     log, result = wish.path / "dry-run.log", wish.path / "dry-run.json"
     trial = replace(wish.wanted().request, dry_run=True, name="trial", runs=wish.path / "runs", operator="")
     arguments = ["run", *arguments_of(trial), f"--json={result}"]

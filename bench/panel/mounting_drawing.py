@@ -88,7 +88,7 @@ class Sheet:
         )  # fmt: skip
 
     def svg(self, words: str) -> str:
-        """Return the drawing as SVG; `words` describe it for users who cannot see it."""
+        """Return the drawing as SVG; `words` describe it to users who cannot see it."""
         return (
             f'<svg class="drawing" xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
             f'aria-label="{escape(words)}">{"".join(self.shapes)}</svg>'
@@ -192,7 +192,10 @@ def _block(sheet: Sheet, installation: Installation, angle_rad: float) -> None:
 
 
 def _aside(axis: Floats) -> Floats:
-    """Return the offset of an axis's letter on the sheet; an axis along the shaft is short and needs one."""
+    """Return the offset of an axis's letter on the sheet.
+
+    An axis along the shaft is short there, so its letter must be moved aside.
+    """
     return np.array([10.0, 0.0]) if abs(axis[1]) > 0.9 else np.zeros(2)
 
 

@@ -55,8 +55,8 @@ class Picture:
 class Outcome:
     """What the live page shows of a run that has ended.
 
-    `state` is "waiting" while the results are computed, "none" where there are none, else "ready". `misfit` says
-    why a diagnosis is offered; it is empty where the readings fit and pass.
+    `state` is "waiting" while the results are computed, "none" if there are none, else "ready". `misfit` says why a
+    diagnosis is offered; it is empty if the readings fit the model and the verification passed.
     """
 
     state: str
@@ -84,7 +84,7 @@ def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool) -> Ou
 
 
 def _misfit(found: Results) -> str:
-    """Return the reason to diagnose a run: readings that the model does not fit, or a verdict that is no pass."""
+    """Return the reason to diagnose a run: the model does not fit the readings, or the verdict is no pass."""
     if found.calibration is not None and not found.calibration.fits:
         return message("The model does not fit the readings. The diagnosis looks for the missing effect.")
     if found.verdict is not None and not found.verdict.passed:
@@ -93,7 +93,7 @@ def _misfit(found: Results) -> str:
 
 
 def _change(run: Run, runs: RunsFolder) -> Change | None:
-    """Compare a run with the unit's previous calibration; None where there is no earlier one."""
+    """Compare a run with the unit's previous calibration; None if there is none."""
     previous = previous_calibration(run, runs)
     if previous is None:
         return None
@@ -133,8 +133,9 @@ def _row(name: str, difference: float, expanded: float, unit: str) -> str:
 
 
 def previous_calibration(run: Run, runs: RunsFolder) -> Run | None:
-    """Return the last calibration of the same unit before a run, on the same kind of instruments (real or
-    simulated); None if there is none.
+    """Return the run of the unit's last calibration before a run; None if there is none.
+
+    Both runs are on the same kind of instruments, real or simulated.
     """
     mine = _identity(run)
     if mine is None:
@@ -151,7 +152,7 @@ def previous_calibration(run: Run, runs: RunsFolder) -> Run | None:
 
 
 def _identity(run: Run) -> tuple[tuple[str, str, bool], str] | None:
-    """Return unit (type, serial, simulated or not) and time of a run; None where no serial number is known."""
+    """Return the unit (type, serial, simulated or not) and the time of a run; None if no serial number is known."""
     try:
         manifest = run.manifest
     except RecordError:
@@ -172,7 +173,7 @@ ROW: Final = 34.0
 
 
 def picture_of(verdict: VerdictTold) -> Picture:
-    """Return the picture of a verdict: one whisker for each verification point, down the page."""
+    """Return the picture of a verdict, with a whisker for each verification point, from top to bottom."""
     largest = max([1.25, *(abs(row.of_limit) + row.u_of_limit for row in verdict.rows)])
     middle, unit = (LABELS + WIDTH - EDGE) / 2, (WIDTH - EDGE - LABELS) / 2 / largest
 

@@ -1,4 +1,4 @@
-"""Bench files and procedures of the working folder: which there are, and writing one that nobody else changed."""
+"""Bench files and procedures of the working folder: their list, and writing one unless somebody else changed it."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class FileText:
 
 @dataclass
 class EditedFile:
-    """A bench file or a procedure in its form: the file as it was read (`base`), and what the page says of it.
+    """A bench file or a procedure in its form: the file as it was read (`base`), and the messages of the page.
 
-    `start` is the file from which a new one begins, empty for one that exists; `name` is the name of the file.
+    `start` is the file that a new file copies, empty for a file that exists; `name` is the name of the file.
     """
 
     name: str
@@ -49,7 +49,9 @@ class EditedFile:
     difference: str = ""
 
     def target(self, kind: str) -> Path | None:
-        """Return the path to write; None, with the mistake at its field, for a new name that cannot be used."""
+        """Return the path to write; None for a new name that cannot be used, which is noted as a mistake at its
+        field.
+        """
         try:
             return new_path(kind, self.name) if self.start else self.base.path
         except Refusal as refusal:
@@ -65,8 +67,9 @@ class EditedFile:
 
 
 def own_files(kind: str) -> dict[str, Path]:
-    """Return the files of a kind (`CONFIG`, `PROCEDURES`) in the working folder by name, without links that lead
-    out of it.
+    """Return the files of a kind (`CONFIG`, `PROCEDURES`) in the working folder, by name.
+
+    Links that lead out of the folder are left out.
     """
     here = Path().resolve()
     shipped = shipped_folder(kind).resolve()
@@ -132,7 +135,7 @@ def read_file(path: Path) -> FileText:
 
 
 def difference(before: str, after: str, name: str) -> str:
-    """Return the lines in which two texts differ: "-" before lines of the first, "+" before lines of the second."""
+    """Return the lines in which two texts differ: "-" before lines of `before`, "+" before lines of `after`."""
     lines = difflib.unified_diff(
         before.splitlines(),
         after.splitlines(),

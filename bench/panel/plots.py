@@ -255,8 +255,9 @@ def _diagnosed_rows(diagnosis: Numbers, name: str) -> Iterator[list[Any]]:
 
 
 def written(rows: Rows, title: str, form: str, *, simulated: bool) -> bytes:
-    """Return a table as a CSV file, from which the numbers read back exactly, or as a workbook (about 16
-    digits).
+    """Return a table as a CSV file or as a workbook.
+
+    Numbers read from the CSV file are exactly the same; the workbook has about 16 digits.
     """
     if form == "xlsx":
         from bench.exchange.forms import tables_workbook
@@ -277,6 +278,6 @@ def _cell(value: Any) -> Any:
 
 
 def sections_of(run: Run) -> Sequence[str]:
-    """Return the plots for which a run has the files."""
+    """Return the names of the plots for which a run has the files."""
     files = {"residuals": CALIBRATE, "delta-g": VERIFY, "diagnosis": DIAGNOSE}
     return [name for name, file in files.items() if is_plain(run.folder / file)]

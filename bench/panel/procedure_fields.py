@@ -1,4 +1,4 @@
-"""The table of a procedure: a row with fields for each step as written; steps copied and removed in the text."""
+"""The table of a procedure, with a row of fields for each step; copying and removal of steps in its text."""
 
 from __future__ import annotations
 
@@ -51,9 +51,7 @@ LISTS: Final = {
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the table: the group of a step's fields, its nesting depth, and the part of the step that has no
-    fields.
-    """
+    """A row of the table: the fields of a step as a group, its nesting depth, and the part that has no fields."""
 
     group: Group
     depth: int
@@ -99,7 +97,7 @@ def _rows(steps: Any, at: Place, depth: int) -> Iterator[Row]:
 
 
 def _in_line(body: Any) -> str:
-    """Return what is written of a step that has no fields, in one line."""
+    """Return the part of a step that has no fields as text in one line."""
     if isinstance(body, dict):
         return ", ".join(f"{key}: {_in_line(value)}" for key, value in body.items() if key != "steps")
     return ", ".join(map(_in_line, body)) if isinstance(body, list) else str(body or "")
@@ -144,8 +142,9 @@ def values_in(data: Any, fields: Iterable[BenchField]) -> dict[str, str]:
 
 
 def table_text(text: str, values: Values, fields: Sequence[BenchField]) -> str:
-    """Return a procedure with the values of the table: first the values of its fields, then the chosen forms of
-    angles.
+    """Return the text of a procedure with the values that were typed in its table.
+
+    The values of existing fields are set first, then the chosen forms of angles.
     """
     text = edited_text(text, values, fields)
     return edited_text(text, {}, (), lambda tree, _: _arrange_angles(tree, values, fields))
@@ -188,14 +187,14 @@ def _as_steps(angles: Any) -> dict[str, str]:
 
 
 def with_copy(text: str, at: Place) -> str:
-    """Return a procedure in which the step at a place is followed by a copy of it. Raises `Refusal` (409)."""
+    """Return a procedure in which a copy follows the step at the path `at`. Raises `Refusal` (409)."""
     lines = text.splitlines()
     _, first, end = _block(text, at)
     return _compared(text, [*lines[:end], *lines[first:end], *lines[end:]], at, times=2)
 
 
 def without_step(text: str, at: Place) -> str:
-    """Return a procedure without the step at a place, and without the comments above this step.
+    """Return a procedure without the step at the path `at`, and without the comments above this step.
 
     Raises `Refusal` (409).
     """
@@ -205,7 +204,7 @@ def without_step(text: str, at: Place) -> str:
 
 
 def _block(text: str, at: Place) -> tuple[int, int, int]:
-    """Return the lines of a step: where its comments begin, where it begins, and where it ends."""
+    """Return three line numbers of a step: where its comments begin, where it begins, and where it ends."""
     lines = text.splitlines()
     first = read_yaml_with_lines(text).lines.get(at, 0) - 1
     if first < 0 or not lines[first].lstrip().startswith("- "):
@@ -226,7 +225,7 @@ def _block(text: str, at: Place) -> tuple[int, int, int]:
 
 
 def _compared(text: str, lines: list[str], at: Place, times: int) -> str:
-    """Return the changed lines as a text if nothing but the step at the place differs. Raises `Refusal` (409)."""
+    """Return the changed lines as a text. Raises `Refusal` (409) if more than the step at the path `at` differs."""
     changed = "\n".join(lines) + "\n"
     wanted = copy.deepcopy(read_yaml(text).data)
     steps: Any = wanted
@@ -240,7 +239,7 @@ def _compared(text: str, lines: list[str], at: Place, times: int) -> str:
 
 
 def place_of(name: str, rows: Iterable[Row]) -> Place:
-    """Return the place of the step in a row with this name. Raises `Refusal` (400) if there is none."""
+    """Return the path in the procedure of the step with this row name. Raises `Refusal` (400) if there is none."""
     for row in rows:
         if row.group.place == name:
             return row.group.at[:-1]

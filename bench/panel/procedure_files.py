@@ -46,7 +46,7 @@ def offered_procedures() -> list[OfferedProcedure]:
 
 
 def offered(name: str, file: Path) -> OfferedProcedure:
-    """Return a procedure as the forms offer it; it is read again only after a change of its file."""
+    """Return a procedure as the forms offer it; it is cached until its file changes."""
     return _offered(name, file, file.stat().st_mtime_ns if file.is_file() else 0)
 
 

@@ -39,8 +39,8 @@ class _Row(BaseModel):
 class QueueItem(_Row):
     """A unit to be measured: serial number (empty: as in the bench file), names of procedure and bench file.
 
-    `wish` is the id of its latest check, `run` the name of its run and `begun` when a person began it; they are
-    empty before.
+    `wish` is the id of its latest check, `run` the name of its run, and `begun` the time when a person began it.
+    They are empty until then.
     """
 
     id: Annotated[str, Field(pattern=r"^[0-9a-f]{12}$")]
@@ -60,7 +60,9 @@ class QueueItem(_Row):
 
 
 class DayNote(_Row):
-    """A note of the day: `what` (`DUTY`, `OFF_DUTY`, `SWITCHED_ON`), who made it, when, of which bench."""
+    """A note of the day: `what` (`DUTY`, `OFF_DUTY`, `SWITCHED_ON`), its author, its time, and the bench it
+    concerns.
+    """
 
     what: str
     who: str
@@ -95,7 +97,7 @@ class DayQueue:
                 )
 
     def move(self, item_id: str, by: int) -> None:
-        """Move an item up (`by` −1) or down (1); at the end of the queue it stays. Raises `Refusal` (409)."""
+        """Move an item up (`by` −1) or down (1) by one place, if there is one. Raises `Refusal` (409)."""
         with self._changed() as items:
             at = _index(items, item_id)
             items.insert(max(at + by, 0), items.pop(at))
@@ -112,7 +114,7 @@ class DayQueue:
             items[at] = items[at].model_copy(update=values)
 
     def claim(self, item_id: str, run: str, exists: Callable[[str], bool]) -> None:
-        """Note the run that an item becomes, before it is started.
+        """Note the run for an item before this run is started.
 
         Raises `Refusal` (409) if the item was begun already: its run exists, or is being started.
         """

@@ -67,7 +67,8 @@ class PointRow:
 class VerdictTold:
     """The verdict of the verification as shown on a page.
 
-    `state` styles the box and `words` state the outcome; then follow the worst |Δg| ± U, the limit and the risk.
+    `state` selects the style of the box, `words` state the outcome; the rest is the worst |Δg| ± U, the limit and
+    the risk.
     """
 
     state: str
@@ -139,7 +140,10 @@ def results_of(run: Run) -> Results:
 def told_by(
     run: Run, name: str, words: Callable[[Mapping[str, Any]], Told], trouble: list[str]
 ) -> Told | None:
-    """Return what `words` takes from a result file of a run; None for no file, or a damaged one (see `trouble`)."""
+    """Return what `words` makes of a result file of a run; None for a missing or damaged file.
+
+    A damaged file is noted in `trouble`.
+    """
     try:
         content = from_text(read_page(run, name))
         return None if content is None else words(content)

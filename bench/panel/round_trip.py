@@ -1,4 +1,4 @@
-"""Changes of bench files and procedures that keep their comments, order and style (`ruamel.yaml`)."""
+"""Changes of bench files and procedures that preserve comments, order and style (`ruamel.yaml`)."""
 
 from __future__ import annotations
 
@@ -62,8 +62,8 @@ def edited_text(
 ) -> str:
     """Return a text with the values of its fields; it is unchanged if no value changed.
 
-    An empty field removes its key. `arrange(tree, values before)` first changes the sections. Raises as
-    `changed_text`.
+    An empty field removes its key. First, `arrange(tree, before)` adds and removes sections; `before` are the
+    values in `text`. Raises as `changed_text`.
     """
     yaml = _yaml()
     tree = yaml.load(text)
@@ -98,11 +98,11 @@ def with_certificate(text: str, instrument: str, section: str) -> str:
 
 
 def accept_certificate(request: ReadCertificate, section: Section) -> str:
-    """Write the certificate of an instrument into a bench file; return a sentence.
+    """Write the certificate of an instrument into a bench file; return a sentence on what was done.
 
     The file's first line names who accepted it and the SHA-256 of the document. Raises `Refused` for an instrument
-    that the bench file does not list, a certificate that lacks corrections, and one that is there already;
-    `FileMistakes` where the bench file would have mistakes, and then leaves it as it was.
+    that the bench file does not list, for a certificate that lacks corrections, and for one that is there already.
+    Raises `FileMistakes` if the bench file would have mistakes; the file then stays unchanged.
     """
     if request.into is None or not request.instrument or not request.by:
         raise Refused("accepting a certificate needs --into FILE, --instrument NAME and --by NAME")
@@ -127,13 +127,13 @@ def accept_certificate(request: ReadCertificate, section: Section) -> str:
 
 
 def signed(text: str, name: str, now: datetime) -> str:
-    """Return a text whose first line is the comment that says who changed the file in the panel, and when."""
+    """Return the text with a first line, a comment, that says who changed the file in the panel, and when."""
     kept = re.sub(r"\A# changed in the panel by [^\n]*\n", "", text)
     return f"# changed in the panel by {name} on {now.astimezone():%Y-%m-%d}\n{kept}"
 
 
 def _yaml() -> YAML:
-    """Return a reader and writer for which every plain scalar is text, so that it is written as it was read."""
+    """Return a YAML reader and writer that treats every plain scalar as text, to write it unchanged."""
     from ruamel.yaml import YAML
     from ruamel.yaml.resolver import VersionedResolver
 
@@ -142,7 +142,7 @@ def _yaml() -> YAML:
 
         @property
         def versioned_resolver(self) -> Any:
-            """The patterns of types: nothing at all is nothing, and not an empty text."""
+            """The patterns of types: only an empty scalar has one, and is null instead of an empty text."""
             return {"": [("tag:yaml.org,2002:null", re.compile(r"^$"))]}
 
     yaml = YAML()
@@ -158,7 +158,7 @@ def _yaml() -> YAML:
 
 
 def _arrange(tree: Any, values: Values, before: Values, groups: list[Group]) -> None:
-    """Remove and add what the form's choices demand: voltmeters, the chamber, the way gravity is stated."""
+    """Add and remove the sections that the form's choices demand: voltmeters, chamber, way of stating gravity."""
     stated = values.get(GRAVITY_FORM, "")
     if not stated:
         _remove(tree, GRAVITY)
@@ -187,7 +187,10 @@ def _arrange(tree: Any, values: Values, before: Values, groups: list[Group]) -> 
 
 
 def _gravity(stated: str) -> Any:
-    """Return gravity in the chosen form before its fields are set; an empty value is a mistake at its field."""
+    """Return the section on gravity in the chosen form, before its fields are set.
+
+    An empty value is reported as a mistake at its field.
+    """
     empty = _scalar("", None)
     if stated == FORMS_OF_GRAVITY["value"]:
         return empty
@@ -203,7 +206,7 @@ def _another_driver(group: Group, values: Values, before: Values) -> bool:
 
 
 def _emptied(tree: Any, before: Values) -> Mapping[str, str]:
-    """Return, as empty, the places of the file that `_arrange` removed."""
+    """Return the paths in the file that `_arrange` removed, each with an empty text."""
     there = values_of(tree)
     return {name: there.get(name, "") for name in before}
 
@@ -212,7 +215,7 @@ def _emptied(tree: Any, before: Values) -> Mapping[str, str]:
 
 
 def _put(tree: Any, one: BenchField, text: str) -> None:
-    """Set the text of a field, with the sections that lead to it; an empty text removes its key."""
+    """Set the text of a field, and create the sections that contain it; an empty text removes its key."""
     if not text:
         _remove(tree, one.at)
         return
@@ -226,7 +229,10 @@ def _put(tree: Any, one: BenchField, text: str) -> None:
 
 
 def _scalar(text: str, before: Any) -> Any:
-    """Return a text as a scalar in the quotes of the one before; a word that YAML reads as nothing in quotes."""
+    """Return a text as a scalar with the quotes of the scalar `before`.
+
+    A word that YAML reads as null is quoted.
+    """
     from ruamel.yaml.scalarstring import DoubleQuotedScalarString, SingleQuotedScalarString
 
     if isinstance(before, SingleQuotedScalarString):
@@ -237,7 +243,7 @@ def _scalar(text: str, before: Any) -> Any:
 
 
 def _remove(tree: Any, at: Place) -> None:
-    """Remove the key at a place, and the sections that are empty without it."""
+    """Remove the key at a path, and the sections that become empty."""
     section = tree
     for step in at[:-1]:
         if isinstance(section, dict) and step not in section:
@@ -252,7 +258,7 @@ def _remove(tree: Any, at: Place) -> None:
 
 
 def _reach(tree: Any, at: Place) -> Any:
-    """Return the section at a place; sections on the way that do not exist are made, in one line each."""
+    """Return the section at a path; missing sections on the way are created, each in one line."""
     section = tree
     for step in at:
         if isinstance(section, dict) and not isinstance(section.get(step), dict | list):
@@ -315,7 +321,7 @@ KeyPath = tuple[str, ...]
 
 
 def _blocks(text: str) -> list[tuple[list[str], list[KeyPath]]]:
-    """Return the blocks of comments and empty lines, each with the paths of the lines after it, the next first."""
+    """Return the blocks of comments and empty lines, each with the key paths of the next lines, nearest first."""
     lines = text.splitlines()
     aside = [not line.strip() or line.lstrip().startswith("#") for line in lines]
     paths = _paths([line for line, is_aside in zip(lines, aside, strict=True) if not is_aside])

@@ -42,9 +42,9 @@ _STOPPED: Final = frozenset(
 class RunView:
     """The state of a run, derived from its events.
 
-    `step` is the event with which the current step began, `begun` the event of the first step since the run was
-    begun or resumed, `turn` the event of the last turn since the block was mounted; `set_c` is the set point of the
-    chamber, °C. Results of steps are computed from their events only on demand, as few are needed.
+    `step` is the event with which the current step began, and `begun` the event of the first step since the run was
+    begun or resumed. `turn` is the event of the last turn since the block was mounted; `set_c` is the set point of
+    the chamber, °C. Results of steps are computed from their events only on demand, as few are needed.
     """
 
     plan: Plan
@@ -204,7 +204,10 @@ _BEGUN: Final = f'"type": "{EventType.STEP_STARTED}"'.encode()
 
 
 class Tail:
-    """A reader of the events of a growing record, from the first; an incomplete last line is read later."""
+    """A reader of the events of a growing record, from the first on.
+
+    An incomplete last line is read once it is complete.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / EVENTS

@@ -34,9 +34,9 @@ def prompt_of(asked: AskedPrompt, seen: RunView, installations: Mapping[str, Ins
     """Return a question as a JSON object for pages and scripts.
 
     `id`, `kind`, `text`, `default`, `unit`, `choices`, `minimum`, `maximum` and `picture` are those of the
-    `Prompt`; `time` is that of the question; `do` is the task. For a turn, `target` is the angle in ° ′ ″ and
-    `direction` +1 or -1. `drawing` is an SVG or empty. `buttons` are the possible answers, each with its `text` and
-    its `label`; if `enter` is true, the Enter key presses the first.
+    `Prompt`; `time` is when the question was asked; `do` is the operator's task. For a turn, `target` is the angle
+    in ° ′ ″ and `direction` +1 or -1. `drawing` is an SVG or empty. `buttons` are the possible answers, each with
+    its `text` and its `label`; if `enter` is true, the Enter key presses the first.
     """
     prompt = asked.prompt
     action: Mapping[str, Any] = prompt.action  # from a record, so not validated
@@ -90,7 +90,7 @@ def _buttons(told: Mapping[str, Any]) -> list[dict[str, str]]:
 
 
 def _choice(choice: str) -> dict[str, str]:
-    """Return the button of a choice; for a choice with a free reason, `begin` is the beginning of the answer."""
+    """Return the button of a choice; if the choice takes a free reason, `begin` is how the answer begins."""
     if choice.endswith(f" {REASON}"):
         beginning = choice.removesuffix(REASON)
         return {"begin": beginning, "label": message(f"{beginning.strip()} because …")}
@@ -195,7 +195,7 @@ class About:
 def snapshot(
     seen: RunView, about: About, time_left: TimeLeft, asked: AskedPrompt | None, *, alive: bool, now: datetime
 ) -> dict[str, Any]:
-    """Return the snapshot of a run as a JSON object: its state, place in the plan, last reading, warnings and log.
+    """Return the snapshot of a run as a JSON object: state, position in the plan, last reading, warnings and log.
 
     `asked` is the open question; `alive` says whether a program is carrying out the run.
     """
@@ -235,7 +235,7 @@ def snapshot(
 
 
 def _doing(seen: RunView, *, alive: bool) -> str:
-    """Return a sentence on the current activity."""
+    """Return a sentence on what the run is doing now."""
     match seen.state:
         case RunState.FINISHED | RunState.ABORTED:
             return message(f"The run is {seen.state}.")
@@ -258,7 +258,7 @@ def _doing(seen: RunView, *, alive: bool) -> str:
 
 
 def alarm_of(seen: RunView, asked: AskedPrompt | None, *, alive: bool) -> dict[str, str] | None:
-    """Return the alarm of a run: `cause` in one line, `action` to take, `details`; None without one.
+    """Return the alarm of a run: `cause` in one line, `action` to take, `details`; None if there is no alarm.
 
     `do` is "resume" if the action is to resume the run, else empty. An open question is no alarm, but an early
     warning that stopped the run is one.
@@ -296,13 +296,13 @@ def _alarm(cause: str, action: str, details: str, do: str) -> dict[str, str]:
 
 
 def _first_sentence(text: str) -> tuple[str, str]:
-    """Return a text in two: up to its first semicolon or end of a sentence, and the rest."""
+    """Return a text in two parts: up to its first semicolon or end of a sentence, and the rest."""
     found = _SENTENCE.search(text)
     return (text, "") if found is None else (text[: found.start()] + ".", text[found.end() :])
 
 
 def _redo_point(seen: RunView) -> str:
-    """Return which point a wish to redo repeats, with its angle; empty where no point was measured."""
+    """Return the point that the wish "redo" would repeat, with its angle; "" if no point was measured yet."""
     index = _next_step(seen) if seen.step is None else seen.step.step
     try:
         found = redo_from(seen.plan, seen.progress, Wish.REPEAT_POINT, index)
@@ -348,7 +348,7 @@ def _next_step(seen: RunView) -> int:
 
 
 def _step_at(seen: RunView) -> Step | None:
-    """Return the step that gives the place in the plan: for a wait, the next mount, turn or reading."""
+    """Return the step whose position in the plan is shown; for a wait, this is the next mount, turn or reading."""
     if seen.step is None:
         return None
     for step in seen.plan.steps[seen.step.step :]:

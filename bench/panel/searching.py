@@ -59,7 +59,7 @@ class Search(WorkFolder):
             return Findings()
 
     def at_work(self) -> bool:
-        """Return whether a process searches now, or was started a moment ago and may not have begun yet."""
+        """Return whether a search process is running, or was started so recently that it may not have begun yet."""
         if self.found().done:
             return False
         try:
@@ -144,7 +144,7 @@ def carried_out(asked: Findings) -> Findings:
 
 
 def _tested(bench: Path) -> dict[str, Any]:
-    """Return what the instruments of a bench file answer, or the problem, as members of `Findings`."""
+    """Return the results of testing the instruments of a bench file, or the problem, as members of `Findings`."""
     from bench.config.bench_file.file import load_bench
     from bench.run.interrupts import Interrupts
     from bench.services.instruments import look_at
@@ -159,7 +159,7 @@ def _tested(bench: Path) -> dict[str, Any]:
 
 
 def _row(part: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the page shows of an instrument that was tested."""
+    """Return what the page shows of a tested instrument."""
     identity = part["identity"] or {}
     failures = [": ".join(filter(None, map(str, failure.values()))) for failure in part["failures"]]
     return {

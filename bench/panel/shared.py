@@ -76,16 +76,16 @@ def looking(request: Request) -> Person:
 
 
 def operator(request: Request) -> Person:
-    """Return the signed-in person who requests a page for operators. Raises `Refusal` for anybody else."""
+    """Return the signed-in person of a request that only operators may make. Raises `Refusal` for anybody else."""
     person = looking(request)
     person.require(Role.OPERATOR)
     return person
 
 
 async def acting(request: Request, least: Role, most: int = MOST_FIELDS) -> tuple[Person, dict[str, str]]:
-    """Return the person requesting a change, and the form's fields, `most` at most.
+    """Return the person who requests a change, and the fields of the form, at most `most`.
 
-    Raises `Refusal` if not allowed.
+    Raises `Refusal` for a person below the role `least`, a wrong CSRF token, or too many fields.
     """
     person = looking(request)
     sent = await fields(request, most)
@@ -97,7 +97,10 @@ async def acting(request: Request, least: Role, most: int = MOST_FIELDS) -> tupl
 
 
 async def fields(request: Request, most: int = MOST_FIELDS) -> dict[str, str]:
-    """Return the fields of a form, or of a JSON object of texts, `most` at most. Raises `Refusal` otherwise."""
+    """Return the fields of a form, or of a JSON object of texts.
+
+    Raises `Refusal` for any other body, and for more than `most` fields.
+    """
     try:
         body = await request.body()
     except ClientDisconnect:
@@ -241,7 +244,7 @@ def refused(request: Request, refusal: Refusal) -> Response:
 
 
 def by_framework(request: Request, error: Exception) -> Response:
-    """Return the response to an error of the framework: an unknown address or method."""
+    """Return the response to an error that the framework raises for an unknown address or method."""
     status = error.status_code if isinstance(error, HTTPException) else 500
     texts = {404: message("no such page"), 405: message("this page does not accept that request")}
     return refused(request, Refusal(status, texts.get(status, HTTPStatus(status).phrase)))

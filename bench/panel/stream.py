@@ -55,7 +55,7 @@ class ResidualPlot:
 
     A point has the keys `n` (event number), `step`, `installation`, `series`, `pass`, `point`, `angle_deg`,
     `time_s`; per channel the `residual`, its standard uncertainty `u` (both in `unit`) and `sigma`; and `struck` if
-    the reading was repeated. `version` counts changes to earlier points.
+    the reading was replaced by a repetition. `version` counts changes to earlier points.
     """
 
     def __init__(self, plan: Plan, bench: BenchFile) -> None:
@@ -270,9 +270,7 @@ def as_event(name: str, data: Any) -> bytes:
 
 
 def as_live(value: bytes) -> bytes:
-    """Return a server-sent event with a live value that the run's program wrote, {} if there is none or it is
-    damaged.
-    """
+    """Return a server-sent event with the live value from the run's program; {} if it is missing or damaged."""
     try:
         told = from_text(value) if value else {}
     except ValueError:
@@ -314,7 +312,7 @@ class SharedFollower:
 
     @property
     def over(self) -> bool:
-        """Whether the following has ended, by an error or with its event loop."""
+        """Whether following has ended, because of an error or with its event loop."""
         return bool(self.trouble) or self._task.done()
 
     async def ready(self) -> None:

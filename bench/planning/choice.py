@@ -112,7 +112,7 @@ def _run(
 def _after(
     chooser: Chooser, before: Standing, choice: NextPoints, done: Counter[Site], sums: Any, spent_s: float
 ) -> Standing:
-    """Return the state of the simulated run after the chosen points, with the noise rounded by `_grained`."""
+    """Return the state of the simulated run after the chosen points; its noise is rounded by `_grained`."""
     chi2, dof = sums[0] + sums[1]
     size = _grained(NoiseScale(float(chi2), int(dof)).size)
     taken = before.taken | {point.steps[0] for point in choice.points}
@@ -123,7 +123,10 @@ def _after(
 
 
 def _reached(chooser: Chooser, standing: Standing, stated: float) -> tuple[Reached, ...]:
-    """Return the progress of the goals at noise scale `stated`; empty if the coefficients are undetermined."""
+    """Return the progress towards the goals if the noise is `stated` times the stated noise.
+
+    Empty if the readings do not determine the coefficients.
+    """
     task = chooser.task(standing)
     goals = tuple(wanted.ahead for wanted in chooser.aim.wanted)
     rows = type(task.candidates)(task.grid.rows / stated)
@@ -134,7 +137,7 @@ def _reached(chooser: Chooser, standing: Standing, stated: float) -> tuple[Reach
 
 
 def _freedom(done: Counter[Site]) -> tuple[int, int]:
-    """Return the degrees of freedom of the noise from repeats, and from the other residuals of the model."""
+    """Return the degrees of freedom of the noise: from repeats, and from other residuals of the model."""
     readings, groups = sum(done.values()), len(done)
     mounts = len({site.mount for site in done})
     unknown = min(_OF_ONE_MOUNTING * mounts, FIXED)
@@ -166,7 +169,7 @@ class NoiseScale:
 
     @property
     def size(self) -> float:
-        """The estimated ratio, with the stated noise counted as `BELIEVED` degrees of freedom."""
+        """The estimated ratio; the stated noise counts as a prior with `BELIEVED` degrees of freedom."""
         return float(np.sqrt((BELIEVED + self.chi2) / (BELIEVED + self.dof)))
 
     @property
@@ -211,11 +214,12 @@ TIME: Final = "time"
 class Standing:
     """The state of an adaptive run, as its record shows it.
 
-    `visit` is the index of the present mounting among the pool's visits, -1 before the first. `taken` holds the
-    first steps of the measured points, `done` the number of visits to each site; `elapsed_s` is the bench time.
-    `refused` and `refused_mounts` are sites and mountings that a person skipped. `now` maps planned mountings to
-    the mountings in use since the block was remounted. `reached` is the progress of the goals, empty until the
-    readings determine the coefficients. `apart` are sites that would distinguish the possible causes of a misfit.
+    `visit` is the index of the present mounting among the pool's mountings, -1 before the first. `taken` holds
+    the first steps of the measured points, `done` how often each site was measured; `elapsed_s` is the bench
+    time. `refused` and `refused_mounts` are sites and mountings that the operator skipped. `now` maps planned
+    mountings to the mountings in use since the block was remounted. `reached` is the progress of the goals, empty
+    until the readings determine the coefficients. `apart` are sites that would distinguish the possible causes of
+    a misfit.
     """
 
     visit: int = -1
@@ -236,21 +240,22 @@ class Standing:
 
     @property
     def worst(self) -> Reached | None:
-        """The goal that is furthest from being reached, or None."""
+        """The goal that is furthest from being reached; None if the progress is unknown."""
         return max(self.reached, key=lambda one: one.ratio, default=None)
 
 
 @dataclass(frozen=True)
 class NextPoints:
-    """The next points to measure, in the visit with index `visit`; none if `stop` gives a reason to stop.
+    """The next points to measure, in the mounting with index `visit`; none if `stop` gives a reason to stop.
 
-    `left_out` are steps passed over as unnecessary; `taken_up` are steps of the present mounting that were left out
-    before and are needed after all. `now` is the goal furthest from being reached; `after` and `end` are its
-    expected states after these points and at the end of the run. `settings` and `repeats` count the visits made so
-    far. `next_s` is the time of these points; `more` and `more_s` are the expected visits and time until the end,
-    including these points. `rest_s` is the remaining time of the steps that no choice affects. `pool_end` is the
-    step after the last point. `not_needed` counts the points that a stopped run has not measured. `telling_apart`
-    says that points were chosen to distinguish the possible causes of a misfit.
+    `left_out` are steps passed over as unnecessary; `taken_up` are steps of the present mounting that were left
+    out before and are needed after all. `now` is the goal furthest from being reached; `after` and `end` are its
+    expected states after these points and at the end of the run. `settings` counts the points measured so far,
+    `repeats` those that repeat a site. `next_s` is the time of the next points; `more` and `more_s` are the
+    expected points and time until the end, including the next ones. `rest_s` is the remaining time of the steps
+    that no choice affects. `pool_end` is the step after the last point. `not_needed` counts the points that a
+    stopped run has not measured. `telling_apart` says that points were chosen to distinguish the possible causes
+    of a misfit.
     """
 
     visit: int
@@ -320,7 +325,10 @@ def _ranges(steps: frozenset[int]) -> list[list[int]]:
 
 
 class Chooser:
-    """The chooser of points from `pool` that reach `aim` on the bench `stand`, with at least `repeats` repeats."""
+    """Chooses the points of `pool` that reach the goals `aim` on the bench `stand`.
+
+    At least `repeats` of the points repeat a site.
+    """
 
     def __init__(self, pool: Pool, aim: Aim, stand: Stand, repeats: int = LEAST_REPEATS) -> None:
         self.pool = pool
@@ -351,7 +359,10 @@ class Chooser:
     def _batch(
         self, standing: Standing, task: DesignTask, design: VisitDesign, number: int
     ) -> tuple[PlannedPoint, ...]:
-        """Return the open points of visit `number` that the design still needs, one for each site."""
+        """Return the points of mounting `number` that the design still needs, one per site.
+
+        Points that can no longer be measured are left out.
+        """
         planned = zip(task.grid.sites, (design.counts - task.done).tolist(), strict=True)
         sites = {site for site, count in planned if count > 0}
         points = []
@@ -364,7 +375,7 @@ class Chooser:
     # --- available points ---------------------------------------------------------------------------
 
     def open_points(self, number: int, standing: Standing) -> list[PlannedPoint]:
-        """Return the points of visit `number` that can still be measured."""
+        """Return the points of mounting `number` that can still be measured."""
         visit = self.pool.visits[number]
         if number < standing.visit or visit.mount in standing.refused_mounts:
             return []
@@ -410,7 +421,7 @@ class Chooser:
         return self.pool.always_s if standing.visit < 0 else self.pool.after_s
 
     def _is_left_for_good(self, standing: Standing) -> bool:
-        """Return whether later mountings have open points, so that the present mounting will not return."""
+        """Return whether the present mounting will not return: only later mountings have open points."""
         ahead = range(max(standing.visit, 0) + 1, len(self.pool.visits))
         return any(self.open_points(number, standing) for number in ahead)
 
@@ -421,7 +432,7 @@ class Chooser:
         return self._grids[key]
 
     def _goals(self, standing: Standing, grid: Grid, done: Ints) -> tuple[Any, ...]:
-        """Return the goals, scaled so that the design model agrees with the progress `standing.reached`."""
+        """Return the goals, scaled so that the u of the design agrees with the u in `standing.reached`."""
         ahead = tuple(wanted.ahead for wanted in self.aim.wanted)
         if not standing.reached:
             return ahead
@@ -447,7 +458,7 @@ class Chooser:
         return bool(standing.reached) and all(one.ratio <= 1.0 for one in standing.reached)
 
     def _design(self, standing: Standing, task: DesignTask) -> VisitDesign:
-        """Return the visits until the end, including those that distinguish possible causes of a misfit."""
+        """Return the design until the end of the run, with visits that distinguish possible causes of a misfit."""
         if not standing.apart:
             return enough(task)
         first = task.grid.counts(Counter(standing.apart))
@@ -493,7 +504,7 @@ class Chooser:
         }  # fmt: skip
 
     def _passed_over(self, standing: Standing, number: int, last: int) -> frozenset[int]:
-        """Return the unmeasured steps before step `last` in the visits up to `number`."""
+        """Return the unmeasured steps before step `last` in the mountings up to `number`."""
         steps: set[int] = set()
         for other, visit in enumerate(self.pool.visits[: number + 1]):
             steps.update(
@@ -507,7 +518,10 @@ class Chooser:
         return frozenset(steps)
 
     def _foreseen(self, task: DesignTask, counts: Ints) -> Reached | None:
-        """Return the worst goal after visits `counts` (c,) to the sites; None for undetermined coefficients."""
+        """Return the goal furthest from being reached after visits `counts` (c,) to the sites.
+
+        None if they do not determine the coefficients.
+        """
         visits = Visits(task.candidates, task.goals, counts, counts, counts)
         if not visits.determined:
             return None
@@ -530,7 +544,7 @@ WORTH: Final = 0.5
 def telling_apart(
     stand: Stand, done: Sequence[Setting], candidates: Sequence[Setting], effects: Sequence[Effect]
 ) -> list[int]:
-    """Return the indices of at most `MOST` candidates, best first, whose readings would best distinguish effects.
+    """Return the indices of at most `MOST` candidates, best first, that would best distinguish the effects.
 
     The candidates are compared by the information that they add to readings at the settings `done`.
     """
@@ -561,9 +575,10 @@ def telling_apart(
 
 
 def _told_apart(information: Floats, rows: Floats, known: int) -> Floats:
-    """Return the information (c,) that each of rows (c, 3, p) adds on the unknowns from index `known` on.
+    """Return the information (c,) that each of c readings adds on the unknowns from index `known` on.
 
-    The measure is the gain in the log determinant of the information matrix; the other unknowns are free.
+    `rows` (c, 3, p) are their derivatives. The measure is the gain in the log determinant of the information
+    matrix, with all p unknowns free.
     """
     of_all = rows @ np.linalg.solve(information, np.swapaxes(rows, 1, 2))
     own = rows[:, :, :known]

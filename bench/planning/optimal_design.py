@@ -31,11 +31,11 @@ LEAST_WHOLE_G: Final = 1e-3
 
 @dataclass(frozen=True)
 class Goal:
-    """A goal: the standard uncertainty `asked` for linear functionals (k, 12) of the coefficients.
+    """A goal: a required standard uncertainty `asked` of linear functionals (k, 12) of the coefficients.
 
     The variances of the k functionals are summed. `floor` is the variance that no calibration lowers: the noise
-    of the reading at the verification point `judged`, and in a plan the errors that no reading reveals. A
-    `loose` goal only ensures that a plan calibrates the whole block.
+    of the reading at the verification point `judged`, and in a plan the errors that no reading reveals. A `loose`
+    goal only makes a plan determine the whole block.
     """
 
     name: str
@@ -59,11 +59,11 @@ class Goal:
         return self.u(covariance) / self.asked
 
     def relaxed(self, endless: float) -> Goal:
-        """Return a loose goal relaxed to at least twice the u of infinitely many readings (variance `endless`)."""
+        """Return a loose goal relaxed to at least twice the u of endless readings, whose variance is `endless`."""
         return replace(self, asked=max(self.asked, 2.0 * float(np.sqrt(endless)))) if self.loose else self
 
     def tightened(self, wider2: float) -> Goal:
-        """Return the goal with the permitted variance above the floor divided by `wider2`."""
+        """Return the goal with a smaller permitted variance: the part above the floor is divided by `wider2`."""
         return replace(self, asked=float(np.sqrt(self.floor + (self.asked**2 - self.floor) / wider2)))
 
 
@@ -148,7 +148,7 @@ def vector_goal(block: Block, magnitude_g: float = 1.0, asked_g: float = 1.0) ->
 def whole_goal(block: Block, goals: Sequence[Goal]) -> Goal:
     """Return a goal, loose compared with `goals`, that makes a plan calibrate the whole block.
 
-    Without it, readings that determine only one coefficient would leave the others unknown.
+    Without it, a plan for one coefficient could leave the other coefficients undetermined.
     """
     typical = float(np.max(np.abs(block.K)))
     asked = max(goal.asked / (typical if goal.unit.startswith("V") else 1.0) for goal in goals)
@@ -245,18 +245,18 @@ class ExchangeDesign:
 
     @property
     def largest(self) -> float:
-        """The largest ratio of an uncertainty to the required one, with the noise estimated from the readings."""
+        """The largest ratio of u to required u over all goals, widened because the noise is estimated."""
         wider2 = widening(3 * self.settings - len(self._prior)) ** 2
         variances = wider2 * (self._variances(self.covariance()) - self._floor) + self._floor
         return self._largest(variances)
 
     def limit(self) -> float:
-        """Return the largest ratio in the limit of infinitely many visits to every candidate."""
+        """Return the largest ratio of u to required u in the limit of endless visits to every candidate."""
         return self._largest(self._variances(self.covariance(np.full(len(self._rows), _MANY))))
 
     @property
     def determines(self) -> bool:
-        """Whether all candidates together determine the coefficients, rather than their weak prior alone."""
+        """Whether all candidates together determine the coefficients, without the help of their weak prior."""
         covariance = self.covariance(np.full(len(self._rows), _MANY))
         return bool(np.max(np.diag(covariance)[:FIXED]) < _DETERMINED)
 
@@ -321,7 +321,7 @@ class ExchangeDesign:
         return float(np.sqrt(np.max(variances / self._asked2)))
 
     def _score(self, variances: Floats, power: float) -> Floats:
-        """Return the power mean of the squared ratios over the last axis; infinite if a ratio is infinite."""
+        """Return the power mean of the squared ratios of u to required u over the last axis; infinite if one is."""
         ratio = np.maximum(variances, 0.0) / self._asked2
         top = np.max(ratio, axis=-1)
         size = np.where(np.isfinite(top) & (top > 0), top, 1.0)
@@ -397,8 +397,9 @@ WITHOUT_NOISE: Final = 1e-4
 class Stand:
     """The bench for planning: model, block, and standard uncertainties `sizes` of the stand's errors (rad, V).
 
-    `known` is the learned stand and noise, used instead of `sizes`. `hidden` are error sources in the combined u
-    of a calibration that no reading reveals. `meters` is the index of the voltmeter of each channel.
+    `known` is prior knowledge of stand and noise from other runs, used instead of `sizes`. `hidden` are error
+    sources in the combined u of a calibration that no reading reveals. `meters` is the index of the voltmeter of
+    each channel.
     """
 
     model: ForwardModel

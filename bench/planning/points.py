@@ -77,8 +77,8 @@ class Sites:
     def choices(self, most: int) -> Iterator[tuple[int, ...]]:
         """Yield index tuples of mountings to combine, small sets first, without equivalent ones.
 
-        Two mountings are equivalent if the same block axes lie along the shaft and across it, with whatever
-        sign: the orientations that occur in one occur in the other at another head angle.
+        Two mountings are equivalent if the same block axes lie along the shaft and across it, up to sign: the
+        block then has the same orientations in both, at different head angles.
         """
         for size in range(1, min(most, len(self.mounts)) + 1):
             for chosen in combinations(range(len(self.mounts)), size):
@@ -88,7 +88,7 @@ class Sites:
                     yield chosen
 
     def _before(self, mount: int) -> int:
-        """Return the index of the last earlier mounting of the same kind."""
+        """Return the index of the last earlier mounting that is equivalent."""
         return max(m for m in range(mount) if self._kind[m] == self._kind[mount])
 
 
@@ -134,7 +134,7 @@ class ChosenPoints:
         return goal.u(self.promise.readings)
 
     def worst_by_name(self) -> list[Goal]:
-        """Return, for each goal name (shared by all directions), the goal furthest from being reached."""
+        """Return for each goal name, which all directions share, the goal furthest from being reached."""
         found: dict[str, Goal] = {}
         for goal in self.promise.goals:
             known = found.setdefault(goal.name, goal)
@@ -220,7 +220,10 @@ def cheapest(
 
 
 def _floored(stand: Stand, sites: Sites, goals: Sequence[Goal]) -> tuple[list[Goal], list[Goal]]:
-    """Return the goals twice: loose ones relaxed, and also with the floors of readings at all angles."""
+    """Return the goals with loose ones relaxed, then the same with floors for readings at all angles.
+
+    Both are the given goals if all settings together do not determine the block.
+    """
     everywhere = sites.settings(range(len(sites.mounts)))
     try:
         endless = stand.budget([*everywhere, *checks_of(goals)], WITHOUT_NOISE)

@@ -219,7 +219,7 @@ class UntilGoal:
 
     @property
     def ahead(self) -> Goal:
-        """The goal for judging a design by the covariance of the readings alone, with `hidden` in its floor."""
+        """The goal for judging a design from the readings alone; its floor includes `hidden`."""
         return replace(self.goal, floor=self.goal.floor + self.hidden)
 
     @property
@@ -321,7 +321,7 @@ class Grid:
 
     @classmethod
     def of(cls, stand: Stand, reads: Mapping[Site, int]) -> Grid:
-        """Return the grid of sites in their order; `reads` states the readings per visit to each site."""
+        """Return the grid of the sites in `reads`, which states the number of readings per visit to each site."""
         rows, _ = whitened(stand, conditions_of([site.setting() for site in reads]))
         often = np.sqrt(np.array(list(reads.values()), dtype=np.float64))
         return cls(tuple(reads), rows * often[:, None, None])
@@ -332,7 +332,7 @@ class Grid:
 
 
 class Visits(ExchangeDesign):
-    """Numbers of visits to sites, between those already made and those that the plan allows.
+    """Numbers of visits to sites: at least the visits already made, at most the visits that the plan allows.
 
     The noise is estimated from repeats once there are `LEAST_REPEATS` of them, as in a calibration.
     """
@@ -349,7 +349,7 @@ class Visits(ExchangeDesign):
         return self._known[1]
 
     def _variances(self, covariance: Floats) -> Floats:
-        """Return the variances as the base class does, but without optimizing the order of products each time."""
+        """Return the variances as the base class does, but without optimising the order of products each time."""
         own = covariance[:FIXED, :FIXED]
         each = np.sum((self._functionals @ own) * self._functionals, axis=1)
         return np.asarray(np.bincount(self._goal, each) + self._floor)
@@ -366,12 +366,12 @@ class Visits(ExchangeDesign):
 
     @property
     def wider(self) -> float:
-        """The factor by which u grows because the noise is estimated."""
+        """The factor by which u grows because the noise is estimated, not known."""
         return widening(self._freedom)
 
     @property
     def _freedom(self) -> float:
-        """Degrees of freedom of the reading noise; of three signals, one is counted for the setting error."""
+        """Degrees of freedom of the reading noise; of each three signals, one is counted for the setting error."""
         if self.repeats >= LEAST_REPEATS:
             return 2.0 * self.repeats
         return 2.0 * (3 * self.settings - len(self._prior)) / 3.0
@@ -397,7 +397,7 @@ class Visits(ExchangeDesign):
         return bool(np.all(self.counts >= self._most))
 
     def add_repeat(self) -> bool:
-        """Add the repeat of a visited site that helps most; return False if no repeat is possible."""
+        """Add a visit to the visited site whose repeat helps most; return False if no repeat is possible."""
         gain = self._after(self.covariance(), 1.0, 8.0)
         able = (self.counts > 0) & (self.counts < self._most)
         if able.any():
@@ -458,7 +458,7 @@ class DesignTask:
         return float(more @ self.site_s) + sum(self.mount_s.get(mount, 0.0) for mount in mounts)
 
     def least_repeats(self) -> int:
-        """Return the least number of repeats, limited to the greatest possible number."""
+        """Return the required number of repeats, reduced to the greatest number that is still possible."""
         return min(self.repeats, int(np.sum(np.maximum(self.done + self.left - 1, 0))))
 
 
@@ -525,7 +525,7 @@ def _greedy(task: DesignTask, most: Ints, repeats: int, *, wide: bool) -> Visits
 
 
 def _all_of(task: DesignTask) -> VisitDesign:
-    """Return all remaining visits, or the best visits and repeats that the time allows."""
+    """Return all remaining visits or, if time is short, the best visits and repeats that it allows."""
     most = task.done + task.left
     if task.time_s(most) <= task.limit_s:
         return VisitDesign(most, False, task.time_s(most))

@@ -74,7 +74,7 @@ def fitted(settings: Iterable[Setting]) -> list[Setting]:
 
 
 def verifying(settings: Iterable[Setting]) -> list[Setting]:
-    """Return the settings of verification points."""
+    """Return the settings at verification points."""
     return [s for s in settings if s.mount.installation == VERIFICATION]
 
 
@@ -103,7 +103,7 @@ class Cost:
 
 
 def _settling_s(plan: Plan) -> float:
-    """Return the settling time between the first turn of the plan and its reading, s."""
+    """Return the settling time of the plan's first reading after a turn, s."""
     seconds = 0.0
     turned = False
     for step in plan.steps:
@@ -209,13 +209,16 @@ def _observability(
 
 
 def _open_of(found: Observability, names: Sequence[str]) -> int:
-    """Return the number of undetermined directions among the unknowns `names`, without those of added mountings."""
+    """Return the number of undetermined directions among the unknowns `names`.
+
+    Unknowns of mountings that were added do not count.
+    """
     rows = [found.names.index(name) for name in names]
     return int(np.sum(np.linalg.svd(found.null[rows], compute_uv=False) > 1e-3))
 
 
 def _menu(settings: Sequence[Setting], model: ForwardModel, cost: Cost) -> list[_Candidate]:
-    """Return the possible additions: verification points in the fit, a pass in another installation, a return."""
+    """Return the additions to try: verification points in the fit, a pass in another installation, a return."""
     menu = []
     there = verifying(settings)
     if there:
@@ -314,7 +317,7 @@ def of_acceleration(magnitude_g: float, *, reading: bool, modulus: bool) -> Targ
 
 @dataclass(frozen=True)
 class Limit:
-    """The limit of the standard uncertainty `u` of a source.
+    """The largest standard uncertainty `u` of a source that still meets the accuracy.
 
     `u` is infinite if any size is acceptable, None if even a size of zero does not meet the accuracy.
     """
@@ -331,7 +334,7 @@ class Limit:
 
     @property
     def stated(self) -> float | None:
-        """The limit as stated in a bench file: half-width of a rectangular distribution, or a number of sigma."""
+        """The limit as a bench file states it: half-width (rectangular), or k standard deviations (normal)."""
         if self.u is None or math.isinf(self.u):
             return None
         return self.u / replace(self.source.distribution, limit=1.0).u
@@ -358,13 +361,14 @@ class Requirement:
 
     @property
     def allowed2(self) -> float:
-        """The permitted variance of the target."""
+        """The variance of the target that the accuracy permits."""
         return (self.accuracy / self.k) ** 2
 
     def by_point(self, sizes: Mapping[str, float]) -> Floats:
         """Return the variances (points, sources), with the standard uncertainties `sizes` by source name.
 
-        Sources without an entry keep the bench's own size. The estimator weights the readings by these sizes.
+        Sources without an entry keep their size in the bench file. The estimator weights the readings by these
+        sizes.
         """
         sized = [s.sized(sizes[s.name]) if s.name in sizes else s for s in self.sources]
         return self.target(make_budget(self.setup, sized, self.estimator))
@@ -392,14 +396,14 @@ class Requirement:
         return reached <= self.accuracy * (1.0 + _ROUNDING)
 
     def shares(self) -> dict[str, float]:
-        """Return each source's fraction of the variance at the worst point, at the bench's own sizes."""
+        """Return each source's fraction of the variance at the worst point, for the sizes in the bench file."""
         total = float(self._own.sum())
         return {s.name: float(v) / total for s, v in zip(self.sources, self._own, strict=True)}
 
     # --- each alone ---------------------------------------------------------------------------------
 
     def alone(self, source: ErrorSource) -> Limit:
-        """Return the limit of one source, with all others at the bench's own sizes."""
+        """Return the limit of one source if all others keep their sizes in the bench file."""
 
         def excess(u: float) -> float:
             return float(self.variances({source.name: u}).sum()) / self.allowed2 - 1.0
@@ -421,10 +425,7 @@ class Requirement:
     def _bracket(
         excess: Callable[[float], float], kept: float, size: float, beyond: float
     ) -> tuple[float, float]:
-        """Return two sizes, a factor of ten apart, between which the excess changes its sign.
-
-        `kept` is a size without excess; if it is zero, `size` is a size with excess.
-        """
+        """Return two sizes, a factor of ten apart, between which `excess` changes its sign."""
         if kept == 0.0:
             while excess(size / 10) > 0.0:
                 size /= 10
@@ -484,7 +485,7 @@ class Requirement:
     def _settled(
         self, own: Mapping[str, ErrorSource], sizes: dict[str, float], free: set[str]
     ) -> list[Limit]:
-        """Scale the sizes that have a limit by a common factor until the accuracy is just met."""
+        """Return all limits, with sizes scaled by a common factor so that they just meet the accuracy."""
 
         def excess(log_factor: float) -> float:
             scaled = {n: u if n in free else u * math.exp(log_factor) for n, u in sizes.items()}
@@ -502,5 +503,5 @@ class Requirement:
 
 
 def _factor(variance: float, allowed: float) -> float:
-    """Return the factor on a size that changes its variance to the allowed variance."""
+    """Return the factor by which a size must change so that its variance becomes `allowed`."""
     return math.sqrt(allowed / variance) if variance > 0.0 else math.inf

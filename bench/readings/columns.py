@@ -228,7 +228,7 @@ def current_column(rail: str) -> str:
 
 
 def is_of_a_rail(column: str) -> bool:
-    """Return whether a column name is that of a rail's voltage, nominal voltage or current."""
+    """Return whether a column holds a rail's voltage, nominal voltage or current."""
     return _COLUMN.fullmatch(column) is not None
 
 
@@ -302,7 +302,7 @@ def numbers(cells: Labels) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Rail:
-    """A supply rail of the block: measured voltage, V with sign, nominal voltage, V, and current, A."""
+    """A supply rail of the block: measured voltage with its sign, V, nominal voltage, V, and current, A."""
 
     voltage_v: float
     nominal_v: float

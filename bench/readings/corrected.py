@@ -110,7 +110,7 @@ def _of_thermometer(by: Corrections, temperature_c: Floats) -> Floats | float:
 
 
 def on_scale(table: Curve, angle_rad: Floats) -> Floats:
-    """Return the corrections of a head, rad, interpolated from its table at any angles, rad; NaN for NaN."""
+    """Return the corrections of a head, rad, at the angles `angle_rad`, interpolated in its table; NaN for NaN."""
     known_rad, added_rad = np.array(table).T
     return np.asarray(np.interp(angle_rad, known_rad, added_rad, period=math.tau))
 
@@ -126,7 +126,7 @@ REFUTED: Final = 3.0
 
 @dataclass(frozen=True)
 class LevelReading:
-    """A reading of the level at bench time `time_s`: α1 and α2 with their standard uncertainties, arcsec.
+    """A reading of the level at bench time `time_s`, s: α1 and α2 with their standard uncertainties, arcsec.
 
     `mounting` is (series, installation); `levelled` says that the platform was levelled just before.
     """
@@ -139,7 +139,7 @@ class LevelReading:
 
 
 def with_levels(readings: Readings, seen: Sequence[LevelReading]) -> Readings:
-    """Return the readings with level columns added; unchanged if no mounting has a levelling.
+    """Return the readings with columns for the level; unchanged if no mounting was levelled.
 
     `seen` are all level readings in the order of time.
     """
@@ -162,7 +162,7 @@ def with_levels(readings: Readings, seen: Sequence[LevelReading]) -> Readings:
 
 @dataclass(frozen=True)
 class _MountingLevel:
-    """α1 and α2 in the middle of a mounting with their standard uncertainties, arcsec; rms rates, arcsec/h."""
+    """The tilt in the middle of a mounting: α1 and α2 with their u, arcsec, and their rms rates, arcsec/h."""
 
     alpha: tuple[float, float]
     u: tuple[float, float]
@@ -191,7 +191,7 @@ def _mounting_level(seen: Sequence[LevelReading], mounting: tuple[int, str]) -> 
 def _middle_and_rate(
     alpha: tuple[float, float], u: tuple[float, float], hours: float
 ) -> tuple[float, float, float]:
-    """Return the angle midway between two readings of it, its standard uncertainty, and the rms of its rate.
+    """Return an angle midway between two readings of it, its standard uncertainty, and the rms of its rate.
 
     The angle is assumed to change linearly. The rate has the prior 0 ± u of `FOUNDATION`; if the readings refute
     it (`REFUTED`), the prior's u is the observed rate.
@@ -233,7 +233,7 @@ class MistakeName(StrEnum):
 
 @dataclass(frozen=True)
 class Wiring:
-    """The wiring of the signals to the channels.
+    """The connection of the three signals to the channels; a mistake may have swapped or reversed some.
 
     For the true signals x, y, z, `order` holds the channel (0, 1, 2) that shows each signal, and `signs` the
     factor that corrects its sign.
@@ -277,5 +277,5 @@ SLIPS_RAD: Final = {
 
 
 def reflected_rad(angle_rad: Floats) -> Floats:
-    """Return the error of reading 360° - φ for the angle φ, both rad, wrapped to [-π, π)."""
+    """Return the angle error, rad, if 360° - φ was read instead of φ: wrapped to [-π, π)."""
     return np.remainder(-2 * angle_rad + np.pi, 2 * np.pi) - np.pi

@@ -181,9 +181,9 @@ def _read(
 def _completed(
     header: list[str], body: list[tuple[int, list[str]]]
 ) -> tuple[list[str], list[tuple[int, list[str]]], frozenset[str]]:
-    """Return a table with the columns that a record at a known input may lack, and its unused signal columns.
+    """Return a record at a known input with the columns that it may lack, and its unused signal columns.
 
-    A record has rows R alone: pass and point may be absent, and one or two of the three signals. Other tables
+    Such a record has rows R only: pass and point may be absent, and one or two of the three signals. Other tables
     are returned unchanged.
     """
     label = header.index("installation") if "installation" in header else len(header)

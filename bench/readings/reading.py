@@ -38,7 +38,7 @@ _NONE: Final = (None, None, None)
 
 @dataclass(frozen=True)
 class Outlier:
-    """The sample (numbered from 1) that an outlier test flags: its value, and its distance from the mean.
+    """An outlier among the samples of a reading: its number from 1, value and distance from the mean.
 
     `sigma` is this distance and `critical` the critical value, both in standard deviations of the samples.
     """
@@ -91,7 +91,7 @@ class Reading:
 
     @property
     def place(self) -> tuple[int, str, int, int]:
-        """The reading's place in a run: (series, installation, pass, point); a repeated reading has the same."""
+        """The setting that was read: (series, installation, pass, point); a repeated reading has the same."""
         return self.series, self.installation, self.pass_number, self.point
 
     def __str__(self) -> str:

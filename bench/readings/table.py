@@ -312,7 +312,7 @@ def is_record(table: Readings) -> bool:
 
 
 def all_free(tables: Sequence[Readings]) -> bool:
-    """Return whether these tables have free positions and nothing else."""
+    """Return whether all readings of these tables are in free positions."""
     return bool(tables) and all(len(table) and np.all(table.installation == FREE) for table in tables)
 
 

@@ -17,7 +17,7 @@ _ON_SCREEN: Final = 20
 
 
 class FileAsked(ResultModel):
-    """A file that was named in an option of the batch."""
+    """A file named in an option of `bench batch`."""
 
     file: str
     sha256: str
@@ -64,13 +64,13 @@ class VerdictChange(ResultModel):
 
 
 class VerdictsPart(Counted):
-    """The numbers of runs whose new verdict differs from the stored one or equals it."""
+    """The numbers of runs whose new verdict differs from the stored verdict or equals it."""
 
     changes: list[VerdictChange] = Field(description="how many runs go from which verdict to which")
 
 
 class ChangeInU(ResultModel):
-    """The largest change of a coefficient in each run, in units of its stored u: statistics over the runs."""
+    """Statistics over the runs of the largest change of a coefficient in a run, in units of its stored u."""
 
     median: float
     of_95_percent: float
@@ -112,7 +112,7 @@ class DifferentVerdict(_Different):
 
 
 class DifferentNames(_Different):
-    """A run whose new diagnosis differs from the stored one."""
+    """A run whose new diagnosis names other effects than the stored one."""
 
     names_stored: str
     names: str

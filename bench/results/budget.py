@@ -39,7 +39,7 @@ BySource = Annotated[dict[str, float], Field(description="standard uncertainty f
 
 
 class ReadingCounts(ResultModel):
-    """The numbers of readings that are fitted, and of verification points, in the procedure."""
+    """The numbers of fitted readings and of verification points in the procedure."""
 
     fitted: int
     verification: int
@@ -93,7 +93,7 @@ class AccelerationPart(ResultModel):
 
 
 class VerificationPart(ResultModel):
-    """The uncertainty of Δg at each verification point, and whether the check is capable of a decision."""
+    """The uncertainty of Δg at each verification point, and whether it is small enough for a decision."""
 
     limit_g: float
     rule: str
@@ -188,7 +188,7 @@ class BudgetResult(ResultModel):
         print_notes(out, self.notes)
 
     def __repr__(self) -> str:
-        """Return the printed tables and the bench file."""
+        """Return the printed tables and the path of the bench file."""
         return f"{as_text(self.print_on)}\nbench: {self.bench_file.words}"
 
     def _repr_html_(self) -> str:
@@ -472,7 +472,9 @@ def figures(result: BudgetResult) -> tuple[BudgetFigure, ...]:
 
 
 def contributions(result: BudgetResult) -> BudgetFigure:
-    """Return a bar chart of the combined u of each coefficient, divided like its variance among the sources."""
+    """Return a bar chart of each coefficient's combined u, divided among the sources in proportion to their
+    variances.
+    """
     names = result.order
     u = np.array([result.coefficients[name].u for name in names])
     parts = {name: np.array(source.contribution_u) ** 2 for name, source in result.sources.items()}
@@ -498,7 +500,7 @@ def contributions(result: BudgetResult) -> BudgetFigure:
 
 
 def modulus(result: BudgetResult) -> BudgetFigure:
-    """Return a plot of u(|a|) against |a|: mean and maximum over directions, and the larger sources."""
+    """Return a plot of u(|a|) against |a|: mean and maximum over directions, and the largest sources."""
     rows = result.acceleration.magnitudes
     at = np.array([row.magnitude_g for row in rows])
     mean = np.array([row.u_modulus_mean for row in rows])

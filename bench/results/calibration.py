@@ -81,7 +81,7 @@ class NoisePriorPart(ResultModel):
 
 
 class ComponentPart(ResultModel):
-    """A variance component that several readings have in common."""
+    """A variance component of an error that several readings share."""
 
     what: str = Field(description="what shares it: setting, angle of a setting, visit, pass, drift")
     channels: str
@@ -102,7 +102,7 @@ class DriftPart(ResultModel):
 
 
 class NoisePart(ChannelsPart):
-    """The noise of a reading by channel, and the noise common to several readings, as standard deviations."""
+    """The standard deviations of the noise of a reading, by channel, and of noise that several readings share."""
 
     reading_v: float = Field(
         description="of a reading, root mean square of the three channels, unit of the signal"
@@ -125,7 +125,7 @@ class NoisePart(ChannelsPart):
 
 
 class OutlierPart(ResultModel):
-    """A signal that contradicts the model and the other readings."""
+    """A signal that disagrees with the model fitted to the other readings."""
 
     row: int = Field(description="row of the table, from 1")
     series: int
@@ -165,7 +165,7 @@ class ArrayWithU(ResultModel):
 
 
 class TriangularPart(ResultModel):
-    """The nine coefficients that free positions alone determine, with a triangular K."""
+    """The nine coefficients, with a triangular K, that free positions determine without oriented readings."""
 
     convention: str
     bias: ArrayWithU
@@ -273,7 +273,7 @@ class CalibrateResult(ResultModel):
 
 
 def calibrate_result(found: Calibration, **made_from: Any) -> CalibrateResult:
-    """Return the result of a calibration; `made_from` are the members from `source` on."""
+    """Return the result of a calibration; `made_from` has the members from `source` on."""
     return CalibrateResult.from_object(
         found,
         per="g",
@@ -294,7 +294,7 @@ def calibrate_result(found: Calibration, **made_from: Any) -> CalibrateResult:
 
 
 def _per_ms2(found: Calibration) -> dict[str, Any]:
-    """Return K in unit/(m/s²), calculated from K per g and local g, with the uncertainty of both."""
+    """Return K in unit/(m/s²), calculated from K per g and local g, with the uncertainty that both contribute."""
     values = found.block.vector[:9]
     u = np.hypot(found.u[:9], values * found.gravity_u) / found.g_m_s2
     rows = by_name(COEFFICIENTS[:9], ValuePart, value=values / found.g_m_s2, u=u)
@@ -444,7 +444,7 @@ def _noise_in_words(found: Calibration) -> str:
 
 
 def fit_in_a_line(found: Calibration) -> str:
-    """Return whether the model fits the readings, with the figures of the test."""
+    """Return a line that states whether the model fits the readings, with the figures of the test."""
     how = "; u includes errors that repeats share" if found.shared else ""
     how = f"; u is {found.birge:.2g} times that of the noise" if found.birge > 1 else how
     return fit_in_words(found.lack_of_fit, f"THE MODEL DOES NOT FIT the readings{how}")

@@ -15,7 +15,7 @@ from bench.base.text import visible
 
 
 class IssuedRun(ResultModel):
-    """The outcome for a run: its certificate or draft, or the reason why there is none."""
+    """The certificate or draft issued for a run, or the reason why there is none."""
 
     run: str
     number: str | None = Field(description="null for a draft, and where none was issued")
@@ -25,7 +25,7 @@ class IssuedRun(ResultModel):
     lacks: list[str] = Field(description="what a draft needs to be issued")
 
     def print_on(self, out: Console) -> None:
-        """Print the number and the files."""
+        """Print the certificate's number and its files."""
         said = "issued before as" if self.issued_before else "issued as" if self.number else "draft"
         out.print(f"{self.run}: {said} {self.number or ''}".rstrip())
         for file in self.files:
@@ -33,7 +33,7 @@ class IssuedRun(ResultModel):
 
 
 class CertificateResult(ResultModel):
-    """The outcomes of `bench certificate` for all runs."""
+    """The result of `bench certificate issue`: the outcome for each run."""
 
     certificates: list[IssuedRun] = Field(description="one for each run, in their order")
 
@@ -135,7 +135,7 @@ class CertificateSays(ResultModel):
 
 
 class RegisterSays(ResultModel):
-    """The entry for a certificate in the laboratory's register."""
+    """What the laboratory's register states about a certificate."""
 
     folder: str
     named: bool = Field(description="whether --laboratory named it; else it is beside the file")
@@ -144,7 +144,7 @@ class RegisterSays(ResultModel):
 
     @property
     def known(self) -> bool:
-        """Whether the register has the number."""
+        """Whether the register has the certificate's number."""
         return self.state != "unknown"
 
     @property
@@ -154,7 +154,7 @@ class RegisterSays(ResultModel):
 
     @property
     def words(self) -> str:
-        """The state as a suffix to the verdict; "" for a valid certificate."""
+        """The state in the register, as a suffix to the verdict; "" for a valid certificate."""
         if self.holds:
             return ""
         return f", {self.state.upper()} ({self.by})" if self.known else ", UNKNOWN TO THE REGISTER"
@@ -210,7 +210,7 @@ class VerifyResult(ResultModel):
 
 
 def print_coefficients(result: Mapping[str, Any], out: Console) -> None:
-    """Print a table of the coefficients in a result of the form of `bench calibrate --json`."""
+    """Print a table of the coefficients in `result`, which has the members of `bench calibrate --json`."""
     shown = table("coefficient", ">value", ">u", "")
     for name, one in result["coefficients"].items():
         digits = places(one["u"])

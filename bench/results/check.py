@@ -42,7 +42,7 @@ class OpenCoefficients(ResultModel):
 
 
 class DirectionPart(ResultModel):
-    """A linear combination of coefficients and stand errors that the readings do not determine."""
+    """A linear combination of coefficients and stand errors that the readings leave undetermined."""
 
     kind: str = Field(description="`turn`: a common turn of the block's axes")
     text: str
@@ -50,7 +50,7 @@ class DirectionPart(ResultModel):
 
 
 class RemedyPart(ResultModel):
-    """A further measurement that would determine further combinations."""
+    """A further measurement, and the combinations of coefficients and stand errors that it would determine."""
 
     text: str
     determines: int = Field(description="how many combinations more it determines")
@@ -284,7 +284,8 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """A group of steps from index `start`: `period` steps, repeated `times` times at various points and angles.
+    """A group of steps that begins at index `start`: `period` steps, repeated `times` times at various points and
+    angles.
 
     Blocks with an equal `shape` differ only in point, angle and pass.
     """
@@ -300,7 +301,7 @@ class _Block:
 
 
 def listing(plan: Plan, *, every_step: bool = False) -> Iterator[Line]:
-    """Yield the lines of a plan; with `every_step` one line for each step, else similar steps in one line."""
+    """Yield the lines of a plan: similar steps in one line or, with `every_step`, a line for each step."""
     steps = plan.steps
     if every_step:
         yield from (Line(n, n, step.describe()) for n, step in enumerate(steps, start=1))
@@ -324,10 +325,10 @@ def _blocks(steps: Sequence[Step]) -> Iterator[_Block]:
 
 
 def _folded(shapes: Sequence[object], fewest: int) -> Iterator[tuple[int, int, int]]:
-    """Yield start, period and number of repetitions of each pattern in a sequence.
+    """Yield start index, period and number of repetitions of each pattern in a sequence.
 
-    At each place, the pattern that covers most elements is chosen; it repeats at least `fewest` times. Any other
-    element is yielded alone, with period and repetitions 1.
+    At each element, the pattern that covers most elements is chosen, if it repeats at least `fewest` times.
+    Otherwise the element is yielded alone, with period and repetitions 1.
     """
     numbers: dict[object, int] = {}
     codes = [numbers.setdefault(shape, len(numbers)) for shape in shapes]

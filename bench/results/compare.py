@@ -48,7 +48,7 @@ class ChangePart(ResultModel):
 
 
 class NineChangesPart(ResultModel):
-    """The changes in the nine numbers that do not depend on the mounting."""
+    """The changes of the nine intrinsic numbers, which do not depend on the mounting."""
 
     values: dict[str, ChangePart] = Field(description="by name, in unit/g, degrees and g")
     chi2: float
@@ -87,7 +87,7 @@ class LinesPart(ResultModel):
 
 
 class BenchOfSource(BenchPart):
-    """The bench file with which a compared run or readings file was calibrated."""
+    """A compared run or readings file, and the bench file with which it was calibrated."""
 
     source: str = Field(description="which readings")
 
@@ -160,7 +160,7 @@ def _lines(found: InNumbers) -> LinesPart | None:
 
 
 def print_compare(result: CompareResult, out: Console) -> None:
-    """Print the changes since the first calibration, the drift, and the verdict, which is that of the nine."""
+    """Print the changes since the first calibration, the drift, and the verdict from the nine intrinsic numbers."""
     unit = result.unit
     out.print(
         f"Against {_named(result.first)}: S in {unit}/g, θ in degrees, b in g; K in {unit}/g, U0 in {unit}, "
@@ -188,7 +188,9 @@ def print_compare(result: CompareResult, out: Console) -> None:
 
 
 def verdict_of(result: CompareResult) -> str:
-    """Return whether the block changed, by the joint test of the nine, and in which numbers, as a clause."""
+    """Return a clause that states whether the block changed, by the joint test of its nine intrinsic numbers, and
+    which.
+    """
     nine = [name for one in result.compared for name, row in one.intrinsic.values.items() if row.changed]
     twelve = [name for one in result.compared for name, row in one.coefficients.items() if row.changed]
     if result.changed:
@@ -228,7 +230,7 @@ def _drift_table(drift: LinesPart) -> Table:
 
 
 def history_figure(comparison: Comparison) -> str:
-    """Return an SVG file that plots each of the nine minus its first value, with bars U (k = 2).
+    """Return an SVG file that plots each intrinsic number minus its first value, with bars of ±U (k = 2).
 
     Numbers that changed are red crosses.
     """
@@ -296,7 +298,7 @@ class EquivalencePart(ResultModel):
 
 
 class TogetherPart(ResultModel):
-    """A chi-square test of a difference in all twelve coefficients, or all nine numbers, at once."""
+    """A joint chi-square test of a difference in all twelve coefficients or all nine intrinsic numbers."""
 
     chi2: float = Field(description="of the vector of differences with its covariance")
     dof: int
@@ -306,14 +308,14 @@ class TogetherPart(ResultModel):
 
 
 class PairTogether(TogetherPart):
-    """A chi-square test of the difference between two benches in all numbers at once."""
+    """A joint chi-square test of the difference between two benches in all numbers."""
 
     first: str
     second: str
 
 
 class AllTogether(ResultModel):
-    """Chi-square tests in all numbers at once, of each bench and of each pair of benches."""
+    """Joint chi-square tests over all numbers, for each bench and for each pair of benches."""
 
     benches: dict[str, TogetherPart] = Field(description="degrees of equivalence, by bench")
     pairs: list[PairTogether]
@@ -328,7 +330,7 @@ class BeyondPart(ResultModel):
 
 
 class NineOfBenches(ResultModel):
-    """The comparison of the benches in the nine numbers that do not depend on the mounting."""
+    """The comparison of the benches in the nine intrinsic numbers, which do not depend on the mounting."""
 
     values: dict[str, EquivalencePart] = Field(description="by name, in unit/g, degrees and g")
     together: AllTogether = Field(description="in all nine at once: this decides")
@@ -349,7 +351,7 @@ class BenchesResult(FleetResult):
 
     @property
     def off(self) -> tuple[str, ...]:
-        """The benches that the joint test of the nine finds off."""
+        """The benches that differ significantly in the joint test of the nine intrinsic numbers."""
         return tuple(name for name, one in self.intrinsic.together.benches.items() if one.apart)
 
 
@@ -406,7 +408,9 @@ def _beyond(of: BenchComparison, numbers: BenchesIn) -> list[BeyondPart]:
 
 
 def print_benches(result: BenchesResult, out: Console) -> None:
-    """Print the consistency and the worst bench for each number, and the verdict by the joint test of the nine."""
+    """Print each number's consistency and worst bench, and the verdict by the joint test of the nine intrinsic
+    numbers.
+    """
     out.print(
         f"{len(result.benches)} benches on {len(result.units)} common units, {result.calibrations} calibrations; "
         "d = bench less reference, U with k=2"
@@ -435,14 +439,14 @@ def print_benches(result: BenchesResult, out: Console) -> None:
 
 
 def unit_of_change(name: str, unit: str) -> tuple[float, str]:
-    """Return the factor and the unit in which differences of a number are printed: angles in seconds of arc."""
+    """Return the factor and the unit for printing differences of the number `name`: arcsec for angles."""
     if name.startswith("theta"):
         return 3600.0, "″"
     return 1.0, "g" if name in INTRINSIC[6:] else unit
 
 
 def _print_together(found: AllTogether, count: str, out: Console) -> None:
-    """Print the benches and pairs of benches that differ in all `count` numbers taken together."""
+    """Print the benches and pairs of benches that differ significantly in the joint test of all `count` numbers."""
     benches: Iterable[tuple[str, TogetherPart]] = found.benches.items()
     pairs = ((f"{pair.first} and {pair.second}", pair) for pair in found.pairs)
     apart = [(name, one) for name, one in (*benches, *pairs) if one.apart]
@@ -459,9 +463,9 @@ def _print_together(found: AllTogether, count: str, out: Console) -> None:
 
 
 def equivalence_figure(of: BenchComparison) -> str:
-    """Return an SVG file of the degrees of equivalence in the nine, with bars U (k = 2).
+    """Return an SVG file of the degrees of equivalence in the nine intrinsic numbers, with bars of ±U (k = 2).
 
-    Benches beyond U are red crosses. The band is the dark uncertainty.
+    Benches that deviate by more than U are red crosses. The band is the dark uncertainty.
     """
 
     def draw(figure: Figure) -> None:
@@ -476,9 +480,10 @@ def equivalence_figure(of: BenchComparison) -> str:
 def draw_degrees(
     figure: Figure, who: Sequence[str], nine: Sequence[tuple[Floats, Floats, float]], signal: str
 ) -> None:
-    """Draw how far each bench or laboratory is off in each of the `nine`, with bars U (k = 2), red where beyond U.
+    """Draw the deviation of each bench or laboratory in each intrinsic number, with bars of ±U (k = 2).
 
-    Each of the nine has differences (w,), their u (w,) and a dark uncertainty, which is drawn as a band.
+    `nine` has for each number the deviations (w,), their u (w,), and a dark uncertainty, which is drawn as a band.
+    Deviations beyond U are red. `who` (w,) are the names.
     """
     rows = np.arange(len(who))
     grid = figure.subplots(3, 3, sharey=True)

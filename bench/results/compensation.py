@@ -43,7 +43,7 @@ HYSTERESIS_P: Final = 0.05
 
 
 class TermPart(ValuePart):
-    """A term of a polynomial, in unit/g/K^power or unit/K^power."""
+    """A term of a polynomial in temperature, in unit/g/K^power or unit/K^power."""
 
     power: int
 
@@ -87,7 +87,7 @@ class ThermalNoisePart(ResultModel):
 
 
 class ApproximationPart(ResultModel):
-    """The errors that the use of the table adds."""
+    """The errors that arise because the table is used instead of the polynomials."""
 
     interpolation_bias_g: float = Field(description="at 0 g")
     interpolation_per_g: float = Field(description="in addition for each g")
@@ -107,7 +107,7 @@ class TablePart(ResultModel):
 
 
 class VerdictAtPart(VerdictPart):
-    """The verdict on the verification points at one temperature."""
+    """The verdict of the verification at one temperature."""
 
     temperature_c: float
 
@@ -158,9 +158,9 @@ def compensate_result(
 ) -> CompensateResult:
     """Return the result of a temperature model.
 
-    `of_readings` is the part of the covariance that comes from the readings, `hidden` are the error sources that
-    they do not show. `checks` holds temperature (°C) and verification. `made_from` are the check vectors, their
-    test, and the members from `sources` on.
+    `of_readings` is the part of the covariance that comes from the readings. `hidden` are the error sources that
+    the readings do not show. `checks` holds pairs of a temperature (°C) and its verification. `made_from` has the
+    check vectors, their test, and the members from `sources` on.
     """
     u, count = u_of(model.covariance).reshape(model.values.shape), model.values.shape[1]
     return CompensateResult.from_object(
@@ -234,13 +234,15 @@ def print_compensation(
 
 
 def print_checks(checks: Sequence[tuple[float, Verification]], out: Console) -> None:
-    """Print the verdict at each temperature."""
+    """Print the verdict of the verification at each temperature."""
     for t, check in checks:
         out.print(verdict_line(f"verification at {t:.1f} °C", check), style="bold")
 
 
 def _coefficient_table(model: TemperatureModel) -> Table:
-    """Return a table of each coefficient at the reference temperature, its slope there, and its span."""
+    """Return a table of each coefficient: its value and slope at the reference temperature, and its span over
+    temperature.
+    """
     shown = table(
         "coefficient", ">at the reference", ">u", ">per K there", ">u", ">degree", ">over the range", ""
     )

@@ -46,7 +46,7 @@ class EffectPart(ResultModel):
 
 
 class ConfirmResult(ResultModel):
-    """The test of a model on new readings: the gap with and without the model, and the verdict on each effect."""
+    """The test of a model on new readings: the misfit (gap) with and without it, and the verdict on each effect."""
 
     closed: Real = Field(
         description="(before - after)/(before - floor): the part of the gap that the model closes; null where "
@@ -76,7 +76,7 @@ class ConfirmResult(ResultModel):
 
 
 def effect_part(now: EffectNow) -> EffectPart:
-    """Return the part of the result on an effect: its verdict, its values in the model and the new estimates."""
+    """Return the part of the result on an effect: the verdict, and the values in the model and the new readings."""
     return EffectPart(
         name=now.applied.effect.name,
         either_of=list(now.applied.either_of),
@@ -159,7 +159,7 @@ def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], o
 
 
 def either_in_words(effect: EffectNow) -> str:
-    """Return the names of a tie, "either of A or B"; "" if the effect has only one name."""
+    """Return the possible names of an ambiguous effect, "either of A or B"; "" if it has only one name."""
     names = effect.applied.either_of
     return f"either of {', '.join(names[:-1])} or {names[-1]}" if len(names) > 1 else ""
 

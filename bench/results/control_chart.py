@@ -35,7 +35,7 @@ LAST_ROWS: Final = 12
 
 
 class DesignPart(ResultModel):
-    """The design of the chart: false alarm rate, smoothing and basis of the limits."""
+    """The design of the chart: false alarm rate, weight of the EWMA, and basis of the limits."""
 
     arl: float = Field(description="mean number of runs between false alarms of the whole")
     arl_of_each: float = Field(description="the same of each of the three statistics that reject a run")
@@ -127,7 +127,7 @@ class DriftPart(ResultModel):
 
 
 class NineRun(ResultModel):
-    """A run in the nine numbers."""
+    """A run of the check block in its nine intrinsic numbers."""
 
     t2: float = Field(description="T² of all nine")
     p: float = Field(description="chance of as much")
@@ -137,7 +137,7 @@ class NineRun(ResultModel):
 
 
 class NineChart(ResultModel):
-    """The chart of the nine numbers that do not depend on the mounting, which decides."""
+    """The chart of the nine intrinsic numbers, which do not depend on the mounting; it decides."""
 
     centre: dict[str, ValuePart] = Field(description="in unit/g, degrees and g")
     scale: float = Field(description="by how much stated u is multiplied")
@@ -177,10 +177,10 @@ class ChartResult(ResultModel):
 
 @dataclass(frozen=True)
 class CheckBlockChart:
-    """The control chart of a check block: `chart` of the nine, which decides, and `twelve` beside it.
+    """The control chart of a check block: `chart` in the nine intrinsic numbers, which decides, and `twelve`.
 
-    `unit` is the unit of the signals and `g_m_s2` the g to which scale factors refer; `notes` names the runs left
-    out.
+    `twelve` is the chart of the coefficients. `unit` is the unit of the signals and `g_m_s2` the g to which scale
+    factors refer; `notes` names the runs left out.
     """
 
     chart: ControlChart
@@ -197,7 +197,7 @@ class CheckBlockChart:
         return self.chart.in_control
 
     def sentence(self) -> str:
-        """Return a sentence on the verdict of the last run."""
+        """Return the verdict on the last run as a sentence."""
         if not self.chart.verdicts:
             first = self.chart.baseline[-1].name
             return f"NO VERDICT yet: {first} is the first run, and there is nothing to compare with"
@@ -271,7 +271,7 @@ class CheckBlockChart:
 
 
 def _members(chart: ControlChart) -> dict[str, Any]:
-    """Return the members that the charts of the nine and of the twelve have alike."""
+    """Return the members that the charts of the nine intrinsic numbers and of the twelve coefficients share."""
     centre = chart.centre
     u = np.sqrt(np.diag(centre.covariance) * centre.scale)
     return {
@@ -338,7 +338,9 @@ def _in_u(z: float | None) -> str:
 
 
 def _run_cells(result: ChartResult, run: ChartedRun) -> list[str]:
-    """Return the cells of a run: start time, T² of the nine, T² of their EWMA, and s relative to the baseline."""
+    """Return the cells of a run: start time, T² of the nine intrinsic numbers, T² of their EWMA, and short-term s
+    relative to the baseline.
+    """
     f, nine = run.short_term.f, result.intrinsic.runs[run.run]
     ewma_t2 = "–" if nine.ewma_t2 is None else f"{nine.ewma_t2:.1f}"
     return [
@@ -347,14 +349,14 @@ def _run_cells(result: ChartResult, run: ChartedRun) -> list[str]:
 
 
 def _deviation_cells(name: str, own: DeviationPart, signal: str) -> list[str]:
-    """Return the cells of a number: deviation, u, and both deviation and EWMA in units of their u."""
+    """Return the cells of a number: its deviation and u, then its deviation and EWMA in units of their u."""
     size, unit = _scale_of(name, own.u, signal)
     off = f"{fixed(own.deviation / size, 1)} {unit}"
     return [off, f"{own.u / size:.1f} {unit}", _in_u(own.z), _in_u(own.ewma_z)]
 
 
 def _scale_of(name: str, largest: float, signal: str) -> tuple[float, str]:
-    """Return the size and the unit in which deviations of one of the nine or the twelve are printed."""
+    """Return the factor and the unit in which deviations of an intrinsic number or a coefficient are printed."""
     if name in INTRINSIC:
         return small_unit(name, largest, signal)
     scale = scale_for(largest, signal)
@@ -379,9 +381,8 @@ def _numbers_table(
 ) -> Table:
     """Return a table with a row for each number of a run.
 
-    The columns are its deviation from the centre, u of the deviation, the deviation in units of u, the weighted
-    mean (EWMA) in units of u, and the ratio of the baseline's scatter to `stated` u, with its p-value if below
-    0.01.
+    The columns are the deviation from the centre line, its u, the deviation in units of u, the EWMA in units of its
+    u, and the ratio of the baseline's scatter to the stated u, with the p-value if it is below 0.01.
     """
     shown = table(
         run, ">off the centre", ">u", f">in u (≤ {limits.single:.1f})",
@@ -446,7 +447,7 @@ def render_chart(found: CheckBlockChart) -> str:
 
 
 def draw_joint(chart: ControlChart, unit: str, figure: Figure) -> None:
-    """Draw panels of T² of each run, T² of the EWMA and, if known, the short-term standard deviation."""
+    """Draw panels of T² of each run, T² of the EWMA and, if known, the short-term scatter of a reading."""
     shown = slice(-MOST_SHOWN, None)
     panels = figure.subplots(3 if chart.short is not None else 2, sharex=True, squeeze=False)[:, 0]
     along = np.arange(1.0, len(chart.later) + 1)[shown]
@@ -464,7 +465,7 @@ def draw_joint(chart: ControlChart, unit: str, figure: Figure) -> None:
 
 
 def draw_single(chart: ControlChart, unit: str, figure: Figure) -> None:
-    """Draw a panel for each number: its deviation and its EWMA, each with its limits."""
+    """Draw a panel for each number of the chart: its deviation and its EWMA, each with its limits."""
     shown = slice(-MOST_SHOWN, None)
     along = np.arange(1.0, len(chart.later) + 1)[shown]
     rows = -(-len(chart.names) // 3)
@@ -506,12 +507,12 @@ def _panel(axes: Axes, along: Floats, values: Floats, limits: Floats) -> None:
 
 
 def _level(axes: Axes, along: Floats, level: Floats, **style: Any) -> None:
-    """Draw a limit as a step of width 1 around each run, so that it is visible even for a single run."""
+    """Draw a control limit as a step of width 1 around each run, so that it is visible even for a single run."""
     axes.plot(np.column_stack((along - 0.5, along + 0.5)).ravel(), np.repeat(level, 2), **style)
 
 
 def _name_runs(axes: Axes, chart: Any, along: Floats) -> None:
-    """Label at most 15 runs with the date on which they began, and the time if several began on one day."""
+    """Label at most 15 runs with their start date, and also with the time if several began on one day."""
     every = max(1, len(along) // 8)
     ticks = along[::-1][::every][::-1]
     days = {f"{run.when:%Y-%m-%d}" for run in chart.later}

@@ -93,7 +93,7 @@ class SimulationPart(ResultModel):
 
 
 class SimulationsPart(ResultModel):
-    """The simulations with the given model, and with the effects found added to it."""
+    """Simulations with the given model, before and after the effects found are added to it."""
 
     before: SimulationPart
     after: SimulationPart | None
@@ -107,7 +107,7 @@ class ShiftPart(ResultModel):
 
 
 class RivalPart(ResultModel):
-    """A family of effects that competes with an effect found."""
+    """A family of effects that may explain the readings instead of an effect found."""
 
     name: str
     ln_odds: float = Field(description="ln odds that it is there")
@@ -288,7 +288,7 @@ def mistakes_result(
     bench: BenchPart | None,
     corrections: Sequence[CorrectionPart],
 ) -> DiagnoseResult:
-    """Return the result of a diagnosis that ended because too few readings remain without the mistakes."""
+    """Return the result of a diagnosis that stopped at mistakes, because too few readings remain without them."""
     nothing: dict[str, Any] = {
         **dict.fromkeys(("next_measurement", "verification_orientation", "gap", "model", "noise", "p_left")),
         **dict.fromkeys(("form", "registered", "simulation", "report")),
@@ -414,7 +414,7 @@ def _places(diagnosis: Diagnosis, out: Console) -> None:
 
 
 def print_mistakes(found: MistakesAlone, files: Files, out: Console) -> None:
-    """Print the mistakes of a diagnosis that ended with them, and what must be measured again."""
+    """Print the mistakes of a diagnosis that stopped at them, and what must be measured again."""
     for mistake in found.mistakes:
         out.print(f"Mistake: {mistake.name}: {mistake.words}", style="bold")
     out.print(f"Put right in a copy, {found.reason}")
@@ -435,7 +435,7 @@ def _mistakes(diagnosis: Diagnosis, out: Console) -> None:
 
 
 def print_effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None:
-    """Print an effect that was found, with its values, its odds and what the readings cannot tell it from."""
+    """Print an effect that was found, with its values, its odds and the effects indistinguishable from it."""
     out.print(f"Found: {words.effect_title(effect)}", style="bold")
     out.print(typeset(f"  {effect.words}"))
     for line in words.parameters_in_words(effect):
@@ -472,7 +472,7 @@ def _form(diagnosis: Diagnosis, model: Path | None, out: Console) -> None:
 
 
 def print_gap(gap: Gap, out: Console) -> None:
-    """Print how far the gap closes on readings that were held out."""
+    """Print how much the effects found reduce the misfit of held-out readings (the gap)."""
     if gap.folds:
         told = words.closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)
         out.print(
@@ -516,7 +516,7 @@ def _consequence(shown: ModelComparison, out: Console) -> None:
 
 
 def _blocks(full: FullDiagnosis, out: Console) -> None:
-    """Print the coefficients of each block with u and the p-value of its simulation."""
+    """Print the coefficients of each block with u, and the p-value of its comparison with the simulation."""
     changed = any(block.after is not None for block in full.blocks)
     out.print(f"Coefficients of each block{', with what was found' if changed else ''}; in brackets u:")
     rows = table("block", *(f">{name}" for name in full.blocks[0].coefficients), ">p")

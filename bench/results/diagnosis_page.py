@@ -127,7 +127,7 @@ def render_alone(
     provenance: Mapping[str, str],
     **content: Any,
 ) -> str:
-    """Return the page of a diagnosis of free positions or of a record; `content` is what the two have not alike."""
+    """Return the page of a diagnosis of free positions or of a record; `content` is what only one of them has."""
     lines = [(words.effect_title(one), one, list(words.parameters_in_words(one))) for one in found.effects]
     return page(
         template,
@@ -164,7 +164,10 @@ def _ranking(full: FullDiagnosis, number: int, effect: NamedEffect) -> Markup | 
 
 
 def held_out_rows(gap: Gap) -> list[Row]:
-    """Return the rows of a table of what was held out: what the rest named, reduced chi-square before and after."""
+    """Return a table row for each set of held-out readings.
+
+    Cells: the effects named from the other readings, and the reduced chi-square before and after.
+    """
     rows = [
         Row(
             fold.label,
@@ -177,7 +180,7 @@ def held_out_rows(gap: Gap) -> list[Row]:
 
 
 def coefficient_rows(changes: Mapping[str, CoefficientChange], unit: str) -> list[Row]:
-    """Return the rows of a table of coefficients before and after, with the change, also in u."""
+    """Return table rows of the coefficients before and after, with their change in `unit` and in units of u."""
     before = aligned([concise(one.before, one.u_before) for one in changes.values()])
     after = aligned([concise(one.after, one.u_after) for one in changes.values()])
     scale = scale_for(max(abs(one.after - one.before) for one in changes.values()), unit)
@@ -221,14 +224,17 @@ def _overlays(shown: ModelComparison) -> tuple[list[Markup], list[Markup]]:
 
 
 def _residuals(shown: ModelComparison) -> tuple[list[Markup], list[Markup]]:
-    """Return the residual figures: a list of the visible ones, and a list of the collapsed ones."""
+    """Return the residual figures: a list of those always visible, and a list of the collapsed ones."""
     mounts = mounts_of(shown.before.calibration)[: _drawn_of(shown)]
     figures = [drawn(residuals_of_mount(shown, i)) for i in range(len(mounts))]
     return figures[:DRAWN], figures[DRAWN:]
 
 
 def _apart(diagnosis: Diagnosis) -> list[Effect]:
-    """Return the catalogue entries of all effects in ties; each states the measurement that would show it."""
+    """Return the catalogue entries of all effects in ties.
+
+    Each entry states the measurement that would separate the effect from others.
+    """
     names = dict.fromkeys(
         name
         for effect in diagnosis.effects
@@ -242,7 +248,10 @@ def _apart(diagnosis: Diagnosis) -> list[Effect]:
 
 
 def columns_of(shown: ModelComparison) -> list[tuple[str, Calibration]]:
-    """Return title and calibration of the figures' columns: before, after (if any effect was named), simulated."""
+    """Return the title and calibration of each column of the figures.
+
+    The columns are before, after (if an effect was named), and simulated.
+    """
     after = [] if shown.after is None else [(message("after"), shown.after.calibration)]
     return [
         (message("before") if after else message("readings"), shown.before.calibration),
@@ -279,7 +288,10 @@ def in_time(shown: ModelComparison) -> str:
 
 
 def gap_bars(gap: Gap) -> str:
-    """Return a bar chart of the reduced chi-square of each held-out fold, before and after; noise alone gives 1."""
+    """Return a bar chart of the reduced chi-square of each set of held-out readings, before and after.
+
+    Noise alone gives 1.
+    """
     folds = gap.folds
     names = [fold.label.replace(" and ", "\nand ") for fold in folds]
     places = np.arange(len(folds), dtype=float)
@@ -305,7 +317,7 @@ def gap_bars(gap: Gap) -> str:
 
 
 def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
-    """Return a bar chart of the ln odds of an effect and its rivals; a bracket joins those that are tied."""
+    """Return a bar chart of the ln odds of an effect and its rivals; a bracket joins tied ones."""
     ordered = sorted(rows, key=lambda rival: rival.evidence)
     places = np.arange(len(ordered), dtype=float)
     alike = [i for i, rival in enumerate(ordered) if rival.family == named or rival.tied]
@@ -385,7 +397,7 @@ def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
 
 
 def most_telling(shown: ModelComparison) -> list[int]:
-    """Return the indices of the mountings, starting with the one that the effects found change most."""
+    """Return the indices of the mountings, those first whose signals the effects found change most."""
     before, last = shown.before.calibration, shown.last.calibration
     missing = before.residuals - last.residuals
     sizes = [float(np.mean(missing[rows] ** 2)) for _, rows in mounts_of(before)]
@@ -434,10 +446,11 @@ def overlay(
     *,
     found: bool,
 ) -> str:
-    """Return a plot of measured and simulated signals at a `place`, a row per channel.
+    """Return a plot of measured and simulated signals, a row per channel; `place` (such as a mounting) is in its
+    title.
 
-    The left column has the signals. The right column has both minus the simulation with the given model; it shows
-    what that model lacks, and whether the effects found supply it. `draw_channel` draws a channel into its axes.
+    The left column has the signals. The right column has both minus the simulation with the given model; this shows
+    what that model lacks, and whether the effects found explain it. `draw_channel` draws a channel into its axes.
     """
     whose = message("simulated, with what was found") if found else message("simulated as it was given")
 

@@ -50,7 +50,7 @@ Parameters = Annotated[
 
 
 class MistakePlace(ResultModel):
-    """The place of a mistake, and the misfit of all readings (in units of noise) with and without the mistake."""
+    """Where a mistake is, and the misfit of all readings (in units of noise) with and without it."""
 
     pass_number: int | None = Field(alias="pass")
     point: int | None
@@ -114,7 +114,7 @@ class EffectPart(FoundPart):
 
 
 class FormFoldPart(ResultModel):
-    """The readings held out together, and the misfit with which the others predict them."""
+    """Readings that were held out together, and the misfit of their prediction from the other readings."""
 
     what: str
     counted: bool = Field(
@@ -125,7 +125,7 @@ class FormFoldPart(ResultModel):
 
 
 class FoldPart(FormFoldPart):
-    """The readings held out together, what the others named, and how well they predict."""
+    """Readings that were held out together, the effects that the others showed, and how well these predict."""
 
     confirmable: bool = Field(description="whether the other readings determine the coefficients")
     left_out: str | None = Field(description="why it does not count")
@@ -135,7 +135,7 @@ class FoldPart(FormFoldPart):
 
 
 class FormGapPart(ResultModel):
-    """The reduced chi-square of readings that were held out of the search and of the fit."""
+    """The reduced chi-square of readings that were held out of both search and fit."""
 
     before: Real = Field(
         description="with the model before; null where no fold measures it, `reason` says why"
@@ -153,7 +153,7 @@ class FormGapPart(ResultModel):
 
 
 class GapPart(FormGapPart):
-    """The reduced chi-square of readings that were held out of the fit, and whether they confirm what was found."""
+    """The reduced chi-square of readings held out of the fit, and whether it confirms the effects found."""
 
     shrinks: bool | None = Field(
         description="whether it shrinks by the rule in `registered`, without which nothing is named alone; null "
@@ -174,7 +174,7 @@ class GapPart(FormGapPart):
 
 
 class CopyPart(ResultModel):
-    """The copy of the readings with the mistakes corrected."""
+    """The copy of the readings in which the mistakes are corrected."""
 
     readings: Path | None = Field(description="the readings file of the copy; null where it was not written")
     used: int = Field(description="readings in the copy")
@@ -185,9 +185,7 @@ class CopyPart(ResultModel):
 
 
 class PlacePart(ResultModel):
-    """A channel of a record, or a record of a sensor in free positions, and what it leaves before anything is
-    named.
-    """
+    """A channel of a record, or a sensor in free positions, and its residuals before any effect is named."""
 
     channel: str
     installation: str
@@ -198,7 +196,7 @@ class PlacePart(ResultModel):
 
 
 class AloneResult(ResultModel):
-    """The members of a diagnosis of readings that are free positions alone, or a record at a known input."""
+    """The members of a diagnosis whose readings are all free positions, or a record at a known input."""
 
     verdict: Verdict
     where: list[PlacePart] = Field(
@@ -227,7 +225,10 @@ class AloneResult(ResultModel):
 
     @classmethod
     def made(cls, found: object, files: Files, made_from: Mapping[str, Any], **others: Any) -> Self:
-        """Return the result on findings; `made_from` are bench, certificates, and what is said of the source."""
+        """Return the result on findings.
+
+        `made_from` are bench, certificates, and the members that describe the source.
+        """
         of_source = {"bench": None, "corrections": [], "simulated": False, "skipped_rows": [], **made_from}
         written = {"next_measurement": None, "model": files.model, "report": files.report}
         return cls.from_object(found, **{**written, **of_source, **others})
@@ -242,7 +243,7 @@ class OfChannels(ResultModel):
 
 
 class FindingPart(ResultModel):
-    """A noise larger than stated."""
+    """A noise that is larger than stated."""
 
     what: Literal["reading", "setting"]
     found: float
@@ -339,7 +340,7 @@ def mistake_part(mistake: Mistake) -> EffectPart:
 
 
 def gap_part(gap: Gap) -> GapPart:
-    """Return the part of the result on a gap; its sizes are null if no readings could be held out."""
+    """Return the part of the result on a gap; its numbers are null if no readings could be held out."""
     return GapPart.from_object(
         gap,
         **_sizes(gap),
@@ -379,7 +380,7 @@ def _undetermined_part(label: str) -> FoldPart:
 
 
 def form_part(form: FreeForm) -> FormPart:
-    """Return the part of the result on the unnamed terms."""
+    """Return the part of the result on the terms that describe an unnamed effect."""
     dark = form.dark
     return FormPart.from_object(
         form,

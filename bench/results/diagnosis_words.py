@@ -165,7 +165,7 @@ def sentence_of(family: str) -> str:
 
 
 def place_in_words(place: ResidualPattern) -> str:
-    """Return a pattern of the residuals as a phrase: where it is, what it is, its size and its p-value."""
+    """Return a residual pattern as a phrase: its place, its description, its size and its p-value."""
     where = message("verification points") if place.channel == "modulus" else f"channel {place.channel}"
     if place.installation == "all":
         where += message(", whole run")
@@ -200,7 +200,7 @@ def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
 
 
 def orders_in_words(orders: Sequence[int], listed: int = 4) -> str:
-    """Return harmonics of the turn as a list that ends after `listed` of them: "6, 10, 14, 18, …"."""
+    """Return orders of harmonics per turn, of which at most `listed` are shown: "6, 10, 14, 18, …"."""
     shown = ", ".join(str(order) for order in orders[:listed])
     return f"{shown}, …" if len(orders) > listed else shown
 
@@ -229,8 +229,8 @@ def closed_in_words(
 ) -> str:
     """Return the fraction of a gap that is closed, at most 100 %, with the gap's root mean squares.
 
-    Example: "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)". `part` is None if there was no gap; the
-    root mean squares are in `unit`.
+    Example: "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)". `part` is the fraction, None if there
+    was no gap. The root mean squares of the residuals before, after and by noise alone are in `unit`.
     """
     before, after, noise = (
         micro_g(v) if unit == "g" else quantity(v, unit) for v in (before_g, after_g, noise_g)
@@ -264,7 +264,7 @@ def verdict_in_words(diagnosis: Diagnosis) -> str:
 
 
 def surer_in_words(proposal: Proposal | None) -> str:
-    """Return the time that the proposed procedure takes and its chance of resolving a tie; "" without a tie."""
+    """Return how long the proposed procedure takes and its chance of resolving a tie; "" without a tie."""
     one = None if proposal is None else proposal.surer
     if one is None:
         return ""
@@ -304,7 +304,7 @@ def _percent(probability: float) -> str:
 
 
 def gap_of_verdict(diagnosis: AnyDiagnosis) -> str:
-    """Return how far the gap closes, or why it does not confirm the findings; "" if nothing was found."""
+    """Return how far the gap closes or, if this does not confirm the findings, why; "" if nothing was found."""
     gap = diagnosis.gap
     return gap.reason if diagnosis.of_copy == "confounded" and gap.reason else gap_in_words(gap)
 
@@ -352,7 +352,7 @@ def what_to_do(full: FullDiagnosis, files: Files) -> Iterator[str]:
 
 
 def _of_copy_in_words(diagnosis: Diagnosis) -> str:
-    """Return the result of the search in the corrected copy."""
+    """Return what the search found in the corrected copy of the readings."""
     if diagnosis.of_copy == "agrees":
         return message("it agrees with the model within the noise")
     if diagnosis.of_copy == "unknown":
@@ -366,7 +366,7 @@ def alike_in_words(effects: Sequence[NamedEffect | Mistake]) -> str:
 
 
 def named_in_words(effect: NamedEffect) -> str:
-    """Return the name of an effect with the odds of its names; of a tie, the odds alone."""
+    """Return the name of an effect with its probability; for a tie, the probabilities of all its names."""
     odds = odds_in_words(effect)
     if effect.cannot_tell_from:
         return odds
@@ -374,13 +374,13 @@ def named_in_words(effect: NamedEffect) -> str:
 
 
 def found_in_words(diagnosis: AnyDiagnosis, nothing: str) -> str:
-    """Return the findings in free positions or in a record as a sentence; `nothing` where there are none."""
+    """Return the findings in free positions or in a record as a sentence; without any, return `nothing`."""
     effects = diagnosis.effects
     return "; ".join(named_in_words(e) if e.in_catalogue else e.words for e in effects) or nothing
 
 
 def readings_named(source: str) -> str:
-    """Return a short name of readings: "a + b", or "a … z (5 readings files)"."""
+    """Return a short name for sources of readings: "a + b", or "a … z (5 readings files)"."""
     first, *others = source.split(" + ")
     return f"{first} … {others[-1]} ({1 + len(others)} readings files)" if len(others) > 1 else source
 
@@ -400,7 +400,9 @@ def mountings_of(block: ModelComparison) -> str:
 
 
 def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
-    """Return the coefficient that would change most if `other` were the cause, with its change; "" for no rival."""
+    """Return the coefficient that would change most if `other` were the cause, with its change; "" if it is no
+    rival.
+    """
     for rival in ranking:
         if rival.family == other:
             coefficient, in_u = rival.largest_shift
@@ -409,7 +411,7 @@ def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
 
 
 def why_no_model(diagnosis: AnyDiagnosis) -> str:
-    """Return the reason why no model file was written, to follow "no model file is written"."""
+    """Return the reason to state after "no model file is written"."""
     if diagnosis.gap.shrinks is False:
         return message(
             "because the gap in the readings held out does not shrink: it would not be a better model"
@@ -420,7 +422,10 @@ def why_no_model(diagnosis: AnyDiagnosis) -> str:
 
 
 def joined_in_words(shown: ModelComparison) -> Iterator[str]:
-    """Yield a sentence if some effects found show only at the verification points, which then are no check."""
+    """Yield a sentence if some effects found show only at the verification points.
+
+    These points then joined the fit, so that they check nothing.
+    """
     if shown.after is None or not shown.after.joined:
         return
     without, with_it = shown.before.worst_g, shown.after.worst_g
@@ -437,7 +442,7 @@ def joined_in_words(shown: ModelComparison) -> Iterator[str]:
 
 
 def still_missing(shown: ModelComparison) -> bool:
-    """Return whether the readings differ from the last model by more than their repeats explain."""
+    """Return whether the readings differ from the last model by more than the scatter of repeats explains."""
     return shown.last.tested and shown.last.test.shown
 
 
@@ -495,7 +500,10 @@ def less_certain(coefficients: Mapping[str, CoefficientChange]) -> list[str]:
 
 
 def term_in_words(term: FormTerm) -> str:
-    """Return a line on a term: "unnamed_1: A * (time > t), added at the block output; A of y = 70 ± 4 µg (u)"."""
+    """Return a line on a term of an unnamed effect.
+
+    Example: "unnamed_1: A * (time > t), added at the block output; A of y = 70 ± 4 µg (u)".
+    """
     effect = term.effect
     added = f" to {effect.adds_to}" if effect.adds_to else ""
     sizes = [
@@ -513,7 +521,7 @@ def term_in_words(term: FormTerm) -> str:
 
 
 def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
-    """Yield lines on the unnamed terms; none if no search for them was made."""
+    """Yield lines on the terms that describe an unnamed effect; none if they were not searched for."""
     form = diagnosis.form
     if form is None:
         return

@@ -36,7 +36,7 @@ class FleetResult(ResultModel):
 
 
 class LimitedPart(ResultModel):
-    """A standard deviation with its upper limit."""
+    """A standard deviation with its upper 95 % limit."""
 
     value: float = Field(description="1 sigma")
     at_most: Real = Field(description="upper limit of 95 %")
@@ -80,7 +80,7 @@ class AllotmentPart(ResultModel):
 
 
 class RepeatsPart(ResultModel):
-    """The scatter of repeated calibrations of a unit on one bench."""
+    """The scatter of repeated calibrations of one unit on one bench."""
 
     reduced_chi2: Real = Field(description="null without any")
     dof: int
@@ -106,7 +106,7 @@ class SizesPart(ResultModel):
 
 
 class EffectOfBench(ResultModel):
-    """The effect of a bench on a coefficient."""
+    """A bench's effect on a coefficient."""
 
     effect: float
     u: float
@@ -382,7 +382,7 @@ def _rates_table(rates: dict[str, RatePart], then: dict[str, ValuePart] | None, 
 
 
 class ScatterPart(LimitedPart):
-    """The scatter of a unit's calibrations beyond stated u, without the drift of units, as a standard deviation."""
+    """The scatter between a unit's calibrations in excess of their stated u, after drift is removed (1 σ)."""
 
     value: float = Field(description="root of the mean square over what the calibrations leave open")
     at_least: float = Field(description="lower limit of 95 %")

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 
 class FreeNoise(ResultModel):
-    """The scatter of a position's |a| that remains with the effects found."""
+    """The scatter of |a| at a position that remains after the effects found are removed."""
 
     reading: float
     unit: Literal["g"]
@@ -192,10 +192,10 @@ MARKS: Final = "osD^vP*X"
 
 
 def overlay_of_sensor(found: FreeDiagnosis, sensor: int) -> str:
-    """Return a plot of the signals of a sensor in order of measurement: measured over simulated, a row per channel.
+    """Return a plot of a sensor's signals in order of measurement, measured over simulated, a row per channel.
 
-    The orientations are unknown. Each position is simulated in the direction that its signals give, so that only
-    errors of the modulus show.
+    The orientations are unknown: each position is simulated in the direction that its signals indicate, so that
+    only errors of the modulus are visible.
     """
     rows = found.rows
     mine = rows.sensor == sensor
@@ -223,7 +223,9 @@ def overlay_of_sensor(found: FreeDiagnosis, sensor: int) -> str:
 
 
 def modulus_in_time(found: FreeDiagnosis) -> str:
-    """Return a plot of |a| - 1 g against the time since the start of the record, before and after."""
+    """Return a plot of |a| - 1 g against the time since the start of the record, before and after the effects
+    found.
+    """
     rows = found.rows
     fits = [("as it was given", found.before), ("with what was found", found.after)][
         : 1 + bool(found.effects)
@@ -261,7 +263,9 @@ def modulus_in_time(found: FreeDiagnosis) -> str:
 
 
 def modulus_by_record(found: FreeDiagnosis) -> str:
-    """Return a bar chart of the root mean square of |a| - 1 g in each record, for each sensor, before and after."""
+    """Return a bar chart of the root mean square of |a| - 1 g by record and sensor, before and after the effects
+    found.
+    """
     rows = found.rows
     records = np.unique(rows.record)
     scale = scale_for(float(np.max(np.abs(found.before.left))), "g")
@@ -338,7 +342,7 @@ def _coefficients(found: FreeDiagnosis, sensor: int) -> dict[str, CoefficientCha
 
 
 def _zeros(found: FreeDiagnosis) -> Iterator[Row]:
-    """Yield a row with the zeros of each sensor in each record, fitted by itself, in mg with u."""
+    """Yield a row for each record and sensor: its zeros with u, mg, each record fitted alone."""
     between = found.between
     if between is None:
         return

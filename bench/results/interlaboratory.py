@@ -32,14 +32,14 @@ WORDS: Final = {True: "OFF", False: "agrees"}
 
 
 class DifferencePart(ValuePart):
-    """A laboratory less the consensus of the others, in one of the nine."""
+    """A laboratory's value minus the consensus of the others, for one of the nine intrinsic numbers."""
 
     en: float
     dark: float = Field(description="dark uncertainty of the others (1 sigma)")
 
 
 class LaboratoryPart(ResultModel):
-    """A laboratory against the consensus of all others; its u has no term between laboratories."""
+    """A laboratory compared with the consensus of all others; its u has no term between laboratories."""
 
     code: str
     chi2: float
@@ -50,7 +50,7 @@ class LaboratoryPart(ResultModel):
 
 
 class DriftPart(ResultModel):
-    """The change of the block between two stops of the pilot, or between monitors at one stop."""
+    """The change of the block between two stops at the pilot laboratory, or between monitors at one stop."""
 
     first: str = Field(description="code of the stop")
     last: str
@@ -83,7 +83,7 @@ class KitResult(ResultModel):
 
 
 def laboratories_of(codes: Sequence[str], judged: Sequence[LaboratoryJudged]) -> list[LaboratoryPart]:
-    """Return the part of each laboratory, by its code."""
+    """Return the part of the result on each laboratory, with its code."""
     return [
         LaboratoryPart.from_object(
             one, code=code, differences=by_name(INTRINSIC, DifferencePart, one, value=one.difference)
@@ -93,7 +93,7 @@ def laboratories_of(codes: Sequence[str], judged: Sequence[LaboratoryJudged]) ->
 
 
 def drifts_of(seen: Sequence[tuple[str, str, Literal["calibration", "monitor"], Drift]]) -> list[DriftPart]:
-    """Return the part of each change, with the codes of its first and last stop and what measured it."""
+    """Return the part of the result on each change: the codes of its first and last stop, and what measured it."""
     p = [drift.p for *_, drift in seen]
     looks = holm(np.array(p)).tolist() if p else []
     return [
@@ -109,7 +109,7 @@ def drifts_of(seen: Sequence[tuple[str, str, Literal["calibration", "monitor"], 
 
 
 def drift_words(drift: DriftPart, unit: str) -> str:
-    """Return a change in words: where, its largest number in units of u, and the p-value."""
+    """Return a change of the block in words: its stops, its largest component in units of u, and its p-value."""
     name, worst = max(drift.changes.items(), key=lambda item: abs(item[1].value) / item[1].u)
     size, small = small_unit(name, worst.u, unit)
     where = f"at {drift.first}" if drift.first == drift.last else f"from {drift.first} to {drift.last}"

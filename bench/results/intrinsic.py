@@ -35,7 +35,7 @@ class IntrinsicValuePart(CoefficientPart):
 
 
 class IntrinsicPart(ResultModel):
-    """Sensitivities, angles between the sensing axes, and offsets: what does not depend on the mounting.
+    """The nine numbers that do not depend on the mounting: sensitivities, angles between the sensing axes, offsets.
 
     S_i = ‖row i of K‖, cos θ_ij = row_i·row_j/(S_i S_j), b_i = U0_i/S_i.
     """
@@ -55,7 +55,7 @@ class IntrinsicPart(ResultModel):
 
 
 class JointPart(ResultModel):
-    """The factor of the ellipsoid that contains all these numbers together."""
+    """The joint coverage factor: the ellipsoid of this size covers all these numbers together with 95 %."""
 
     count: int = Field(description="numbers with an uncertainty")
     k: float = Field(description="√(p F(p, dof)), for infinite dof √χ²(p); times u as stated")
@@ -71,13 +71,13 @@ def intrinsic_part(own: Intrinsic) -> IntrinsicPart:
 
 
 def joint_part(u: Floats, dof: Floats) -> JointPart:
-    """Return the joint factor of numbers with `u` (m,) and `dof` (m,); numbers with u = 0 are left out."""
+    """Return the joint coverage factor of numbers with `u` (m,) and `dof` (m,); numbers with u = 0 are left out."""
     found = joint_of(u, dof)
     return JointPart.from_object(found, dof=found.dof if np.isfinite(found.dof) else None)
 
 
 def joint_of(u: Floats, dof: Floats) -> JointFactor:
-    """Return the joint coverage factor of the numbers that have an uncertainty, with the least of their dof."""
+    """Return the joint coverage factor of the numbers that have an uncertainty, for the smallest of their dof."""
     known = u > 0
     return joint_factor(int(np.sum(known)), float(np.min(dof[known], initial=np.inf)))
 
@@ -95,9 +95,7 @@ def joint_members(found: Calibration) -> dict[str, Any]:
 
 
 def shown_rows(own: Intrinsic) -> list[list[str]]:
-    """Return rows of text: name, value, its unit, u from the readings, u, U, and the unit of these
-    uncertainties.
-    """
+    """Return a row of text for each number: name, value, unit, u from the readings, u, U, unit of these three."""
     rows = []
     for name, value, *sizes in zip(own.names, own.values, own.u_readings, own.u, own.U, strict=True):
         unit = intrinsic_unit(name, own.unit)
@@ -108,8 +106,9 @@ def shown_rows(own: Intrinsic) -> list[list[str]]:
 
 
 def small_unit(name: str, u: float, unit: str) -> tuple[float, str]:
-    """Return a smaller unit for a difference of size `u` in one of the nine intrinsic numbers: its size in the
-    number's own unit, and its name.
+    """Return a smaller unit for differences of size `u` in the intrinsic number `name`.
+
+    The result is the size of the smaller unit, in `unit`, and its name.
     """
     if name.startswith("theta"):
         return 1.0 / 3600.0, "″"
@@ -133,7 +132,10 @@ def joint_in_words(found: Calibration, own: Intrinsic | None) -> str:
 
 
 def ellipses(own: Intrinsic) -> str:
-    """Return a plot of the 95 % ellipsoid of the nine as shadows on pairs; dashed, U of each number (k = 2)."""
+    """Return a plot of the 95 % ellipsoid of the nine intrinsic numbers, projected on pairs of them.
+
+    Dashed lines are the U of each number (k = 2).
+    """
     from bench.results.plots import BLUE, GREY, svg_figure, symbol
 
     joint, turn = joint_of(own.u, own.dof), np.linspace(0.0, 2.0 * np.pi, _POINTS)

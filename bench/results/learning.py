@@ -42,7 +42,7 @@ class SizePart(ResultModel):
 
 
 class MeansPart(ResultModel):
-    """The covariance of the means of the stand's angles and of the head's harmonics."""
+    """The covariance of the mean stand angles and of the head's harmonics."""
 
     order: list[str]
     covariance_rad2: Matrix

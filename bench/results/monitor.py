@@ -1,4 +1,4 @@
-"""The result of `bench monitor`: bias, scale factor and angle of few positions over days, as JSON, text, chart."""
+"""The result of `bench monitor`: bias, scale factor and angle of a few positions over days; JSON, text, chart."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ UNITS: Final[Mapping[str, str]] = {"b": "g", "S": "V/g", "t": "deg"}
 
 
 class MonitoredRun(ResultModel):
-    """One run of a monitor; those of the baseline have no verdict."""
+    """One run of a monitor; runs of the baseline have no verdict."""
 
     run: str
     began: str

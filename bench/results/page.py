@@ -96,7 +96,9 @@ STATES: Final = {
 
 @dataclass(frozen=True)
 class VerdictInWords:
-    """The verdict as text: `state` is the style of the box; then the worst point, limit, rule, risk and advice."""
+    """The verdict as text: `state` selects the style of its box; the rest is worst point, limit, rule, risk and
+    advice.
+    """
 
     state: str
     word: str = message("Not verified")
@@ -146,13 +148,13 @@ def verdict(verification: Verification | None) -> VerdictInWords:
 
 
 def _of_a_verification(words: str) -> str:
-    """Return " passed" for "passed", but ": conditional pass" for "conditional pass"."""
+    """Return the words of a verdict, to follow "verification": " passed", but ": conditional pass"."""
     return f": {words}" if words.startswith("conditional") else f" {words}"
 
 
 @dataclass(frozen=True)
 class FitInWords:
-    """The test for lack of fit as text: `state` (fits, misfits or unknown), figures, short form, sentence."""
+    """The test for lack of fit as text, and its `state`: fits, misfits or unknown."""
 
     state: str
     figures: str

@@ -18,10 +18,10 @@ Part = TypeVar("Part", bound=ResultModel)
 
 
 def by_name(names: Sequence[str], part: type[Part], of: object = None, /, **columns: Any) -> dict[str, Part]:
-    """Return a part for each of m names.
+    """Return a `part` (a model class) for each of m names.
 
-    A column has the values (m,) of one member of the part, or one number for all. Members without a column are
-    attributes (m,) of `of`.
+    A column has the values (m,) of one member of the part, or one number for all names. Members without a column
+    are attributes (m,) of the object `of`.
     """
     columns |= {
         name: getattr(of, name) for name in part.model_fields if name not in columns and hasattr(of, name)

@@ -50,7 +50,7 @@ class LimitPart(ResultModel):
 
     @classmethod
     def of_limit(cls, found: Limit, **part: float) -> LimitPart:
-        """Return the part of the result on a limit; `part` is optional: `part=` its fraction of the variance."""
+        """Return the part of the result on a limit; `part=`, if given, is its fraction of the variance."""
         source = found.source
         return cls.from_object(
             source,
@@ -74,13 +74,13 @@ class LimitPart(ResultModel):
         return self.shown(self.u_now * (math.sqrt(3.0) if self.distribution == "rectangular" else self.k))
 
     def shown(self, value: float, *, down: bool = False) -> str:
-        """Return a size (SI) with its printed unit; `down` rounds towards zero."""
+        """Return a size, in SI, with its printed unit; `down` rounds towards zero."""
         unit, size = _SHOWN.get(self.unit, (f" {self.unit}", 1.0))
         return f"{figures(value / size, down=down)}{unit}"
 
 
 class AlternativePart(ResultModel):
-    """Another estimator or procedure, and the uncertainty that it reaches on the present bench."""
+    """Another estimator or procedure, and the uncertainty that it would give on the present bench."""
 
     estimator: str
     procedure: str
@@ -226,9 +226,9 @@ class PlanPointsResult(ResultModel):
 def plan_points_result(
     points: ChosenPoints, u_paper: dict[str, float], bench: BenchPart, procedure: str | None, *, asked: bool
 ) -> PlanPointsResult:
-    """Return the result on chosen points.
+    """Return the result for the chosen test points.
 
-    `u_paper` maps the name of each goal to its u with the paper's points; `asked` is whether the user stated
+    `u_paper` maps the name of each goal to the u that the paper's points give. `asked` is whether the user stated
     goals.
     """
     return PlanPointsResult(

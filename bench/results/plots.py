@@ -104,13 +104,13 @@ def residuals_against_angle(
 
 
 def residuals_in_order(calibration: Calibration) -> str:
-    """Return a plot of residuals in order of measurement, against time if every reading has one."""
+    """Return a plot of residuals in order of measurement, or against time if every reading has a time."""
     columns = [("", calibration, [rows for _, rows in mounts_of(calibration)])]
     return residuals_in_time("residuals-order", (7.4, 5.2), columns, residual_scale(calibration))
 
 
 def residuals_in_time(name: str, size: tuple[float, float], columns: Columns, scale: Scale) -> str:
-    """Return a plot of residuals in order of measurement, against time if every reading has one."""
+    """Return a plot of residuals in order of measurement, or against time if every reading has a time."""
     time_s = columns[0][1].fitted.time_s
     along: Floats = np.arange(1.0, len(time_s) + 1.0)
     label = message("reading, in the order of measurement")
@@ -143,7 +143,7 @@ def _residuals(
     scale: Scale,
     alt: str,
 ) -> str:
-    """Return a plot of residuals `along` an axis; `prepare` draws what lies below the readings of a column."""
+    """Return a plot of residuals against the abscissa `along`; `prepare` draws the background of a column."""
     same = len({id(calibration) for _, calibration, _ in columns}) == 1
 
     def draw(figure: Figure) -> None:
@@ -360,7 +360,7 @@ def legend_of(grid: Iterator[Axes]) -> tuple[list[Any], list[str]]:
 
 
 def mark_changes(grid: Any, calibration: Calibration, along: Floats, word: str = "installation ") -> None:
-    """Draw a line at each new mounting, and write `word` and the mounting's name above."""
+    """Draw a line at each change of mounting, and write `word` and the mounting's name above."""
     conditions = calibration.fitted.conditions()
     starts = [0, *(np.flatnonzero(np.diff(conditions.mount)) + 1)]
     for start in starts:
@@ -421,7 +421,7 @@ def by_line(text: str) -> str:
 
 
 class _Local:
-    """Tick labels of another formatter with the decimal sign of the language."""
+    """A tick formatter that replaces the decimal sign of another formatter's labels by that of the language."""
 
     def __init__(self, formatter: Any) -> None:
         self._formatter = formatter

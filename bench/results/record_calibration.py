@@ -141,7 +141,7 @@ def _micro(of: Estimate) -> str:
 
 
 def repeats_line(found: RecordCalibration) -> str:
-    """Return how parts of the record scatter, as a sentence; "" for a short record."""
+    """Return a sentence on the scatter between parts of the record; "" for a short record."""
     if found.repeats is None:
         return ""
     term = found.repeats.term

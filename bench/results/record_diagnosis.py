@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 
 class RivalPart(ResultModel):
-    """A kind of shape of an effect, and how well the rest of the record predicts excursions held out with this
-    shape.
+    """A kind of shape that an effect may have, and how well it predicts held-out excursions from the other
+    readings.
     """
 
     what: str = Field(description="at once, lag or hysteresis")
@@ -50,7 +50,7 @@ class ChannelPart(ResultModel):
 
 
 class RecordNoisePart(ResultModel):
-    """The noise of a mean of all channels."""
+    """The noise of the mean of a channel's readings."""
 
     white_v: float
     slow_v: float
@@ -104,7 +104,7 @@ def what_in_words(found: RecordDiagnosis) -> str:
 
 
 def gap_told(found: RecordDiagnosis) -> str:
-    """Return how far the gap closes on excursions held out; "" if nothing was held out."""
+    """Return how much the misfit of held-out excursions decreases (the gap); "" if nothing was held out."""
     gap = found.gap
     if not gap.folds:
         return ""
@@ -173,7 +173,10 @@ def evidence_in_words(found: RecordDiagnosis) -> dict[str, str]:
 
 
 def course_figure(time_h: Floats, courses: Sequence[tuple[str, Floats, Floats]]) -> str:
-    """Return a plot of signal less reference over the time: channel, course before (n,), course after, V."""
+    """Return a plot of signal minus reference against time (n,), h: a row per channel.
+
+    `courses` has for each channel its name, and the difference (n,) before and after the effects found, V.
+    """
     scale = scale_for(max(float(abs(before).max()) for _, before, _ in courses), "V")
 
     def draw(figure: Figure) -> None:

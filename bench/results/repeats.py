@@ -21,7 +21,7 @@ MEANING: Final = {
 
 
 class RatioPart(ResultModel):
-    """Scatter of repeats left out in turn over the u of their prediction, with a 95 % interval."""
+    """The ratio of the scatter of repeats to the u of their prediction from the others, with its 95 % interval."""
 
     value: float
     low: float
@@ -29,7 +29,7 @@ class RatioPart(ResultModel):
 
 
 class TermPart(ResultModel):
-    """The term that widens u until repeats agree with it."""
+    """The term that is added to u until it agrees with the scatter of repeats."""
 
     name: Literal["restart", "drift", "scale"]
     means: str
@@ -37,7 +37,7 @@ class TermPart(ResultModel):
 
 
 class RepeatsPart(ResultModel):
-    """Repeats against their u."""
+    """The scatter of repeats compared with their stated u."""
 
     ratio: Real = Field(description="scatter of the repeats over their stated u")
     too_small: bool = Field(description="whether u is too small by more than 1.5, and not by chance")
@@ -66,7 +66,9 @@ def _ratio(of: Ratio | None) -> RatioPart | None:
 
 
 def repeats_told(found: Repeats, where: str, sizes: Sequence[str]) -> str:
-    """Return a sentence on repeats `where`; `sizes` are those of the term in words."""
+    """Return a sentence on the scatter of repeats; `where` says of what, `sizes` are the sizes of the term in
+    words.
+    """
     text = f"repeats {where} scatter {found.scatter:.2g} × u"
     if found.term is None or found.held_before is None or found.held_after is None:
         return text + ("; too few to leave one out" if found.held_before is None else ": u is honest")
@@ -90,7 +92,7 @@ class HeldOutByRecord(ResultModel):
 
 
 class BetweenRecordsPart(ResultModel):
-    """The changes of the zeros between records, each record fitted by itself."""
+    """The changes of the zeros between records, with each record fitted alone."""
 
     ratio: Real = Field(description="scatter of the zeros over their stated u")
     repeats: RepeatsPart
@@ -131,6 +133,6 @@ def between_part(found: BetweenRecords) -> BetweenRecordsPart:
 
 
 def repeats_between(between: BetweenRecords) -> str:
-    """Return how zeros scatter between records, with the term that makes u honest."""
+    """Return how zeros scatter between records, with the term by which u must be widened."""
     sizes = [f"{c} {size}" for c, size in zip(CHANNELS, between.term_sizes(), strict=False)]
     return repeats_told(between.repeats, "between records", sizes)

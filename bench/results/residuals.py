@@ -17,7 +17,7 @@ DIGITS: Final = 6
 
 
 class ReadingPart(ResultModel):
-    """A reading: where and when it was taken, and the standard deviation of a single reading there."""
+    """A reading: its place, time and conditions, and the standard deviation of a single reading there."""
 
     installation: str
     series: int
@@ -46,7 +46,7 @@ class ResidualsPart(ResultModel):
 
 
 def fitted_readings(calibration: Calibration) -> list[dict[str, Any]]:
-    """Return members of a `ReadingPart` for each fitted reading, in its order."""
+    """Return the members of a `ReadingPart` for each fitted reading, in order."""
     fitted = calibration.fitted
     u = np.zeros((len(fitted), 3))
     for _, rows in mounts_of(calibration):
@@ -70,7 +70,7 @@ def residuals_of(calibration: Calibration) -> list[list[float]]:
 
 
 def compared_residuals(shown: ModelComparison) -> ResidualsPart:
-    """Return the residuals by the models before and after a diagnosis, and the residuals of the simulated bench."""
+    """Return the residuals by the models before and after a diagnosis, and those of the simulated bench."""
     before = shown.before.calibration
     after = None if shown.after is None else residuals_of(shown.after.calibration)
     signal, given = _rows(before.fitted.signal, 9), residuals_of(before)

@@ -1,4 +1,4 @@
-"""The model of each result by schema name, from which its JSON schema is made."""
+"""The result model of each schema name, from which its JSON schema is generated."""
 
 from __future__ import annotations
 

@@ -184,9 +184,9 @@ def _term(terms: NoiseTerms, k: int, unit: str) -> str:
 
 
 def allan_figure(found: Stability, *, inline: bool = False) -> str:
-    """Return an SVG file: Allan deviation with 95 % limits and the fitted noise terms, and the spectrum below.
+    """Return an SVG file of the Allan deviation with 95 % limits and fitted noise terms, and of the spectrum below.
 
-    With `inline`, it is an element of a page.
+    With `inline`, the SVG is an element of a page.
     """
     curves, terms, tau_s = found.curves, found.terms, found.longest_s
     scale = scale_for(min(float(curve.deviation.min()) for curve in curves), found.record.unit)

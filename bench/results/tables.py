@@ -113,8 +113,8 @@ class Row:
 
 
 def symbol(name: str) -> Markup:
-    """Return the name of a coefficient or of an intrinsic number as HTML: "Kxy" -> K with the indices as
-    subscripts.
+    """Return the name of a coefficient or intrinsic number as HTML, its indices as subscripts: "Kxy" ->
+    K<sub>xy</sub>.
     """
     if name.startswith("U0"):
         return Markup("<i>U</i><sub>0{}</sub>").format(name[2:])
@@ -212,7 +212,7 @@ def strongest_correlations(calibration: Calibration) -> list[tuple[Markup, Marku
 
 
 def comparison(calibration: Calibration, compared: Calibration) -> list[Row]:
-    """Return a row for each coefficient: both estimates, and their difference."""
+    """Return a row for each coefficient: its estimates by two estimators, and their difference."""
     difference = compared.block.vector - calibration.block.vector
     scale = scale_for(float(np.max(np.abs(difference))), calibration.unit)
     shown = [
@@ -415,7 +415,7 @@ def _each(sizes: tuple[float, float, float], unit: str) -> str:
 def sources(calibration: Calibration) -> dict[str, Any]:
     """Return the table of error sources that the readings do not show, and the u of gravity; empty without sources.
 
-    Cells: u, the largest contribution to scale factors, cross-axis terms and biases, and origin.
+    Cells: u of the source, its largest contribution to scale factors, cross-axis terms and biases, and its origin.
     """
     if not calibration.sources:
         return {}

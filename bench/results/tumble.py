@@ -22,7 +22,10 @@ CLOSE: Final = 0.95
 
 
 class QuantityPart(ExpandedPart):
-    """An estimated term of an accelerometer; `u` is the combined one if the result is `combined`."""
+    """An estimated term of an accelerometer.
+
+    `u` is the combined standard uncertainty if the result is `combined`, otherwise the part from the readings.
+    """
 
     u_readings: float = Field(description="the part that the readings and the stand as it is stated show")
     contains: dict[str, float] = Field(
@@ -58,7 +61,7 @@ class TumbleNoisePart(ResultModel):
 
 
 class AbovePart(ResultModel):
-    """Points above 1 g that joined the fit, and their chi-square against the fit at 1 g."""
+    """Points above 1 g that were included in the fit, and their chi-square against the fit at 1 g."""
 
     points: int
     largest_g: float
@@ -170,7 +173,7 @@ def _table(view: TumbleView) -> Table:
 
 
 def _micro(unit: str) -> str:
-    """Return the printed millionth of a unit in g: "g/g^2" -> "µg/g²"."""
+    """Return the millionth of a unit in g as printed: "g/g^2" -> "µg/g²"."""
     return unit.replace("g", "µg", 1).replace("^2", "²").replace("^3", "³")
 
 
@@ -196,5 +199,5 @@ def _left_out(view: TumbleView) -> Iterator[str]:
 
 
 def _moved(moved: Mapping[str, float]) -> str:
-    """Return the shifts of other terms by an unfitted term, in words: "K0 by +0.50"."""
+    """Return how far an unfitted term shifts other terms, in words: "K0 by +0.50"."""
     return ", ".join(f"{name} by {fixed(by, 2, sign=True)}" for name, by in moved.items())

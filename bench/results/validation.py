@@ -48,7 +48,7 @@ class PackagePart(ResultModel):
 
 
 class ProgramFingerprint(ResultModel):
-    """What a validation holds for: the program, its packages and Python. Any change needs another validation."""
+    """The program, packages and Python for which a validation holds; a change of any needs another validation."""
 
     fingerprint: str = Field(description="SHA-256 of everything below")
     version: str
@@ -67,7 +67,7 @@ class ValidatedBench(ResultModel):
 
 
 class ChangedRun(ResultModel):
-    """A past run of which the program computes other coefficients than are stored."""
+    """A past run whose recomputed coefficients differ from the stored ones."""
 
     run: str
     largest_change_in_u: float
@@ -77,7 +77,7 @@ class ChangedRun(ResultModel):
 
 
 class AgainstPart(ResultModel):
-    """Past runs computed again."""
+    """A comparison of past runs, computed again, with their stored results."""
 
     over: list[str]
     runs: int
@@ -109,7 +109,7 @@ class ValidationResult(ResultModel):
 
     @property
     def failed(self) -> list[ValidationCheck]:
-        """The checks that failed and are not changes to be accepted."""
+        """The failed checks, without changes that somebody may still accept."""
         return [one for one in self.checks if not one.passed and not one.change]
 
     @property
@@ -130,7 +130,7 @@ class ValidationResult(ResultModel):
         return f"PASSED: all {count} checks; it becomes a validation when an authorised person accepts it"
 
     def print_on(self, out: Console) -> None:
-        """Print what failed with its place, a count by family, and the outcome."""
+        """Print each failed check with its place, the number of checks by family, and the outcome."""
         for family, rows in families(self.checks):
             good = sum(row.passed for row in rows)
             out.print(f"{family}: {good} of {len(rows)} passed")
@@ -163,12 +163,12 @@ class ValidationResult(ResultModel):
 
 
 def families(checks: Iterable[ValidationCheck]) -> list[tuple[str, list[ValidationCheck]]]:
-    """Return the checks by family, in their order."""
+    """Return each family of checks with its checks, in order."""
     return [(family, list(rows)) for family, rows in groupby(checks, key=lambda row: row.family)]
 
 
 def acts(rows: Iterable[ValidationCheck]) -> list[tuple[str, list[ValidationCheck]]]:
-    """Return the rows of each check function with a description of what it did, in their order."""
+    """Return each check function's description with its rows, in order."""
     return [(did, list(own)) for did, own in groupby(rows, key=lambda row: row.did)]
 
 
@@ -215,7 +215,7 @@ class RegisteredValidation(ResultModel):
 
 
 class ValidationRegisterResult(ResultModel):
-    """The validations of a laboratory: `bench validate --register`, or the one that was just accepted."""
+    """The validations of a laboratory (`bench validate --register`), or the one that was just accepted."""
 
     register_: str = Field(alias="register", description="its folder")
     head: str = Field(description="SHA-256 of the last line, which proves all lines before it")

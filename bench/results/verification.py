@@ -114,7 +114,7 @@ class ReportResult(ResultModel):
 
 
 def verdict_members(found: Verification) -> dict[str, Any]:
-    """Return the members of `VerdictPart` that are not attributes of a verification."""
+    """Return the members of `VerdictPart` that a verification does not have as attributes."""
     risk, population, accepted = found.global_risk, found.population, found.passed or found.left_open
     return {
         **found.decision.to_json(),
@@ -183,7 +183,7 @@ _MOST: Final = 2
 
 
 def headline(result: Verification, *, upper: bool = False) -> str:
-    """Return the verdict in a few words; for a conditional pass, also whether the rule accepts it."""
+    """Return the verdict in a few words; for a conditional pass, also whether the decision rule accepts it."""
     word = HEADLINES[result.statement]
     word = word.upper() if upper else word
     if result.statement is Statement.CONDITIONAL_PASS:
@@ -269,7 +269,7 @@ def basis_in_words(result: Verification) -> str:
 
 
 def advice(result: Verification) -> tuple[str, ...]:
-    """Return a sentence on the meaning of each kind of statement given, and on possible remedies."""
+    """Return sentences that explain each kind of statement given and name possible remedies."""
     number = {s: sum(p.statement is s for p in result.points) for s in Statement}
     sentences = {
         Statement.FAIL: (

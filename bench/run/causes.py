@@ -207,7 +207,10 @@ class Inquiry:
         ], replay
 
     def _wrong_before(self, sighting: Sighting, k: int) -> list[Member]:
-        """Return the members in which reading `k` is wrong: left out, shifted, or taken at another setting."""
+        """Return the members in which reading `k` is wrong: left out, shifted, or taken at another setting.
+
+        A member is a supposed mistake.
+        """
         unlikely, was_wrong = UNLIKELY[Kind.EARLIER], message(f"{sighting.place} was wrong")
         somehow = Supposition(was_wrong, Kind.EARLIER, unlikely)
         first = 2 + len(self._others(sighting, few=True))
@@ -316,7 +319,7 @@ CLEARLY: Final = 5.0
 
 
 class Confidence:
-    """Decides for each early sign whether it stops the run, and remembers the mistakes that a person accepted."""
+    """Decides for each early sign whether it stops the run, and keeps the mistakes that a person accepted."""
 
     def __init__(self, readings: int) -> None:
         self._sure = float(chdtri(3, STOP_ALARM / max(readings, 1)))
@@ -378,7 +381,7 @@ class Confidence:
     def fits(self) -> tuple[Sighting, list[Suspect]] | None:
         """Note a reading that fits; return the undecided reading before it with its causes, or None.
 
-        That the present reading fits shows that the undecided reading was wrong.
+        The fit of the present reading shows that the undecided one was wrong.
         """
         self._silent = False
         before, self._undecided = self._undecided, None

@@ -247,7 +247,7 @@ class EarlyWarning:
         return sighting
 
     def _sat_before(self, label: str, new_mount: bool) -> str | None:
-        """Return the installation of the previous mounting, or None."""
+        """Return the installation of the mounting before this one, or None."""
         if not self._history:
             return None
         last = self._history[-1]

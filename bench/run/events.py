@@ -174,7 +174,7 @@ class TemperatureSet:
 class CameToRest:
     """A quantity settled after `settled_s` seconds.
 
-    `settled_at` are its values then, in V (signals) or °C (chamber).
+    `settled_at` are its settled values, in V (signals) or °C (chamber).
     """
 
     settled_s: float
@@ -198,7 +198,10 @@ class Answered:
 
 @dataclass(frozen=True)
 class Powered:
-    """The block was switched "on", "off" or "cycle"; duration of the warm-up, s, and the signals after it, V."""
+    """The block was switched: "on", "off" or "cycle".
+
+    Also holds the duration of the warm-up, s, and the signals at its end, V.
+    """
 
     switched: str
     warmed_up_s: float | None
@@ -276,7 +279,7 @@ class EventType(StrEnum):
     RUN_STARTED = "run_started"
     """`step`, the first one; `instruments`, their identities by name; `serials`, if certificates are checked."""
     RUN_RESUMED = "run_resumed"
-    """The same data as `run_started`; the author who resumed it, if named or where a register of persons stands."""
+    """The same data as `run_started`; the author who resumed it, if named, or if there is a register of persons."""
     RUN_PAUSED = "run_paused"
     """`reason`."""
     RUN_CONTINUED = "run_continued"

@@ -115,11 +115,11 @@ class RepeatNoise:
 
 
 class ReadingJudgement(NamedTuple):
-    """The comparison of a reading with its expectation, for each of m members.
+    """The comparison of a reading with its expectation, for each of m members (supposed mistakes).
 
-    `residual` (m, 3) is in V, `covariance` (m, 3, 3) is its covariance. `chi2` (m,) has three degrees of
-    freedom. `log_det` (m,) is the logarithm of the covariance's determinant. `design` (m, 3, 17) holds the
-    derivatives of the signals with respect to the state.
+    `residual` (m, 3) is in V, `covariance` (m, 3, 3) is its covariance. `chi2` (m,) has three degrees of freedom.
+    `log_det` (m,) is the logarithm of the covariance's determinant. `design` (m, 3, 17) holds the derivatives of
+    the signals with respect to the state.
     """
 
     residual: Floats
@@ -144,9 +144,9 @@ class ReadingJudgement(NamedTuple):
 
 
 class Expectation:
-    """Kalman-filter states of m members.
+    """Kalman-filter states for m members, each of which supposes another mistake or none.
 
-    Each member supposes another mistake (or none): `mean` (m, 17), `covariance`; V/g, V and rad.
+    `mean` (m, 17) and `covariance` are for the coefficients, V/g and V, then the stand's angles, rad.
     """
 
     def __init__(self, mean: Floats, covariance: Floats) -> None:
@@ -220,7 +220,7 @@ class Expectation:
         return ReadingJudgement(residual, covariance, chi2, np.linalg.slogdet(covariance)[1], design)
 
     def take(self, judged: ReadingJudgement, members: Mask | None = None) -> None:
-        """Update the state with a judged reading (Kalman gain); the mask `members` (m,) selects the members."""
+        """Update the states (those in the mask `members`, (m,), if given) with a judged reading."""
         across = self.covariance @ np.swapaxes(judged.design, 1, 2)
         gain = np.swapaxes(np.linalg.solve(judged.covariance, np.swapaxes(across, 1, 2)), 1, 2)
         if members is not None:
@@ -239,7 +239,7 @@ class ExpectedSignals:
     covariance: Floats
 
     def deviation_rad(self, signals: Floats) -> tuple[float, float]:
-        """Return by how much the head is beyond the commanded angle, and the standard uncertainty (GLS), rad."""
+        """Return the angle of the head beyond the commanded one, and its standard uncertainty (GLS), both rad."""
         weighted = np.linalg.solve(self.covariance, self.slope)
         information = float(self.slope @ weighted)
         if information <= 0.0:
@@ -369,7 +369,7 @@ class Supposition:
 
 @dataclass(frozen=True)
 class OtherPose:
-    """The supposition that the block sat in installation `label`, with the head `off_rad` from its read angle."""
+    """The supposition that the block sat in installation `label`, the head at the angle read plus `off_rad`."""
 
     supposed: Supposition
     label: str
@@ -421,7 +421,7 @@ QUARTER_TURNS: Final = _quarter_turns()
 
 
 def orientations(installations: Mapping[str, Installation], label: str) -> dict[str, Installation]:
-    """Return the other orientations in which a block may sit on the platform, by a sentence about each.
+    """Return the other orientations in which a block may sit on the platform, keyed by a sentence on each.
 
     They are the quarter turns of installation `label`, without those that equal a known installation.
     """
@@ -588,10 +588,10 @@ class Member:
 
 @dataclass(frozen=True)
 class ReplayedReadings:
-    """The result of a replay of all n readings for m members.
+    """The result of a replay of all n readings for m members (supposed mistakes).
 
-    `state` is the final state of the members. `cost` (m,) is the cost of all readings; `before` is the cost
-    for member 0 without the last reading. `taken` (n, m) says which readings each member learnt from.
+    `state` is the members' final state, `cost` (m,) the cost of all readings; `before` is the cost for member 0
+    without the last reading. `taken` (n, m) says which readings each member learnt from.
     """
 
     state: Expectation

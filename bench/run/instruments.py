@@ -105,7 +105,10 @@ def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str,
 
 
 def told_at_mounting(instruments: Instruments, key: str) -> float | None:
-    """Return the block's temperature that a person enters, °C; None if no person enters it. Raises `BenchError`."""
+    """Return the block's temperature that a person enters at a mounting, °C; None if no person enters it.
+
+    Raises `BenchError`.
+    """
     chamber, thermometer = instruments.chamber, instruments.thermometer
     if thermometer is not None:
         return thermometer.block_c(key) if thermometer.asks_person else None
@@ -115,9 +118,9 @@ def told_at_mounting(instruments: Instruments, key: str) -> float | None:
 def told_at_reading(
     instruments: Instruments, known_c: float | None, key: str
 ) -> tuple[float | None, float | None]:
-    """Return the temperatures of the block and of the chamber's air, °C; the latter is None without a thermometer.
+    """Return the temperatures of the block and of the chamber's air, °C; None if not measured separately.
 
-    `known_c` is the block's temperature, if known; it spares a person the question. Raises `BenchError`.
+    `known_c` is the block's temperature, if known; a person is then not asked for it. Raises `BenchError`.
     """
     chamber, thermometer = instruments.chamber, instruments.thermometer
     by_controller = chamber is not None and not chamber.asks_person
@@ -135,7 +138,7 @@ def told_around(
 ) -> dict[str, float]:
     """Return the temperatures of meters and room by column, °C; `air_c` is the air of the chamber, if known.
 
-    `known` are values of this mounting; they spare a person the question. Raises `BenchError`.
+    `known` are values of this mounting, for which a person is not asked again. Raises `BenchError`.
     """
     told = {
         column: air_c

@@ -1,4 +1,4 @@
-"""The signals as they move while a person adjusts: read lightly, shown, and never recorded."""
+"""Live signals while a person adjusts something: quick samples that are displayed and never recorded."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ SETTLED_G: Final = 3e-5
 """Signals that move less within `SETTLED_S` have settled, g: a tenth of the paper's verification limit."""
 
 TELLING_ARCSEC: Final = 60.0
-"""The deviation is shown where its U (k = 2) is below this, a usual graduation of a manual head."""
+"""The deviation is shown if its U (k = 2) is below this, a usual graduation of a manual head."""
 
 LINEAR_ARCSEC: Final = 3600.0
 """The deviation is a linear estimate; up to this its error by curvature is below 1 %."""
@@ -48,19 +48,19 @@ class LightlyRead(Protocol):
     """A bench whose signals can be read between two readings without recording them."""
 
     def glance(self) -> tuple[float, ...]:
-        """Return the present signals x, y, z, V. Raises `BenchError`."""
+        """Return the present signals x, y, z, V, without recording them. Raises `BenchError`."""
 
     @property
     def voltmeters(self) -> Sequence[Voltmeter]:
-        """The meters that are read."""
+        """The meters whose signals are read."""
 
 
 @dataclass(frozen=True)
 class LiveValue:
-    """The signals at one moment, V, or `why` there are none.
+    """The signals at one moment, V; if there are none, `why` gives the reason.
 
-    `off_arcsec` is the deviation from the commanded angle. `off_arcsec` is None where no angle is commanded or the
-    deviation is not known well enough; `expanded_arcsec` is its U (k = 2).
+    `off_arcsec` is the deviation from the commanded angle, `expanded_arcsec` its U (k = 2). Both are None if no
+    angle is commanded or the deviation is not known well enough.
     """
 
     prompt: str
@@ -84,7 +84,7 @@ class LiveValue:
 
     @property
     def to_go(self) -> str:
-        """The way to the commanded angle in words; empty where it is not known."""
+        """The turn still needed to reach the commanded angle, in words; empty if it is unknown."""
         if self.off_arcsec is None or self.expanded_arcsec is None:
             return ""
         if abs(self.off_arcsec) <= self.expanded_arcsec:
@@ -110,7 +110,7 @@ def _angle(arcsec: float) -> str:
 
 
 class LiveSignals:
-    """Reads the meters lightly while a question waits, writes `LIVE`, and calls `show` with a line.
+    """Samples the meters quickly while a question waits, writes the file `LIVE`, and calls `show` with a line.
 
     It observes the run's events to know which reading comes next. `scale_v_g` is the least scale factor of the
     block, V/g. After an error of an instrument it stays silent until the next question.
@@ -137,7 +137,7 @@ class LiveSignals:
         self._recent: deque[tuple[float, tuple[float, ...]]] = deque()
 
     def attach(self, bench: LightlyRead) -> None:
-        """Read this bench from now on."""
+        """Sample the signals of this bench from now on."""
         self._bench = bench
 
     def observe(self, event: Event) -> None:
@@ -146,13 +146,13 @@ class LiveSignals:
             self._step = event.step
 
     def begin(self, prompt: Prompt) -> None:
-        """Start to look while this question waits."""
+        """Begin to sample the signals while this question waits."""
         self._prompt, self._recent = prompt, deque()
         self._expected = self._expectation(prompt.action)
         self._silent = self._why_not()
 
     def look(self) -> None:
-        """Read the signals if a look is due; no error of an instrument reaches the caller."""
+        """Sample the signals if it is time for it; no error of an instrument reaches the caller."""
         now_s = self._clock.now_s()
         if self._bench is None or self._prompt is None or now_s - self._looked_s < LOOK_S:
             return
@@ -172,13 +172,13 @@ class LiveSignals:
         self._tell(self._value(self._prompt.id, now_s, signals))
 
     def end(self) -> None:
-        """Stop looking; the bench restores the meters' settings before it reads them again."""
+        """Stop sampling; the bench restores the meters' settings before its next reading."""
         self._prompt = None
         with suppress(OSError):
             self._file.unlink(missing_ok=True)
 
     def _why_not(self) -> str:
-        """Return why the meters of the bench are not read lightly; empty where they are."""
+        """Return why the meters of the bench cannot be sampled quickly; empty if they can."""
         meters = [] if self._bench is None else self._bench.voltmeters
         return next((f"{m.name}: {why}" for m in meters if (why := getattr(m, "not_live", ""))), "")
 

@@ -58,7 +58,7 @@ class WishAuthor:
 
 NOBODY_KNOWN: Final = WishAuthor()
 INSTRUMENT: Final = "instrument"
-"""The place of an author that is an instrument, which answers where nobody has to."""
+"""The place of an author that is an instrument, which answers instead of a person."""
 
 
 def at_the_shell(where: str) -> WishAuthor:
@@ -277,7 +277,10 @@ _WORDS: Final = {message("yes"): "yes", message("done"): "yes", message("no"): "
 
 
 def in_english(prompt: Prompt, typed: str) -> str:
-    """Return an answer typed in the language of views as a record states it: так → yes, a choice by its name."""
+    """Return an answer typed in the language of the pages as a record states it, in English: так → yes.
+
+    The answer to a choice becomes the English name of the choice.
+    """
     given = " ".join(typed.split()).lower()
     if language() == ENGLISH or not given:
         return typed

@@ -50,7 +50,7 @@ class RailFault(BenchError):
 
 @dataclass(frozen=True)
 class Feeding:
-    """The block's supply as stated in the bench file, with the supply's limits where they are known."""
+    """The stated supply of the block, with the limits of the supply where they are known."""
 
     section: UnitSupplySection
     limits: SupplyLimits | None = None
@@ -202,7 +202,7 @@ class UnitPower:
         return told
 
     def leave(self) -> str:
-        """Put the block into its safe state; return the task left for a person, or "". Raises nothing.
+        """Put the block into its safe state; return the task left for a person, or "". No error is raised.
 
         A block that this run has neither switched nor taken over is left unchanged.
         """

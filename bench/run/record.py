@@ -359,7 +359,7 @@ class Record:
 
     @property
     def count(self) -> int:
-        """The number of events in the record, including those of earlier programs."""
+        """The number of events in the record, including events written by earlier programs."""
         return self._count
 
     def append(self, kind: str, bench_s: float, /, **data: Any) -> Event:

@@ -347,7 +347,7 @@ def redo_from(plan: Plan, progress: PlanProgress, wish: Wish, index: int) -> Red
 
 
 def _mounting_before(plan: Plan, index: int) -> tuple[int, Mount] | None:
-    """Return the last mounting step before step `index` with its own index, or None."""
+    """Return the index of the last mounting step before step `index`, and that step; None if there is none."""
     for i in range(index - 1, -1, -1):
         if isinstance(step := plan.steps[i], Mount):
             return i, step

@@ -102,7 +102,7 @@ def _drift(deviation: Floats, squares: float) -> tuple[float, float]:
 
 @lru_cache(maxsize=64)
 def _sample_times(n: int) -> tuple[Floats, float]:
-    """Return the times of n samples, from -0.5 to 0.5, and their sum of squares."""
+    """Return the times of n samples, from -0.5 (first) to 0.5 (last), and the sum of their squares."""
     time = np.arange(n) / (n - 1) - 0.5
     return time, float(time @ time)
 

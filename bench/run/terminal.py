@@ -188,9 +188,9 @@ class TerminalPerson:
     """A person who answers prompts through a text stream: a keyboard, or a file of answers.
 
     `pause` and `go_on` are called before and after each prompt, to hide a progress bar meanwhile. `wishes` are
-    the wishes accepted at prompts; None means those of a run. `who` is the author of answers and wishes. The
-    class implements `drivers.interfaces.WatchingPerson`; `slice_s` is the interval between calls of
-    `meanwhile`, s.
+    the wishes accepted at prompts; None means all wishes of a run. `who` is the author of answers and wishes. The
+    class implements `drivers.interfaces.WatchingPerson`; `slice_s` is the interval between calls of `meanwhile`,
+    s.
     """
 
     def __init__(

@@ -430,9 +430,10 @@ class Workbench:
                 self._glancing = False
 
     def _end_glances(self) -> None:
-        """Restore the settings that the meters had before the first glance.
+        """Restore the settings that the meters had before the first glance at the signals.
 
-        The next wait does it, which costs no time, or the next reading. A meter that refuses is reported there.
+        The next wait does it, at no cost of time, or else the next reading. A meter that refuses is reported
+        there.
         """
         if self._before_glances is None:
             return
@@ -510,9 +511,9 @@ class Workbench:
         )
 
     def _take_temperature(self, key: str) -> None:
-        """Read the temperatures around, and the block's from its thermometer or, without one, from the chamber.
+        """Read the temperatures of meters, room and block; the block's comes from its thermometer or the chamber.
 
-        A person is asked only once after each mounting and each new set point. Raises `LimitExceeded` when the
+        A person is asked only once after each mounting and each new set point. Raises `LimitExceeded` if the
         block is outside its permitted temperatures; this stops the run and makes the chamber safe.
         """
         self.temperature_c, self._chamber_c = told_at_reading(self.instruments, self.temperature_c, key)

@@ -125,10 +125,10 @@ def kinds_of(request: type) -> dict[str, Kind]:
 
 
 def checked(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return a decorator that raises `Refused` for an argument whose kind differs from the one that `kinds` states
-    for its name.
+    """Return a decorator that checks the kinds of arguments.
 
-    None is accepted where it is the default. The decorated function also turns an `OSError` into `Refused`.
+    `kinds` states a kind for each parameter. An argument of another kind raises `Refused`, but None is accepted
+    where it is the default. The decorated function also turns an `OSError` into `Refused`.
     """
 
     def decorated(function: Callable[P, R]) -> Callable[P, R]:
@@ -153,7 +153,7 @@ def checked(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 
 def python_call(request: Callable[P, Asked], act: Callable[[Asked], R], name: str = "") -> Callable[P, R]:
-    """Return the public Python function that carries out a request: its parameters are the request's fields.
+    """Return the public Python function that carries out a request; its parameters are the fields of the request.
 
     The function's name is `name`, by default the name of `act` without underscores; its docstring is that of `act`.
     """

@@ -60,10 +60,9 @@ class BenchOrigin(_Part):
 class Origin(_Part):
     """The origin of readings: their run, block, bench file and instruments.
 
-    `unit_under_test` is None and `procedure` is empty where nobody stated it. `serials` are the serial
-    numbers that the instruments reported; real runs keep them, and so does any run on a bench with
-    certificates. `mended` are the mistakes that were corrected in these readings, which are then a copy of
-    the recorded readings.
+    `unit_under_test` is None, and `procedure` empty, if nobody stated it. `serials` are the serial numbers that the
+    instruments reported; real runs keep them, and so does any run on a bench with certificates. `mended` are the
+    mistakes that were corrected in these readings, which are then a copy of the recorded readings.
     """
 
     simulated: bool
@@ -92,10 +91,10 @@ class Origin(_Part):
         return to_text(about)
 
     def bench_file(self, readings: Path) -> Path | None:
-        """Return the path of the run's bench file for a readings file; None where no unchanged copy is found.
+        """Return the path of the run's bench file for a readings file; None if no unchanged copy is found.
 
-        It is searched for in the run's folder, also relative to the readings file in case both were moved,
-        and at the path from which the run took it.
+        It is searched for in the run's folder, also relative to the readings file in case both were moved, and at
+        the path from which the run took it.
         """
         places = [self.bench.copied_to, self.bench.copied_to_from_here, self.bench.file]
         for path in (readings.parent / place for place in places if place):
@@ -117,7 +116,7 @@ def instrument_name(identity: str, serial: str, resource: str | None, bench: str
 class OriginBeside:
     """The content of the origin file of a readings file, and notes for the reader.
 
-    `origin` is None where there is no origin file or it is not trusted.
+    `origin` is None if there is no origin file, or if it is not trusted.
     """
 
     origin: Origin | None = None
@@ -180,7 +179,7 @@ def origin_beside(readings: Path) -> OriginBeside:
 
 
 def is_told(file: Path) -> bool:
-    """Return whether a file is an origin file; the readings file beside it is not checked."""
+    """Return whether a file is an origin file; the readings file to which it belongs is not checked."""
     try:
         _About.model_validate_json(_read(file) or b"")
     except ValidationError:
@@ -238,7 +237,7 @@ class BenchTaken:
 
     @property
     def stated(self) -> bool:
-        """Whether anybody named this bench for these readings; if not, it is the shipped bench file."""
+        """Whether somebody named this bench file for these readings; otherwise it is the shipped one."""
         return self.why != _NONE_NAMED
 
     @property
@@ -251,7 +250,7 @@ class BenchTaken:
         return copy if own.name == BENCH and copy.is_file() else own.parent / self.file.learned
 
     def learned(self) -> LearnedFile | None:
-        """Return the learned file of the bench; None where the bench file names none. Raises `FileMistakes`."""
+        """Return the learned file of the bench; None if the bench file names none. Raises `FileMistakes`."""
         path = self.learned_path
         return None if path is None else load_learned(path, self.file)
 
@@ -271,7 +270,7 @@ class BenchTaken:
 
 
 def bench_path(given: str | Path | BenchFile | None) -> Path:
-    """Return the path of the bench file `given`, else of the one in BENCH_FILE, else of the shipped one."""
+    """Return the path of the bench file to use: `given`, else that in BENCH_FILE, else the shipped one."""
     return find_bench(str(given or "") or os.environ.get("BENCH_FILE") or DEFAULT_BENCH)
 
 
@@ -283,7 +282,7 @@ def why_taken(given: str | Path | BenchFile | None) -> str:
 
 
 def find_bench_file(given: str | Path | BenchFile | BenchTaken | None) -> BenchTaken:
-    """Return the bench file `given` (content, path or name), else that of BENCH_FILE, else the shipped one."""
+    """Return the bench file: `given` (content, path, name), else that in BENCH_FILE, else the shipped one."""
     if isinstance(given, BenchTaken):
         return given
     if isinstance(given, BenchFile):
@@ -309,10 +308,11 @@ def recorded_sha256(run: Run) -> str:
 def bench_of(
     name: str, run: Run | None, told: OriginBeside, given: str | Path | BenchFile | None
 ) -> tuple[BenchTaken, tuple[str, ...]]:
-    """Return the bench file for readings, with notes: the requested file, else the one that the run recorded.
+    """Return the bench file to use for readings, with notes: the requested file, else the one that the run
+    recorded.
 
-    For readings without a run it is the first of these: the requested file, the file in BENCH_FILE, the file
-    that the origin file names (`told`), the shipped file.
+    For readings without a run it is the first of these: the requested file, the file in BENCH_FILE, the file that
+    the origin file names (`told`), the shipped file.
     """
     if run is not None:
         return _of_run(run, given)
@@ -350,7 +350,7 @@ def _of_run(run: Run, given: str | Path | BenchFile | None) -> tuple[BenchTaken,
 def own_bench(run: Run) -> tuple[BenchFile, Path]:
     """Return the bench file that a run recorded, and the path to which its references are relative.
 
-    This path is the original file, or the run's copy if the original no longer exists.
+    The path is that of the original file or, if this no longer exists, of the run's copy.
     """
     stated = Path(str(run.manifest.get("bench", "")))
     return load_recorded_bench(run.folder / BENCH), stated if stated.is_file() else run.folder / BENCH

@@ -1,4 +1,4 @@
-"""Bodies of readings: sources that are diagnosed as one."""
+"""Bodies of readings: several sources that are diagnosed as one."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ TOGETHER: Final = "diagnose-together"
 class Body:
     """Readings that are diagnosed together: the `sources`, and all of them joined as one `source`.
 
-    `nominal` (blocks, 3) are the scale factors of the data sheets; it is None for a single kind of block. A body
-    of free positions alone keeps one table for each source; `one_block` says whether one sensor measured them
-    all.
+    `nominal` (blocks, 3) are the scale factors of the data sheets; it is None for a single kind of block. If all
+    readings are free positions, each source keeps a table of its own; `one_block` then says whether one sensor made
+    all of them.
     """
 
     sources: tuple[Source, ...]
@@ -63,17 +63,20 @@ def whole_body(request: Diagnose) -> Body:
 
 
 def single_bodies(request: Diagnose) -> list[Body | Failed]:
-    """Read each source as a body of its own, a `Failed` for one that fails; a single source raises its error."""
+    """Return each source as a separate body, or as a `Failed` if it cannot be read.
+
+    If there is only one source, its error is raised instead.
+    """
     with knowing_effects_in(request.effects):
         loaded = load_each(reading(request, *request.sources))
         return [one if isinstance(one, Failed) else body_of([one], request.one_block) for one in loaded]
 
 
 def body_of(sources: list[Source], one_block: bool | None = None) -> Body:
-    """Return the sources as one body, of one block (`one_block` True) or of a different block each (False).
+    """Return the sources as one body: of one block (`one_block` True), or each of a different block (False).
 
-    If `one_block` is None, the names of the blocks decide, else the diagnosis decides by the readings. Raises
-    `Refused` if the sources were measured on different benches.
+    If `one_block` is None, the names of the blocks decide; without names, the diagnosis decides from the readings.
+    Raises `Refused` if the sources were measured on different benches.
     """
     first = sources[0]
     if len(sources) == 1 or all_free([source.readings for source in sources]):
@@ -102,7 +105,7 @@ def body_of(sources: list[Source], one_block: bool | None = None) -> Body:
 
 
 def place_together(sources: Sequence[Source]) -> Source:
-    """Return the first of several sources, renamed so that output files of the whole body carry a joint name."""
+    """Return the first of several sources, renamed so that the names of output files refer to all of them."""
     first = sources[0]
     if len(sources) == 1:
         return first
@@ -112,7 +115,7 @@ def place_together(sources: Sequence[Source]) -> Source:
 
 
 def _blocks(sources: list[Source], one_block: bool | None) -> list[int | None]:
-    """Return the number of the block of each source; None for all where only the readings can decide."""
+    """Return the index of the block that each source measured; None for each if only the readings can decide."""
     if one_block is not None:
         return [0 if one_block else number for number in range(len(sources))]
     sheets = [tuple(source.bench.unit_under_test.scale_factors.values) for source in sources]
@@ -123,7 +126,7 @@ def _blocks(sources: list[Source], one_block: bool | None) -> list[int | None]:
 
 
 def _of_the_stand(source: Source) -> dict[str, float]:
-    """Return the standard uncertainties of the stand, rad, without the voltmeter's (in the unit of the signals)."""
+    """Return the standard uncertainties of the stand, rad, without the voltmeter's, which has another unit."""
     return {name: u for name, u in source.stand_u.items() if name != "voltmeter_error"}
 
 
@@ -166,15 +169,14 @@ MOST_TOLD: Final = 3
 
 @dataclass(frozen=True)
 class _Named:
-    """A row of the table of readings, with the sign of the early warning that it raised."""
+    """A row of the table of readings, with the sign of a mistake that the early warning raised there."""
 
     row: int
     sign: EarlySign
 
 
 def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
-    """Return the readings of a source with corrections of the mistakes that the early warning named, and these
-    mistakes.
+    """Return the readings of a source, corrected for mistakes that the early warning named, and these mistakes.
 
     The readings are returned unchanged if the early warning raised no sign during the run.
     """
@@ -195,7 +197,7 @@ def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
 
 
 def told_in_words(run: Run) -> list[str]:
-    """Return sentences on the causes that the early warning named in a run, and on warnings that were overruled."""
+    """Return sentences on mistakes that the early warning named in a run, and on warnings that were overruled."""
     if not run.history.progress.signs:
         return []
     named: Counter[str] = Counter()
@@ -217,7 +219,7 @@ def told_in_words(run: Run) -> list[str]:
 
 
 def _signs(source: Source) -> list[_Named]:
-    """Repeat the early warning on the recorded readings; return the rows that are certainly due to a mistake."""
+    """Repeat the early warning on the recorded readings, and return the rows that a mistake certainly affected."""
     assert source.run is not None  # noqa: S101
     history = source.run.history
     watcher = watcher_of(source.run.plan, source.bench)
@@ -296,7 +298,7 @@ class _Copy:
         return _mistake(MistakeName.SWAPPED_INSTALLATIONS, (), mount[1], None, None, words, p)
 
     def _rewire(self, mount: tuple[int, str], cause: str, told: Sequence[_Named]) -> Mistake:
-        """Undo swapped or reversed channels from first to last reading that shows them. Return the mistake."""
+        """Undo swapped or reversed channels from the first to the last reading affected; return the mistake."""
         rows = self._rows(mount)
         rows[: told[0].row] = False
         rows[told[-1].row + 1 :] = False

@@ -1,4 +1,4 @@
-"""What all results of diagnosing a body of readings share, and the files written from them."""
+"""Members that all results of diagnosing a body of readings share, and the files written from them."""
 
 from __future__ import annotations
 
@@ -78,9 +78,9 @@ class BodyResult(ABC):
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
         """Write all files of `bench diagnose`; return the result with their paths.
 
-        `accept_first` writes a model also if the readings cannot decide between effects, with the likeliest
-        one. A file that cannot be written is noted in `not_written`, or raises `OSError` if an output folder
-        was requested.
+        With `accept_first`, a model is written even if the readings cannot decide between effects; it then has the
+        likeliest one. A file that cannot be written is noted in `not_written`, or raises `OSError` if an output
+        folder was requested.
         """
 
     def __repr__(self) -> str:
@@ -88,9 +88,9 @@ class BodyResult(ABC):
         return f"{as_text(self.print_on)}\nbench: {self.bench}"
 
     def tried(self, what: str, write: Callable[[], T]) -> tuple[T | None, Self]:
-        """Call `write` and return its value with the result.
+        """Call `write`, and return its value with the result.
 
-        If writing fails, return None and a result that notes the failure.
+        If writing fails, return None with a copy of the result that notes the failure.
         """
         try:
             return write(), self
@@ -142,9 +142,9 @@ def write_content(path: Path, content: str) -> Path:
 
 
 def write_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings, path: Path) -> Path:
-    """Write the copy in which mistakes are corrected, and its origin file in the same folder.
+    """Write the readings with the mistakes corrected, and the origin file of this copy in the same folder.
 
-    The copy holds the values that the instruments showed; reading it with the same bench file gives exactly
+    The copy has the values that the instruments showed; reading it with the same bench file gives exactly
     `corrected`.
     """
     source = body.source

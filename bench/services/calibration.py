@@ -81,12 +81,11 @@ def read_prior(path: Path) -> Prior:
 def with_prior(
     found: Calibration, source: Source, path: Path
 ) -> tuple[Calibration, PriorPart, tuple[str, ...]]:
-    """Return a calibration combined with the prior for its unit's type, the part of the result on this prior, and
-    notes.
+    """Return a calibration combined with the prior for its unit's type, the prior's part of the result, and notes.
 
     If readings and prior contradict each other, the calibration is returned unchanged, with a note. Raises
     `Refused` for a prior of another type or signal unit, for simulated readings with a real prior or the reverse,
-    for a prior computed from this very unit, and for readings of free positions alone.
+    for a prior computed from this very unit, and if all readings are free positions.
     """
     from bench.history.prior import CONFLICT_P, join
 
@@ -184,9 +183,9 @@ class Coefficient:
 class CalibrationResult:
     """The twelve coefficients of U = K a + U0 with their covariance, and the data behind them.
 
-    a is the specific force in local g (+1 g on an axis that points upward). `calibration` is the complete
-    estimate, `source` the readings with bench and model. `prior` describes the prior file, None if none was
-    given; `of_prior` are notes on it.
+    a is the specific force in local g (+1 g on an axis that points upward). `calibration` is the complete estimate,
+    `source` the readings with bench and model. `prior` describes the prior file (None if none was given);
+    `of_prior` are notes on the prior.
     """
 
     source: Source
@@ -220,7 +219,7 @@ class CalibrationResult:
         return self.calibration.covariance
 
     def as_coefficients(self) -> Coefficients:
-        """Return the coefficients as the object that `read_coefficients` returns for a file."""
+        """Return the coefficients as the same object that `read_coefficients` returns for a result file."""
         from bench.services.coefficients import Coefficients
 
         own = self.calibration
@@ -305,8 +304,8 @@ class CalibrationResult:
 
         `form` is "json", "csv", "c", "excel", "kalibr", "px4" or "ardupilot". The last three are for signals in
         m/s^2; `nominal` are the scale factors (unit/g) by which the signals were converted. A calibration whose
-        model takes temperature out is written only `without_temperature`. Raises `Refused` for another form,
-        `OSError`.
+        model corrects for temperature is written only if `without_temperature` is true, because no form can hold
+        this. Raises `Refused` for any other form, and `OSError`.
         """
         from bench.services.coefficients import write_form
 
@@ -420,8 +419,8 @@ def verification_of(
 ) -> VerificationResult:
     """Verify a source with coefficients from a file, from a calibration, or (None) from its own readings.
 
-    The options `asked` replace those of the run and its bench file. `agreed` is the decision rule if none of them
-    names one.
+    The options `asked` replace those of the run and its bench file. If none of them names a decision rule, it is
+    `agreed`.
     """
     from bench.services.verification import NOTHING_ASKED, judged, own_judgement  # takes long to import
 
@@ -460,7 +459,8 @@ def report_page(
 ) -> tuple[str, VerificationResult | None]:
     """Return the report of a calibration as HTML, and the verification in it (None without verification points).
 
-    Raises `Refused` where a verdict on |a| was asked for of a record at a known input.
+    Raises `Refused` if a verdict on |a| was requested for a record at a known input, which has no verification
+    points.
     """
     if not isinstance(result, CalibrationResult):
         from bench.services.verification import NOTHING_ASKED
@@ -490,7 +490,7 @@ def report_page(
 
 
 def _closed_form(source: Source) -> Calibration | None:
-    """Return the calibration by the paper's closed-form estimator; None if that cannot use the readings."""
+    """Return the calibration by the paper's closed-form estimator; None if it cannot use the readings."""
     try:
         return calibration_of(source, CLOSED_FORM).calibration
     except CalibrationError:

@@ -1,6 +1,6 @@
 """Append-only registers: files whose lines contain the previous line's hash, one writer at a time.
 
-A register of certificates or of validations is a `Chain` that says what each line means (`_note`).
+A register of certificates or of validations is a subclass of `Chain`, whose `_note` interprets each line.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def civil_now() -> str:
 
 
 def first_head(of: str) -> str:
-    """Return the hash before the first line of a register of a kind."""
+    """Return the hash that precedes the first line of a register of the kind `of`."""
     return hashlib.sha256(of.encode()).hexdigest()
 
 
@@ -69,11 +69,14 @@ class Chain:
     count: int = 0
 
     def __post_init__(self) -> None:
-        """Begin with the hash before the first line."""
+        """Begin with the hash that precedes the first line."""
         self.head = self.head or self.FIRST
 
     def _note(self, entry: Entry, where: str) -> None:
-        """Take note of a line. Raises `Refused`, naming `where`, for one that cannot follow here."""
+        """Interpret a line of the register.
+
+        Raises `Refused`, naming the place `where`, for a line that cannot follow the lines before it.
+        """
         raise NotImplementedError
 
     def keep(self, content: bytes) -> str:

@@ -230,7 +230,10 @@ def _charted(
     in_nine: bool,
     smoothing: float | None = None,
 ) -> tuple[ControlChart, tuple[str, ...]]:
-    """Return the chart of the nine or of the twelve, with a note if its limits have another basis than wanted."""
+    """Return the chart of the nine intrinsic numbers (`in_nine`) or of the twelve coefficients.
+
+    A note is added if the basis of its limits is not the requested one.
+    """
     drift = _drift(section)
     if in_nine:
         if drift is not None:
@@ -277,7 +280,10 @@ def _arl(section: CheckBlockSection) -> float:
 def _basis(
     wanted: Basis, baseline: int, reference: Reference | None, count: int
 ) -> tuple[Basis, tuple[str, ...]]:
-    """Return the basis that `baseline` runs allow for a chart of `count` numbers, with a note if not as wanted."""
+    """Return the basis of limits that `baseline` runs allow for a chart of `count` numbers.
+
+    Notes say so if it is not the basis `wanted`.
+    """
     if reference is not None:
         return "stated", ()
     order: tuple[Basis, ...] = ("scatter", "scaled", "stated")
@@ -295,7 +301,7 @@ def _basis(
 def _parts(
     taken: dict[str, CheckRun], section: CheckBlockSection, of_bench: Path | None, folder: Path, g_m_s2: float
 ) -> tuple[list[CheckRun], list[CheckRun], Reference | None]:
-    """Return the baseline runs, the runs judged by them, and the reference that replaces the baseline (or None)."""
+    """Return the baseline runs, the later runs, and the reference that replaces the baseline (or None)."""
     runs = list(taken.values())
     files = [name for name in section.reference if name.endswith(RESULT_FILE)]
     if files:
@@ -325,9 +331,10 @@ def _parts(
 
 
 def _begun(runs: Sequence[CheckRun], section: CheckBlockSection) -> tuple[list[CheckRun], list[CheckRun]]:
-    """Return the baseline (the first runs in control, each judged by its predecessors) and all other runs.
+    """Return the baseline and all other runs.
 
-    The last of several runs is never part of the baseline, so that it is always judged.
+    The baseline consists of the first runs in control; each was judged by its predecessors. The last of several
+    runs is never part of the baseline, so that it is always judged.
     """
     baseline: list[CheckRun] = [runs[0]]
     later: list[CheckRun] = []
@@ -473,7 +480,8 @@ IN_CONTROL: Final = "in control"
 
 @dataclass(frozen=True)
 class CheckBefore:
-    """The last check of a bench: `state` is in control, out of control, too old or missing; `sentence` says why.
+    """The last check of a bench: `state` is "in control", "out of control", "too old" or "missing"; `sentence` says
+    why.
 
     `run` is the name of the run of the check block, empty if there is none; `age_s` is its age in s.
     """
@@ -573,7 +581,7 @@ def checked_before(
 
 
 def refuse_or_tell(found: CheckBefore, rule: str, reason: str | None) -> tuple[str, ...]:
-    """Return the sentences on a check. Raises `Refused` where the rule forbids the run and `reason` is None."""
+    """Return the sentences on a check. Raises `Refused` if the rule forbids the run and `reason` is None."""
     if found.fine:
         return (f"check block: {found.sentence}",)
     if reason is not None:

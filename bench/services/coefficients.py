@@ -45,8 +45,8 @@ class Coefficients:
     `simulated` says whether they were found on simulated instruments. `same_meters` (12, 12) is the covariance
     without the errors that cancel if the same meters read the block again; `meters` are the identities of the
     meters. Results of earlier versions have neither. Each column of `block_terms` (12, q) is the error of the
-    coefficients by one standard uncertainty of a K2 or K3 of the block. `wander` (3,) is how far the biases may
-    wander during a run.
+    coefficients due to one standard uncertainty of a nonlinearity K2 or K3 of the block. `wander` (3,) is the rms
+    wander of each bias during a run.
     """
 
     block: Block
@@ -167,7 +167,7 @@ def block_result(data: Any, where: str) -> BlockResult:
 
 
 def _temperature(data: Any) -> str:
-    """Return in words which effects of temperature a result took out of its coefficients; empty for none."""
+    """Return in words which effects of temperature a result removed from its coefficients; "" for none."""
     listed = data.get("temperature_effects")
     fitted = data.get("effects") if isinstance(data.get("effects"), dict) else {}
     names = [*(listed if isinstance(listed, list) else ()), *fitted]
@@ -178,8 +178,9 @@ def _temperature(data: Any) -> str:
 
 
 def require_temperature(results: Sequence[BlockResult], *, without: bool) -> None:
-    """Raise `Refused` if a result used temperature, which no form can hold, unless the user asks for the form
-    `without` it.
+    """Raise `Refused` if a result was corrected for temperature, unless `without` accepts the loss.
+
+    The forms in which it would be written cannot state such a correction.
     """
     for result in results:
         if result.temperature and not without:
@@ -203,7 +204,7 @@ def _text(value: object) -> str:
 
 
 def _positive(value: object) -> float:
-    """Return a number of a result, negative ones as 0; 0 for anything that is not a number."""
+    """Return a number of a result, but 0 if it is negative or not a number."""
     try:
         return max(_number(value), 0.0)
     except ValueError:
@@ -211,7 +212,7 @@ def _positive(value: object) -> float:
 
 
 def _refuse_without_inverse(block: Block, covariance: Floats, where: str) -> None:
-    """Raise `Refused` for a K without a usable inverse, and for numbers that no calibration gives."""
+    """Raise `Refused` for a K without a usable inverse, and for numbers that no calibration produces."""
     largest = float(np.max(np.abs(block.vector)))
     if not largest < LARGEST or np.max(covariance) > LARGEST**2:
         raise Refused(
@@ -304,10 +305,10 @@ def impossible(covariance: Floats) -> str:
     """Return why a matrix (n, n) of finite numbers is no covariance; empty if it may be one.
 
     A covariance is symmetric, with no negative variance, no |r| above 1 and no negative eigenvalue, each within
-    rounding. It is computed as a sum of m products b_ik b_jk (m readings and prior knowledge). Each entry is then
-    off by at most m u sqrt(c_ii c_jj), u = 2^-53 (Higham, Accuracy and Stability of Numerical Algorithms, 2002,
-    section 3.1, with the Cauchy-Schwarz inequality). A correlation is off by at most `ROUNDING`, an eigenvalue of
-    the n by n correlation matrix by at most n times that (Weyl).
+    rounding. It was computed as a sum of m products b_ik b_jk, m being the number of readings and items of prior
+    knowledge. Each entry is then off by at most m u sqrt(c_ii c_jj), u = 2^-53 (Higham, Accuracy and Stability of
+    Numerical Algorithms, 2002, section 3.1, with the Cauchy-Schwarz inequality). A correlation is off by at most
+    `ROUNDING`, an eigenvalue of the n by n correlation matrix by at most n times that (Weyl).
     """
     variance = np.diag(covariance)
     if np.any(variance < 0):
@@ -334,7 +335,7 @@ def _read(path: Path) -> Any:
 
 
 def is_result(path: Path) -> bool:
-    """Return whether a path names a file of results, and neither readings nor a run."""
+    """Return whether a path is that of a result file, and not of readings or a run."""
     return path.is_file() and path.suffix.lower() == ".json" and path.name != MANIFEST
 
 
@@ -377,7 +378,10 @@ def snapshot_of(data: Any, name: str) -> Snapshot:
 
 
 def _least_dof(data: Any) -> float:
-    """Return the least degrees of freedom of the nine in a result, or of the twelve; infinite if it states none."""
+    """Return the smallest degrees of freedom in a result; infinite if it states none.
+
+    They are those of the nine intrinsic numbers or, without these, of the twelve coefficients.
+    """
     nine = data.get("intrinsic")
     stated = nine["values"] if isinstance(nine, dict) and isinstance(nine.get("values"), dict) else None
     rows = [one for one in (stated or data["coefficients"]).values() if isinstance(one, dict)]
@@ -404,8 +408,9 @@ ALL: Final = "all"
 
 
 def forms_of(names: list[str]) -> list[ExportForm]:
-    """Return the requested forms, each once, in the requested order; "all" stands for all forms. Raises
-    `Refused`.
+    """Return the requested forms, each once, in the requested order; "all" stands for all forms.
+
+    Raises `Refused` for an unknown form.
     """
     from bench.exchange.forms import FORMS
 

@@ -39,11 +39,12 @@ OVER_TEMPERATURE: Final = ("temperature", "thermometer")
 
 @dataclass(frozen=True)
 class SignedModel:
-    """A temperature model with its combined covariance, and the same model for use with the same meters.
+    """A temperature model with its combined covariance, and the same model for use with the meters of the
+    calibration.
 
     The covariance of `same_meters` omits the errors that cancel if the same meters are used again. `sources` are
-    the errors that the readings cannot show. They are equal at all temperatures, so only the terms at the
-    reference temperature contain them.
+    the errors that the readings cannot show. They are equal at all temperatures, so only the terms at the reference
+    temperature contain them.
     """
 
     combined: TemperatureModel

@@ -1,4 +1,4 @@
-"""Finished runs: making their results and keeping them in the run's folder; export and import of readings."""
+"""Finished runs: their results, computed and kept in the run's folder; export and import of readings."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _MADE: Final = ("calibrate.json", "verify.json", "report.html", "chart.json")
 
 @dataclass(frozen=True)
 class Conclusion:
-    """The results of a finished run; those that do not exist are None.
+    """The results of a finished run; a missing result is None.
 
     `looks` are remarks of the early warning; `short` says whether the run ended without reaching its goal.
     `no_calibration` and `no_chart` are the reasons for a missing calibration or chart; `no_chart` is empty for a
@@ -78,7 +78,10 @@ class Conclusion:
 
 
 def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
-    """Return the results of a finished run. A signal raises `Refused`; `bench resume` then computes the results."""
+    """Return the results of a finished run.
+
+    A signal such as Ctrl-C raises `Refused`; `bench resume` then computes the results.
+    """
     kept = f"all readings are kept in {run.folder}"
     again = (
         f"stopped before the results were ready; {kept}, and 'bench resume {run.name}' computes the results"
@@ -233,10 +236,11 @@ def preview_log(request: asked.ImportReadings) -> ConvertedLog:
 def import_readings(
     request: asked.ImportReadings, announce: Callable[[BenchTaken, Sequence[str]], None]
 ) -> Run:
-    """Make a run of a readings file measured elsewhere; `announce` first receives its bench file and notes.
+    """Create a run from a readings file that was measured elsewhere; `announce` first receives its bench file and
+    notes.
 
-    Raises `Refused` for a file that cannot be read, `ReadingsError` for bad rows, `FileMistakes` for a mapping
-    of columns with mistakes, `RecordError` for a name that is taken.
+    Raises `Refused` for a file that cannot be read, `ReadingsError` for bad rows, `FileMistakes` for a mapping of
+    columns with mistakes, `RecordError` for a name that is taken.
     """
     file = request.file
     content = _given(file)

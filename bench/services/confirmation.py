@@ -29,7 +29,8 @@ from bench.services.source import Source, data_sha256
 
 @dataclass(frozen=True)
 class ConfirmationResult:
-    """The result of `bench confirm`: how far a model closes the gap in new readings, and the state of its effects.
+    """The result of `bench confirm`: how much a model reduces the misfit of new readings, and the state of its
+    effects.
 
     `found` is the full confirmation, `known` are the mistakes that were corrected beforehand.
     """
@@ -40,7 +41,10 @@ class ConfirmationResult:
 
     @property
     def closed(self) -> float | None:
-        """The part of the gap that the model closes, (before - after)/(before - 1); None if there is no gap."""
+        """The fraction of the gap (excess reduced chi-square) that the model closes; None if there is no gap.
+
+        It is (before - after)/(before - 1).
+        """
         return self.found.closed
 
     @property
@@ -50,7 +54,7 @@ class ConfirmationResult:
 
     @property
     def confirmed(self) -> bool:
-        """Whether the verdict is "confirmed": every effect that shows agrees with the model."""
+        """Whether the verdict is "confirmed": every effect that the readings show agrees with the model."""
         return self.found.verdict == "confirmed"
 
     @property
@@ -86,7 +90,7 @@ class ConfirmationResult:
         ).to_dict()
 
     def print_on(self, out: Console) -> None:
-        """Print the effects as in the model and in the new readings, and how far the gap closes."""
+        """Print each effect's values in the model and in the new readings, and how far the gap closes."""
         print_confirmation(self.source.name, self.found, list(self.notes), out)
 
     def __repr__(self) -> str:
@@ -97,8 +101,8 @@ class ConfirmationResult:
 def confirmation_of(source: Source) -> ConfirmationResult:
     """Test the model of a source on its readings; thresholds are kept in the user's cache folder.
 
-    Raises `Refused` where the model is missing, has no effects, or was found in these very readings;
-    `CalibrationError` where the readings do not determine the coefficients or could not show the effects.
+    Raises `Refused` if the model is missing, has no effects, or was found in these same readings. Raises
+    `CalibrationError` if the readings do not determine the coefficients or could not show the effects.
     """
     path = source.request.model
     if path is None:

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class MistakesResult(BodyResult):
-    """A diagnosis that ended with mistakes: the remaining readings do not determine the coefficients."""
+    """A diagnosis that stopped at mistakes, because the remaining readings do not determine the coefficients."""
 
     found: MistakesAlone
 
@@ -191,7 +191,7 @@ class DiagnosisResult(ResultWithPage):
 
 @dataclass(frozen=True, repr=False)
 class DiagnosisAlone(ResultWithPage):
-    """A diagnosis of free positions alone, or of a record at a known input.
+    """A diagnosis of readings that are all free positions, or a record at a known input.
 
     `view` is the module with the text, the JSON and the page of the findings.
     """
@@ -209,7 +209,9 @@ class DiagnosisAlone(ResultWithPage):
         return self.found.verdict
 
     def models_of(self, *, accept_first: bool = False) -> list[tuple[AppliedEffect, ...]]:
-        """Return the effects in each model file, one for each sensor that differs; empty without a model."""
+        """Return the effects of each model file to write, one for each sensor that differs; empty if there is no
+        model.
+        """
         if not _named(self.found, accept_first=accept_first):
             return []
         return [(*self.source.model.effects, *added) for added in self.found.models]
@@ -246,9 +248,10 @@ class DiagnosisAlone(ResultWithPage):
             self._view.print_found(self.found, self.files, out)
 
     def write_models(self, path: str | Path, *, accept_first: bool = False) -> tuple[Path, ...]:
-        """Write the model, or one of each sensor that differs (`-sensor-1` in the file name, …).
+        """Write the model file, or one for each sensor that differs (`-sensor-1` in the file name, …); return the
+        paths.
 
-        Returns the paths. Raises `Refused` if there is no model to write, `FileMistakes` if a file exists.
+        Raises `Refused` if there is no model to write, `FileMistakes` if a file exists.
         """
         models = self.models_of(accept_first=accept_first)
         if not models:
@@ -293,8 +296,9 @@ class DiagnosisAlone(ResultWithPage):
 
 
 class RecordDiagnosisResult(DiagnosisAlone):
-    """The effects to which meters and reference respond in a record at a known input, and how well they predict
-    held-out readings.
+    """The diagnosis of a record at a known input.
+
+    It has the effects on meters and reference, and how well they predict held-out readings.
     """
 
     found: RecordDiagnosis
@@ -306,7 +310,7 @@ class RecordDiagnosisResult(DiagnosisAlone):
 
 
 class FreeDiagnosisResult(DiagnosisAlone):
-    """Where free positions and model disagree, what is missing, and how far it closes the gap."""
+    """The diagnosis of free positions: disagreement with the model, the missing effect, and the gap."""
 
     found: FreeDiagnosis
     view = "bench.results.free_diagnosis"
@@ -324,9 +328,9 @@ class FreeDiagnosisResult(DiagnosisAlone):
 
 
 def _named(found: Diagnosis | FreeDiagnosis | RecordDiagnosis, *, accept_first: bool) -> bool:
-    """Return whether what was found goes into a model file: it was named, or the first of a tie is accepted.
+    """Return whether the findings go into a model file: they were named, or the first of a tie is accepted.
 
-    An effect that does not narrow the gap gives no better model, even if it is accepted.
+    An effect that does not narrow the gap is excluded even if it is accepted, because it gives no better model.
     """
     accepted = accept_first and found.of_copy == "confounded" and found.gap.shrinks is not False
     return found.of_copy == "named" or accepted
@@ -336,7 +340,10 @@ Diagnosed: TypeAlias = DiagnosisResult | DiagnosisAlone | MistakesResult
 
 
 def print_diagnosed(results: Sequence[Diagnosed | Failed], out: Console) -> None:
-    """Print a single diagnosis in full; of several, print a line each, but free positions and mistakes in full."""
+    """Print a single diagnosis in full, or a line for each of several.
+
+    Of several, diagnoses of free positions and those that stopped at mistakes are still printed in full.
+    """
     listed = [one for one in results if isinstance(one, DiagnosisResult)] if len(results) > 1 else []
     if listed:
         with knowing_effects_of(*(one.source for one in listed)):
@@ -363,9 +370,10 @@ def diagnosed(request: Diagnose, bodies: Sequence[Body | Failed]) -> list[Diagno
 
 
 def diagnosed_alone(request: Diagnose, body: Body, *, report: bool = True) -> Diagnosed:
-    """Diagnose one body and write the requested files; `report` decides on the page where the request does not.
+    """Diagnose one body and write the requested files.
 
-    Raises `CalibrationError` where the readings do not determine the coefficients.
+    `report` decides whether the page is written, if the request does not say. Raises `CalibrationError` if the
+    readings do not determine the coefficients.
     """
     with knowing_effects_in(request.effects), knowing_effects_of(*body.sources):
         result = diagnosis_of(body)

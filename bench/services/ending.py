@@ -1,4 +1,4 @@
-"""The end of a run in the terminal: the verdict, where the rest is, and what to do next."""
+"""What the terminal shows at the end of a run: the verdict, the files, and what to do next."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MOST_SENTENCES: Final = 2
 
 
 def ending(found: Conclusion) -> list[str]:
-    """Return the end of a run in lines: the verdict first, then its basis, the files, and what to do next.
+    """Return the lines to print at the end of a run: the verdict, its basis, the files, and what to do next.
 
     If the run measured the check block, the verdict on the check block comes first.
     """
@@ -112,6 +112,6 @@ def _run_again(run: Run) -> str:
 
 
 def _typed(file: str, kind: str) -> str:
-    """Return a file as it may be typed: a shipped one by its name."""
+    """Return a file as a user may type it on the command line: a shipped file by its name."""
     path = Path(file)
     return path.stem if path.parent == shipped_folder(kind) else file

@@ -178,7 +178,7 @@ def _judged(request: RunRequest, bench: Path) -> VerdictAsked | None:
 
 
 def _other_unit(stated: str, serial: str, bench: str) -> tuple[str, ...]:
-    """Return a note if a run measures another unit than its bench file names."""
+    """Return a note if the block to be measured is not the one that the bench file names."""
     if serial == stated:
         return ()
     return (f"this run is of unit {serial}, as --unit says; the bench file {bench} names unit {stated}",)
@@ -204,10 +204,10 @@ def _free_name(procedure: str, runs: Path) -> str:
 def asker_of(
     run: Run, record: Record, history: History | None, out: Console, who: WishAuthor | None
 ) -> Asker | None:
-    """Return what puts the questions of a run, new or (with its `history`) resumed; None for one that asks nobody.
+    """Return the object that puts the questions of a run to a person; None for a run without a person.
 
-    `who` answers at the terminal; with None, no questions are asked there. A resumed dry run asks the person who
-    resumes it.
+    The run is new or, with its `history`, resumed. `who` answers at the terminal; if it is None, no questions are
+    asked there. A resumed dry run asks the person who resumes it.
     """
     if not run.asks_somebody and history is None:
         return None
@@ -375,7 +375,7 @@ def carry_out(
 
 
 def _live(run: Run, bench: BenchFile, watcher: EarlyWarning, asker: Asker | None) -> list[Observer]:
-    """Have the signals shown while a question waits, where a person is asked; return the observers for that."""
+    """Let questions to a person show the live signals; return the observers of the run that do so."""
     if asker is None:
         return []
     shown = (lambda line: None) if asker.terminal is None else asker.terminal.show_live
@@ -387,10 +387,10 @@ def _live(run: Run, bench: BenchFile, watcher: EarlyWarning, asker: Asker | None
 def _on_certificates(
     bench: BenchFile, *, simulated: bool
 ) -> Callable[[Mapping[str, str]], Sequence[str]] | None:
-    """Return the function from serial numbers to remarks on certificates; None if serial numbers are not needed.
+    """Return the function that turns serial numbers into remarks on certificates; None if none is needed.
 
-    They are not needed for simulated instruments without certificates. For any simulated run, the serial
-    numbers are not compared with the certificates.
+    Simulated instruments without certificates need none. In any simulated run, serial numbers are not compared with
+    the certificates.
     """
     if simulated and all(section.certificate is None for section in bench.instruments.all()):
         return None
@@ -460,7 +460,7 @@ def _assembly(
 
 
 def _elapsed_s(history: History) -> float:
-    """Return the present bench time of a real bench: the last event's, plus the civil time since then, s."""
+    """Return the present bench time of a real bench, s: that of the last event plus the civil time since then."""
     if not history.events:
         return 0.0
     last = history.events[-1]
@@ -544,7 +544,7 @@ def _lacks_results(run: Run, state: RunState | None) -> bool:
 
 
 def _idle_at(run: Run, digests: Digests) -> RunState | None:
-    """Return the state of a run that no program is carrying out; None for any other or an imported run."""
+    """Return the state of a run that no program is carrying out; None for a run in progress or imported."""
     try:
         state = None if run.imported else digests.of(run).state
     except (RecordError, ValueError):
@@ -553,7 +553,7 @@ def _idle_at(run: Run, digests: Digests) -> RunState | None:
 
 
 def refuse_missing_devices(run: Run) -> None:
-    """Raise `Refused` if a driver with which the run was begun is missing here."""
+    """Raise `Refused` if a driver that the run used is not installed here."""
     came_from = run.manifest.get("devices", {})
     missing = [
         f"the driver '{name}'" + (f" (it came from {came_from[name]})" if name in came_from else "")

@@ -122,7 +122,7 @@ def _diagnose(request: Diagnose) -> Diagnosed:
 
 
 def _diagnose_each(request: Diagnose) -> list[Diagnosed | Failed]:
-    """Return the diagnosis of each source by itself, computed in parallel; a `Failed` for a source that fails.
+    """Return the diagnosis of each source separately, computed in parallel; a `Failed` for a source that fails.
 
     If there is only one source, its error is raised. The other parameters are those of `diagnose`.
     """

@@ -1,4 +1,4 @@
-"""May a run on real instruments begin? Validated program, certificates in date; reminders before they expire."""
+"""Checks before a run on real instruments: the program is validated, certificates are valid or expire soon."""
 
 from __future__ import annotations
 
@@ -45,9 +45,10 @@ def reminders(bench: BenchFile) -> Iterator[str]:
 
 
 def is_away(answers: str | None, *, panel: bool) -> bool:
-    """Return whether questions are answered in the run's folder only: on request, or with a panel and no terminal.
+    """Return whether questions are answered in the run's folder only.
 
-    Raises `Refused` for an unknown place in `answers`.
+    They are if `answers` says so, or if there is a `panel` and no terminal. Raises `Refused` for an unknown place
+    in `answers`.
     """
     if answers not in (None, "terminal", "folder"):
         raise Refused(f"--answers {answers}: give 'terminal' or 'folder'")
@@ -70,8 +71,8 @@ def refuse_contradictions(request: RunRequest) -> None:
 def refuse_unfit(bench: BenchFile, path: Path, request: RunRequest, *, away: bool) -> None:
     """Raise `Refused` for a real run by a program that is not validated, or with expired certificates.
 
-    Expired certificates refuse the run where the bench file says `expired: refuse`, and where it says `ask` but
-    nobody can be asked: no terminal, and answers are not given in the folder (`away`).
+    Expired certificates prevent the run if the bench file says `expired: refuse`. They also do so if it says `ask`
+    and nobody can be asked: there is no terminal, and questions are not answered in the run's folder (`away`).
     """
     refuse_unvalidated_run(bench, path, request.laboratory)
     late = expired(bench)
@@ -98,7 +99,7 @@ def in_words(late: list[Standing]) -> str:
 
 
 def agree_to_expired(run: Run, record: Record, asker: Asker | None) -> None:
-    """Ask whether to measure with expired certificates, where the bench file says so; a no ends the run for good.
+    """Ask whether to measure with expired certificates, if the bench file demands it; a no ends the run for good.
 
     Question and answer are in the record. Raises `BenchError` for a no.
     """

@@ -65,8 +65,8 @@ OF_THE_REPEATS: Final = (
 class LearningResult:
     """The result of `bench learn`: sizes of the bench's errors (`learned`), and all runs (`sources`).
 
-    `sources` include the runs that contradict the others. `effects` are the effects written to the learned file,
-    which is valid until `expires`.
+    Among `sources` are also the runs that contradict the others. `effects` are written to the learned file, which
+    is valid until `expires`.
     """
 
     learned: Learned
@@ -88,7 +88,7 @@ class LearningResult:
 
     @property
     def behind(self) -> tuple[Source, ...]:
-        """The runs from which the sizes are estimated."""
+        """The sources whose runs contributed to the sizes, without the contradicting ones."""
         return tuple(source for source in self.sources if source.name in self.learned.runs)
 
     @property
@@ -218,7 +218,8 @@ learn = python_call(Learn, learning_of, "learn")
 
 
 def _until(expires: datetime.date | str | None, made: datetime.date) -> datetime.date:
-    """Return the last valid day of a learned file: the date `expires`, or that number of days after `made`.
+    """Return the last valid day of a learned file: the date `expires`, or `expires` days after `made` if it
+    is a number.
 
     Without `expires` it is `USUAL_DAYS` after `made`. Raises `Refused` for a day that is not after `made`.
     """
@@ -239,7 +240,9 @@ def _until(expires: datetime.date | str | None, made: datetime.date) -> datetime
 
 
 def _certified(source: Source) -> Source:
-    """Return a source corrected by certificates alone; its model has no effects unless the request has a model."""
+    """Return a source corrected by certificates alone; its model has no effects unless the request states a model
+    file.
+    """
     plain = source.model if source.request.model else ForwardModel(source.bench.installation_models())
     return replace(source.as_certified(), model=plain)
 
@@ -324,8 +327,8 @@ NOT_VOLTS: Final = "differences between the voltmeters: the signals are in {unit
 def differences_of(sources: Sequence[Source]) -> MeterDifferences | str:
     """Return the learned differences between the voltmeters of a bench, or why these runs do not determine them.
 
-    They are computed from calibrations with the stand's limits from the bench file, which hardly affect the lengths
-    of the rows of K.
+    They are computed from calibrations with the stand's limits from the bench file. These limits hardly affect the
+    lengths of the rows of K.
     """
     if sources[0].readings.unit != "V":
         return NOT_VOLTS.format(unit=sources[0].readings.unit)

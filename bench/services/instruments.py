@@ -80,7 +80,7 @@ class Nobody:
 class InstrumentLook:
     """The findings on one instrument; `failure` is the first fault.
 
-    `samples` is the number of samples asked of a voltmeter; `to_do` is what a person must do where the
+    `samples` is the number of samples requested from a voltmeter; `to_do` is what a person must do if the
     instrument was not left safe.
     """
 
@@ -120,12 +120,12 @@ class InstrumentLook:
 
     @property
     def part(self) -> InstrumentPart:
-        """The row as a part of the result."""
+        """The findings as a part of the result."""
         return InstrumentPart.from_object(self, failures=[FailurePart.from_object(f) for f in self.failures])
 
 
 def look_at(file: BenchFile, wire: WireLog | None, haste: Haste | None = None) -> list[InstrumentLook]:
-    """Open, test, read and close all instruments of a bench in parallel; return a row with the faults of each.
+    """Open, test, read and close all instruments of a bench in parallel; return the findings on each.
 
     `haste` ends the wait for instruments that do not answer.
     """
@@ -137,7 +137,7 @@ def look_at(file: BenchFile, wire: WireLog | None, haste: Haste | None = None) -
 
 
 def _row(file: BenchFile, instrument: Instrument) -> InstrumentLook:
-    """Return the row of an instrument with its address and settings from the bench file."""
+    """Return an empty `InstrumentLook` with the instrument's address and settings from the bench file."""
     section = next(section for section in file.instruments.all() if section.name == instrument.name)
     address = getattr(section, "resource", None)
     settings = ""
@@ -186,7 +186,7 @@ def _look_at_all(
 
 
 def _look_at(instrument: Instrument, row: InstrumentLook, range_v: float) -> None:
-    """Open, test, read and close one instrument; its row keeps every fault."""
+    """Open, test, read and close one instrument, and note every fault in its row."""
     try:
         row.identity = instrument.open()
         if row.identity.maker == _BY_HAND:
@@ -246,7 +246,8 @@ class CommissioningPlan:
     """The options of a commissioning: the bench, the person and the folder of the page.
 
     Without a `person`, the bench is simulated and a script answers; `seed` is the seed of its random numbers.
-    `tell` shows a line to the person. `course` carries out the checks; `what` names them on the page.
+    `tell` shows a line to the person. `course` is the function that carries out the checks; `what` names them on
+    the page.
     """
 
     file: BenchFile
@@ -260,7 +261,7 @@ class CommissioningPlan:
 
 
 def free_folder(now: datetime, what: str = "commissioning") -> Path:
-    """Return the default folder of a commissioning, or of another course of checks."""
+    """Return the default folder, named after the time, for a commissioning or for the session of checks `what`."""
     return Path(f"{what}-{now.astimezone():%Y%m%d-%H%M%S}")
 
 
@@ -304,7 +305,7 @@ def _take(folder: Path) -> None:
 def _gone_through(
     course: Callable[[CommissioningSession], None], evening: CommissioningSession, interrupts: Interrupts
 ) -> str:
-    """Carry out the session; return why it stopped early, "" where it was completed.
+    """Carry out a session of checks; return why it stopped early, or "" if it was completed.
 
     After the session no signal raises an exception, so that the bench is left safe and the page is written.
     """

@@ -41,7 +41,7 @@ def morning(
 
 
 def line_of(result: Mapping[str, Any]) -> str:
-    """Return the outcome of a morning in one line: ready, or what to do."""
+    """Return the outcome of a morning check in one line: ready, or what to do."""
     troubles = [one for one in result["findings"] if one["state"] not in ("works", "skipped")]
     if not troubles and not result["ended"] and not result["to_do"]:
         left = [

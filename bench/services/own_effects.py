@@ -1,4 +1,4 @@
-"""The user's own effects in evaluations and runs; names for unnamed terms of a model file."""
+"""Effects that the user defined, in evaluations and runs; names for unnamed terms of a model file."""
 
 from __future__ import annotations
 

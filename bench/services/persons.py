@@ -1,9 +1,9 @@
 """The persons of a laboratory: names, roles, rights and identities, in one register beside the laboratory file.
 
-The register is a chain: each line adds or changes a person or ends a person's rights, and names the
-administrator. It holds no secret: a token only as its salted hash, a key only as its public half. Operators, those
-who issue certificates, accept validations and close failures, and those who sign in to the panel are persons of
-this register. Without one, operators are free text, and the laboratory file names those who may authorise.
+The register is a chain: each line adds or changes a person or ends a person's rights, and names the administrator.
+It contains no secret, but only salted hashes of tokens and public keys. Operators, those who issue certificates,
+accept validations and close failures, and those who sign in to the panel are persons of this register. Without one,
+operators are free text, and the laboratory file names those who may authorise.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ ADDED, CHANGED, ENDED = "added", "changed", "ended"
 
 @dataclass(frozen=True)
 class Person:
-    """A person: name, role, rights, the salted hash of a token and a public key (PEM), each "" for none.
+    """A person: name, role, rights, the salted hash of a token, and a public key (PEM); the last two may be "".
 
     `since` and `ended` are times (ISO 8601); `ended` is "" while the person has rights.
     """
@@ -57,7 +57,11 @@ class Person:
 
 @dataclass
 class Persons(Chain):
-    """The register of persons: `everyone` by name, those without rights too; `entries` are its lines."""
+    """The register of persons.
+
+    `everyone` maps names to persons, including those whose rights have ended; `entries` are the lines of the
+    register.
+    """
 
     FIRST: ClassVar[str] = first_head("triaxial-bench persons 1\n")
 
@@ -86,7 +90,7 @@ class Persons(Chain):
         return next((one for one in self.everyone.values() if not one.ended and one.has_token(token)), None)
 
     def chosen(self, name: str, right: Right, option: str) -> Person:
-        """Return the person of a name with a right. Raises `Refused`, naming the option, for any other name."""
+        """Return the person of this name, who must have the right. Otherwise, `Refused` names the option."""
         able = {one.name: one for one in self.who_may(right)}
         if name in able:
             return able[name]
@@ -106,7 +110,7 @@ class Persons(Chain):
 
 
 def persons_of(laboratory: Path | None) -> Persons | None:
-    """Return the register beside a laboratory file, read without changing it; None where none stands.
+    """Return the register beside a laboratory file, read without changing it; None if there is none.
 
     Raises `Refused` for a damaged register.
     """
@@ -120,7 +124,7 @@ def persons_of(laboratory: Path | None) -> Persons | None:
 
 
 def authorised_by(laboratory: Path, name: str, right: Right, option: str) -> Person | None:
-    """Return a person of the register who has a right and proves who he is; None where no register stands.
+    """Return the named person after a check of right and identity; None if there is no register.
 
     Raises `Refused` for a person without the right, and for one whose token or key is not given.
     """
@@ -129,7 +133,7 @@ def authorised_by(laboratory: Path, name: str, right: Right, option: str) -> Per
 
 
 def _proved(person: Person) -> Person:
-    """Return a person whose token or key is given, or who has neither. Raises `Refused` otherwise."""
+    """Return the person if the token or key was given, or if the person has neither. Raises `Refused` otherwise."""
     if not person.token and not person.public_key:
         return person
     if person.has_token(os.environ.get(TOKEN, "")) or _holds_key(person, os.environ.get(KEY)):
@@ -158,10 +162,10 @@ def _holds_key(person: Person, file: str | None) -> bool:
 
 
 def operator_of(name: str, laboratory: Path | None, *, needed: bool) -> tuple[str, OperatorPerson | None]:
-    """Return the operator's name and, where a register stands, what it says of that person, for the record.
+    """Return the operator's name and, if there is a register, its data on that person for the run's record.
 
-    Raises `Refused` for a name that is not UTF-8; where a register stands, for a name of nobody who may operate,
-    and, if an operator is `needed`, without a name.
+    Raises `Refused` for a name that is not UTF-8. With a register, it also raises it for the name of a person who
+    may not operate and, if an operator is `needed`, for a missing name.
     """
     if re.search("[\ud800-\udfff]", name):
         raise Refused("--operator: the name is not UTF-8 text; set the terminal to UTF-8 and type it again")
@@ -176,7 +180,7 @@ def operator_of(name: str, laboratory: Path | None, *, needed: bool) -> tuple[st
 
 
 def acting_at(where: str, name: str, laboratory: Path | None = None) -> WishAuthor:
-    """Return the author of what somebody does at this computer: a person of the register, else the user.
+    """Return the author of an action at this computer: a person of the register, else the user of the computer.
 
     Raises `Refused` as `operator_of`.
     """
@@ -189,7 +193,7 @@ def acting_at(where: str, name: str, laboratory: Path | None = None) -> WishAuth
 
 
 def resumer(where: str, name: str) -> WishAuthor:
-    """Return who resumes a run, for its record: nobody without a `name` and without a register of persons."""
+    """Return the author to record for resuming a run; "nobody" if there is neither a `name` nor a register."""
     by = acting_at(where, name)
     return by if name or persons_of(laboratory_known(None)) is not None else NOBODY_KNOWN
 
@@ -198,10 +202,10 @@ def resumer(where: str, name: str) -> WishAuthor:
 
 
 def persons(request: ChangePersons) -> PersonsResult:
-    """Carry out a change of the register, if one is asked for, and return the register.
+    """Carry out the requested change of the register, if any, and return the register.
 
-    The first line adds an administrator. Raises `Refused` for a change by nobody who may administer, for one that
-    leaves no administrator, and where something is missing.
+    The first line adds an administrator. Raises `Refused` if the acting person may not administer, if no
+    administrator would remain, and if an option is missing.
     """
     laboratory = laboratory_needed(request.laboratory, "the register of persons is a folder beside it")
     if request.what is None:
@@ -226,7 +230,10 @@ def persons(request: ChangePersons) -> PersonsResult:
 
 
 def _entry(register: Persons, request: ChangePersons, name: str, by: str, token: str | None) -> Entry:
-    """Return the line for a change. Raises `Refused` for a person who is there already, or is not."""
+    """Return the register line for a change.
+
+    Raises `Refused` if the person to add is already in the register, or the person to change is not.
+    """
     before = register.everyone.get(name)
     present = before is not None and not before.ended
     if present == (request.what is PersonsCommand.ADD):

@@ -166,7 +166,7 @@ def _goals(request: PlanPoints, stand: Stand, bench: BenchFile) -> list[Goal]:
 
 
 def delta_g_of(stand: Stand, asked_g: float, option: str) -> list[Goal]:
-    """Return the goals for u(Δg), `asked_g` in g, at the verification points of the bench.
+    """Return a goal for u(Δg) at each verification point of the bench: at most `asked_g`, in g.
 
     Raises `Refused`, naming the `option`, if the bench file has no installation V.
     """
@@ -224,7 +224,7 @@ def mountings(bench: BenchFile, installations: str | None, visits: int) -> list[
 
 
 def even_angles(bench: BenchFile, count: int) -> Floats:
-    """Return `count` even angles of a turn, rad, without those that the head cannot approach from both sides."""
+    """Return those of `count` even angles of a turn, rad, that the head can approach from both sides."""
     angles = 2 * np.pi * np.arange(count) / count
     if bench.head_limits_rad is None:
         return angles
@@ -280,11 +280,12 @@ def _remarks(points: ChosenPoints, bench: BenchFile, *, asked: bool) -> str:
 def budget_of(request: Budget) -> BudgetResult:
     """Return the contribution of each bench error to the coefficients and to any measured acceleration.
 
-    `procedure` states the readings of the calibration, `coefficients` (a result of `bench calibrate --json`) the
-    block, by default the one in the bench file. `trials` is the number of Monte Carlo trials that check the linear
-    propagation (0: none). `limit` of Δg in g, `rule` ("simple", "guarded" or "non-binary") and `guard_band` in U
-    replace the values of the bench file. `same_voltmeters` states that the block will be used with the voltmeters
-    of the calibration. `g` is local gravity in m/s². Raises `Refused`, `CalibrationError`, `FileMistakes`.
+    `procedure` states the readings of the calibration. `coefficients` (a result of `bench calibrate --json`) states
+    the block; the default is the block in the bench file. `trials` is the number of Monte Carlo trials that check
+    the linear propagation (0: none). `limit` of Δg in g, `rule` ("simple", "guarded" or "non-binary") and
+    `guard_band` in U replace the values of the bench file. `same_voltmeters` states that the block will be used
+    with the voltmeters of the calibration. `g` is local gravity in m/s². Raises `Refused`, `CalibrationError`,
+    `FileMistakes`.
     """
     check_gravity(request.g)
     estimator = in_a_budget(request.estimator).name
@@ -338,7 +339,7 @@ def _model(path: str | Path | None, bench: BenchFile) -> ForwardModel:
 
 
 def _block(coefficients: str | Path | None, bench: BenchFile) -> tuple[Block, str]:
-    """Return the block of the budget, and its name in words."""
+    """Return the block to which a budget applies, and its name in words."""
     if coefficients is not None:
         block = read_coefficients(Path(coefficients), "V").block
         try:
@@ -367,7 +368,7 @@ ACCELERATIONS: Final = frozenset({ACCELERATION_OF, MODULUS_OF})
 
 
 def requirements(request: Require) -> Requirements:
-    """Return the largest size of each bench error for which k u of a quantity stays within an accuracy.
+    """Return the largest size of each bench error for which k u of a quantity stays within the requested accuracy.
 
     Raises `Refused` for invalid options, `FileMistakes`, `CalibrationError`.
     """
@@ -427,7 +428,7 @@ def requirements(request: Require) -> Requirements:
 
 
 def _target(request: Require, bench: BenchFile, *, reading: bool) -> tuple[Target, str, QuantityKind]:
-    """Return the quantity with a required accuracy, its unit, and the kind of quantity that the accuracy is."""
+    """Return the quantity for which an accuracy is required, the unit of the accuracy, and its kind of quantity."""
     of, up_to = request.of, request.up_to
     if up_to is not None and of not in ACCELERATIONS:
         raise Refused("--up-to needs --of acceleration or --of modulus; add one")
@@ -454,7 +455,10 @@ def _up_to_g(up_to: str | None, bench: BenchFile) -> float:
 
 
 def _costs(share: str, given: Sequence[str], names: Sequence[str]) -> dict[str, float] | None:
-    """Return the cost weights by error; None for equal parts of the variance. Raises `Refused` for invalid ones."""
+    """Return the weight of each error's cost, by name; None for equal parts of the variance.
+
+    Raises `Refused` for invalid weights.
+    """
     if share not in {"equal", "cost"}:
         raise Refused(f"--share: give equal or cost, not {share!r}")
     if given and share != "cost":

@@ -47,7 +47,7 @@ class RecordCalibrationResult:
 
     @property
     def accepted(self) -> bool:
-        """True: a record has no limit to be accepted by."""
+        """Always true, because no limit applies to a record."""
         return True
 
     strictly_accepted = accepted
@@ -85,12 +85,15 @@ class RecordCalibrationResult:
 
 
 def record_calibration_of(source: Source) -> RecordCalibrationResult:
-    """Calibrate a record at a known input, less the effects of its model. Raises `CalibrationError`."""
+    """Calibrate meters from a record at a known input; effects in its model are subtracted first.
+
+    Raises `CalibrationError`.
+    """
     return RecordCalibrationResult(source, calibrate_record(source.readings, source.model.effects))
 
 
 def meters_at_rest(source: Source, found: RecordCalibration) -> Stability:
-    """Return noise and drift of what meters leave of a known input. Raises `CalibrationError`."""
+    """Return noise and drift of the residuals of meters at a known input. Raises `CalibrationError`."""
     bench, record = source.bench, of_meters(source, found)
     stable = stability_of(
         record, record.interval_s, None, bench.line_frequency, bench.nplc_supported, bench.most_samples
@@ -99,7 +102,9 @@ def meters_at_rest(source: Source, found: RecordCalibration) -> Stability:
 
 
 def of_meters(source: Source, found: RecordCalibration) -> StaticRecord:
-    """Return what meters leave of a known input beside gain, offset and the model's effects, without outliers."""
+    """Return the residuals of meters at a known input, after gain, offset and the model's effects, without
+    outliers.
+    """
     readings, used = source.readings, found.record.used
     channels = tuple(CHANNELS[i] for i in found.record.channels)
     made = on_grid(source.name, readings.time_s[used], found.residual_of(readings)[used], channels)

@@ -1,4 +1,4 @@
-"""Run records: their list, their heads and seals."""
+"""Run records: their list, their content, their seals, and the evidence for them."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def show_run(run: Run, request: ShowRun) -> ShowResult:
 
 
 def supply_in_words(run: Run) -> str:
-    """Return the range of voltage and current of each supply rail in words; empty where they were not measured."""
+    """Return the range of voltage and current of each supply rail in words; "" if they were not measured."""
     if run.imported:
         return ""
     return ranges_in_words(columns_of([one.rails for one in run.history.readings.values()]))
@@ -123,7 +123,7 @@ NOTHING_OUTSIDE = (
 
 @dataclass(frozen=True)
 class SealResult:
-    """A seal, its file, and the reason why it has no time stamp although one was requested."""
+    """A seal, its file and, if a requested time stamp is missing, the reason for this."""
 
     seal: Seal
     file: Path
@@ -155,8 +155,9 @@ def seal_run(request: SealRun, passphrase: Callable[[], bytes]) -> SealResult:
 def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
     """Return the evidence for a record and the problems with it, a sentence each.
 
-    The record is checked against its seal, and against a head, a public key and an authority that were kept
-    elsewhere. Raises `Refused` for an invalid head, `RecordError` for a key that cannot be read.
+    The record is checked against its seal. It is also checked against a record head (hash of its last line), a
+    public key and a time-stamp authority, if the user states them. Raises `Refused` for an invalid head,
+    `RecordError` for a key that cannot be read.
     """
     head, key, authority = request.head, request.key, request.authority
     if head is not None and re.fullmatch(r"[0-9a-f]{64}", head.lower()) is None:
@@ -192,7 +193,7 @@ def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
 
 
 def _signature(seal: Seal, given: Ed25519PublicKey | None, told: list[str], problems: list[str]) -> bool:
-    """Add sentences on the signature to `told` or `problems`; return whether the given key signed the seal."""
+    """Add sentences on the seal's signature to `told` or `problems`; return whether the given key signed it."""
     if not seal.signature:
         told.append(
             f"sealed at {seal.events} events, not signed: anybody who can write the folder could have "

@@ -1,4 +1,4 @@
-"""The search for instruments: what the interfaces offer, and what a resource answers when it is addressed."""
+"""The search for instruments: the resources that the interfaces offer, and the answer of an addressed resource."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ RANGE_V: Final = 10.0
 
 @dataclass(frozen=True)
 class FoundResource:
-    """A resource of this computer: what it is, and once it was addressed, its identity or the failure.
+    """A resource of this computer: its kind and, once it was addressed, its identity or the failure.
 
-    `driver` is the driver of such an instrument, empty if none is known. `interface` is the interface of a
-    voltmeter, `shows` a reading.
+    `driver` is the driver for such an instrument, empty if none is known. `interface` is the interface of a
+    voltmeter, `shows` the reading that it returned.
     """
 
     resource: str
@@ -48,7 +48,9 @@ class FoundResource:
 
 
 def offered() -> tuple[list[FoundResource], list[str]]:
-    """Return the resources that the interfaces offer, and notes on what was not searched; nothing is addressed."""
+    """Return the resources that the interfaces offer, and notes on interfaces not searched; no resource is
+    addressed.
+    """
     offer = discover()
     ports = [
         FoundResource(port.resource, f"serial port {port.device} {port.description}".rstrip())
@@ -107,7 +109,9 @@ def _device_of(identity: Identity) -> Device | None:
 
 
 def _reading(device: Device, resource: str) -> str:
-    """Return a reading of a voltmeter on its 10 V range, which is made safe afterwards. Raises `BenchError`."""
+    """Return one reading of a voltmeter on its 10 V range; the voltmeter is made safe afterwards. Raises
+    `BenchError`.
+    """
     stated = {**device.example, "driver": device.name, "resource": resource}
     if "interface" in device.section.model_fields:
         stated["interface"] = _interface(resource)

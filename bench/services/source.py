@@ -66,8 +66,8 @@ LEAST_GRAVITY, MOST_GRAVITY = 9.75, 9.85
 class Request:
     """The sources of an analysis, and the options that replace the defaults.
 
-    `runs` is the folder of runs by name. `bench` is a bench file by path, name or content. `out` is a folder for
-    files derived from the readings.
+    `runs` is the folder in which runs are found by name. `bench` is a bench file, as path, name or content. `out`
+    is a folder for files derived from the readings.
     """
 
     sources: Sequence[Given]
@@ -101,8 +101,9 @@ class Source:
     measured. `origin` is the origin of the readings, None if it is not recorded. `readings` are corrected by the
     certificates of the instruments (`traced`) and by learned differences of the voltmeters; `as_read` are the
     uncorrected readings. `effects` are the user's own effects, known to the program or written as formulas in the
-    bench file or the model file. `known` are stand and noise as learned from other runs, None if nothing was
-    learned. `known_meters` are the learned differences of the voltmeters, identified by `learned_of`.
+    bench file or the model file. `known` are the sizes of stand and noise learned from other runs (None: nothing
+    was learned). `known_meters` are the learned differences of the voltmeters; `learned_of` identifies the file
+    that states them.
     """
 
     name: str
@@ -155,7 +156,9 @@ class Source:
 
     @property
     def what_if(self) -> bool:
-        """Whether a run is evaluated with other options than it recorded; results then go to a separate folder."""
+        """Whether a run is evaluated with options other than those it recorded; its results go to a separate
+        folder.
+        """
         if self.run is None:
             return False
         asked = self.request
@@ -174,13 +177,13 @@ class Source:
 
     @property
     def assumed_u(self) -> dict[str, float]:
-        """Standard uncertainties, rad, of the stand's errors that no bench file need state, by name."""
+        """Standard uncertainties, rad, by name, of the stand's errors that a bench file may omit."""
         from bench.calibration.budget.sources import assumed_stand  # a diagnosis does without the budget
 
         return {name: size.u for name, size in assumed_stand(self.bench).items()}
 
     def made_from(self) -> dict[str, Any]:
-        """Return the members by which a result states its source, bench, date, unit and certificates."""
+        """Return the members of a result that state its source, bench, date, unit and certificates."""
         unit = self.bench.unit_under_test
         return {
             "source": self.name,
@@ -248,7 +251,10 @@ def _hash(readings: Readings, *, to_the_bit: bool = True) -> str:
 
 
 def _knows(stated: str | None, readings: Readings) -> bool:
-    """Return whether a model file's hashes include these readings; earlier versions hashed every bit."""
+    """Return whether the hashes that a model file states include these readings.
+
+    Earlier versions hashed every bit of the readings.
+    """
     hashes = (stated or "").split()
     return bool(hashes) and (data_sha256(readings) in hashes or _hash(readings) in hashes)
 
@@ -372,8 +378,8 @@ def _of_model_file(
 ) -> tuple[ForwardModel, tuple[str, ...]]:
     """Return the model of a model file, with notes.
 
-    If the model was found in these readings, its values are estimated again: as priors they would count the
-    readings twice.
+    If the model was found in these same readings, its values are estimated again, because as priors they would
+    count the readings twice.
     """
     model = replace(plain, effects=file.applied_effects(), name=file.name)
     dark: tuple[str, ...] = ()
@@ -422,7 +428,7 @@ class Failed:
         return FailedPart(source=self.name, problem=self.problem).to_dict()
 
     def __str__(self) -> str:
-        """Return the sentence, which begins with the name of the source."""
+        """Return the problem as a sentence that begins with the name of the source."""
         return self.problem if self.problem.startswith(self.name) else f"{self.name}: {self.problem}"
 
 
@@ -435,7 +441,10 @@ def attempted(name: str, work: Callable[[], R]) -> R | Failed:
 
 
 def load_each(request: Request) -> list[Source | Failed]:
-    """Read each source separately and return a `Failed` for one that fails; a single source raises its error."""
+    """Read each source separately; return a `Failed` for one that cannot be read.
+
+    If there is only one source, its error is raised.
+    """
     if len(request.sources) == 1:
         return [*load_sources(request)]
     check_gravity(request.g_m_s2)
@@ -447,7 +456,10 @@ def load_each(request: Request) -> list[Source | Failed]:
 
 
 def each(loaded: Sequence[Source | Failed], work: Callable[[Source], R]) -> list[R | Failed]:
-    """Return the result of `work` for each source, or a `Failed`; the error of a single source is raised."""
+    """Return for each source the result of `work`, or a `Failed`.
+
+    If there is only one source, its error is raised.
+    """
     if len(loaded) == 1:
         return [work(source) for source in done(loaded)]
     return [

@@ -1,4 +1,4 @@
-"""Noise and drift of a block at rest, or of meters at a known input, as `bench stability` gives them."""
+"""Noise and drift of a block at rest, or of meters at a known input, as `bench stability` reports them."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ stability = python_call(asked.Stability, at_rest, "stability")
 
 
 def _bench_of(record: str, runs: Path, bench: Bench) -> tuple[BenchTaken, tuple[str, ...]]:
-    """Return the bench file with its source, and notes on the choice.
+    """Return the bench file to use, and notes on the choice.
 
     It is the bench file `bench` of the request, else that of the run or of the origin file, else the default.
     """

@@ -41,10 +41,10 @@ _NOTHING: Final = "it states no correction"
 class Traced:
     """The certificates of a bench for readings of a day, and the corrections of the readings.
 
-    Each entry is a certificate with the reason why it corrects nothing; the reason is empty if it corrects
-    something. `recorded` says whether a run recorded the readings; other readings are assumed to be as the
-    instruments showed them. `by` are all corrections of the readings, `by_certificates` the corrections from
-    certificates; all others were learned.
+    Each entry is a certificate and the reason why it corrects nothing; the reason is "" if it corrects the
+    readings. `recorded` says whether a run recorded the readings; other readings are assumed to be as the
+    instruments showed them. `by` are all corrections of the readings. `by_certificates` are those from
+    certificates; the others were learned.
     """
 
     day: datetime.date
@@ -103,8 +103,9 @@ def _in_words(standing: Standing, why_not: str) -> str:
 def trace(
     taken: BenchTaken, bench: BenchFile, readings: Readings, origin: Origin | None
 ) -> tuple[BenchFile, Readings, Traced]:
-    """Return the bench without certificates that belong to other instruments, the corrected readings, and the
-    certificates.
+    """Return the bench for readings, the corrected readings, and the certificates that corrected them.
+
+    The bench is without certificates that belong to other instruments.
     """
     day = _day(origin)
     found = standings(bench, day, _answered(bench, origin))
@@ -121,7 +122,7 @@ def remarks(bench: BenchFile, serials: Mapping[str, str] | None = None) -> list[
 
 
 def _day(origin: Origin | None) -> datetime.date:
-    """Return the day of the readings; today where it is not recorded."""
+    """Return the day on which the readings were made; today if it is not recorded."""
     try:
         return datetime.datetime.fromisoformat(origin.begun if origin is not None else "").date()
     except ValueError:
@@ -131,7 +132,8 @@ def _day(origin: Origin | None) -> datetime.date:
 def _answered(bench: BenchFile, origin: Origin | None) -> dict[str, str]:
     """Return the serial numbers that the instruments reported, by name; none for a simulated run.
 
-    A serial number that was not recorded is the certificate's, if the recorded identity contains it.
+    If a serial number was not recorded, it is taken from the certificate, provided that the recorded identity
+    contains it.
     """
     if origin is None or origin.simulated:
         return {}
@@ -145,7 +147,7 @@ def _answered(bench: BenchFile, origin: Origin | None) -> dict[str, str]:
 
 
 def _why_not(standing: Standing, taken: BenchTaken, readings: Readings, origin: Origin | None) -> str:
-    """Return why a certificate does not correct the readings; empty where it does."""
+    """Return the reason why a certificate does not correct the readings; "" if it does."""
     of_meter = isinstance(standing.section, VoltmeterForm)
     if standing.foreign:
         return _OTHER
@@ -212,7 +214,8 @@ SIMULATED: Final = "the sizes of learned file {bench} come from simulated runs"
 
 @dataclass(frozen=True)
 class LearnedTaken:
-    """The part of a learned file that an evaluation uses, with notes; empty where the file is not valid for it.
+    """The part of a learned file that an evaluation uses, with notes; empty if the file is not valid for this
+    evaluation.
 
     `name` identifies the learned differences of voltmeters in `meters`.
     """
@@ -239,8 +242,8 @@ def take_learned(
 ) -> LearnedTaken:
     """Return the part of a learned file that is valid for readings of a day in a unit.
 
-    `head` and `hashes` identify the record of the readings. `simulated` says whether the readings are
-    simulated, None where this is not stated or there are no readings.
+    `head` and `hashes` identify the record of the readings. `simulated` says whether the readings are simulated; it
+    is None if this is not stated or there are no readings.
     """
     if file is None:
         return NOTHING_LEARNED
@@ -267,10 +270,10 @@ def take_learned(
 
 
 def learned_for_run(bench: BenchFile, path: Path, created: str, *, simulated: bool | None) -> LearnedTaken:
-    """Return the learned sizes that are valid for a run created at a time (ISO 8601), by the bench file at `path`.
+    """Return the learned sizes valid for a run that was created at the time `created` (ISO 8601).
 
-    If `path` is the run's own copy, later changes of the original files do not change the result. Raises
-    `FileMistakes`.
+    The bench file at `path` names the learned file. If `path` is the run's own copy, later changes of the original
+    files do not affect the result. Raises `FileMistakes`.
     """
     file = BenchTaken(bench, str(path), "", "").learned()
     return take_learned(file, datetime.datetime.fromisoformat(created).date(), VOLTS, simulated=simulated)

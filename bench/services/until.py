@@ -1,4 +1,4 @@
-"""Runs that measure until goals are reached: goals, floors of uncertainty, choices; the outlook of any run."""
+"""Runs that continue until goals for the uncertainty are reached; the expected outcome of any plan."""
 
 from __future__ import annotations
 
@@ -166,9 +166,10 @@ def _asked(size: float) -> float:
 def chooser_of(
     plan: Plan, bench: BenchFile, texts: Sequence[str], learned: LearnedTaken = NOTHING_LEARNED
 ) -> Chooser:
-    """Return the chooser of settings for these goals; it uses the `learned` sizes as a calibration does.
+    """Return the object that chooses the next settings for these goals (`texts`).
 
-    Raises `Refused` for invalid goals, and for a goal that no readings can reach.
+    It uses the `learned` sizes as a calibration does. Raises `Refused` for invalid goals, and for a goal that no
+    readings can reach.
     """
     model = with_effects(ForwardModel(bench.installation_models()), learned.effects)
     try:
@@ -221,7 +222,10 @@ def _refuse_too_short(aim: Aim, pool: Pool) -> None:
 
 
 class Until:
-    """The chooser of a run's next settings; it uses the record alone, so a resumed run chooses the same."""
+    """The chooser of a run's next settings.
+
+    It depends on the run's record alone, so that a resumed run makes the same choices.
+    """
 
     def __init__(self, run: Run, bench: BenchFile) -> None:
         self._run = run
@@ -321,15 +325,16 @@ def noted_goals(manifest: Manifest, plan: Plan, bench: BenchFile, texts: Sequenc
 def outlook_until(
     plan: Plan, bench: BenchFile, texts: Sequence[str], learned: LearnedTaken = NOTHING_LEARNED
 ) -> TimeOutlook:
-    """Return the expected duration of a run with these goals, at the noise that the bench file states or that was
-    learned.
+    """Return the expected duration of a run with these goals.
+
+    It is computed with the learned noise, else with the noise that the bench file states.
     """
     found = time_outlook(chooser_of(plan, bench, texts, learned))
     return replace(found, learned=learned.known is not None and learned.known.noise is not None)
 
 
 def look_ahead(request: Check) -> Findings:
-    """Return the findings of `bench check`: the plan of a procedure on a bench, and its outlook.
+    """Return the findings of `bench check`: the plan of a procedure on a bench, and its expected outcome.
 
     Raises `Refused` with the mistakes of both files, and for goals that cannot be reached.
     """
@@ -363,7 +368,7 @@ def _load(procedure: str, bench_name: str | Path | BenchFile | None) -> tuple[Pl
 
 
 def findings_of(plan: Plan, bench: BenchFile, runs: Path) -> Findings:
-    """Return the findings of `bench check` on a plan; `runs` is the folder whose free space counts."""
+    """Return the findings of `bench check` on a plan; `runs` is the folder whose free space is checked."""
     supply = bench.unit_under_test.supply
     needed, free = disk_needed_bytes(plan), _free_bytes(runs)
     problems = check(plan, bench)
@@ -412,7 +417,7 @@ def _hints(bench: BenchFile) -> Iterator[str]:
 
 
 def _outlook(plan: Plan, bench: BenchFile) -> Outlook | None:
-    """Return the outlook on what the plan leaves undetermined, with remedies; None for an unknown installation."""
+    """Return what the readings of a plan leave undetermined, with remedies; None for an unknown installation."""
     settings = settings_of(plan)
     installations = bench.installation_models()
     if not {s.mount.installation for s in settings} <= set(installations):

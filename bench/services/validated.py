@@ -50,7 +50,10 @@ def own_files() -> dict[str, str]:
 
 
 def packages() -> Iterator[metadata.Distribution]:
-    """Yield the installed distributions on which the program depends, itself first; extras as far as installed."""
+    """Yield the installed distributions on which the program depends, beginning with the program's own.
+
+    Optional dependencies are included if they are installed.
+    """
     waiting, seen = [DISTRIBUTION], set()
     while waiting:
         name = re.sub(r"[-_.]+", "-", waiting.pop(0)).lower()
@@ -65,7 +68,10 @@ def packages() -> Iterator[metadata.Distribution]:
 
 
 def _needed(one: metadata.Distribution, *, of_program: bool) -> list[str]:
-    """Return the requirements of a distribution: for the program with the extras for use, for others without."""
+    """Return the requirements of a distribution.
+
+    For the program they include its extras needed in use; for other distributions, no extras.
+    """
     ours = re.compile(r"extra == ['\"](?:test|browser|docs|mutation|release|dev)['\"]")
     other = ours if of_program else re.compile(r"extra\s*==")
     return [text for text in one.requires or () if not other.search(text)]
@@ -93,7 +99,7 @@ def fingerprint() -> ProgramFingerprint:
 
 @dataclass
 class Validations(Chain):
-    """The register of validations: `entries` in their order, `withdrawn` the numbers of those no longer valid."""
+    """The register of validations: `entries` in order, and the numbers of the entries `withdrawn`."""
 
     FIRST: ClassVar[str] = first_head("triaxial-bench validations 1\n")
 
@@ -135,7 +141,7 @@ def register_beside(laboratory: Path) -> Path:
 
 
 def read_validations(laboratory: Path) -> Validations:
-    """Return the register of a laboratory, read without changing anything. Raises `Refused` if it is damaged."""
+    """Return the register of a laboratory, read without changing any file. Raises `Refused` if it is damaged."""
     register = Validations(register_beside(laboratory))
     register.read_lines()
     return register
@@ -145,15 +151,15 @@ def read_validations(laboratory: Path) -> Validations:
 
 
 def laboratory_known(given: Path | None) -> Path | None:
-    """Return the laboratory file: the given file, else the one that BENCH_LABORATORY names; None if neither
-    is set.
-    """
+    """Return the laboratory file: `given`, else that in BENCH_LABORATORY; None if neither is set."""
     named = os.environ.get(LABORATORY)
     return given or (Path(named) if named else None)
 
 
 def laboratory_needed(given: Path | None, why: str) -> Path:
-    """Return the laboratory file as `laboratory_known` does. Raises `Refused`, with the reason, without one."""
+    """Return the laboratory file as `laboratory_known` does. Raises `Refused` with the reason `why` if there is
+    none.
+    """
     laboratory = laboratory_known(given)
     if laboratory is None:
         raise Refused(f"say --laboratory FILE: {why}")
@@ -169,9 +175,7 @@ def demanded_by(laboratory: Path | None) -> bool:
 
 
 def refuse_unvalidated_run(bench: BenchFile, path: Path, laboratory: Path | None = None) -> None:
-    """Raise `Refused` for a real run by a program that is not validated, if the bench or laboratory file requires
-    validation.
-    """
+    """Raise `Refused` for a real run by a program that is not validated, if bench or laboratory file require it."""
     laboratory = laboratory_known(laboratory)
     if bench.require_validation or demanded_by(laboratory):
         by = path if bench.require_validation else laboratory
@@ -179,9 +183,7 @@ def refuse_unvalidated_run(bench: BenchFile, path: Path, laboratory: Path | None
 
 
 def refuse_unvalidated_certificate(laboratory: Path) -> None:
-    """Raise `Refused` for a certificate made by a program that is not validated, if the laboratory requires
-    validation.
-    """
+    """Raise `Refused` for a certificate by a program that is not validated, if the laboratory file requires it."""
     if demanded_by(laboratory):
         _refuse(laboratory, str(laboratory), None)
 

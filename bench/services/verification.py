@@ -106,7 +106,9 @@ class Judgement:
     population: Population | None
 
     def but(self, asked: VerdictOptions) -> Judgement:
-        """Return the judgement with the options `asked` applied; naming another rule discards the guard band."""
+        """Return the basis of a verdict with the options `asked` applied; naming another rule discards the guard
+        band.
+        """
         rule = self.rule
         if asked.guard_band is not None:
             rule = DecisionRule.of(asked.rule or rule.name, asked.guard_band)
@@ -123,7 +125,7 @@ class Judgement:
 def judgement_of(
     bench: BenchFile, *asked: VerdictOptions, default: DecisionRule = NOBODY_STATED_ONE
 ) -> Judgement:
-    """Return the basis of a verdict: the values of the bench file, replaced by the options of the request.
+    """Return the basis of a verdict: the values of the bench file, or the options `asked` that replace them.
 
     Later options override earlier ones. `default` is the rule if none is named. Raises `Refused` for invalid
     options, and `CalibrationError` for a guard band with a rule that has none.
@@ -141,7 +143,7 @@ def judgement_of(
 
 
 def own_judgement(source: Source, *asked: VerdictOptions, agreed: DecisionRule | None = None) -> Judgement:
-    """Return the basis of the verdict on a source: the options `asked`, else the options of its run, else the bench
+    """Return the basis of the verdict on a source: the options `asked`, else those of its run, else of its bench
     file.
 
     `agreed` is the decision rule if none of these names a rule.
@@ -175,7 +177,7 @@ class VerificationResult:
 
     @property
     def accepted(self) -> bool:
-        """Whether the verification passed, with coefficients whose own fit, if it is known, is accepted."""
+        """Whether the verification passed, and the coefficients fit the readings they come from (if known)."""
         return self.passed and (self.fit is None or self.fit.accepted())
 
     @property
@@ -209,7 +211,7 @@ class VerificationResult:
 
     @property
     def _against(self) -> tuple[str, ...]:
-        """Sentences on a lack of fit of coefficients that were estimated from the same readings."""
+        """Sentences on the lack of fit of coefficients, if they were estimated from the same readings."""
         return () if self.fit is None else self.fit.diagnose(self.source.name)
 
     @property
@@ -291,10 +293,10 @@ def judged(
 
 
 def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[str, ...]]:
-    """Return the covariance of |a| at the points with coefficients of an earlier calibration, and a sentence on it.
+    """Return the covariance of |a| at the points, for coefficients of an earlier calibration, and a sentence on it.
 
-    Errors of meters used on both occasions cancel on the same day. They cancel the less, the longer the meters
-    may have drifted in between.
+    Errors of meters used on both occasions cancel on the same day. As the time between them grows, less of these
+    errors cancels, because the meters drift.
     """
     known = taken.covariance if taken.same_meters is None else taken.same_meters
     part = drifted((taken.meters, _when(taken.made_at)), (source.meters, _when(source.made_at)))

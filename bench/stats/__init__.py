@@ -23,7 +23,10 @@ def holm(p: Floats) -> Floats:
 
 
 def contrasts_within(group: Ints) -> Floats:
-    """Return an orthonormal basis (n, k) of the differences within groups, for group numbers (n,)."""
+    """Return an orthonormal basis (n, k) of the contrasts within groups, for group numbers (n,).
+
+    A contrast is a weighted sum of n values whose weights sum to zero in each group.
+    """
     left = np.eye(len(group))
     for number in np.unique(group):
         own = (group == number).astype(np.float64)
@@ -33,7 +36,7 @@ def contrasts_within(group: Ints) -> Floats:
 
 
 def chi_square(difference: Floats, covariance: Floats) -> float:
-    """Return the chi-square of a difference (m,), computed from correlations to be independent of units."""
+    """Return the chi-square of a difference (m,), computed from correlations so that units do not matter."""
     u = u_of(covariance)
     scaled = difference / u
     return float(scaled @ np.linalg.solve(covariance / np.outer(u, u), scaled))

@@ -55,10 +55,10 @@ def allan_curve(
 ) -> AllanCurve:
     """Return the overlapping Allan deviation of samples (n,), one every `interval_s`.
 
-    The averages are over 1, 2, 4, … samples up to a quarter of the record, or over those `multiples` of which the
-    record has two differences. With `gaps`, samples may be NaN, and
-    an average needs half of its samples. Raises `CalibrationError` if the record is too short, the signal never
-    changes, or a sample is not a number.
+    The averages are over 1, 2, 4, … samples up to a quarter of the record, or over those of `multiples` for which
+    the record has at least two differences. With `gaps`, samples may be NaN, and an average needs half of its
+    samples. Raises `CalibrationError` if the record is too short, the signal never changes, or a sample is not a
+    number.
     """
     known = np.isfinite(signal)
     if not (gaps or np.all(known)):
@@ -88,7 +88,7 @@ def allan_curve(
 
 
 def _of_known(sums: Floats, counts: Ints, m: int) -> float:
-    """Return the deviation at m samples from running sums and counts (n + 1,) of the samples that are there."""
+    """Return the deviation at averages of m samples, from running sums and counts (n + 1,) of the valid samples."""
     count = counts[m:] - counts[:-m]
     mean = (sums[m:] - sums[:-m]) / np.maximum(count, 1)
     enough = 2 * count >= m
@@ -97,7 +97,10 @@ def _of_known(sums: Floats, counts: Ints, m: int) -> float:
 
 
 def _deviation(sums: Floats, m: int) -> float:
-    """Return the overlapping Allan deviation at m samples from running sums (n + 1,): SP 1065, eq. 11."""
+    """Return the overlapping Allan deviation at averages of m samples, from running sums (n + 1,).
+
+    Source: NIST SP 1065, eq. 11.
+    """
     second = sums[2 * m :] - 2.0 * sums[m:-m] + sums[: -2 * m]
     return float(np.sqrt(np.mean(second**2) / 2.0) / m)
 
@@ -117,7 +120,7 @@ def _freedom(alpha: int, m: int, samples: int) -> float:
 
 
 def _summed(alpha: int, lags: int, windows: int, stride: float, width: float) -> float:
-    """Return the degrees of freedom from window correlations at 0 … `lags` strides (Greenhall, Riley, eq. 10)."""
+    """Return the degrees of freedom from covariances at 0 … `lags` strides (Greenhall and Riley, eq. 10)."""
     j = np.arange(lags + 1)
     alike = _covariance(j / stride, alpha, width)
     weight = 2.0 * (1.0 - j / windows)
@@ -152,7 +155,8 @@ class NoiseTerm:
     """A noise term: its symbol, name, unit relative to the signal's, and contribution to sigma^2.
 
     A term of size x contributes `factor` x^2 tau^`power`. `alpha` is the power of frequency in its spectrum.
-    `alike` is the correlation of the Allan variances at tau and 2 tau where this term prevails (from simulation).
+    `alike` is the correlation, from simulations, of the Allan variances at tau and 2 tau where this term
+    prevails.
     """
 
     symbol: str
@@ -265,7 +269,7 @@ def fit_terms(curve: AllanCurve) -> NoiseTerms:
 
 
 def _columns(tau_s: Floats) -> Floats:
-    """Return the Allan variance per unit square of each term at averaging times (…), shape (…, 5)."""
+    """Return the Allan variance of each noise term of size 1 at averaging times (…), shape (…, 5)."""
     powers = np.array([float(term.power) for term in TERMS])
     factors = np.array([term.factor for term in TERMS])
     return np.asarray(factors * tau_s[..., None] ** powers, dtype=np.float64)
@@ -283,7 +287,10 @@ def _unit_columns(columns: Floats) -> tuple[Floats, Floats]:
 
 
 def _spread(predicted: Floats, freedom: Floats, kind: Ints) -> Floats:
-    """Return the covariance (k, k) of the measured variances: 2 sigma^4/edf each, neighbours correlated."""
+    """Return the covariance (k, k) of the measured Allan variances.
+
+    Each has the variance 2 sigma^4/edf; those at neighbouring averaging times are correlated.
+    """
     alike = np.array([TERMS[k].alike for k in kind])
     steps = np.concatenate([[0.0], np.cumsum(np.log(np.sqrt(alike[1:] * alike[:-1])))])
     correlation = np.exp(-np.abs(steps[:, None] - steps[None, :]))

@@ -30,7 +30,10 @@ LEAST_SMOOTHING: Final = 0.03
 
 
 def shewhart_arl(k: float, shift: float = 0.0) -> float:
-    """Return the ARL of a two-sided Shewhart chart with limits at k, after a shift, both in standard deviations."""
+    """Return the ARL of a two-sided Shewhart chart with limits ±`k`, after a shift by `shift`.
+
+    Both are in standard deviations.
+    """
     return float(1.0 / (special.ndtr(shift - k) + special.ndtr(-shift - k)))
 
 
@@ -107,12 +110,12 @@ BASES: Final = ("stated", "scaled", "scatter")
 
 @dataclass(frozen=True)
 class Centre:
-    """The centre of a chart from a baseline of m runs, and the size of u.
+    """The centre of a chart from a baseline of m runs, and the factor on the stated u for its limits.
 
     `value` (…, p) of p coefficients has the `covariance` (p, p). `scale` (…,) is the factor on the stated
     covariance: 1 if the stated u is used, else the squared Birge ratio. `scatter` (…, p, p) is the sample
-    covariance if the limits rest on it alone, else None. `dof` are the degrees of freedom of `scale` or `scatter`,
-    infinite if the stated u is used. Leading axes are separate charts.
+    covariance if the limits rest on it alone, else None. `dof` are the degrees of freedom of `scale` or
+    `scatter`, infinite if the stated u is used. Leading axes are separate charts.
     """
 
     value: Floats
@@ -144,7 +147,7 @@ class Centre:
         return np.asarray(special.fdtrc(p, left, t2 * left / (p * self.dof)))
 
     def single_limit(self, probability: float) -> float:
-        """Return the deviation, in u of one coefficient, with this two-sided probability."""
+        """Return the deviation, in u of one coefficient, that chance exceeds in either sign with `probability`."""
         if np.isinf(self.dof):
             return float(-special.ndtri(0.5 * probability))
         return float(-special.stdtrit(self.dof, 0.5 * probability))
@@ -184,7 +187,7 @@ def least_runs(basis: Basis, dimensions: int) -> int:
 
 
 def centre_of(values: Floats, covariances: Floats, basis: Basis) -> Centre:
-    """Return the centre and the size of u from runs (…, m, p) with covariances (m, p, p).
+    """Return the centre of a chart from baseline runs (…, m, p) with stated covariances (m, p, p).
 
     Raises `CalibrationError` if the basis needs more runs.
     """
@@ -254,8 +257,9 @@ def judge(
 
 
 def without_one(values: Floats, covariances: Floats, basis: Basis) -> Floats | None:
-    """Return the p-value (m,) of each run of a baseline (m, p) against the others; None if the others are too
-    few.
+    """Return the p-value (m,) of each run of a baseline (m, p) against the others.
+
+    None if the other runs are too few.
     """
     runs, p = values.shape
     if runs - 1 < least_runs(basis, p) or runs < 2:
@@ -303,17 +307,21 @@ class ChartDesign:
         return 1.0 / self.each_arl
 
     def alpha_ewma(self, dimensions: int) -> float:
-        """Return the chi-square tail probability at the limit of the EWMA's T² for which the average run length is
-        `each_arl`.
+        """Return the chi-square tail probability at the limit of the EWMA's T².
+
+        The limit is that for which the average run length is `each_arl`.
         """
         return float(special.chdtrc(dimensions, mewma_limit(self.smoothing, self.each_arl, dimensions)))
 
     def alpha_single(self, dimensions: int) -> float:
-        """Return the alarm probability of one of `dimensions` coefficients that share the rate of T²."""
+        """Return the alarm probability of a single coefficient.
+
+        It is such that `dimensions` coefficients together have the alarm probability of T².
+        """
         return self.alpha / dimensions
 
     def alpha_single_ewma(self, dimensions: int) -> float:
-        """Return the two-sided probability at the EWMA limit of one of `dimensions` coefficients."""
+        """Return the two-sided tail probability at the EWMA limit of a single coefficient out of `dimensions`."""
         k = ewma_k(self.smoothing, self.each_arl * dimensions)
         return float(2.0 * special.ndtr(-k))
 
@@ -324,9 +332,9 @@ ALIKE_P = 0.01
 
 @dataclass(frozen=True)
 class ShortTerm:
-    """Short-term standard deviations `s` with `dof` (n,), against the baseline's `pooled` with `pooled_dof`.
+    """Short-term standard deviations `s` (n,) with `dof`, and the baseline's `pooled` one with `pooled_dof`.
 
-    `f` is the squared ratio of both, `p` its p-value (one-sided F test).
+    `f` is the square of `s` over `pooled`, `p` its p-value (one-sided F test).
     """
 
     s: Floats
@@ -363,10 +371,10 @@ class Components:
 
     `noise` is the part from reading noise (level 1). `stated` is the u of one run from all errors that differ
     between runs, `scatter` the standard deviation between runs, with `runs` - 1 degrees of freedom. `f` is the
-    squared ratio of scatter to stated, `p` its one-sided p-value. `between` is the scatter beyond stated u,
-    `between_most` its upper limit (95 %). `birge2` is the same ratio for all coefficients together, with
-    `birge_dof` and two-sided p-value `birge_p`. `alike_p` is the p-value of the hypothesis that one factor on the
-    stated u suits all directions.
+    squared ratio of `scatter` to `stated`, `p` its one-sided p-value. `between` is the standard deviation between
+    runs beyond `stated`, `between_most` its upper limit (95 %). `birge2` is the squared ratio for all
+    coefficients together, with `birge_dof` and two-sided p-value `birge_p`. `alike_p` is the p-value of the
+    hypothesis that one factor on the stated u suits all directions.
     """
 
     runs: int
@@ -439,7 +447,7 @@ def drift_of(
 ) -> DriftSeen:
     """Return straight lines through coefficients (n, p) at times (n,); each value has u (p,) with `dof`.
 
-    `u_known` is the standard uncertainty of the drift in a year that has been subtracted from the values.
+    `u_known` is the standard uncertainty, per year, of a known drift that the values no longer contain.
     """
     centred = years - years.mean()
     spread = float(centred @ centred)

@@ -51,8 +51,9 @@ class Crossing:
 
     @cached_property
     def cells(self) -> tuple[Ints, Ints, Ints]:
-        """The cells (pairs of unit and bench): the cell of each value (n,), then the unit and the bench of each of
-        the m cells (m,).
+        """The cells, that is, the pairs of a unit and a bench that have values.
+
+        Returns the cell of each value (n,), then the unit and the bench of each of the m cells (m,).
         """
         keys, cell = np.unique(self.unit * self.benches + self.bench, return_inverse=True)
         return cell, keys // self.benches, keys % self.benches
@@ -103,7 +104,7 @@ class Crossing:
         return len(self.unit) - self.units
 
     def alone(self) -> Ints:
-        """Return the benches (k,) that share no unit with any other."""
+        """Return the benches (k,) that share no unit with any other bench."""
         size = np.bincount(self.component)
         return np.flatnonzero(size[self.component] == 1)
 
@@ -113,8 +114,9 @@ class MixedModelEquations:
     """The solved mixed model equations for groups and benches at given `sizes`, with the units eliminated.
 
     `w` (n,) are weights, `W` (U,) their sums over units, `s` (U,) the terms subtracted by eliminating a unit.
-    `lower` (T + B, T + B) is the Cholesky factor, with the columns of benches times their size. `solution` (T + B,)
-    are the unknowns in these columns; `likelihood` is the restricted log likelihood, up to a constant.
+    `lower` (T + B, T + B) is the Cholesky factor of the equations for T groups and B benches; each bench's column
+    is multiplied by the size of benches. `solution` (T + B,) are the means of groups, then the bench effects
+    divided by their size. `likelihood` is the restricted log likelihood, up to a constant.
     """
 
     crossing: Crossing
@@ -139,7 +141,7 @@ class MixedModelEquations:
         return np.asarray(self.sizes[BENCH] ** 2 * own)
 
     def unit(self, y: Floats) -> tuple[Floats, Floats]:
-        """Return predicted effects of units (U,) and the variance of each prediction about zero."""
+        """Return the predicted effects of units (U,) and the variance of the predictions, not of their errors."""
         fixed = self.solution[self.crossing.groups :] * self.sizes[BENCH]
         left = y - self.solution[self.crossing.group[self.crossing.unit]] - fixed[self.crossing.bench]
         sums = np.bincount(self.crossing.unit, self.w * left, self.crossing.units)
@@ -149,7 +151,7 @@ class MixedModelEquations:
         return part * sums, variance - part
 
     def project(self, x: Floats) -> Floats:
-        """Return P x (n, k) for x (n, k): V^-1 x without its part along the means of groups."""
+        """Return P x (n, k) for x (n, k): V^-1 x after removal of the part that the means of groups explain."""
         own = self._without_units(x)
         crossing = self.crossing
         right = np.stack([_sums(crossing, column, self.sizes[BENCH]) for column in own.T], axis=1)
@@ -189,7 +191,7 @@ def _sums(crossing: Crossing, weighed: Floats, size: float) -> Floats:
 def solve(crossing: Crossing, y: Floats, variance: Floats, sizes: Floats) -> MixedModelEquations:
     """Solve the equations for values `y` (n,) with stated `variance` (n,) and sizes (3,), 1 sigma.
 
-    An infinite size of units makes the units fixed effects: then only differences within units count.
+    If the size of units is infinite, the units are fixed effects, and only differences within units count.
     """
     w = 1.0 / (variance + sizes[EXCESS] ** 2)
     W = np.bincount(crossing.unit, w, crossing.units).astype(np.float64)
@@ -230,10 +232,10 @@ def solve(crossing: Crossing, y: Floats, variance: Floats, sizes: Floats) -> Mix
 
 @dataclass(frozen=True)
 class Crossed:
-    """The estimated sizes for one coefficient; `at` has the equations at these sizes.
+    """The estimated sizes of units, benches and excess for one coefficient.
 
-    `y` (n,) are the values less `centre`, `variance` (n,) their stated variances; `variance_covariance` (3, 3) is
-    the covariance of the squared sizes.
+    `at` are the equations solved at these sizes. `y` (n,) are the values less `centre`, `variance` (n,) their
+    stated variances; `variance_covariance` (3, 3) is the covariance of the estimated squared sizes.
     """
 
     at: MixedModelEquations
@@ -337,7 +339,7 @@ def most(found: Crossed, which: int) -> float:
 
 
 def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
-    """Return scales (3,) of the sizes: the spread of unit means, and the scatter within units for the others."""
+    """Return rough sizes (3,): the spread of unit means, and for benches and excess the scatter within units."""
     count = np.bincount(crossing.unit, minlength=crossing.units)
     mean = np.bincount(crossing.unit, y, crossing.units) / count
     kind = crossing.group

@@ -54,7 +54,11 @@ class ComponentColumns:
 
 @dataclass(frozen=True)
 class Mixed:
-    """A mixed model: data `y` (N,), fixed effects `X` (N, p), components `Z` (N, q_k), `known` V (N, N)."""
+    """A mixed model: data `y` (N,), fixed effects `X` (N, p), random effects with the columns `Z` (N, q_k).
+
+    There is one array in `Z` for each variance component. `known` (N, N) is a covariance of the data that is not
+    estimated.
+    """
 
     y: Floats
     X: Floats
@@ -128,10 +132,11 @@ def scoring_step(
     ridge: float,
     most_change: float = MOST_CHANGE,
 ) -> Floats:
-    """Return variances (…, k) after one more scoring step, in relative steps, none below `least`.
+    """Return variances (…, k) after one more scoring step for their logarithms, none below `least`.
 
-    The diagonal of the information (…, k, k) is raised by a fraction `damping` of itself and `ridge` of the trace.
-    No variance changes by more than a factor of `most_change`; one at `least` stays there if the score is negative.
+    The diagonal of the information (…, k, k) is raised by a fraction `damping` of itself and `ridge` of the
+    trace. No variance changes by more than a factor of `most_change`; one at `least` stays there if the score is
+    negative.
     """
     slope = score * theta
     free = (theta > least) | (slope > 0)
@@ -184,13 +189,13 @@ class ComponentsAsked:
 def asked_for(at: Projection, Z: ComponentColumns, inside: int, dof: float) -> ComponentsAsked:
     """Return the tests of the components after the first `inside`.
 
-    The variances of the first `inside` components are being estimated. Their part is subtracted from score and
-    information, because their estimates come from the repeats alone and do not maximise the likelihood (the
-    C(alpha) test: J. Neyman, in Probability and Statistics: The Harald Cramer Volume (1959) 213). A quadratic form
-    divided by its mean is treated as chi-square divided by its degrees of freedom, which match its mean and
-    variance (Satterthwaite, Biometrics Bull. 2 (1946) 110). It is tested as F, with at most `dof` denominator
-    degrees of freedom, because the inside sizes are estimates. With few degrees of freedom of either kind, as for a
-    drift or few repeats, large values are not rare.
+    The variances of the first `inside` components are estimates from the repeats alone, which do not maximise the
+    likelihood. Score and information are therefore corrected for them (the C(alpha) test: J. Neyman, in
+    Probability and Statistics: The Harald Cramer Volume (1959) 213). A quadratic form divided by its mean is
+    treated as chi-square divided by its degrees of freedom, which match its mean and variance (Satterthwaite,
+    Biometrics Bull. 2 (1946) 110). It is tested as F, with at most `dof` denominator degrees of freedom, because
+    those variances are estimates. If the chi-square or the denominator has few degrees of freedom, as for a drift
+    or few repeats, large values are not rare.
     """
     scores, traces, whole = at.moments(Z)
     scale = np.sqrt(np.diag(whole)[:inside])
@@ -229,10 +234,10 @@ LIMIT_AT_REST: Final = 0.01
 
 @dataclass(frozen=True)
 class Profile:
-    """A profile of the restricted likelihood along one size, 1 sigma; the other variances follow linearly.
+    """The profile of the restricted likelihood along one size, 1 sigma; other variances follow it linearly.
 
-    The linear relation is exact near the maximum, which is at `variances` (k,). `follow` (k,) is the change of each
-    variance per change of the variance of size `which`; `scale` is a start value.
+    The linear relation is exact near the maximum, which is at `variances` (k,). `follow` (k,) is the change of
+    each variance per change of the variance of size `which`; `scale` is a start value.
     """
 
     likelihood: Callable[[Floats], float]
@@ -279,7 +284,7 @@ class Profile:
     def mean(self) -> float:
         """Return the root mean square of the size, weighted by the likelihood.
 
-        `middle` if the likelihood does not fall towards infinity.
+        It is `middle` if the likelihood does not fall towards infinity.
         """
         end = self.beyond(GONE)
         if not np.isfinite(end):

@@ -1,8 +1,9 @@
-"""Repeats of quantities against their stated uncertainty: how far they scatter, and the term that makes u honest.
+"""Repeats of quantities against their stated uncertainty: how far they scatter, and how u must be widened.
 
-A term widens u: `restart`, a value of its own in each repeat; `drift`, a random walk from one repeat to the next;
-`scale`, u too small by one factor everywhere (Birge ratio), as where each repeat drifts within itself. The term is
-the one that predicts a repeat left out best from the others.
+Three terms can widen u. `restart` is an error that is drawn again for each repeat; `drift` is a random walk from
+one repeat to the next; `scale` multiplies u by one factor everywhere (Birge ratio), as if each repeat drifted
+within itself. The term chosen is the one with which a repeat left out is best predicted from the remaining
+repeats.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from scipy import optimize, special
 from bench.base.arrays import Floats
 
 TOO_SMALL: Final = 1.5
-"""u is said to be too small where repeats left out scatter more than this many times as much."""
+"""u counts as too small if repeats left out scatter by more than this multiple of it."""
 LEAST: Final = 3
 """Fewest repeats of which each can be left out in turn."""
 LEVEL: Final = 0.95
@@ -26,13 +27,16 @@ COARSE: Final = 1e5
 """Sizes of a term that are tried, in median stated uncertainties."""
 
 PLAIN: Final = 3.0
-"""By so much, in ln p, another term must predict better than `restart`, the plainest."""
+"""Another term replaces `restart`, the plainest, only if its ln p is larger by more than this."""
 
 TermName = Literal["restart", "drift", "scale"]
 
 
 class Ratio(NamedTuple):
-    """Scatter of repeats left out over the u of their prediction, with a 95 % interval, repeats as its units."""
+    """The scatter of repeats about their predictions from the others, divided by the u of the prediction.
+
+    `low` and `high` are the ends of a 95 % interval that treats the repeats, not single values, as independent.
+    """
 
     value: float
     low: float
@@ -41,7 +45,10 @@ class Ratio(NamedTuple):
 
 @dataclass(frozen=True)
 class Term:
-    """A term of each kind of quantity: `size` (c,), a factor for `scale`; `u` (g, r, c) is the widened one."""
+    """A term that widens u, for each of c kinds of quantity.
+
+    `size` (c,) is its standard deviation, for `scale` the factor on u. `u` (g, r, c) is the widened uncertainty.
+    """
 
     name: TermName
     size: Floats
@@ -50,9 +57,11 @@ class Term:
 
 @dataclass(frozen=True)
 class Repeats:
-    """Repeats against u: `scatter` over u about the means, and held out, with u as stated and with the term.
+    """How values scatter between repeats, compared with their u.
 
-    `held_before` and `held_after` are None for fewer than three repeats, `term` where u is honest.
+    `scatter` is about the means of all repeats. `held_before` and `held_after` are for repeats left out, with u
+    as stated and with the term; None for fewer than three repeats. `term` widens u; it is None if u is large
+    enough.
     """
 
     scatter: float
@@ -68,9 +77,9 @@ class Repeats:
 
 
 def compare_repeats(value: Floats, u: Floats) -> Repeats:
-    """Return values (g, r, c) of g groups in r repeats compared with their u; NaN where a repeat is missing.
+    """Compare values (g, r, c) of g groups in r repeats with their stated u; NaN where a repeat is missing.
 
-    Each group has its own mean, each of the c kinds of quantity its own size of a term.
+    Each group has a mean of its own, and each of the c kinds of quantity a term of its own size.
     """
     many = np.maximum(np.sum(np.isfinite(value), axis=1, keepdims=True), 1)
     off = value - np.nansum(value, axis=1, keepdims=True) / many
@@ -90,7 +99,10 @@ def compare_repeats(value: Floats, u: Floats) -> Repeats:
 
 
 def _ratio(squares: Floats) -> Ratio:
-    """Return the pooled ratio of squared errors (g, r, c) over their variance; repeats may move together."""
+    """Return the pooled ratio for squared errors over their variances (g, r, c).
+
+    The interval allows for errors that all values of one repeat share.
+    """
     each = np.nanmean(squares, axis=(0, 2))
     each = each[np.isfinite(each)]
     mean, variance = float(each.mean()), float(each.var(ddof=1)) / len(each)
@@ -108,12 +120,12 @@ def _term(value: Floats, u: Floats, name: TermName) -> Term:
 
 
 def _widening(freedom: float) -> float:
-    """Return the factor by which an estimated standard deviation grows so that 2 of it cover 95 %."""
+    """Return the factor on an estimated standard deviation with which two of it cover 95 %."""
     return float(special.stdtrit(freedom, 0.5 + LEVEL / 2.0)) / NORMAL
 
 
 def _kernel(u: Floats, name: TermName | None) -> Floats:
-    """Return the covariances (g, r, r) of a term of size 1; that of a missing repeat is 0."""
+    """Return the covariances (g, r, r) that a term of size 1 adds; zero for a missing repeat."""
     groups, repeats = u.shape
     there = np.isfinite(u)
     match name:
@@ -128,14 +140,17 @@ def _kernel(u: Floats, name: TermName | None) -> Floats:
 
 
 def _known(value: Floats, u: Floats) -> tuple[Floats, Floats]:
-    """Return values and stated covariances (g, r, r), in which a missing repeat weighs nothing."""
+    """Return values (g, r) and stated covariances (g, r, r).
+
+    A missing repeat gets so large a u that it has no weight.
+    """
     there = np.isfinite(value)
     wide = np.where(there, u, 1e6 * np.nanmax(u))
     return np.where(there, value, 0.0), np.asarray((wide**2)[:, :, None] * np.eye(value.shape[1]))
 
 
 def _size(value: Floats, u: Floats, name: TermName) -> float:
-    """Return the size of a term by restricted likelihood, from values (g, r)."""
+    """Return the size of a term that maximises the restricted likelihood of values (g, r)."""
     known, stated = _known(value, u)
     kernel = _kernel(u, name)
 
@@ -154,7 +169,10 @@ def _size(value: Floats, u: Floats, name: TermName) -> float:
 
 
 def _held_out(value: Floats, u: Floats, name: TermName | None) -> tuple[Floats, float]:
-    """Return the squared errors (g, r, c) of repeats predicted from the others over their variance, and ln p."""
+    """Predict each repeat from the others; return the squared errors over their variances, and ln p.
+
+    The squared errors are (g, r, c), NaN without a prediction. p is the joint probability density of the repeats.
+    """
     squares, log_p = np.full(value.shape, np.nan), 0.0
     repeats = value.shape[1]
     wider = _widening(repeats - 2) ** 2

@@ -110,8 +110,8 @@ def believed_sizes(
 ) -> Sizes:
     """Return the noise of many runs, with a size for each channel if the channels differ.
 
-    The channels have one size with `one_size`, or if only the last digit of the replies varies. The other arguments
-    are those of `sizes_of`.
+    The channels have one size with `one_size`, or if only the last digit of the replies varies. See `sizes_of`
+    for the other arguments.
     """
     common = sizes_of(scatter, freedom, slope, floor, COMMON)
     variances, count = common.copy(), len(common)
@@ -140,8 +140,8 @@ def believed_sizes(
 def equality(scatter: Floats, freedom: Ints | Floats, slope: Floats, common: Floats) -> Floats:
     """Return the p-value (runs,) of channels of one size, by Rao's score test.
 
-    The test is at the sizes `common` (runs, 4) that maximise the likelihood with one size. The setting takes no
-    part if it is at its lower bound.
+    The test is at the sizes `common` (runs, 4) that maximise the likelihood with one size. The setting's variance
+    is left out of the test if it is at its lower bound.
     """
     score, information = _score_and_information(scatter, freedom.astype(np.float64), slope, common)
     score, information = score * common, information * common[:, :, None] * common[:, None, :]
@@ -157,7 +157,7 @@ def equality(scatter: Floats, freedom: Ints | Floats, slope: Floats, common: Flo
 def freedom_of(freedom: Ints | Floats, slope: Floats, variances: Floats, prior_dof: float = 0.0) -> Floats:
     """Return the degrees of freedom of the variances (runs, 4) of x, y, z and the setting, shape (runs, 4).
 
-    They are 2 v^2/var(v), with var(v) from the information on all four, so the share of the setting error is not
+    They are 2 v^2/var(v), with var(v) from the information on all four: what the setting error uses up is not
     counted. Each channel has `prior_dof` in addition.
     """
     information = _information(_Inverse.of(variances, slope), freedom.astype(np.float64))
@@ -172,9 +172,10 @@ def freedom_of(freedom: Ints | Floats, slope: Floats, variances: Floats, prior_d
 
 @dataclass(frozen=True)
 class _Inverse:
-    """R^-1 of each group: diag(`own`) less `part` times w w^T, w = `by_own` = diag(own) d.
+    """The inverse of the covariance R of each group, R^-1 = diag(`own`) - `part` w w^T, where w = diag(`own`) d.
 
-    `own` (runs, 1, 3), `by_own` (runs, groups, 3), `part` (runs, groups); `by_slope` is R^-1 d, `along` d^T R^-1 d.
+    `own` (runs, 1, 3) are inverse variances; `by_own` is w (runs, groups, 3), and `part` is (runs, groups).
+    `by_slope` is R^-1 d, `along` is d^T R^-1 d.
     """
 
     own: Floats
@@ -192,13 +193,13 @@ class _Inverse:
         return cls(own, by_own, variances[:, 3:] * shrink, by_own * shrink[:, :, None], alone * shrink)
 
     def times(self, columns: Floats) -> Floats:
-        """Return R^-1 times columns (runs, groups, 3, q)."""
+        """Return R^-1 times `columns` (runs, groups, 3, q)."""
         across = self.by_own[:, :, None, :] @ columns * self.part[:, :, None, None]
         return np.asarray(self.own[..., None] * columns - self.by_own[..., None] * across)
 
     @property
     def diagonal(self) -> Floats:
-        """The diagonal (runs, groups, 3)."""
+        """The diagonal of R^-1, (runs, groups, 3)."""
         return np.asarray(self.own - self.part[:, :, None] * self.by_own**2)
 
 
@@ -239,7 +240,10 @@ def _mean_slope2(slope: Floats, weight: Floats) -> Floats:
 
 
 def _shown(variance: Floats, slope2: Floats) -> Floats:
-    """Return the variance of a setting that shows as `variance` in the signals; 1 where no slope shows it."""
+    """Return the setting variance, rad^2, that causes `variance` in signals of mean squared slope `slope2`.
+
+    It is 1 where the slope is zero.
+    """
     return np.where(slope2 > 0.0, variance / np.where(slope2 > 0.0, slope2, 1.0), 1.0)
 
 

@@ -22,7 +22,7 @@ STEADY: Final = (BENCH, SCATTER)
 SHOWN_P: Final = 0.05
 """P-value below which a drift of units is significant, and separated from the scatter."""
 LONGEST: Final = (128, 64, 32, 16)
-"""Choices for the most runs of a unit that are used, evenly spaced: the first one within `MOST_WORK`."""
+"""Candidates for the most runs used of a unit, evenly spaced: the first within `MOST_WORK` is taken."""
 MOST_WORK: Final = 5e7
 """Largest sum of the cubes of runs over all units: a likelihood then takes about a tenth of a second."""
 LEAST_PART: Final = 1e-6
@@ -33,9 +33,9 @@ LEAST_PART: Final = 1e-6
 class SameLength:
     """The m units with n runs each, which have r = n - 1 contrasts.
 
-    `rows` (m, n) are their rows in the table, in order of time; `contrast` (r, n) is the contrast matrix. Its
-    products are `time` (m, r), `walk` (m, r, r), the covariance of a random walk of size one, and `bench` (m, r,
-    B), the indicators of benches.
+    `rows` (m, n) are their rows in the table, in order of time; `contrast` (r, n) is the contrast matrix. `time`
+    (m, r) are the contrasts of the times, `walk` (m, r, r) is their covariance for a random walk of size one, and
+    `bench` (m, r, B) are the contrasts of the bench indicators.
     """
 
     rows: Ints
@@ -47,10 +47,10 @@ class SameLength:
 
 @dataclass(frozen=True)
 class Histories:
-    """The design of contrasts within units; `alike` groups the units by number of runs.
+    """The design of contrasts within units, in groups `alike` of units with equal numbers of runs.
 
-    `runs` (U,) are the numbers of runs of each unit, `benches` is the number of benches. At most `longest` runs of
-    a unit are used.
+    `runs` (U,) are the numbers of runs of each unit, `benches` is the number of benches. At most `longest` runs
+    of a unit are used.
     """
 
     alike: tuple[SameLength, ...]
@@ -116,7 +116,10 @@ class Within:
 
     @cached_property
     def _data(self) -> list[tuple[SameLength, Floats, Floats]]:
-        """For each length: contrasts of values, then of benches (m, r, 1 + B), and stated covariance (m, r, r)."""
+        """For each number of runs per unit: contrasts of values and of benches (m, r, 1 + B), and covariance.
+
+        The stated covariance of the contrasts has the shape (m, r, r).
+        """
         y = self.y - np.median(self.y)
         return [
             (
@@ -173,7 +176,7 @@ class Within:
         return likelihood, kept, G, h, X
 
     def fit(self, kept: Sequence[int], scatter: float = 0.0) -> HistoryLikelihood:
-        """Maximise the likelihood over the variances `kept`; the others are zero, the scatter is `scatter`."""
+        """Return the maximum of the likelihood over the variances `kept`; all others are zero, except `scatter`."""
         scale = self.scales
         places = list(kept)
 
@@ -200,7 +203,7 @@ class Within:
 
 
 def _over(a: Floats, b: Floats) -> Floats:
-    """Return the products of (m, r, i) and (m, r, j), summed over units and contrasts, shape (i, j)."""
+    """Return the sums over units and contrasts of the products of `a` (m, r, i) and `b` (m, r, j), (i, j)."""
     return np.asarray(a.reshape(-1, a.shape[2]).T @ b.reshape(-1, b.shape[2]))
 
 
@@ -252,15 +255,15 @@ class CalibrationSpread:
 
     @property
     def shown(self) -> bool:
-        """Whether units drift beyond chance."""
+        """Whether the drift of the units is significant."""
         return self.p < SHOWN_P
 
 
 def spread_of(within: Within, *, several: bool, drifts: bool = True) -> CalibrationSpread:
-    """Return scatter and benches (if there are `several`), separated from the drift of units.
+    """Return the scatter, and the spread of the benches if there are `several`, apart from the drift of units.
 
-    A rate or walk that is not significant counts as scatter. Without `drifts`, as for units with too few runs, any
-    drift counts as scatter.
+    A rate or walk that is not significant counts as scatter. Without `drifts`, as for units with too few runs,
+    any drift counts as scatter.
     """
     first = STEADY if several else (SCATTER,)
     steady = within.fit(first)
@@ -289,7 +292,7 @@ def _gained(more: HistoryLikelihood, fewer: HistoryLikelihood) -> float:
 
 
 def _least(within: Within, moving: HistoryLikelihood, first: Sequence[int], mean: float) -> float:
-    """Return the lower 95 % limit of the scatter, whatever part may be drift; 0 if no scatter is significant."""
+    """Return the lower 95 % limit of the scatter, at the drift that explains most of it; 0 if not significant."""
     others = [j for j in (*first, RATE, WALK) if j != SCATTER]
     end = float(np.sqrt(moving.variances[SCATTER]))
 

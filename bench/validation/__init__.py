@@ -1,1 +1,1 @@
-"""`bench validate`: checks that prove an installation, their register, and what a change changes in past runs."""
+"""`bench validate`: checks that prove an installation, their register, and how past runs change with a program."""

@@ -1,4 +1,4 @@
-"""A validation becomes one when a named, authorised person accepts it: the register's entries."""
+"""Acceptance of a validation by a named, authorised person, and withdrawal: entries of the register."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def _laboratory(request: Validate) -> Path:
 
 
 def _authority(request: Validate) -> tuple[Path, Person, str]:
-    """Return laboratory file, authorised person and reason. Raises `Refused` where one is missing."""
+    """Return laboratory file, authorised person and reason. Raises `Refused` if one is missing."""
     laboratory = _laboratory(request)
     lacking = [
         option
@@ -122,7 +122,7 @@ def _authority(request: Validate) -> tuple[Path, Person, str]:
 
 
 def _sealed(folder: Path) -> tuple[bytes, ValidationResult]:
-    """Return the result in a folder, as bytes and read. Raises `Refused` if it is not what was sealed."""
+    """Return the result in a folder, as bytes and read. Raises `Refused` if it differs from the sealed file."""
     try:
         with refusing("name the folder of a validation", folder / RESULT, verb="read"):
             content, seal = read_regular(folder / RESULT), read_seal(folder)

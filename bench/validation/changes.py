@@ -1,4 +1,4 @@
-"""Changes since the accepted validation, each named: a person may accept them with a reason."""
+"""Checks that name each change since the accepted validation; a person may accept changes with a reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A validation from request to files: checks carried out, page, PDF, result and seal written."""
+"""The conduct of a validation: checks are carried out, then page, PDF, result and seal are written."""
 
 from __future__ import annotations
 
@@ -126,7 +126,10 @@ def _take(folder: Path) -> None:
 
 
 def _accepted(laboratory: Path | None, bench: Path) -> tuple[str, dict[str, Any] | None]:
-    """Return number and result of the accepted validation to compare with: the bench file's, else the latest."""
+    """Return number and result of the accepted validation to compare with.
+
+    It is the one for the bench file or, without one, the latest.
+    """
     if laboratory is None:
         return "", None
     register = read_validations(laboratory)
@@ -138,7 +141,7 @@ def _accepted(laboratory: Path | None, bench: Path) -> tuple[str, dict[str, Any]
 
 
 def _of_past_runs(part: AgainstPart) -> ValidationCheck:
-    """Return the row of past runs; a changed result is a change that a person may accept."""
+    """Return the finding on past runs as a check; a changed result is a change that a person may accept."""
     runs = [one.run for one in part.changed]
     words = f"{len(runs)} of {part.compared} changed" + (
         f", {len(part.failed)} failed" if part.failed else ""
@@ -181,9 +184,7 @@ def _write(result: ValidationResult, folder: Path, began: datetime) -> tuple[lis
 
 
 def pdf_of(result: ValidationResult, moment: int) -> bytes:
-    """Return the PDF/A of a validation, with its result attached. Raises `ImportError` if typst is not
-    installed.
-    """
+    """Return the PDF/A of a validation, with its result attached. Raises `ImportError` if typst is missing."""
     from bench.certificate.page import typeset_pdf
 
     told = result.to_dict()
@@ -217,7 +218,7 @@ def pdf_of(result: ValidationResult, moment: int) -> bytes:
 
 
 def _shown(told: Any, *, plain: bool = False) -> Any:
-    """Return data with control characters in its texts made visible; if `plain`, all but ASCII."""
+    """Return data whose texts show control characters (with `plain`, all characters beyond ASCII) as escapes."""
     if isinstance(told, str):
         return visible(told.encode("ascii", "backslashreplace").decode() if plain else told)
     if isinstance(told, dict):
@@ -226,7 +227,7 @@ def _shown(told: Any, *, plain: bool = False) -> Any:
 
 
 def damage_of(folder: Path, seal: Seal) -> list[str]:
-    """Return a sentence for each file of a validation that is missing or differs from the sealed file."""
+    """Return a sentence for each file of a validation that is missing or differs from what was sealed."""
     wrong = []
     for name, digest in seal.files.items():
         try:

@@ -36,7 +36,7 @@ KINDS: Final = frozenset(
 
 @dataclass
 class FailureRegister(Chain):
-    """The register of failures: `seen` maps numbers to failures, `noted` maps numbers to the notes on each."""
+    """The register of failures: `seen` maps numbers to failures, `noted` to the notes on each failure."""
 
     FIRST: ClassVar[str] = first_head("triaxial-bench failures 1\n")
 
@@ -55,14 +55,12 @@ class FailureRegister(Chain):
             )
 
     def keys(self) -> set[tuple[str, str, int]]:
-        """Return the keys of the known failures: creation time of the run, its name, and the number of the
-        event.
-        """
+        """Return the keys of the known failures: creation time and name of the run, and number of the event."""
         return {(one.data["created"], one.data["run"], one.data["event"]) for one in self.seen.values()}
 
 
 def failures(request: Failures) -> FailuresResult:
-    """Add new failures from the records to the register, note what the request says, and return the register.
+    """Add new failures from the records to the register, apply the request's changes, and return the register.
 
     Raises `Refused` without a laboratory file, for an unknown number, and for a remedy without text or without a
     person.
@@ -115,7 +113,7 @@ def _in_record(run: Run) -> Iterator[dict[str, Any]]:
 
 
 def _note(register: FailureRegister, request: Failures, laboratory: Path) -> None:
-    """Append what a person says of a failure."""
+    """Append to the register what a person states about a failure."""
     number, by = str(request.number), request.by
     lacking = [
         option

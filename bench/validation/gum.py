@@ -1,6 +1,7 @@
-"""Published cases of the GUM and of its Supplement 1; the sensitivities are written here, apart from the program.
+"""Published cases of the GUM and of its Supplement 1.
 
-What is under test are degrees of freedom, coverage factors, intervals, and the validation of linear propagation.
+The tests cover degrees of freedom, coverage factors, intervals, and the validation of linear propagation. The
+sensitivities are written here, independent of the program.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ FALSE_ALARM: Final = 1e-6
 
 
 def independent(value: ArrayLike, rows: ArrayLike, u: Floats, dof: ArrayLike = np.inf) -> Propagated:
-    """Return the m outputs of n independent inputs.
+    """Return the m outputs of n independent inputs, propagated linearly from `value`.
 
     `rows` (m, n) are the sensitivities, `u` (n,) the uncertainties of the inputs.
     """
@@ -50,8 +51,9 @@ def independent(value: ArrayLike, rows: ArrayLike, u: Floats, dof: ArrayLike = n
 
 
 def together(value: Floats, rows: Floats, covariance: Floats, dof: float) -> Propagated:
-    """Return the m outputs of n inputs that were estimated jointly and form one source: `covariance` (n, n) of the
-    inputs.
+    """Return the m outputs of n inputs that were estimated jointly, and therefore form one source.
+
+    `rows` (m, n) are the sensitivities, `covariance` (n, n) is that of the inputs.
     """
     whole = rows @ covariance @ rows.T
     return Propagated(value, whole, effective_dof(np.diag(whole)[:, None], [dof]))
@@ -96,9 +98,7 @@ def impedance(x: Floats) -> Floats:
 
 
 def linear_impedance() -> tuple[Propagated, Floats, Floats]:
-    """Return the linear propagation of example H.2 of the GUM, and the mean (3,) and covariance (3, 3) of its
-    inputs.
-    """
+    """Return the linear propagation of GUM example H.2, and mean (3,) and covariance (3, 3) of its inputs."""
     samples = np.stack([VOLTS, AMPERES, PHASE])
     mean, covariance = samples.mean(axis=1), np.cov(samples) / 5
     v, i, phi = mean
@@ -187,7 +187,10 @@ def sums(context: Context) -> Iterator[Finding]:
 
 
 def mass_deviation(x: Floats) -> Floats:
-    """Return the deviation of a weight from its nominal mass, mg: the density terms vanish to first order only."""
+    """Return the deviation of a weight from its nominal mass, mg.
+
+    The density terms vanish in a linear propagation, but not in second order.
+    """
     mass, difference, air, weight, reference = np.moveaxis(x, -1, 0)
     return np.asarray((mass + difference) * (1 + (air - 1.2) * (1 / weight - 1 / reference)) - 100_000.0)
 

@@ -80,7 +80,7 @@ def _put_stranger(bench: SimulatedBench, name: str) -> None:
 def _refused(
     context: Context, name: str, driver: str, words: str, spoil: Callable[[SimulatedBench], None]
 ) -> Finding:
-    """Return whether the opening of an instrument on a spoiled wire is refused, with its name and what to do."""
+    """Return the finding on opening an instrument on a spoiled wire: a refusal with name and remedy."""
     of, where = f"{name}, {words}", f"{name}, driver {driver}"
     with dry_bench(context.bench, simulated_truth(context.bench, None), 1) as assembly:
         if assembly.simulated is None:
@@ -127,7 +127,7 @@ def other_settings(context: Context) -> Iterator[Finding]:
 
 
 def _mishear(bench: SimulatedBench, name: str) -> None:
-    """Let an instrument take 1 for each number in a command; queries reach it as they are."""
+    """Let an instrument read 1 for each number in a command; queries reach it unchanged."""
     hear = bench.faulty[name].handle
 
     def mishear(message: bytes, interrupted: Callable[[], bool] = never) -> bytes | None:

@@ -86,7 +86,7 @@ def package_files(context: Context) -> Iterator[Finding]:
 
 
 def _differing(one: metadata.Distribution) -> tuple[list[str], int]:
-    """Return the files of a package that are missing or changed, and how many have a stated hash."""
+    """Return the files of a package that are missing or changed, and the number of files with a stated hash."""
     wrong, count = [], 0
     for name, stated, _ in csv.reader((one.read_text("RECORD") or "").splitlines()):
         kind, _, value = stated.partition("=")
@@ -162,7 +162,7 @@ def clock(context: Context) -> Iterator[Finding]:
 
 
 def _newest(context: Context) -> tuple[float, str]:
-    """Return time (s) and path of the newest record in the folders; a file made now counts, too."""
+    """Return time (s) and path of the newest record in the folders, or of a file created now."""
     probe = context.scratch / "now"
     probe.write_bytes(b"")
     found = [(probe.stat().st_mtime, str(probe))]

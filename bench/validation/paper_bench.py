@@ -1,8 +1,7 @@
-"""The paper's bench for tests: its numbers (11), its 54 readings, and a simulation of its own.
+"""The paper's bench for tests: its numbers (11), its 54 readings, and an independent simulation.
 
-Nothing of `bench.model` is used here: the geometry turns the axes of the block as vectors with scipy's
-rotations and reads off how far each points upwards, so that an error in the application's own geometry
-cannot cancel out.
+Nothing of `bench.model` is used here. The geometry turns the axes of the block as vectors with scipy's rotations,
+and computes how far each points upwards. An error in the application's own geometry can therefore not cancel out.
 """
 
 import numpy as np
@@ -26,7 +25,7 @@ SETTING_U_RAD = 10 / 3 * ARCSEC
 
 
 def design(passes: int = 3, points: int = 9) -> tuple[list[str], list[int], list[int], np.ndarray]:
-    """The paper's order of readings: installation, pass, point and head angle (rad) of each."""
+    """Return the paper's order of readings: installation, pass, point and head angle (rad) of each."""
     rows = [(i, p, t) for i in "12" for p in range(1, passes + 1) for t in range(1, points + 1)]
     installation, pass_number, point = (list(column) for column in zip(*rows, strict=True))
     return installation, pass_number, point, np.radians(45.0) * (np.array(point) - 1)
@@ -42,7 +41,7 @@ def specific_force(
     alpha5: np.ndarray | float = 0.0,
     psi: float = 0.0,
 ) -> np.ndarray:
-    """Specific force on the block's axes, g, shape (n, 3): the upward component of each axis.
+    """Return the specific force on the block's axes, g, shape (n, 3): the upward component of each axis.
 
     The shaft is y. Angles in rad, (n,) or one for all. A right-hand turn about a vector along the shaft would carry
     x downwards; the head counts the other way.
@@ -72,10 +71,11 @@ def simulate(
     K2: np.ndarray | float = 0.0,
     eccentricity_rad: tuple[float, float] = (0.0, 0.0),
 ) -> Readings:
-    """One run of the paper's procedure in volts: stand errors drawn per installation, noise per reading.
+    """Return one run of the paper's procedure, in V, with random stand errors per installation and noise per
+    reading.
 
-    Without `rng` there are no errors. `K2` (g/g^2) adds K_ii K2_i a_i^2 to channel i; `eccentricity_rad` (cosine,
-    sine) adds e_c cos(phi) + e_s sin(phi) to the head's angle.
+    If `rng` is None, there are no errors. `K2` (g/g^2) adds K_ii K2_i a_i^2 to channel i; `eccentricity_rad`
+    (cosine, sine) adds e_c cos(phi) + e_s sin(phi) to the head's angle.
     """
     installation, pass_number, point, phi = design(passes)
     n = len(phi)

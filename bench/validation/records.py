@@ -43,9 +43,9 @@ _COMMAND: Final = "from bench.cli.program import main; main()"
 
 
 def bench_to_run(context: Context) -> tuple[Path, str]:
-    """Return the bench file for the validation's runs.
+    """Return the bench file for the validation's runs, and a note.
 
-    If the given one cannot run the procedure, return another and a note.
+    If the given bench file cannot run the procedure, it is another one, and the note says so.
     """
     plan = load_procedure(find_procedure(PROCEDURE)).expand()
     if not plan_check(plan, context.bench, dry_run=True):
@@ -56,15 +56,13 @@ def bench_to_run(context: Context) -> tuple[Path, str]:
 def whole_run(context: Context) -> Run:
     """Return a finished dry run of 'quick' on the bench under validation.
 
-    It is made at the first call, then reused.
+    The run is made at the first call, then reused.
     """
     return _finished(context, bench_to_run(context)[0], "whole")
 
 
 def standard_run(context: Context) -> Run:
-    """Return a finished dry run on the shipped paper-stand, whose record has everything that a certificate
-    needs.
-    """
+    """Return a finished dry run on the shipped paper-stand; its record has all that a certificate needs."""
     return _finished(context, find_bench("paper-stand"), "standard")
 
 
@@ -135,7 +133,7 @@ def killed(context: Context) -> Iterator[Finding]:
 
 
 def _program(*arguments: object) -> subprocess.Popen[bytes]:
-    """Start the program in a process of its own, with this program's code and one thread."""
+    """Start the program in a separate process, with the code of this program and one thread."""
     paths = [str(_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     around = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "OPENBLAS_NUM_THREADS": "1"}
     return subprocess.Popen(  # noqa: S603 - this program, arguments of our own
@@ -145,7 +143,7 @@ def _program(*arguments: object) -> subprocess.Popen[bytes]:
 
 
 def _killed_after(process: subprocess.Popen[bytes], events: Path, count: int) -> int:
-    """Kill a program when its record has so many lines; return how many it has. Its end is waited for."""
+    """Kill a program when its record has `count` lines, wait for its end, and return the number of lines then."""
     clock = SystemClock()
     deadline_s, lines = clock.now_s() + _WAIT_S, 0
     while process.poll() is None and clock.now_s() < deadline_s:
@@ -172,14 +170,14 @@ def changed(context: Context) -> Iterator[Finding]:
 
 
 def _with_another_digit(run: Run) -> tuple[list[bytes], int, bytes]:
-    """Return the lines of a record, the index of one with a reading, and that line with another number."""
+    """Return the lines of a record, the index of one with a reading, and this line with one digit changed."""
     lines = (run.folder / EVENTS).read_bytes().splitlines(keepends=True)
     at = next(n for n, line in enumerate(lines) if b'"mean": [' in line)
     return lines, at, lines[at].replace(b'"mean": [', b'"mean": [1', 1)
 
 
 def changed_copy(run: Run) -> Run:
-    """Return a copy of a run, beside it, with one digit of a reading changed."""
+    """Return a copy of a run, made in the same folder of runs, with one digit of a reading changed."""
     lines, at, digit = _with_another_digit(run)
     return _copy(run, f"{run.name}-changed", {EVENTS: b"".join([*lines[:at], digit, *lines[at + 1 :]])})
 

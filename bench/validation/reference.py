@@ -30,7 +30,7 @@ MODEL: Final = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
 
 
 def agreement(of: str, found: ArrayLike, expected: ArrayLike, tolerance: ArrayLike) -> Finding:
-    """Return the finding on numbers that must agree with others of the same shape within a tolerance."""
+    """Return the finding on numbers that must agree with `expected`, of the same shape, within a tolerance."""
     mine, theirs = np.atleast_1d(np.asarray(found, float)), np.atleast_1d(np.asarray(expected, float))
     share = np.abs(mine - theirs) / np.asarray(tolerance, float)
     worst = int(np.argmax(share))
@@ -76,7 +76,7 @@ def strd() -> dict[str, Any]:
 
 
 def columns_of(one: dict[str, Any]) -> Floats:
-    """Return the design matrix (n, p) of a data set: powers of x, or a constant and the stated columns."""
+    """Return the design matrix (n, p) of a data set: powers of x, or a constant and the columns in the data."""
     x = np.array(one["x"], float)
     if one["powers"] == "columns":
         return np.column_stack([np.ones(len(x)), x])

@@ -5,8 +5,8 @@
         \"\"\"Fit certified regressions with the estimator's solver.\"\"\"
         yield Finding(digits >= 9, f"{digits:.1f} digits", of="Norris")
 
-A check returns one finding, or yields several. The first line of its docstring says what is done. An exception is a
-failed finding, which names the line of our own code where it was raised.
+A check returns one finding, or yields several. The first line of its docstring says what it does. An exception is a
+failed finding, which names the line of the program's own code where it was raised.
 """
 
 from __future__ import annotations
@@ -33,10 +33,9 @@ _OURS: Final = ("bench", "drivers", "sim")
 
 @dataclass(frozen=True)
 class Finding:
-    """The outcome of a check for one part: whether it passed, what was found, the name of the part (`of`), and
-    where a failure lies.
+    """The outcome of a check for one part: whether it passed, what was found, and the name of the part (`of`).
 
-    `expected` replaces the check's own expectation for this part.
+    For a failure, `where` is its place. `expected` replaces the check's own expectation for this part.
     """
 
     passed: bool
@@ -79,8 +78,8 @@ Act = Callable[[Context], Finding | Iterable[Finding]]
 class Check:
     """A check: its family, clause of ISO/IEC 17025:2017, expectation, and the function that carries it out.
 
-    `place` is the code that it tests. `p_false` bounds the probability that it fails on a correct program with
-    other random numbers. With `change`, a failure is a change that a person may accept.
+    `place` is the code that the check tests. `p_false` is an upper bound of the probability that it fails on a
+    correct program with other random numbers. With `change`, a failure is a change that a person may accept.
     """
 
     name: str
@@ -95,7 +94,7 @@ class Check:
 
     @property
     def did(self) -> str:
-        """What the check does, in a sentence."""
+        """What the check does, in a sentence: the first line of its function's docstring."""
         return (self.act.__doc__ or "").strip().splitlines()[0]
 
     def carried_out(self, context: Context) -> Iterator[ValidationCheck]:
@@ -153,10 +152,7 @@ def check(name: str, clause: str, expected: str, *, family: str, **more: Any) ->
 
 
 def raised_at(error: BaseException) -> str:
-    """Return file, line and function of the program's own code where an error was raised.
-
-    "" if it was raised elsewhere.
-    """
+    """Return file, line and function of the program's own code where an error was raised; "" for other code."""
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         path = Path(frame.filename)
         if path.is_relative_to(_ROOT) and path.relative_to(_ROOT).parts[0] in _OURS:

@@ -1,4 +1,4 @@
-"""Statistics of own results: are errors of known size as large as the stated uncertainties say?"""
+"""Statistics of the program's results: are errors of known size as large as the stated uncertainties say?"""
 
 from __future__ import annotations
 
@@ -28,9 +28,10 @@ FALSE_ALARM: Final = 1e-5
 
 
 def errors(count: int) -> tuple[Floats, Floats, Floats]:
-    """Return errors and u of the coefficients, (count, 12) each, and p of lack of fit (count,), of simulated files.
+    """Simulate readings files; return the errors and u of their coefficients, and the p-values of lack of fit.
 
-    Stand angles and noise are drawn again for each file, from [SEED, number].
+    The shapes are (count, 12), (count, 12) and (count,). Stand angles and noise are drawn again for each file, from
+    [SEED, number].
     """
     error, u, p = [], [], []
     for number in range(count):
@@ -43,7 +44,7 @@ def errors(count: int) -> tuple[Floats, Floats, Floats]:
 
 
 def counted(context: Context) -> tuple[Floats, Floats, Floats]:
-    """Return `errors` for the number of files that the validation uses; they are computed once."""
+    """Return `errors` for the number of files that the validation uses; the result is cached."""
     if "errors" not in context.shared:
         context.shared["errors"] = errors(QUICK_FILES if context.quick else FILES)
     found: tuple[Floats, Floats, Floats] = context.shared["errors"]

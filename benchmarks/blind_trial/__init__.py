@@ -1,4 +1,5 @@
-"""The blind trial of `bench diagnose`: an own simulator hides effects and mistakes, a sealed score tells.
+"""The blind trial of `bench diagnose`: an independent simulator hides effects and mistakes, and a sealed score
+judges.
 
-It shares nothing with the application but the table of readings: other geometry, other forms, other shapes.
+It shares only the table of readings with the application: its geometry, forms and shapes of effects are its own.
 """

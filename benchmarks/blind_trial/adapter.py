@@ -1,4 +1,4 @@
-"""The one place where the trial touches what it tries."""
+"""The only module of the trial that calls the program under test."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ STATED_BENCH = "paper-stand"
 
 
 class _ByDesign(ThresholdCache):
-    """One threshold for all cases of a design and kind of noise: their weather hardly matters to it."""
+    """One threshold for all cases of a design and kind of noise, since their temperatures hardly affect it."""
 
     def __init__(self) -> None:
         super().__init__(None)
@@ -39,7 +39,7 @@ class _ByDesign(ThresholdCache):
         self.key = ("", 0.0)
 
     def threshold(self, linear: LinearSystem, whitened: Whitened, setting_rad: float) -> Threshold:
-        """Return the threshold of the present key, made from the first case that has it."""
+        """Return the threshold of the present design, computed from its first case."""
         # readings that are rounded alike share random columns, and their noise is believed
         of_noise = (linear.random.shape[1], whitened.grid.known)
         size = (len(linear), linear.fixed.shape[1])
@@ -66,12 +66,12 @@ def _own() -> tuple[Effect, ...]:
 
 
 def forget_thresholds() -> None:
-    """Forget the thresholds of all designs: something that they depend on has changed."""
+    """Discard the thresholds of all designs, because something on which they depend has changed."""
     _bench()[3].known.clear()
 
 
 def diagnose_case(case: Case) -> dict[str, Any]:
-    """Return the diagnosis of a case (see `_diagnosed`), with the formulas of the user's own where it has them."""
+    """Return the diagnosis of a case (see `_diagnosed`); a case with user formulas is diagnosed with these."""
     if case.free:
         return result_of(diagnose_free(case.free, one_sensor=True)).to_dict()
     with CATALOGUE.also(_own() if case.own else ()):
@@ -79,10 +79,10 @@ def diagnose_case(case: Case) -> dict[str, Any]:
 
 
 def _diagnosed(case: Case) -> dict[str, Any]:
-    """Return what `bench diagnose --json` promises, for the readings of a case, and the coefficients.
+    """Return the members of `bench diagnose --json` for the readings of a case, and the coefficients.
 
-    These are estimated without and with what was found, with the covariance of each; where it was named, so is
-    the error of the modulus at the verification points, g, with its u.
+    The coefficients are estimated without and with the effects found, each with its covariance. If the effect was
+    named, the result also has the error of the modulus at the verification points, g, with its u.
     """
     bench, model, stand_u, thresholds = _bench()
     thresholds.key = (f"{case.design}{' own' * case.own}", case.reading_noise_v)

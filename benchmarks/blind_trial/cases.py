@@ -1,4 +1,4 @@
-"""Cases of the trial from a seed: readings on one side, answers sealed on the other."""
+"""Cases of the trial made from a seed: readings for the program, and the sealed answers."""
 
 from __future__ import annotations
 
@@ -70,7 +70,10 @@ NOISES: Final = ("equal", "by channel", "t4", "1/f", "coarse")
 
 
 def noise_of(rng: np.random.Generator, kind: str, n: int) -> Floats:
-    """Return noise (n, 3) in units of the stated size: by channel 9/15, 15/15 and 33/15 of it; a t of 4 dof."""
+    """Return noise (n, 3) of a kind of `NOISES`, in units of the stated size.
+
+    "by channel" has 9/15, 15/15 and 33/15 of the stated size; "t4" is a t distribution with 4 degrees of freedom.
+    """
     if kind == "t4":  # of the stated standard deviation
         return np.asarray(rng.standard_t(TAIL_DOF, (n, 3)) * np.sqrt((TAIL_DOF - 2) / TAIL_DOF))
     white = rng.normal(size=(n, 3))
@@ -82,7 +85,7 @@ def noise_of(rng: np.random.Generator, kind: str, n: int) -> Floats:
 
 
 def _slow(rng: np.random.Generator, n: int) -> Floats:
-    """1/f noise (n, 3) over the readings, rms 1 in each channel, from a course eight times as long."""
+    """Return 1/f noise (n, 3) over the readings, rms 1 in each channel, cut from a series eight times as long."""
     long = 8 * n
     frequency = np.fft.rfftfreq(long)
     size = np.zeros(len(frequency))
@@ -106,13 +109,13 @@ TRIES: Final = 5
 
 @dataclass(frozen=True)
 class Row:
-    """One row of the score table: what is hidden, in which design, how visible, at which noise, how often.
+    """A row of the score table: what is hidden, in which design, how visible, at which noise, and how often.
 
     `kind` is null, single, pair, outside, hidden, equal_k2, mounting_roll, one of `SLIPS`, `KNOWN`, `SUPPLIED` or
-    mistake:NAME, or one of `FREE`, which has a noise and a design of its own.
-    `noise_v` is what the bench states, `noise_factor` how many times that the truth is (readings and settings
-    alike), `noise` which kind it is of (`NOISES`). A case may be of several `runs` that all have the same effect,
-    `rho` in each: of one block, or of a block each (`blocks`).
+    mistake:NAME, or one of `FREE`, which has its own noise and design. `noise_v` is the noise that the bench file
+    states; the true noise of readings and settings is `noise_factor` times as large. `noise` is its kind
+    (`NOISES`). A case may have several `runs` with the same effect, each with visibility `rho`: of one block, or of
+    a different block each (`blocks`).
     """
 
     kind: str
@@ -127,7 +130,7 @@ class Row:
 
     @property
     def key(self) -> str:
-        """What the row is called in tables and in seeds."""
+        """The name of the row in tables and seeds."""
         visible = "" if self.rho is None else f" rho {self.rho:g}"
         factor = "" if self.noise_factor == 1 else f" x{self.noise_factor:g}"
         of = "a block each" if self.blocks else "one block"
@@ -139,11 +142,11 @@ class Row:
 
 @dataclass(frozen=True)
 class Case:
-    """What the diagnosis is given: a table of readings, and the noise that the bench file states (1 σ).
+    """The input of the diagnosis: a table of readings, and the noise that the bench file states (1 σ).
 
-    `reading_noise_v` in V, `setting_noise` in rad; with `own` it is given the formulas of the user's own as well.
-    `stated_psi_deg` is what the bench file says of the verification points, None where it is right. Of free
-    positions `free` are the records. The name says nothing of what is hidden.
+    `reading_noise_v` is in V, `setting_noise` in rad. With `own`, the diagnosis also gets user formulas.
+    `stated_psi_deg` is the angle of the verification points that the bench file states, None if it is right. For
+    free positions, `free` are the records. The name does not reveal what is hidden.
     """
 
     id: str
@@ -158,9 +161,9 @@ class Case:
 
 @dataclass(frozen=True)
 class HiddenEffect:
-    """An effect as it was hidden; `rho` from the fitted rows alone, and with the verification rows.
+    """A hidden effect, with its visibility `rho` from the fitted rows alone and with the verification rows.
 
-    `change` (n, 3) in V is its signature in all rows on a stand without errors.
+    `change` (n, 3), V, is its signature in all rows on a stand without errors.
     """
 
     name: str
@@ -176,7 +179,7 @@ class HiddenEffect:
 
 @dataclass(frozen=True)
 class Answer:
-    """What was hidden in a case. `accepted` are the names of a mistake that are right."""
+    """The effects or the mistake hidden in a case; for a mistake, `accepted` are its right names."""
 
     id: str
     row: Row
@@ -196,7 +199,7 @@ class Answer:
         return tuple(effect.name for effect in self.effects) or self.accepted[:1]
 
     def as_json(self) -> str:
-        """Canonical text, the same for the same answer."""
+        """Canonical JSON text, identical for equal answers."""
         effects = [
             {k: v for k, v in vars(effect).items() if k != "change"}
             | {"rho": round(effect.rho, 6), "rho_with_verification": round(effect.rho_with_verification, 6)}
@@ -207,7 +210,7 @@ class Answer:
 
 
 def make_case(seed: int, row: Row, index: int) -> tuple[Case, Answer]:
-    """Make case `index` of a row, the same for the same seed, row and index."""
+    """Make case `index` of a row; equal seed, row and index give the same case."""
     digest = _digest(seed, row, index)
     rng = np.random.default_rng(list(digest))
     if row.kind in FREE:
@@ -235,7 +238,7 @@ def make_case(seed: int, row: Row, index: int) -> tuple[Case, Answer]:
 
 
 def hidden_in(seed: int, row: Row, index: int) -> tuple[Run, list[Truth]]:
-    """Return the run of a case and what is hidden in it."""
+    """Return the run of a case, and the effects hidden in it."""
     return _hide(np.random.default_rng(list(_digest(seed, row, index))), row, index)[:2]
 
 
@@ -244,7 +247,7 @@ def _digest(seed: int, row: Row, index: int) -> bytes:
 
 
 def _hide(rng: np.random.Generator, row: Row, index: int) -> tuple[Run, list[Truth], Floats | None]:
-    """Return the run of a case, what is hidden in it, and the course of the supply where that has a part."""
+    """Return the run of a case, the hidden effects, and the supply voltages over time if the supply has a part."""
     run = _run(rng, row)
     if row.kind not in SUPPLIED:
         return run, _truths(rng, row, run, index), None
@@ -265,7 +268,7 @@ def _free_case(rng: np.random.Generator, name: str, seed: int, row: Row, index: 
 
 
 def _run(rng: np.random.Generator, row: Row) -> Run:
-    """Return a run of the row's design in a weather of its own."""
+    """Return a run of the row's design with random temperatures."""
     phase, turn = rng.uniform(0, 2 * np.pi), rng.choice([-1, 1])
     return make_run(row.design).with_weather(
         Weather(float(phase), turn * 0.25 / 7200, float(rng.normal(0, 0.1)))
@@ -273,13 +276,13 @@ def _run(rng: np.random.Generator, row: Row) -> Run:
 
 
 def _of_another_block(rng: np.random.Generator, table: Readings) -> Readings:
-    """Return what a block with other scale factors (some per cent) and other zeros (some 10 mV) would give."""
+    """Return the readings of a block with other scale factors (by some per cent) and zeros (by some 10 mV)."""
     signal = table.signal * (1 + rng.normal(0, 0.02, 3)) + rng.normal(0, 0.05, 3)
     return replace(table, signal=np.round(signal, DECIMALS))
 
 
 def seal(case: Case, answer: Answer) -> dict[str, str]:
-    """Return the line of the ledger: name and SHA-256 of the readings and of the answer."""
+    """Return the ledger line of a case: its name, and the SHA-256 of readings and answer."""
     table = case.readings
     columns = (table.angle_rad, table.time_s, table.temperature_c, table.signal)
     content = hashlib.sha256("\n".join(table.installation).encode())
@@ -290,7 +293,7 @@ def seal(case: Case, answer: Answer) -> dict[str, str]:
 
 
 def _true_visibility(row: Row, *, verification: bool = False) -> Visibility:
-    """The visibility at the noise that the run really has."""
+    """Return the visibility of effects at the true noise of the run."""
     factor = row.noise_factor
     return visibility(row.design, row.noise_v * factor, SETTING_SIGMA * factor, verification=verification)
 
@@ -346,7 +349,7 @@ def _of_the_supply(rng: np.random.Generator, row: Row, run: Run, above_v: Floats
 
 
 def _equal_k2(rng: np.random.Generator, run: Run) -> Truth:
-    """The same K2 in all three channels, as a type of accelerometer has it."""
+    """Return the effect of an equal K2 in all three channels, typical of a type of accelerometer."""
     sign = rng.choice([-1.0, 1.0])
     return Truth(
         "quadratic_nonlinearity", "block", lambda _, force, x: sign * 30e-6 * x * force**2,
@@ -363,7 +366,7 @@ def _next(
     start: int,
     draws: Mapping[str, Draw] = CATALOGUE,
 ) -> Truth:
-    """Draw the effect whose turn it is, or the next one that this design can show at a plausible size."""
+    """Draw the next effect in turn, skipping those that this design cannot show at a plausible size."""
     for k in range(len(names)):
         draw = draws[names[(start + k) % len(names)]]
         truth = _attempt(rng, row, run, seen, draw, MOST_TIMES_PLAUSIBLE)
@@ -390,7 +393,7 @@ def _attempt(
 
 
 def _rounded(signal: Floats, row: Row) -> Floats:
-    """Return signals with their last digit, or in steps that are coarser than the noise."""
+    """Return signals rounded to their last digit, or to steps coarser than the noise."""
     if row.noise != "coarse":
         return np.round(signal, DECIMALS)
     step = COARSE * row.noise_v * row.noise_factor
@@ -400,7 +403,7 @@ def _rounded(signal: Floats, row: Row) -> Floats:
 def _measure(
     rng: np.random.Generator, row: Row, run: Run, truths: list[Truth], mistake: Mistake | None
 ) -> Readings:
-    """Carry the run out on a stand whose errors are within the paper's limits, and write the table."""
+    """Simulate the run on a stand with errors within the paper's limits, and return its table of readings."""
     n = len(run.mount)
     stand = rng.normal(size=(int(run.mount.max()) + 1, 3)) * STAND_SIGMA
     setting = rng.normal(0, SETTING_SIGMA * row.noise_factor, n)

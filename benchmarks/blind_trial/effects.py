@@ -1,4 +1,4 @@
-"""The trial's own effects of stand, block and voltmeter, in the names of `bench diagnose`."""
+"""The trial's own implementation of effects of stand, block and voltmeter, with the names of `bench diagnose`."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _per_mount(name: str, arcsec: float, key: str, *, after_remount: bool = Fals
 
 
 def _head_eccentricity(rng: np.random.Generator, run: Run) -> Truth:
-    """The scale's centre beside the axis by the part e of its radius, towards the angle `towards`."""
+    """Return the effect of an eccentric scale: its centre is off by e radii, at the angle `towards`."""
     towards = rng.uniform(0, 2 * np.pi)
 
     def shift(r: Run, x: float) -> Shift:
@@ -50,7 +50,7 @@ def _head_eccentricity(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _head_ellipticity(rng: np.random.Generator, run: Run) -> Truth:
-    """The scale drawn out along `along`: tan φ on the ellipse is (1 + e) tan φ on the circle."""
+    """Return the effect of a scale elongated along `along`: tan φ on the ellipse is (1 + e) tan φ on the circle."""
     along = rng.uniform(0, np.pi)
 
     def shift(r: Run, x: float) -> Shift:
@@ -62,7 +62,7 @@ def _head_ellipticity(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _head_graduation(rng: np.random.Generator, run: Run) -> Truth:
-    """An error for each mark of the scale, 360° being the mark 0°."""
+    """Return the effect of an error of each mark of the scale; 360° is the same mark as 0°."""
     errors = rng.normal(size=72)
 
     def shift(r: Run, x: float) -> Shift:
@@ -82,7 +82,7 @@ def _backlash(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def wobble(harmonic: int, phase: float, run: Run, arcsec: float) -> Floats:
-    """Out-of-plane tilt (n,) in rad that goes round with the head `harmonic` times a turn."""
+    """Return an out-of-plane tilt (n,), rad, that varies `harmonic` times per turn of the head."""
     return arcsec * ARCSEC * np.sin(harmonic * run.head_angle + phase)
 
 
@@ -98,7 +98,7 @@ def _axis_wobble(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _foundation_tilt(rng: np.random.Generator, run: Run) -> Truth:
-    """The pillar leans to and fro along a horizontal direction that lies anywhere to the shaft."""
+    """Return the effect of a pillar that sways along a random horizontal direction."""
     hours = float(rng.choice([3.5, 7.0, 24.0]))
     phase, azimuth = rng.uniform(0, 2 * np.pi, 2)
 
@@ -148,7 +148,7 @@ def _per_channel(name: str, size: float, form: Form) -> Draw:
 
 
 def _shaped(name: str, size: float, shapes: dict[str, Form]) -> Draw:
-    """Like `_per_channel`, with one of several shapes drawn."""
+    """Return the draw of an effect as `_per_channel` does, with one of several shapes chosen at random."""
 
     def draw(rng: np.random.Generator, run: Run) -> Truth:
         shape = str(rng.choice(list(shapes)))
@@ -163,7 +163,7 @@ def _shaped(name: str, size: float, shapes: dict[str, Form]) -> Draw:
 
 
 def _others(force: Floats) -> tuple[Floats, Floats]:
-    """Return for each channel the force along the next and along the one after it."""
+    """Return for each channel the force along the next axis and along the one after it."""
     return np.roll(force, -1, axis=1), np.roll(force, -2, axis=1)
 
 
@@ -194,7 +194,7 @@ def _cross_quadratic(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _thermal(name: str, size: float, *forms: Form) -> Draw:
-    """Return the draw of an effect that grows with the temperature, its forms in any mixture."""
+    """Return the draw of an effect proportional to temperature, a random mixture of `forms`."""
 
     def draw(rng: np.random.Generator, run: Run) -> Truth:
         weights, channels = channel_weights(rng)
@@ -229,7 +229,7 @@ def _time_h(run: Run) -> Floats:
 
 
 def _cooling(minutes: float, quick: float = 0.0) -> Form:
-    """Exponential warm-up, of which the part `quick` goes four times faster."""
+    """Return the form of an exponential warm-up, of which the fraction `quick` is four times faster."""
 
     def form(run: Run, _: Floats) -> Floats:
         t = run.time_s[:, None] / (minutes * MINUTE)
@@ -247,7 +247,7 @@ def _lagged_scale(minutes: float) -> Form:
 
 
 def _stops(way: Floats, begins: set[int], half_width: float) -> Floats:
-    """Saturating friction element (m, 3): the way less a play of `half_width`; at rest after a remount."""
+    """Return the state (m, 3) of a saturating friction element with a play of `half_width`; 0 after a remount."""
     inside = np.zeros_like(way)
     play = way[0]
     for i, here in enumerate(way):
@@ -261,7 +261,10 @@ def _prandtl(way: Floats, begins: set[int]) -> Floats:
 
 
 def _bouc_wen(way: Floats, begins: set[int]) -> Floats:
-    """Bouc-Wen element: dz = dx/w·(1 − |z|·(1 + sign(dx·z))/2), smooth on loading, straight on unloading."""
+    """Return the state of a Bouc-Wen element: smooth on loading, linear on unloading.
+
+    It follows dz = dx/w·(1 − |z|·(1 + sign(dx·z))/2).
+    """
     state = np.zeros_like(way)
     z = np.zeros(3)
     for i in range(len(way)):
@@ -276,7 +279,7 @@ def _bouc_wen(way: Floats, begins: set[int]) -> Floats:
 
 @lru_cache
 def _friction(design: str, kind: str) -> Floats:
-    """State of the friction element of each channel at the readings of a design (n, 3), saturating at 1."""
+    """Return the state (n, 3) of each channel's friction element at the readings of a design; it saturates at 1."""
     way, stops, begins = head_path(design)
     element = {"two plays": _prandtl, "Bouc-Wen": _bouc_wen}[kind]
     return element(way, set(begins.tolist()))[stops]
@@ -341,7 +344,10 @@ AUTORANGE_BELOW_V: Final = 1.2
 
 
 def _voltmeter_nonlinearity(rng: np.random.Generator, run: Run) -> Truth:
-    """The same bow in every channel: a power, or half a period of a cosine or sine as real converters have."""
+    """Return the effect of the same nonlinearity in every channel: a power, or half a period of a cosine or sine.
+
+    Real converters have such shapes.
+    """
     shapes: dict[str, Callable[[Floats], Floats]] = {
         "square": lambda u: u**2,
         "cube": lambda u: u**3,
@@ -368,7 +374,7 @@ def _voltmeter_drift(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _range_offset(rng: np.random.Generator, run: Run) -> Truth:
-    """One meter with autorange for all channels, or one of three meters."""
+    """Return the effect of range offsets: of one autoranging meter for all channels, or of one of three meters."""
     offset, gain = rng.normal(size=2) * (40 * MICROVOLT, 20 * PPM)
     one = rng.random() < 0.5
     weights = np.eye(3)[rng.integers(3)] if one else np.ones(3)
@@ -387,7 +393,10 @@ def _range_offset(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _channel_crosstalk(rng: np.random.Generator, run: Run) -> Truth:
-    """The input has not quite settled from the reading before; the first one follows an open input."""
+    """Return the effect of an input that has not settled from the channel read before it.
+
+    The first channel of a reading follows an open input.
+    """
     sign = rng.choice([-1.0, 1.0])
 
     def act(r: Run, volts: Floats, x: float) -> Floats:
@@ -442,7 +451,7 @@ def _wobble_cosine(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _common_turn(rng: np.random.Generator, run: Run) -> Truth:
-    """All the axes turned together in the block's housing: the coefficients take it up."""
+    """Return the effect of turning all axes together in the housing, which the coefficients absorb."""
     axis = rng.normal(size=3)
     axis *= 90 * ARCSEC / np.linalg.norm(axis)
 

@@ -1,7 +1,7 @@
-"""Free positions of the trial: a sensor at rest all round, with a matrix, zeros and effects of the trial's own.
+"""Free positions of the trial: a sensor at rest in all orientations, with its own matrix, zeros and effects.
 
-U = S (a + e) + b, |a| = 1: S is a full matrix, a has no preferred direction, and e is what is hidden, in g. What
-nine coefficients cannot take up of e is its size rho, in units of the noise of |a|.
+U = S (a + e) + b with |a| = 1: S is a full matrix, a has no preferred direction, and e is the hidden effect, g. Its
+visibility rho is the size of the part of e that nine coefficients cannot absorb, in units of the noise of |a|.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ OUTLIER: Final = (20.0, 60.0)
 
 @dataclass(frozen=True)
 class Positions:
-    """Records (m,) of positions (n, 3) on the sensor's axes in g, with their times in s and temperatures in K."""
+    """Records (m,) of positions (n, 3) on the sensor's axes, g, with their times, s, and temperatures, K."""
 
     force: tuple[Floats, ...]
     time_s: tuple[Floats, ...]
@@ -38,7 +38,7 @@ class Positions:
 
 @dataclass(frozen=True)
 class FreeTruth:
-    """What is hidden: its name, channels, and what it adds to a in each record, g."""
+    """A hidden effect: its name, its channels, and its addition to a in each record, g."""
 
     name: str
     channels: tuple[int, ...]
@@ -97,13 +97,13 @@ def _temperature(rng: np.random.Generator, of: Positions) -> FreeTruth:
 
 
 def _zeros(rng: np.random.Generator, of: Positions) -> FreeTruth:
-    """Zeros of all channels, others in each record."""
+    """Return zeros of all channels that differ from record to record."""
     added = tuple(np.tile(rng.standard_normal(3), (len(a), 1)) for a in of.force)
     return FreeTruth("zeros_by_run", (0, 1, 2), added)
 
 
 def _outlier(rng: np.random.Generator, of: Positions) -> FreeTruth:
-    """One position that was read while it was moved, along a."""
+    """Return the effect of one position that was read while the sensor was moved, along a."""
     added = [np.zeros_like(a) for a in of.force]
     row = int(rng.integers(len(added[0])))
     size = rng.choice([-1.0, 1.0]) * rng.uniform(*OUTLIER) * NOISE_G
@@ -123,7 +123,7 @@ SEVERAL: Final = ("free:zeros", "free:null records")
 def free_tables(
     rng: np.random.Generator, kind: str, rho: float | None
 ) -> tuple[tuple[Readings, ...], FreeTruth | None, float]:
-    """Return the records of a case, what is hidden in them, and its rho: as asked for, or with None as drawn."""
+    """Return the records of a case, the effect hidden in them, and its rho: as requested, or random if None."""
     records, count = (RECORDS, OF_A_RECORD) if kind in SEVERAL else (1, POSITIONS)
     of = _positions(rng, records, count)
     matrix = COUNTS_PER_G * (np.eye(3) * (1 + rng.normal(0, 0.01, 3)) + rng.normal(0, 0.01, (3, 3)))
@@ -157,7 +157,7 @@ def free_tables(
 
 
 def _rho(of: Positions, added: tuple[Floats, ...]) -> float:
-    """Return what an effect does to |a| that a matrix and zeros cannot, in units of the noise of |a|."""
+    """Return the size of an effect on |a| that a matrix and zeros cannot absorb, in units of the noise of |a|."""
     a, e = np.concatenate(of.force), np.concatenate(added)
     moved = np.sum(a * e, axis=1)
     columns = np.column_stack([(a[:, :, None] * a[:, None, :]).reshape(len(a), 9), a])
@@ -166,7 +166,7 @@ def _rho(of: Positions, added: tuple[Floats, ...]) -> float:
 
 
 def judge_free(kind: str, truth: str, diagnosis: dict[str, Any]) -> dict[str, bool]:
-    """Return what can be said of a diagnosis of free positions."""
+    """Return the marks of a diagnosis of free positions, right or wrong, by column of the table."""
     verdict = diagnosis["verdict"]
     if kind.startswith("free:null"):
         return {"agrees": verdict == "agrees"}

@@ -1,4 +1,4 @@
-"""What went wrong: slips between passes or visits, and mistakes of an operator or a wirer."""
+"""Errors of procedure: slips between passes or mountings, and mistakes of operator or wiring."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Where = Callable[[np.random.Generator, Run, bool], tuple[Rows, str]]
 
 
 def _of_passes(rng: np.random.Generator, run: Run, lasting: bool) -> tuple[Rows, str]:
-    """From a pass of a mounting on, in one pass, or, where it may be `lasting`, from one on to the end."""
+    """Return the rows affected: one pass of a mounting or, if `lasting`, possibly all from one pass on."""
     many = [m for m in run.calibration_mounts if len(set(run.pass_number[run.mount == m].tolist())) > 1]
     mount = int(rng.choice(many))
     own = run.mount == mount
@@ -36,7 +36,7 @@ def _of_passes(rng: np.random.Generator, run: Run, lasting: bool) -> tuple[Rows,
 
 
 def _of_a_visit(rng: np.random.Generator, run: Run, lasting: bool) -> tuple[Rows, str]:
-    """A whole mounting after the first; where it may be `lasting`, perhaps all after it, too."""
+    """Return the rows affected: a whole mounting after the first or, if `lasting`, possibly all from there on."""
     mount = int(rng.choice(run.calibration_mounts[1:]))
     if lasting and rng.random() < 0.5:
         return run.mount >= mount, f"from mounting {mount + 1} on"
@@ -44,13 +44,13 @@ def _of_a_visit(rng: np.random.Generator, run: Run, lasting: bool) -> tuple[Rows
 
 
 def _of_the_last_visit(rng: np.random.Generator, run: Run, lasting: bool) -> tuple[Rows, str]:
-    """The return to an installation that was measured before."""
+    """Return the rows of the return to an installation that was measured before."""
     mount = int(run.calibration_mounts[-1])
     return run.mount == mount, f"mounting {mount + 1}"
 
 
 def _slip(where: Where, rng: np.random.Generator, run: Run) -> Truth:
-    """The block turns about an axis of the platform, or about any."""
+    """Return the effect of a block that turns about an axis of the platform, or about a random axis."""
     rows, place = where(rng, run, False)
     axis = rng.normal(size=3) if rng.random() < 0.5 else np.eye(3)[rng.integers(3)]
     about_x, about_y, about_z = axis / np.linalg.norm(axis) * rng.choice([-1.0, 1.0])
@@ -73,7 +73,7 @@ def _rezero(where: Where, rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _exchanged(where: Where, rng: np.random.Generator, run: Run) -> Truth:
-    """Each meter has a gain and a zero of its own; two of them stand at each other's channels."""
+    """Return the effect of exchanging the meters of two channels; each meter has its own gain and zero."""
     rows, place = where(rng, run, True)
     one, other = (int(i) for i in rng.choice(3, 2, replace=False))
     gains, zeros = 30e-6 * rng.normal(size=2), 100e-6 * rng.normal(size=2)
@@ -112,11 +112,11 @@ def _unchanged(signal: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Mistake:
-    """One mistake at its place.
+    """One mistake, and the rows that it affects.
 
-    `true_angle` (n,) is where the head really stood, None where it stood as noted; `edit` changes the signals
-    (n, 3) on their way into the table; `labels` (n,) are what the table says instead, None if the right ones.
-    `accepted` are the names under which nothing tells it from the truth.
+    `true_angle` (n,) is the true head angle, None if it is as noted; `edit` changes the signals (n, 3) on their way
+    into the table; `labels` (n,) are the wrong labels in the table, None if they are right. `accepted` are names
+    that are indistinguishable from the true one.
     """
 
     name: str
@@ -128,12 +128,12 @@ class Mistake:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Every name that is right."""
+        """All right names of the mistake."""
         return (self.name, *self.accepted)
 
 
 def _scope(rng: np.random.Generator, run: Run) -> tuple[NDArray[np.bool_], str]:
-    """Draw the whole run or one mounting of the calibration."""
+    """Draw the rows of the whole run or of one mounting that is fitted."""
     if rng.random() < 0.5:
         return np.ones(len(run.mount), dtype=bool), "everywhere"
     mount = int(rng.choice(run.calibration_mounts))
@@ -178,7 +178,10 @@ def _swapped_installations(rng: np.random.Generator, run: Run) -> Mistake:
 
 
 def _shifted_points(rng: np.random.Generator, run: Run) -> Mistake:
-    """In one mounting each reading is of the stop before; the first is of the place where the head rested."""
+    """Return the mistake that each reading of a mounting belongs to the previous point.
+
+    The first reading belongs to the place where the head rested before.
+    """
     mount = int(rng.choice(run.calibration_mounts))
     rows = np.flatnonzero((run.mount == mount) & run.measured)
     angle = run.head_angle.copy()

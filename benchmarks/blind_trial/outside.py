@@ -1,4 +1,6 @@
-"""What the catalogue does not name: a user's own formulas, effects without a name, the supply, known benches."""
+"""Effects outside the catalogue: user formulas, effects without a name, the supply, and known properties of
+benches.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ FORMULAS: Final = Path(__file__).with_name("own-effects.yaml")
 
 
 def _turns(run: Run) -> Floats:
-    """Whole turns since the block was mounted, of a head that goes on in its direction and is never unwound."""
+    """Return the whole turns since the block was mounted, for a head that keeps its direction and never unwinds."""
     return (run.pass_number - 1) + run.head_angle / (2 * np.pi)
 
 
@@ -43,7 +45,7 @@ def _fourth_power(rng: np.random.Generator, _: Run) -> Truth:
 
 
 def _after_effect(rng: np.random.Generator, _: Run) -> Truth:
-    """A relaxation of two lengths, neither of which is one that is tried."""
+    """Return a relaxation with two time constants, neither of which the diagnosis tries."""
     weights, channels = channel_weights(rng)
     length = float(rng.choice([0.35, 0.7, 1.4]))
 
@@ -80,7 +82,7 @@ SIZE_G: Final = 30e-6
 
 
 def _one_channel(name: str, rng: np.random.Generator, column: Floats) -> Truth:
-    """A course (n,) over the rows added to one channel, in units of 30 µg."""
+    """Return the effect of adding a series (n,) over the rows to one channel, in units of 30 µg."""
     channel = int(rng.integers(3))
 
     def act(_: Run, __: Floats, x: float) -> Floats:
@@ -102,7 +104,7 @@ def _random_walk(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _flicker(rng: np.random.Generator, run: Run) -> Truth:
-    """Noise of power 1/f over the readings, by shaping a white spectrum."""
+    """Return noise with a 1/f power spectrum over the readings, made by shaping a white spectrum."""
     n = len(run.mount)
     spectrum = np.fft.rfft(rng.normal(size=4 * n))
     spectrum[1:] /= np.sqrt(np.arange(1, len(spectrum)))
@@ -116,14 +118,14 @@ def _cable_torque(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _pickup(rng: np.random.Generator, run: Run) -> Truth:
-    """The leads run past a magnet in one mounting."""
+    """Return the effect of leads that pass a magnet in one mounting."""
     mount = rng.choice(run.calibration_mounts)
     course = np.cos(2 * run.head_angle + rng.uniform(0, 2 * np.pi)) * (run.mount == mount)
     return _one_channel("single_installation_pickup", rng, course)
 
 
 def _sticking_angle(rng: np.random.Generator, run: Run) -> Truth:
-    """A pendulum hangs at one angle of one mounting, in each pass."""
+    """Return the effect of a pendulum that sticks at one angle of one mounting, in each pass."""
     mount = rng.choice(run.calibration_mounts)
     rows = (run.mount == mount) & run.fitted
     angle = rng.choice(np.unique(run.angle[rows])[1:-1])
@@ -145,7 +147,7 @@ def _third_harmonic_wobble(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _dead_band(rng: np.random.Generator, run: Run) -> Truth:
-    """The pendulum does not follow over a short way at some level: what comes after is short of it."""
+    """Return the effect of a pendulum with a dead band: beyond some level its output is too small."""
     channel = int(rng.integers(3))
     level = rng.uniform(-0.85, 0.85)
 
@@ -157,7 +159,7 @@ def _dead_band(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _gear_ratio(rng: np.random.Generator, run: Run) -> Truth:
-    """The head turns a little too far with every degree, and its counter begins anew at the first point."""
+    """Return the effect of a head that turns slightly too far per degree, counted from the first point."""
     sign = rng.choice([-1.0, 1.0])
 
     def shift(r: Run, x: float) -> Shift:
@@ -176,7 +178,7 @@ def _fifth_power(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _two_time_constants(rng: np.random.Generator, run: Run) -> Truth:
-    """Two junctions in the leads of a channel come to rest, one soon and one late, against each other."""
+    """Return the effect of two opposed thermal junctions in the leads of a channel, one fast and one slow."""
     late, soon = 90 * 60.0, 12 * 60.0
 
     def act(r: Run, volts: Floats, x: float) -> Floats:
@@ -188,7 +190,7 @@ def _two_time_constants(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _noise_burst(rng: np.random.Generator, run: Run) -> Truth:
-    """A channel is noisy in one pass of one mounting."""
+    """Return the effect of a channel that is noisy in one pass of one mounting."""
     mount = rng.choice(run.calibration_mounts)
     number = rng.choice(np.unique(run.pass_number[(run.mount == mount) & run.fitted]))
     rows = (run.mount == mount) & (run.pass_number == number) & run.fitted
@@ -196,7 +198,7 @@ def _noise_burst(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _unknown(draw: Draw) -> Draw:
-    """Return an effect that a user's formula describes, where no such formula is given."""
+    """Return an effect that a user's formula would describe, drawn for a diagnosis without that formula."""
 
     def drawn(rng: np.random.Generator, run: Run) -> Truth:
         truth = draw(rng, run)
@@ -229,7 +231,7 @@ NAMES: Final = ("p15", "n15")
 
 
 def courses(rng: np.random.Generator, run: Run) -> Floats:
-    """Return the voltages of the two rails less their nominal ones, V, shape (n, 2)."""
+    """Return the voltages of the two rails over time minus their nominal values, V, shape (n, 2)."""
     apart_h = np.diff(run.time_s, prepend=run.time_s[0]) / 3600.0
     rails = []
     for _ in NOMINAL_V:
@@ -241,7 +243,7 @@ def courses(rng: np.random.Generator, run: Run) -> Floats:
 
 
 def sensitive(rng: np.random.Generator, run: Run, above_v: Floats) -> Truth:
-    """Bias, scale factor or both follow one of the rails."""
+    """Return the effect of a bias, a scale factor or both that follow one of the rails."""
     weights, channels = channel_weights(rng)
     rail = int(rng.integers(len(NAMES)))
     bias, scale = ((1.0, 0.0), (0.0, 1.0), (0.7, -0.7))[int(rng.integers(3))]
@@ -253,12 +255,12 @@ def sensitive(rng: np.random.Generator, run: Run, above_v: Floats) -> Truth:
 
 
 def drifting(rng: np.random.Generator, run: Run, above_v: Floats) -> Truth:
-    """A drift of the bias in time, whatever the rails do."""
+    """Return the effect of a bias that drifts in time, independent of the rails."""
     return BLOCK["bias_drift"](rng, run)
 
 
 def recorded(rng: np.random.Generator, above_v: Floats) -> dict[str, Any]:
-    """Return the columns of a readings table."""
+    """Return the columns of a readings table that state the rail voltages."""
     columns: dict[str, Any] = {}
     for name, nominal_v, above in zip(NAMES, NOMINAL_V, above_v.T, strict=True):
         measured = np.round(nominal_v + above + rng.normal(0, 1e-3, len(above)), 3)
@@ -268,7 +270,7 @@ def recorded(rng: np.random.Generator, above_v: Floats) -> dict[str, Any]:
 
 
 def judge_supply(kind: str, diagnosis: dict[str, Any]) -> dict[str, bool]:
-    """Return what can be said of a diagnosis of one of these kinds."""
+    """Return the marks of a diagnosis of one of the supply kinds, right or wrong, by column of the table."""
     verdict = diagnosis["verdict"]
     own, other = "supply_sensitivity", "bias_drift"
     if kind == DRIFTING:
@@ -300,12 +302,15 @@ NOT_TOLD: Final = frozenset({"voltmeter_gain", "wrong_gravity"})
 
 
 def stated_psi_deg(rng: np.random.Generator) -> float:
-    """Draw what a bench file says of the verification points, which stand at 45°."""
+    """Draw the angle (°) that a bench file states for the verification points, which are truly at 45°."""
     return float(rng.choice([rng.uniform(5, 35), rng.uniform(55, 85)]))
 
 
 def common_volts(rng: np.random.Generator, run: Run) -> Truth:
-    """The same voltage in all channels: two thirds of it are gone in 8 to 15 min, the rest in 25 to 50."""
+    """Return the effect of a decaying voltage common to all channels.
+
+    Two thirds of it decay in 8 to 15 min, the rest in 25 to 50 min.
+    """
     fast, slow = rng.uniform(8, 15) * 60, rng.uniform(25, 50) * 60
     part = 0.67 * np.exp(-run.time_s / fast) + 0.33 * np.exp(-run.time_s / slow)
     sign = rng.choice([-1.0, 1.0])
@@ -317,7 +322,7 @@ def common_volts(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def hand_set(rng: np.random.Generator, run: Run) -> Truth:
-    """Each setting off by its own angles, in the plane of the head and out of it."""
+    """Return the effect of setting errors of the head at each setting, in its plane and out of it."""
     off = rng.normal(0, TILT_RAD, (3, len(run.mount)))
 
     def shift(_: Run, x: float) -> Shift:
@@ -327,7 +332,7 @@ def hand_set(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def judge_known(kind: str, truth: tuple[str, ...], diagnosis: dict[str, Any]) -> dict[str, bool]:
-    """Return what can be said of a diagnosis of one of these kinds."""
+    """Return the marks of a diagnosis of one of the known kinds, right or wrong, by column of the table."""
     verdict = diagnosis["verdict"]
     names = [{e["name"], *e.get("cannot_tell_from", ())} for e in diagnosis["effects"]]
     if kind == OTHER_PSI:

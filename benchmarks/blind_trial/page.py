@@ -1,4 +1,4 @@
-"""The trial's result as it is stored (counts, in JSON), and the tables of it that the site shows."""
+"""The stored result of the trial (counts, as JSON), and its tables on the site."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def stored(
     outcomes: Sequence[Outcome],
     made: Mapping[str, object],
 ) -> Stored:
-    """Return the result to be stored: `made` says by what, then each row with its counts and its gap."""
+    """Return the result to store: what made it (`made`), then the counts and the gap of each row."""
     return {**made, "cases": len(outcomes), "rows": [_row(row, shares[row.key], outcomes) for row in rows]}
 
 
@@ -39,7 +39,7 @@ def _row(row: Row, shares: Mapping[str, Share], outcomes: Sequence[Outcome]) -> 
 
 
 def _gap(row: Row, outcomes: Sequence[Outcome]) -> Stored | None:
-    """Return the mean reduced chi-square of the readings held out, before and after naming; None without any."""
+    """Return the mean reduced chi-square of held-out readings, before and after naming; None without any."""
     gaps = [
         outcome.diagnosis["gap"]
         for outcome in outcomes
@@ -55,14 +55,14 @@ def _gap(row: Row, outcomes: Sequence[Outcome]) -> Stored | None:
 
 
 def part(result: Stored) -> str:
-    """Return the part of the page: what made it, sums over rows, the tables."""
+    """Return the part of the page: what made the result, sums over rows, and the tables."""
     size = f"{result['cases']:,} cases, {result['seconds']:,} s{result['on']}"
     made = f"Measured with `{result['command']}` ({size})."
     return "\n\n".join((made, sums(result), short_tables(result)))
 
 
 def sums(result: Stored) -> str:
-    """Return a table of the rows with a single effect by size, and what holds of all rows."""
+    """Return a table of the rows with a single effect, summed by size, and of the rates over all rows."""
 
     def sum_of(kind: str, column: str, low: float, high: float) -> str:
         counts = [
@@ -92,7 +92,7 @@ def sums(result: Stored) -> str:
 
 
 def short_tables(result: Stored) -> str:
-    """Return the tables of the page: a column stands in one line for its kind where all rows agree in it."""
+    """Return the tables of the page; a column in which all rows of a kind agree becomes a line of text."""
     first = ["| kind | rows | the same in every row |", "|---|---|---|"]
     parts = []
     for kind, of_kind in _by_kind(result).items():
@@ -123,7 +123,7 @@ def _columns(rows: Sequence[Stored]) -> list[str]:
 
 
 def _table(rows: Sequence[Stored], columns: Sequence[str]) -> str:
-    """Return a table of rows of a kind, with their gaps where they have any."""
+    """Return a table of the rows of a kind, with their gaps if they have any."""
     gaps = any(row["gap"] for row in rows)
     head = [rows[0]["kind"], *columns, *(("gap before", "gap after") if gaps else ())]
     lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
@@ -140,7 +140,7 @@ def _within_kind(row: Stored) -> str:
 
 
 def shown() -> str:
-    """Return the tables of the stored result, as the build of the site puts them on its page."""
+    """Return the tables of the stored result for the site."""
     return part(json.loads(STORED.read_text(encoding="utf-8")))
 
 

@@ -1,8 +1,8 @@
-"""What each numeric constant of the diagnosis is worth: the same cases with it 30 % smaller and larger.
+"""The effect of each numeric constant of the diagnosis: the same cases with it 30 % smaller and 30 % larger.
 
     python -m benchmarks.blind_trial --perturb --only single --rows 4
 
-A constant that changes nothing is listed, too: it can go, or its cases are missing.
+A constant that changes nothing is listed, too: either it is superfluous, or no case tests it.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Constant:
     value: Any
 
     def times(self, factor: float) -> Any:
-        """Return the value times a factor; whole numbers stay whole and change by one at least."""
+        """Return the value times a factor; whole numbers stay whole and change by at least one."""
         if isinstance(self.value, tuple):
             return tuple(_times(one, factor) for one in self.value)
         return _times(self.value, factor)
@@ -51,7 +51,7 @@ def _times(value: float, factor: float) -> float:
 
 
 def constants() -> list[Constant]:
-    """Return the numeric constants of all modules of the diagnosis, each where it is defined."""
+    """Return the numeric constants of all modules of the diagnosis, each once, at its definition."""
     found = []
     for info in pkgutil.walk_packages(bench.diagnosis.__path__, f"{ROOM}."):
         module = importlib.import_module(info.name)
@@ -76,7 +76,7 @@ def _numeric(value: object) -> bool:
 
 @contextmanager
 def changed(constant: Constant, factor: float) -> Iterator[None]:
-    """Use another value wherever the constant is known by its name, while this lasts."""
+    """Replace the constant's value in every module that has its name, within the context."""
     places = [
         module
         for name, module in list(sys.modules.items())
@@ -113,7 +113,7 @@ def _of_constant(constant: Constant | None, tasks: Sequence[Task]) -> list[list[
 
 
 def perturb(tasks: Sequence[Task], workers: int) -> list[str]:
-    """Return a table: how many verdicts, and how many verdicts or names, differ with each constant changed."""
+    """Return a table with the number of changed verdicts, and of changed verdicts or names, for each constant."""
     every = constants()
     baseline, *others = spread(partial(_of_constant, tasks=tasks), [None, *every], workers)
     lines = [

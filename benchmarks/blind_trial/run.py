@@ -6,9 +6,9 @@
     python -m benchmarks.blind_trial --seed 7 --page --share 0.1      # every row, a tenth of its cases
     python -m benchmarks.blind_trial --seed 7 --page --keep trial.txt # goes on there when called again
 
-Cases are made from the seed, sealed (SHA-256 of the readings and of the answer) and diagnosed; only then are
-the answers opened, checked against their seals, and the score printed as markdown, each share with the
-counts and its Wilson 95 % interval. Exit status 1 when a diagnosis failed with an error.
+Cases are made from the seed, sealed (SHA-256 of the readings and of the answer) and diagnosed. Only then are the
+answers opened and checked against their seals. The score is printed as Markdown, each share with the counts and its
+Wilson 95 % interval. The exit status is 1 if a diagnosis failed with an error.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ _LIBRARIES: Final = ("numpy", "scipy")
 
 
 def code_sha256(root: Path = ROOT) -> str:
-    """Return a SHA-256 of what a diagnosis is made by: program, its data files, this trial, libraries."""
+    """Return the SHA-256 of all that determines a diagnosis: the program, its data files, this trial, libraries."""
     whole = hashlib.sha256("".join(f"{name} {version(name)}\0" for name in _LIBRARIES).encode())
     for folder in _CODE:
         for path in sorted([root / folder, *(root / folder).rglob("*")]):
@@ -137,7 +137,7 @@ def code_sha256(root: Path = ROOT) -> str:
 
 
 def kept_in(path: Path, seed: int, code: str | None = None) -> Kept:
-    """Open a file of diagnoses, of a seed and of what they are made by."""
+    """Open the file of diagnoses made with a seed by a version of the code."""
     return Kept(path, {"seed": seed, "program": code or code_sha256()})
 
 
@@ -174,12 +174,12 @@ def _rows(given: argparse.Namespace) -> list[Row]:
 
 
 def of_share(rows: Sequence[Row], share: float) -> list[Row]:
-    """Return the rows with a part of their cases, one at least."""
+    """Return the rows with a fraction of their cases, at least one each."""
     return [replace(row, count=max(round(share * row.count), 1)) for row in rows]
 
 
 def _made(given: argparse.Namespace, seconds: int) -> dict[str, object]:
-    """Return what made a result, so that it can be made again. The page is for the whole trial alone."""
+    """Return the data needed to reproduce a result. Only the whole trial may write the page."""
     share = "" if given.share == 1.0 else f" --share {given.share:g}"
     command = f'make blind-trial TRIAL="--page --seed {given.seed}{share}"'
     return {
@@ -189,7 +189,7 @@ def _made(given: argparse.Namespace, seconds: int) -> dict[str, object]:
 
 
 def _open_answers(outcomes: Sequence[Outcome], ties: str) -> list[tuple[Row, Marks]]:
-    """Judge what was diagnosed. Raises `RuntimeError` where an answer is not the one that was sealed."""
+    """Judge the diagnoses. Raises `RuntimeError` if an answer differs from the sealed one."""
     can_tell = can_tell_by_signature if ties == "signature" else can_tell_by_table
     marks: list[tuple[Row, Marks]] = []
     for outcome in outcomes:
@@ -227,7 +227,7 @@ def _as_json(outcomes: Sequence[Outcome], shares: dict[str, dict[str, Share]], s
 
 
 def _diagnosed(tasks: Sequence[Task], diagnose: Diagnose, workers: int, kept: Kept | None) -> list[Outcome]:
-    """Return the outcomes of tasks in their order, what was kept as it is; what failed is tried again."""
+    """Return the outcomes of tasks in order: kept ones are reused, failed ones are repeated."""
     done: dict[Task, Outcome] = {}
     for task in tasks if kept is not None else ():
         if kept is not None and (found := kept.get(task.row.key, task.index)):

@@ -1,4 +1,4 @@
-"""The score: what a diagnosis said against what was hidden, with Wilson intervals."""
+"""The score: diagnoses compared with what was hidden, with Wilson intervals."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ LEAST_WEIGHT: Final = 1e-12
 
 
 def true_closing(case: Case, answer: Answer) -> float | None:
-    """Return the part of the gap that the true form closes, each pass held out; None without a gap to close.
+    """Return the fraction of the gap that the true form closes, with each pass held out; None without a gap.
 
-    The fit has coefficients and stand errors as all analyses have, and knows noise and signature.
+    The fit has coefficients and stand errors, as all analyses have, and knows the noise and the signature.
     """
     row = answer.row
     rows, whitener, top, priors = explained(
@@ -61,7 +61,7 @@ def true_closing(case: Case, answer: Answer) -> float | None:
 
 
 def _predicted(left: Floats, columns: Floats, priors: Floats, held: Mask) -> float:
-    """Return the chi-square of rows held out, with the covariance of what was fitted to all others."""
+    """Return the chi-square of held-out rows, with the covariance of a fit to all others."""
     rest = np.vstack([columns[~held], priors])
     target = np.concatenate([left[~held], np.zeros(len(priors))])
     scale = np.linalg.norm(rest, axis=0)
@@ -81,10 +81,10 @@ MODEL_COUNTS_FROM_C: Final = 20.0
 
 
 def coefficients_at(temperature_c: float, seed: int, row: Row, index: int) -> Floats:
-    """Return K row by row and U0, shape (12,), V/g and V, as they are at a temperature.
+    """Return K row by row, V/g, and U0, V, shape (12,), at a temperature.
 
-    The trial's effects of temperature are nothing at `REFERENCE_TEMPERATURE_C`. What they do at another one, from
-    which a model counts, is a part of its coefficients.
+    The trial's temperature effects are zero at `REFERENCE_TEMPERATURE_C`. A model may refer to another temperature;
+    its coefficients then contain their values there.
     """
     run, truths = hidden_in(seed, row, index)
     weather = replace(run.weather, start=run.weather.start + temperature_c - REFERENCE_TEMPERATURE_C)
@@ -156,13 +156,13 @@ DRAWS: Final = 48
 
 
 def can_tell_by_table(case: Case, answer: Answer) -> bool:
-    """Say by the static table of ties whether the effect of a case has no rival in its design."""
+    """Return whether the effect of a case has no rival in its design, by the static table of ties."""
     tied = _TIED - _BROKEN.get(case.design, frozenset())
     return not tied.intersection(answer.names)
 
 
 def can_tell_by_signature(case: Case, answer: Answer) -> bool:
-    """Say whether every other effect of the trial's vocabulary leaves `LEFT_TO_TELL` of the hidden one."""
+    """Return whether every other effect leaves `LEFT_TO_TELL` or more of the hidden one unexplained."""
     return all(
         effect.rho * np.sqrt(max(0.0, 1 - nearest_rival(answer, which) ** 2)) >= LEFT_TO_TELL
         for which, effect in enumerate(answer.effects)
@@ -170,10 +170,10 @@ def can_tell_by_signature(case: Case, answer: Answer) -> bool:
 
 
 def nearest_rival(answer: Answer, which: int = 0) -> float:
-    """Return the largest cosine between what is left of a hidden effect and any other effect's, 0 to 1.
+    """Return the largest cosine between the residual of a hidden effect and that of any other effect, 0 to 1.
 
-    The other effect may have any weights of its channels and mountings, but one shape at a time; effects
-    that would have to be implausibly large are no rivals, nor are larger families that contain the effect.
+    The other effect may have any weights of its channels and mountings, but one shape at a time. Effects that would
+    have to be implausibly large are no rivals, nor are larger families that contain the effect.
     """
     row, effect = answer.row, answer.effects[which]
     seen = _seen(row.design, row.noise_v * row.noise_factor, row.noise_factor)
@@ -195,7 +195,7 @@ def _seen(design: str, noise_v: float, factor: float) -> Visibility:
 
 @cache
 def _subspaces(name: str, design: str, noise_v: float, factor: float) -> tuple[Floats, ...]:
-    """Orthonormal bases of what is left of an effect, one for each of its shapes, in a typical weather."""
+    """Return orthonormal bases of the residuals of an effect, one for each shape, at typical temperatures."""
     rng = np.random.default_rng(0)
     run = make_run(design).with_weather(Weather(phase=1.0))
     seen = _seen(design, noise_v, factor)
@@ -235,7 +235,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came back for a task: the diagnosis or the error text, and the seal of what was diagnosed."""
+    """The outcome of a task: the diagnosis or the error's text, and the seal of the case."""
 
     task: Task
     seal: dict[str, str]
@@ -244,10 +244,10 @@ class Outcome:
 
 
 def run_trial(tasks: Sequence[Task], diagnose: Diagnose, workers: int = 2) -> Iterator[Outcome]:
-    """Make and diagnose each case, in order, in so many processes.
+    """Make and diagnose each case, in order, in `workers` processes.
 
-    `diagnose` is a function of a module. A worker lives through the whole trial, so what it computes once for
-    a design it keeps. An exception of the diagnosis is an outcome with its text.
+    `diagnose` must be a function of a module. A worker process lives through the whole trial, and thus keeps what
+    it computed once for a design. An exception in the diagnosis becomes an outcome with its text.
     """
     return spread(partial(_examine, diagnose=diagnose), tasks, workers)
 
@@ -265,7 +265,7 @@ def _examine(task: Task, diagnose: Diagnose) -> Outcome:
 
 
 def sets_given(diagnosis: Diagnosis) -> list[set[str]]:
-    """Return for each effect found the names under which it may stand."""
+    """Return for each effect found the set of its possible names."""
     return [{e["name"], *e.get("cannot_tell_from", ())} for e in diagnosis.get("effects", ())]
 
 
@@ -276,10 +276,11 @@ def judge(
     can_tell: CanTell = can_tell_by_table,
     likeness: Callable[[Answer], float] | None = None,
 ) -> Marks:
-    """Return what can be said of a diagnosis, right or wrong, by the name of the column.
+    """Return the marks of a diagnosis, right or wrong, by column of the table.
 
-    Only what applies is there: a name alone is judged where one was given. `likeness` gives the largest
-    cosine of an effect outside the catalogue to a member of it; those above 0.8 are counted apart.
+    Only applicable marks are present: for example, a lone name is judged only if one was given. `likeness` gives
+    the largest cosine of an effect outside the catalogue with a member of it; those above 0.8 are counted
+    separately.
     """
     marks = _judge_kind(case, answer, diagnosis, can_tell, likeness)
     if diagnosis["verdict"] == "named":
@@ -288,7 +289,7 @@ def judge(
 
 
 def _shrank(gap: dict[str, Any]) -> bool:
-    """Say whether both sizes of the gap on readings held out are there and smaller than before."""
+    """Return whether both sizes of the gap on held-out readings are present, and smaller after than before."""
     sizes = [(gap.get(f"before{of}"), gap.get(f"after{of}")) for of in ("", "_rms")]
     return all(before is not None and after is not None and after < before for before, after in sizes)
 
@@ -336,7 +337,10 @@ def _judge_kind(
 
 
 def _lone_name(answer: Answer, cosine: float, verdict: str) -> Marks:
-    """Say whether a single name was given where the nearest member leaves this much, units of noise."""
+    """Return whether a single name was given, by how much the nearest member of the catalogue leaves unexplained.
+
+    The unexplained part is in units of noise.
+    """
     left = answer.effects[0].rho * np.sqrt(max(0.0, 1.0 - cosine**2))
     if left < SOME_LEFT:
         return {}
@@ -349,9 +353,9 @@ MUCH_LEFT: Final = 7.0
 
 
 def _judge_form(case: Case, answer: Answer, diagnosis: Diagnosis) -> Marks:
-    """Say whether what has a mean form is found at all, and whether the form given to it closes the gap.
+    """Return whether an effect with a mean form is found, and whether the form that describes it closes the gap.
 
-    On readings held out, by what is above noise, against what the true form with its size refitted closes.
+    This is judged on held-out readings, in excess of noise, against the true form with refitted size.
     """
     if answer.names[0] in WITHOUT_MEAN:
         return {}
@@ -425,11 +429,12 @@ def _judge_single(case: Case, answer: Answer, diagnosis: Diagnosis, can_tell: Ca
 
 
 def _judge_gap(answer: Answer, diagnosis: Diagnosis) -> Marks:
-    """Say whether the gap is closed on readings held out, and whether the coefficients are right again.
+    """Return whether the gap is closed on held-out readings, and whether the coefficients are right again.
 
-    With a name, also whether the verification points are no worse for it. Right are coefficients whose twelve
-    errors together have a chi-square that chance exceeds in 1 %; counted where the true effect was named, and
-    alone. With an effect of temperature in the model they are those at the temperature from which it counts.
+    If a name was given, also whether it does not make the verification points worse. Coefficients are right if
+    chance exceeds the chi-square of their twelve errors in more than 1 % of cases; they are counted if the true
+    effect was named, alone. With a temperature effect in the model, they refer to the temperature from which it
+    counts.
     """
     marks: Marks = {}
     p_after = diagnosis.get("gap", {}).get("p_after")
@@ -446,7 +451,7 @@ def _judge_gap(answer: Answer, diagnosis: Diagnosis) -> Marks:
 
 
 def _not_worse(before: list[tuple[float, float]], after: list[tuple[float, float]]) -> bool:
-    """Say whether the worst |Δg| after a name is at most one u above the worst one before."""
+    """Return whether the worst |Δg| after naming is at most one u above the worst one before."""
     return max(abs(g) for g, _ in after) <= max(abs(g) for g, _ in before) + max(u for _, u in after)
 
 
@@ -460,7 +465,7 @@ def _coefficients_right(estimate: dict[str, Any], true: Floats) -> bool:
 
 
 def tally(rows: Sequence[Row], marks: Sequence[tuple[Row, Marks]]) -> dict[str, dict[str, Share]]:
-    """Count the marks: row key to column to share, in the order of the rows."""
+    """Return the shares of marks by row key and column, in the order of the rows."""
     counts: dict[str, dict[str, list[int]]] = {row.key: {} for row in rows}
     for row, given in marks:
         for column, right in given.items():

@@ -1,4 +1,4 @@
-"""What the voltmeter shows: geometry, the paper's block (11), the voltmeter; and how visible an effect is."""
+"""Signals of the trial's voltmeter: geometry, the paper's block (11), voltmeter; visibility of effects."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ def signals(
     setting: Floats | float = 0.0,
     true_angle: Floats | None = None,
 ) -> Floats:
-    """Noise-free readings (n, 3) in V.
+    """Return noise-free readings (n, 3), V.
 
-    `stand` (mountings, 3) holds α1, α2, α3, `setting` α4 for the rows, all in rad; `true_angle` (n,) is where
-    the head really stands if not where its scale says.
+    `stand` (mountings, 3) holds α1, α2, α3, and `setting` α4 for the rows, all in rad; `true_angle` (n,) is the
+    true head angle if it differs from the scale's.
     """
     errors = np.zeros((int(run.mount.max()) + 1, 3)) if stand is None else stand
     tilt, zero, skew = errors[run.mount].T
@@ -63,21 +63,21 @@ def signals(
 
 
 def _mounted(run: Run) -> NDArray[np.str_]:
-    """The labels, with 1 where the input was checked and no angle counts."""
+    """Return the labels of the rows, with "1" for rows in which the input was checked and no angle matters."""
     return np.where(run.measured, run.labels, "1")
 
 
 def signature(run: Run, truth: Truth) -> Floats:
-    """What an effect changes in the readings of a stand without errors, (n, 3) in V."""
+    """Return the change of the readings by an effect on a stand without errors, (n, 3), V."""
     return signals(run, [truth]) - signals(run)
 
 
 @dataclass(frozen=True)
 class Visibility:
-    """What of a signature is left after coefficients and stand errors, in units of the noise.
+    """The part of signatures that coefficients and stand errors cannot absorb, in units of the noise.
 
-    `rows` (n,) are the rows that count, `whitener` (rows, 3, 3) turns their noise into unit noise, `taken`
-    (3·rows + nuisances, q) is an orthonormal basis of what the 12 coefficients and the stand errors take up.
+    `rows` (n,) are the rows used, `whitener` (rows, 3, 3) turns their noise into unit noise. `taken` (3·rows +
+    nuisances, q) is an orthonormal basis of what the 12 coefficients and the stand errors absorb.
     """
 
     rows: NDArray[np.bool_]
@@ -98,10 +98,10 @@ class Visibility:
 
 @lru_cache
 def visibility(design: str, noise_v: float, setting: float, *, verification: bool = False) -> Visibility:
-    """Work out the visibility in a design for a reading noise (V) and a setting noise (rad), each 1 σ.
+    """Compute the visibility in a design for a reading noise (V) and a setting noise (rad), each 1 σ.
 
-    With `verification` the rows V count too, each by the modulus of the specific force alone: how the block
-    is turned there is not known well enough.
+    With `verification`, the rows V are used too, but only their modulus of the specific force, because the
+    orientation of the block is not known well enough there.
     """
     rows, whitener, top, priors = explained(design, noise_v, setting, verification=verification)
     taken, _ = np.linalg.qr(np.vstack([top, priors]))
@@ -112,9 +112,9 @@ def visibility(design: str, noise_v: float, setting: float, *, verification: boo
 def explained(
     design: str, noise_v: float, setting: float, *, verification: bool = False
 ) -> tuple[NDArray[np.bool_], Floats, Floats, Floats]:
-    """Return the rows that count, what whitens each (rows, 3, 3), and the whitened columns of what a fit has.
+    """Return the rows used, their whiteners (rows, 3, 3), and the whitened columns of the fit.
 
-    These are (3·rows, q) of the coefficients and the stand errors, and (stand errors, q) of their priors.
+    The columns are (3·rows, q) for the coefficients and the stand errors, and (stand errors, q) for the priors.
     """
     run = make_run(design)
     rows = run.measured if verification else run.fitted
@@ -142,7 +142,7 @@ def explained(
 
 
 def _slope(of: Callable[[float], Floats], step: float = 1e-5) -> Floats:
-    """Central difference of the readings, V/rad."""
+    """Return the derivative of the readings by an angle, V/rad, from central differences."""
     return (of(step) - of(-step)) / (2 * step)
 
 
@@ -156,7 +156,7 @@ def _stand_slope(run: Run, mount: int, kind: int) -> Floats:
 
 
 def scaled_to(truth: Truth, run: Run, rho: float, seen: Visibility, most: float = np.inf) -> Truth | None:
-    """Return the effect with the amplitude that gives it ρ; None where that takes more than `most` times."""
+    """Return the effect with the amplitude that gives it ρ; None if this needs more than `most` times its size."""
     for _ in range(30):
         got = seen.rho(signature(run, truth))
         if got * most < rho * truth.amplitude:

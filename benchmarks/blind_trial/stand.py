@@ -1,6 +1,6 @@
-"""The stand of the trial: its geometry, the runs that are carried out on it, and how an effect acts there.
+"""The stand of the trial: its geometry, the runs carried out on it, and the action of effects.
 
-The geometry is exact, as turns of the frame around a fixed vertical. The specific force of a block at rest is 1 g
+The geometry is exact, in rotations of frames around a fixed vertical. The specific force of a block at rest is 1 g
 upwards; its components are followed through the frames: level ground, shaft, head, platform, bracket, block. It
 agrees with the paper's (3)-(4) to second order in the angles.
 """
@@ -39,10 +39,10 @@ def specific_force(
     mounting_error: Floats | float = 0.0,
     mounting_roll: Floats | float = 0.0,
 ) -> Floats:
-    """Specific force on the block's axes in g, shape (n, 3).
+    """Return the specific force on the block's axes, g, shape (n, 3).
 
-    `labels` (n,) are keys of `AXES`, `angle` (n,) the true head angle (zero offset and setting error
-    included), `axis_tilt` α1, `mounting_error` α3, `mounting_roll` α5, all in rad, (n,) or one for all.
+    `labels` (n,) are keys of `AXES`, `angle` (n,) the true head angle (zero offset and setting error included),
+    `axis_tilt` α1, `mounting_error` α3, `mounting_roll` α5, all in rad, (n,) or one for all.
     """
     up_y, up_z = np.sin(axis_tilt), np.cos(axis_tilt)
     x, z = up_z * np.sin(angle), up_z * np.cos(angle)
@@ -78,9 +78,9 @@ TWELFTHS: Final = tuple(range(0, 361, 30))
 
 @dataclass(frozen=True)
 class Weather:
-    """Temperature at the block less the reference: a cycle of ±0.15 K in 37 min and a slow drift.
+    """Temperature at the block minus the reference: a cycle of ±0.15 K in 37 min and a slow drift.
 
-    `phase` in rad, `drift` in K/s, `start` in K.
+    `phase` is in rad, `drift` in K/s, `start` in K.
     """
 
     phase: float = 0.0
@@ -88,10 +88,10 @@ class Weather:
     start: float = 0.0
 
     def at(self, time_s: Floats, lag_s: float = 0.0) -> Floats:
-        """Temperature deviation in K (n,), as a body sees it that follows with the lag `lag_s`.
+        """Return the temperature deviation, K, (n,), of a body that follows with the lag `lag_s`.
 
-        Four fifths of the lag are one first-order delay, one fifth a second one behind it. The weather is
-        older than the run, so nothing of its beginning is left.
+        Four fifths of the lag are one first-order delay, one fifth is a second one behind it. Initial transients
+        have decayed before the run.
         """
         cycle: NDArray[np.complex128] = CYCLE_K * np.exp(1j * (2 * np.pi * time_s / CYCLE_S + self.phase))
         for part in (0.8 * lag_s, 0.2 * lag_s):
@@ -103,7 +103,7 @@ class Weather:
 class Sweep:
     """One pass over the angles (deg, in rising order) in one direction, and the scan order of the channels.
 
-    `warmer_k` is what a chamber adds to the temperature.
+    `warmer_k` is the temperature that a chamber adds, K.
     """
 
     label: str
@@ -117,7 +117,7 @@ class Sweep:
 
 @dataclass(frozen=True)
 class Design:
-    """The mountings of a run in their order, each with its sweeps; whether each sweep begins with S and R."""
+    """The mountings of a run in order, each with its sweeps, and whether each sweep begins with rows S and R."""
 
     mountings: tuple[tuple[Sweep, ...], ...]
     input_checks: bool = False
@@ -185,8 +185,8 @@ DESIGNS: Final[dict[str, Design]] = {
 class Run:
     """Columns over the n readings of a design, in the order of measurement; angles in rad, times in s.
 
-    `mount` (n,) counts the mountings from 0; `input_v` (n,) is what lies at the voltmeter's input in S and R
-    rows, NaN where the block is measured. `weather` is what the temperature does.
+    `mount` (n,) counts the mountings from 0; `input_v` (n,) is the voltage at the voltmeter's input in rows S and
+    R, NaN in rows that measure the block. `weather` describes the temperature.
     """
 
     design: str
@@ -220,11 +220,11 @@ class Run:
 
     @property
     def head_angle(self) -> Floats:
-        """The head angle (n,), with 0 where none was noted."""
+        """The head angle (n,), rad, with 0 if none was noted."""
         return np.nan_to_num(self.angle)
 
     def temperature(self, lag_s: float = 0.0) -> Floats:
-        """Temperature less the reference in K (n,), seen with a lag."""
+        """Return the temperature minus the reference, K, (n,), of a body with a lag."""
         return self.weather.at(self.time_s, lag_s) + self.warmer_k
 
     def with_weather(self, weather: Weather) -> Run:
@@ -233,7 +233,7 @@ class Run:
 
 @lru_cache
 def make_run(name: str) -> Run:
-    """Lay a design of `DESIGNS` out in time."""
+    """Return the run of a design of `DESIGNS`, with a time for each reading."""
     design = DESIGNS[name]
     rows: list[tuple[object, ...]] = []
     clock, checks = 0.0, 0
@@ -257,11 +257,11 @@ def make_run(name: str) -> Run:
 
 @lru_cache
 def head_path(name: str) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64]]:
-    """The specific force along the way of the head, in steps of at most 3°, free of errors.
+    """Return the specific force along the path of the head, in steps of at most 3°, without errors.
 
-    Returns the force (m, 3), for each row of the run the index of the step at which it is read, and the
-    indices at which a mounting begins. The head comes to a stop in the direction noted: it goes on over a
-    full turn where it must, and goes 20° past a stop and back where the direction changes.
+    The result is the force (m, 3), for each row of the run the index of the step at which it is read, and the
+    indices at which a mounting begins. The head arrives in the noted direction: it continues over a full turn if
+    necessary, and where the direction changes it goes 20° past a stop and back.
     """
     run = make_run(name)
     angles: list[float] = []
@@ -306,10 +306,10 @@ CHANNELS: Final = ("x", "y", "z")
 class Truth:
     """One effect with drawn parameters, ready to act on a run.
 
-    `amplitude` is in units of the plausible size (1 σ of `effects.md`). What acts is one of:
-    `shift(run, amplitude)` for the stand: rad (n,) to add to `angle`, `tilt` (α1), `skew` (α3) or `roll` (α5),
-    or `gravity` as a relative change; `act(run, force, amplitude)` for the block: g (n, 3), scaled by K_ii;
-    `act(run, volts, amplitude)` for the voltmeter: V (n, 3). `shape` names what does not enter linearly.
+    `amplitude` is in units of the plausible size (1 σ of `effects.md`). Its action is one of: `shift(run,
+    amplitude)` for the stand: rad (n,) to add to `angle`, `tilt` (α1), `skew` (α3) or `roll` (α5), or `gravity` as
+    a relative change; `act(run, force, amplitude)` for the block: g (n, 3), scaled by K_ii; `act(run, volts,
+    amplitude)` for the voltmeter: V (n, 3). `shape` names the parameters that do not enter linearly.
     """
 
     name: str
@@ -344,8 +344,8 @@ def mount_weights(
 ) -> tuple[Floats, tuple[str, ...]]:
     """Draw one or more mountings of the calibration with signed weights of 0.5 to 1.
 
-    With `after_remount` the first mounting is what the others are compared with and stays zero. Returns the
-    weights for the rows (n,) and the labels of the mountings.
+    With `after_remount`, the first mounting is the reference of the others and has weight zero. Returns the weights
+    for the rows (n,) and the labels of the mountings.
     """
     mounts = run.calibration_mounts[1 if after_remount else 0 :]
     count = int(rng.integers(1, len(mounts) + 1))

@@ -1,11 +1,11 @@
-"""Records of real instruments that strangers published: what the diagnosis says of each, and u against repeats.
+"""Diagnose published records of real instruments, and compare u with the scatter of repeats.
 
     python -m benchmarks.real_records            # tables of verdicts, names, sizes, gap, twins, and of repeats
     python -m benchmarks.real_records --page     # the same into docs/real-records.md; five minutes
 
-The truth is what publishers tell (`truth.yaml`), sealed with the records by hash (`sealed.json`) before the first
-run. A twin has the times and temperatures of a record and the signal that the simulation gives with what was found:
-its diagnosis must give the same name and size.
+The truth is what the publishers state (`truth.yaml`). It was sealed with the records by hash (`sealed.json`) before
+the first run. A twin is a simulation with the times and temperatures of a record and with the effects found in it:
+its diagnosis must give the same names and sizes.
 """
 
 from __future__ import annotations
@@ -38,7 +38,9 @@ WRONG, MISSED, UNTOLD = "wrong lone name", "missed", "a jump that nobody noted"
 
 @dataclass(frozen=True)
 class Row:
-    """What came of a record: the diagnosis, that of its twin, and repeats before and after naming."""
+    """The outcome for a record: its diagnosis, that of its twin, and the scatter of repeats before and after
+    naming.
+    """
 
     case: Case
     found: RecordDiagnosis | FreeDiagnosis
@@ -48,14 +50,14 @@ class Row:
 
     @property
     def groups(self) -> list[list[str]]:
-        """The names of each place in which an effect of the catalogue was found; several are a tie."""
+        """The possible names of each effect of the catalogue that was found; several names are a tie."""
         return [[one.name, *one.cannot_tell_from] for one in self.found.effects if one.in_catalogue]
 
     @property
     def judged(self) -> str:
         """Whether the names agree with the publisher's: right, missed, wrong, tie, or nothing to find.
 
-        A jump counts apart: it says when, and not why.
+        A jump does not count as a name, because it states when something happened, and not why.
         """
         right, alone = set(self.case.right), {group[0] for group in self.groups if len(group) == 1}
         if alone - right - {JUMP}:
@@ -91,7 +93,7 @@ class Row:
 
     @property
     def twin_in_words(self) -> str:
-        """Whether the twin has the same names, and how far its sizes lie from the record's, in u."""
+        """Whether the twin has the same names, and how far its sizes are from the record's, in u."""
         if self.twin is None or not isinstance(self.found, RecordDiagnosis):
             return "–"
         pairs = [_sizes(one) for one in (self.found, self.twin)]
@@ -105,7 +107,7 @@ class Row:
 
 
 def _sizes(found: RecordDiagnosis) -> dict[tuple[frozenset[str], str, str], tuple[float, float]]:
-    """Return value and u of each size, by the names of its place, parameter and channel."""
+    """Return value and u of each size, by possible names, parameter and channel."""
     return {
         (frozenset({one.name, *one.cannot_tell_from}), v.parameter, v.channel): (v.value, v.u)
         for one in found.effects

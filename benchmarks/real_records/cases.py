@@ -1,4 +1,4 @@
-"""The records of the trial with their truth, sealed by hash, and twins of them from this program's simulation."""
+"""The records of the trial with their truth, sealed by hash, and their simulated twins."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SEED: Final = 11
 
 @dataclass(frozen=True)
 class Case:
-    """A log with its columns, or files of free positions; what its publisher told, and the names that are right.
+    """A record: a log with its columns, or files of free positions; the publisher's statement, and the right names.
 
     `seen` marks a record that was used while this part of the program was written.
     """
@@ -48,7 +48,7 @@ class Case:
         return [path for pattern in patterns for path in sorted(ROOT.glob(pattern))]
 
     def readings(self, folder: Path) -> Readings:
-        """Return the readings of a log, through a readings file in `folder`."""
+        """Return the readings of a log, by way of a readings file in `folder`."""
         constants = {"installation": "R", **(self.constants or {})}
         mapping = LogColumns.model_validate(
             {"log_columns": "1", "columns": self.columns, "constants": constants}
@@ -65,7 +65,7 @@ def cases() -> list[Case]:
 
 
 def hashes() -> dict[str, str]:
-    """Return the SHA-256 of the truth and of every file of a record."""
+    """Return the SHA-256 of the truth and of each file of the records."""
     files = [TRUTH, *dict.fromkeys(file for case in cases() for file in case.files)]
     return {
         file.relative_to(ROOT).as_posix(): hashlib.sha256(file.read_bytes()).hexdigest() for file in files
@@ -73,18 +73,20 @@ def hashes() -> dict[str, str]:
 
 
 def seal() -> None:
-    """Write the hashes. Done once, before the first run."""
+    """Write the hashes, once, before the first run."""
     SEALED.write_text(json.dumps(hashes(), indent=1) + "\n", encoding="utf-8")
 
 
 def require_sealed() -> None:
-    """Raise `SystemExit` if the truth or a record is not the one that was sealed."""
+    """Raise `SystemExit` if the truth or a record differs from the sealed one."""
     if json.loads(SEALED.read_text(encoding="utf-8")) != hashes():
         raise SystemExit("benchmarks/real_records: truth or records are not those that were sealed")
 
 
 def twin_of(readings: Readings, found: RecordDiagnosis) -> Readings:
-    """Return readings at the same times with the signal of what was found, and noise drawn as it was fitted."""
+    """Return simulated readings at the same times, with the signal of the effects found and noise of the fitted
+    size.
+    """
     rng = np.random.default_rng(SEED)
     record = make_record(readings)
     noise = np.column_stack([one.drawn(rng, 1)[:, 0] for one in found.noises])

@@ -1,1 +1,1 @@
-"""The third trial of the diagnosis: geometry, effects, noise and mistakes written once more, apart from `bench`."""
+"""The third trial of the diagnosis; its geometry, effects, noise and mistakes are independent of `bench`."""

@@ -1,4 +1,4 @@
-"""The cases of the third trial: what is hidden in each, its noise, and the readings that come of it."""
+"""The cases of the third trial: the hidden effect or mistake of each, its noise, and the readings that follow."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ LARGEST: Final = 40.0
 
 @dataclass(frozen=True)
 class Case:
-    """A case: what its number and seed make, with the readings (n, 3) in V as they come to the program."""
+    """A case made from its seed and number, with the readings (n, 3), V, that the program receives."""
 
     seed: int
     number: int
@@ -55,7 +55,7 @@ def _draw(seed: int, number: int, what: int) -> Rng:
 
 
 def main_case(seed: int, number: int) -> Case:
-    """Return a case of the main trial. Groups stand in a shuffled order, names of a group by turns."""
+    """Return a case of the main trial; groups of cases are shuffled, names within a group come in turn."""
     order = np.random.default_rng([seed, 9, number // 100]).permutation(100)
     group = _HUNDRED[order[number % 100]]
     earlier = [_HUNDRED[k] for k in order[: number % 100]].count(group)
@@ -64,7 +64,7 @@ def main_case(seed: int, number: int) -> Case:
 
 
 def form_case(seed: int, number: int) -> Case:
-    """Return a case of the trial of forms: outside the catalogue and with a mean."""
+    """Return a case of the trial of forms: an effect outside the catalogue whose mean is not zero."""
     return _case(seed, number, "form", number)
 
 
@@ -83,7 +83,7 @@ def _case(seed: int, number: int, group: str, turn: int) -> Case:
 
 
 def far_case(seed: int, number: int) -> Case:
-    """Return a case in which a verification point, a reading or a channel is 8 to 40 u off."""
+    """Return a case in which a verification point, a reading or a channel is off by 8 to 40 u."""
     rng = _draw(seed, number, 2)
     on, units = int(rng.integers(DAYS)), float(rng.uniform(8, 40))
     the, kind = day(on), str(rng.choice(list(NOISES)))
@@ -120,7 +120,7 @@ def _pass(rng: Rng, on: Day) -> Mask:
 
 
 def _row(rng: Rng, on: Day) -> int:
-    """Draw a point of installation 1 or 2 that is not the first of a pass."""
+    """Draw a row of installation 1 or 2 that is not the first of a pass."""
     return int(rng.choice(np.flatnonzero(on.fitted & (on.point > 1))))
 
 
@@ -129,7 +129,7 @@ def _every(_: Rng, on: Day) -> Mask:
 
 
 def _channel(rng: Rng, rows: Mask) -> Mask:
-    """Draw a channel in some rows, (n, 3)."""
+    """Draw a channel, as a mask (n, 3) for some rows."""
     return np.outer(rows, np.arange(3) == rng.integers(3))
 
 
@@ -142,7 +142,7 @@ def _angle_off(rng: Rng, on: Day, degrees: float, rows: Mask) -> Truth:
 
 
 def _angle_before(on: Day, rows: NDArray[np.int64]) -> Truth:
-    """At these rows the head stood where it had stood a row before."""
+    """Return the truth that at these rows the head was still at the angle of the row before."""
     angle = on.angle.copy()
     angle[rows] = on.angle[rows - 1]
     return Truth(angle=angle)
@@ -170,7 +170,7 @@ def _stuck(rng: Rng, on: Day, signal: Floats) -> Floats:
 
 
 def _meters(rng: Rng, on: Day, signal: Floats) -> Floats:
-    """Exchange two meters in an installation; the truth is what the block does with them as they were."""
+    """Return signals after two meters were exchanged in an installation, and the truth if they had not been."""
     rows, channel = _part(rng, on), int(rng.integers(3))
     sign = np.eye(3)[channel] - np.eye(3)[(channel + 1) % 3]
     gain, zero = 80e-6 * rng.standard_normal(), 400e-6 * rng.standard_normal()
@@ -224,7 +224,7 @@ MISTAKES: Final = (*TRUE, *READ)
 
 
 def mistake_case(seed: int, number: int) -> Case:
-    """Return a case with a mistake, the kinds by turns."""
+    """Return a case with a mistake, the kinds in turn."""
     rng = _draw(seed, number, 3)
     name, on = MISTAKES[number % len(MISTAKES)], int(rng.integers(DAYS))
     truth = TRUE[name][1](rng, day(on)) if name in TRUE else AS_SAID

@@ -1,4 +1,4 @@
-"""What is hidden in the readings: effects that the catalogue names, and forms that it does not have."""
+"""Hidden effects: those that the catalogue names, and forms that it lacks."""
 
 from __future__ import annotations
 
@@ -18,12 +18,15 @@ XYZ: Final = np.eye(3)
 
 
 def one(rng: Rng) -> Floats:
-    """Draw a channel, as a row with a one."""
+    """Draw a channel, as a row vector with a single one."""
     return np.asarray(XYZ[rng.integers(3)])
 
 
 def error(number: int, shape: Floats) -> Floats:
-    """Return a shape (n,) as an addition to an error: 0 head's angle, 1 tilt, 2 mounting error, 3 roll."""
+    """Return a shape (n,) as an addition to an error.
+
+    `number` is 0 for the head's angle, 1 for tilt, 2 for mounting error, 3 for roll.
+    """
     return np.asarray(np.outer(shape, np.eye(4)[number]))
 
 
@@ -33,14 +36,15 @@ def hours(on: Day) -> Floats:
 
 
 def fade(on: Day, tau_min: float, since: Floats | None = None) -> Floats:
-    """Return exp(-t / tau), by the time since the start if no other is given, (n, 1)."""
+    """Return exp(-t / tau), (n, 1), where t is the time since the start, or `since` if given."""
     return np.exp(-(on.time_s if since is None else since) / (tau_min * 60))[:, None]
 
 
 def loop(on: Day, widths: Sequence[float], weights: Sequence[float]) -> Floats:
-    """Return the sum of plays of these half widths in g, 1 on the way up, for each channel, (n, 3).
+    """Return the sum of hysteresis plays with these half widths, g, for each channel, (n, 3); it is 1 on the way
+    up.
 
-    The head goes on rising from point to point in steps of 1°; it comes to the first of a mounting from 25° before.
+    The head rises from point to point in steps of 1°. It approaches the first point of a mounting from 25° below.
     """
     result, width = np.zeros((len(on), 3)), np.array(widths)[:, None]
     for mount in range(3):
@@ -57,10 +61,10 @@ def loop(on: Day, widths: Sequence[float], weights: Sequence[float]) -> Floats:
 
 
 def _families() -> Iterator[tuple[str, Stage, list[Shape]]]:
-    """Yield spaces of additions that a name of the catalogue may have, each in one of its shapes and places.
+    """Yield the spaces of additions that a name of the catalogue may have, each for one shape and location.
 
-    Of the block, every third is of the same channel. Shapes are the catalogue's and others: two plays or time
-    constants, other lags and widths.
+    Of the block's effects, every third is of the same channel. The shapes are the catalogue's and others: two plays
+    or time constants, other lags and widths.
     """
 
     def each(*shapes: Shape) -> list[Shape]:
@@ -226,7 +230,10 @@ def _drawn(name: str, seed: int) -> Form:
 
 
 def hidden(name: str, size: float, number: int, seed: int) -> Form:
-    """Return a form of this size in units of noise on a day, drawn until it is smaller than 6′, 8 mg or 8 mV."""
+    """Return a form of this size, in units of noise, on a day.
+
+    It is drawn until it is smaller than 6′, 8 mg or 8 mV.
+    """
     largest = {"stand": 2e-3, "block": 8e-3, "meter": 8e-3}
     for again in range(20):
         form = _drawn(name, seed + again)
@@ -239,13 +246,13 @@ def hidden(name: str, size: float, number: int, seed: int) -> Form:
 
 
 def signature(form: Form, number: int) -> Floats:
-    """Return what a form changes in the readings of a day, (n, 3) V."""
+    """Return the change of the readings of a day by a form, (n, 3), V."""
     return volts(day(number), [form]) - volts(day(number))
 
 
 @cache
 def spaces(number: int) -> dict[str, list[Floats]]:
-    """Return for each name orthonormal bases of what it may leave in the readings of a day, in units of noise."""
+    """Return for each name orthonormal bases of its possible residuals on a day, in units of noise."""
     found: dict[str, list[Floats]] = {name: [] for name in NAMES}
     for name, stage, shapes in FAMILIES:
         forms = [Form(name, stage, partial(lambda s, on, a, _, __: s(on, a), s), 1e-6) for s in shapes]
@@ -256,7 +263,7 @@ def spaces(number: int) -> dict[str, list[Floats]]:
 
 
 def left_by(names: Sequence[str], seen: Floats, number: int) -> float:
-    """Return how many units of noise names leave of what is left, each in its best place and shape."""
+    """Return the part of a residual, in units of noise, that `names` do not explain, each at its best."""
     for name in names:
         parts = [seen - base @ (base.T @ seen) for base in spaces(number)[name]]
         seen = min(parts, key=lambda part: float(np.linalg.norm(part)))

@@ -1,4 +1,4 @@
-"""The one place where the third trial touches the program: what it says of a case, and what its model predicts."""
+"""The only module of the third trial that calls the program, for diagnoses and for predictions of its models."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ TRUE: Final = dict(zip(COEFFICIENTS, [*K.ravel(), *U0], strict=True))
 
 
 def diagnosed(case: Case, *, new_day: bool = False) -> dict[str, Any]:
-    """Return what the program says of a case, and what of it is right, as a line of JSON.
+    """Return the program's diagnosis of a case and its marks, as a line of JSON.
 
-    With `new_day` the readings of another day are calibrated without and with the model that was found.
+    With `new_day`, the readings of another day are calibrated without and with the model that was found.
     """
     record: dict[str, Any] = {
         "group": case.group, "number": case.number, "seed": case.seed, "name": case.name, "day": case.day,
@@ -80,7 +80,7 @@ def diagnosed(case: Case, *, new_day: bool = False) -> dict[str, Any]:
 
 
 def headline(text: str) -> str:
-    """Return the sentence that a diagnosis puts in one line."""
+    """Return the sentence in which a diagnosis sums up its result."""
     lines = text.splitlines()
     return [*(line for line in reversed(lines) if line.startswith("DataFrame")), lines[0]][0]
 
@@ -92,7 +92,7 @@ def _conditions(number: int) -> Any:
 
 
 def predicted(path: Path, number: int) -> Floats:
-    """Return what the effects of a model file do to the readings of a day, (n, 3) V."""
+    """Return the effect of a model file on the readings of a day, (n, 3), V."""
     installations, conditions = _conditions(number)
     given = Block(K, U0), conditions, np.zeros((len(conditions.mounts), 5))
     effects = load_model(path).applied_effects()
@@ -102,13 +102,15 @@ def predicted(path: Path, number: int) -> Floats:
 
 
 def closed(form: Form, path: Path, number: int) -> float:
-    """Return how much of what the true form closes on another day the model closes, expected over noise."""
+    """Return the fraction of the gap closed by the true form on another day that the model closes, expected over
+    noise.
+    """
     true = signature(form, number)
     return 1.0 - (rho(true - predicted(path, number), number) / rho(true, number)) ** 2
 
 
 def _calibrated(case: Case, form: Form, path: Path, number: int) -> dict[str, list[float]]:
-    """Return the errors of the coefficients on another day in u, without and with the model; u is that without."""
+    """Return the errors of the coefficients on another day without and with the model, in units of u without it."""
     rng = np.random.default_rng([case.seed, 7, case.number])
     frame = table(day(number), read(day(number), "normal", rng, [form]))
     both = {"before": bench.calibrate(frame), "after": bench.calibrate(frame, model=path)}
@@ -120,6 +122,6 @@ def _calibrated(case: Case, form: Form, path: Path, number: int) -> dict[str, li
 
 
 def _odds(effects: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the stated probabilities of the names in the place of the only effect found."""
+    """Return the stated probabilities of the names if a single effect was found."""
     odds = effects[0].get("odds", []) if len(effects) == 1 else []
     return [{"names": [one["name"]], "probability": one["probability"]} for one in odds]

@@ -5,11 +5,11 @@
     python -m benchmarks.third_trial --far --mistakes --forms   # other kinds of trial
     python -m benchmarks.third_trial --output new --against old # each case beside that of another run
 
-Readings are made by the geometry, effects and noise of this package alone; the program gets them as tables by its
-Python face. Each case is a line of JSON in the output folder; called again, the trial goes on there. Tables have
-shares with counts and Wilson 95 % intervals; below them each bound with what was measured. What is closed is the
-expectation over the noise of a new day of the same design, with another temperature. Exit status 1 where a bound is
-missed.
+Readings are made by the geometry, effects and noise of this package alone; the program receives them as tables
+through its Python functions. Each case is a line of JSON in the output folder, from which a later call continues.
+The tables have shares with counts and Wilson 95 % intervals, followed by each bound with the measured value. The
+closed fraction of a gap is an expectation over the noise of a new day of the same design, with another temperature.
+The exit status is 1 if a bound is missed.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ MAKERS: Final[dict[str, tuple[Callable[[int, int], Case], int]]] = {
 
 
 def of_number(trial: str, seed: int, number: int) -> Record:
-    """Return what the program makes of a case."""
+    """Return the program's result for the case of this number."""
     return diagnosed(MAKERS[trial][0](seed, number), new_day=trial == "forms")
 
 
 def records(path: Path) -> list[Record]:
-    """Return the lines of a file, in the order of the cases; a last line that was cut off is left out."""
+    """Return the lines of a file, in the order of the cases; an incomplete last line is left out."""
     text = path.read_text(encoding="utf-8") if path.exists() else ""
     lines = text[: text.rfind("\n") + 1].splitlines()
     return sorted(map(json.loads, lines), key=lambda one: (one["seed"], one["number"]))
 
 
 def carried_out(trial: str, seed: int, count: int, workers: int, folder: Path) -> list[Record]:
-    """Diagnose the cases that the folder has not yet; return all."""
+    """Diagnose the cases that are missing in the folder; return all."""
     path = folder / f"{trial}-{seed}.jsonl"
     known = records(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -65,7 +65,7 @@ def carried_out(trial: str, seed: int, count: int, workers: int, folder: Path) -
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Carry out what was asked for and print what it came to; return the exit status."""
+    """Carry out the requested trials and print the results; return the exit status."""
     given = arguments(
         __doc__, argv, seed=11, workers=2,
         short=(False, "50 cases of each kind of trial"),

@@ -1,4 +1,4 @@
-"""What is counted of the third trial, and the bounds that it is held against."""
+"""The counts of the third trial, and the bounds with which they are compared."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ _PLACE: Final = re.compile(r"\bV\b|verification|point|channel|outlier|tails|slow
 
 
 def silent(one: Record) -> bool:
-    """Whether the verdict is that all agrees and the headline names nothing."""
+    """Whether the verdict is "agrees" and the headline names nothing."""
     said = one["names"] or _PLACE.search(_NOTHING.sub("", one["headline"]))
     return one["verdict"] == "agrees" and not said
 
 
 def alone(one: Record) -> bool:
-    """Whether the verdict names something that nothing is tied with."""
+    """Whether the verdict names an effect without ties."""
     return one["verdict"] == "named" and not any(one["ties"])
 
 
 def in_set(one: Record) -> set[str]:
-    """Return the names and what is tied with them."""
+    """Return the names found and all names tied with them."""
     return {*one["names"], *(name for tie in one["ties"] for name in tie)}
 
 
 def true_name(one: Record) -> str:
-    """Return the name that is true of a find, `UNNAMED` for a form without a name, and nothing for a null.
+    """Return the true name of a finding, `UNNAMED` for a form without a name, and nothing for a null case.
 
-    Names in the place of one find exclude each other, so that one of them is true at most. A form outside has the
-    first name where this leaves less than a unit of noise; a name that this trial does not know is judged by what
-    it closes.
+    Alternative names of one finding exclude each other, so that at most one is true. For a form outside the
+    catalogue, it is the first name that leaves less than a unit of noise unexplained. A name that this trial
+    does not know is judged by how far it closes the gap.
     """
     if one["group"] != "outside":
         return str(one["name"])
@@ -63,7 +63,7 @@ def _closes(one: Record) -> bool:
 
 
 def marks_of(one: Record) -> Marks:
-    """Return what is right and wrong of a case of the main trial; None where it is not asked."""
+    """Return the marks of a case of the main trial: right, wrong, or None if not applicable."""
     failed: Marks = {"failed": one["verdict"] == "error"}
     if one["group"] == "null":
         return failed | {"null agrees": one["verdict"] == "agrees"}
@@ -95,14 +95,14 @@ def marks_of(one: Record) -> Marks:
 
 
 def far_marks(one: Record) -> Marks:
-    """Return what is right of a file with something far off."""
+    """Return the marks of a case in which something is far off."""
     where = any(word in one["headline"] for word in one["right"])
     anywhere = any(word in one.get("text", "") for word in one["right"])
     return {"silent": silent(one), "place in the headline": where, "place in the text": anywhere}
 
 
 def mistake_marks(one: Record) -> Marks:
-    """Return what is right of a file with a mistake; put right is within 4.5 u in all twelve coefficients."""
+    """Return the marks of a case with a mistake; it counts as corrected within 4.5 u in all twelve coefficients."""
     after = one.get("off", {}).get("after")
     return {
         "detected": not silent(one),
@@ -113,7 +113,10 @@ def mistake_marks(one: Record) -> Marks:
 
 
 def form_marks(one: Record) -> Marks:
-    """Return what a model does to the coefficients of a new day; where the zero of a drift is, only biases feel."""
+    """Return the marks of a model's effect on the coefficients of a new day.
+
+    Only biases depend on the time at which a drift is zero.
+    """
     if "new_day" not in one:
         return {"model file": False}
     before, after = (np.abs(one["new_day"][when]) for when in ("before", "after"))
@@ -141,7 +144,7 @@ BOUNDS: Final = {
 
 
 def shares(marks: Iterable[Marks]) -> dict[str, Share]:
-    """Return for each column how often it holds, of how often it was asked."""
+    """Return for each column the share of applicable marks that are right."""
     columns: dict[str, list[bool]] = {}
     for name, value in (pair for one in marks for pair in one.items()):
         columns.setdefault(name, []).extend([] if value is None else [bool(value)])
@@ -149,7 +152,7 @@ def shares(marks: Iterable[Marks]) -> dict[str, Share]:
 
 
 def report(trial: str, found: Sequence[Record]) -> tuple[str, int]:
-    """Return tables and bounds as text, and how many bounds are missed."""
+    """Return tables and bounds as text, and the number of missed bounds."""
     marks = [JUDGED[trial](one) for one in found]
     total = shares(marks)
     lines = [f"\n## {trial}: {len(found)} cases", "", *markdown(["", "share"], total.items())]
@@ -175,7 +178,9 @@ def report(trial: str, found: Sequence[Record]) -> tuple[str, int]:
 
 
 def _coefficients(found: Sequence[Record]) -> list[str]:
-    """Judge the twelve coefficients: of nulls, which checks this trial, and where the right name stands alone."""
+    """Judge the twelve coefficients: of null cases, which checks this trial, and of cases with the right name
+    alone.
+    """
     right = [
         one
         for one in found
@@ -195,7 +200,7 @@ def _coefficients(found: Sequence[Record]) -> list[str]:
 
 
 def _posteriors(found: Sequence[Record]) -> list[str]:
-    """Hold stated probabilities against how often they are right, in five bins with 99 % binomial limits.
+    """Compare stated probabilities with how often they are right, in five bins with 99 % binomial limits.
 
     All forms without a name count as one.
     """

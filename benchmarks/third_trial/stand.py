@@ -1,6 +1,6 @@
-"""The stand of the third trial: where the block points, what its meters read, what of an effect can be seen.
+"""The stand of the third trial: orientation of the block, readings of its meters, visible part of effects.
 
-Everything is written from the paper's description with rotation matrices, and from nothing in `bench`.
+It is written from the paper's description with rotation matrices, and uses nothing of `bench`.
 """
 
 from __future__ import annotations
@@ -63,11 +63,11 @@ class Day:
 
     @property
     def eighth(self) -> NDArray[np.int64]:
-        """The mark of the head, 0 to 7 for 0° to 315°."""
+        """The index of the head's mark, 0 to 7 for 0° to 315°."""
         return np.asarray(np.round(self.angle / (np.pi / 4)).astype(int) % 8)
 
     def lagged(self, lag_s: float) -> Floats:
-        """Temperature above 20 °C behind two equal lags in series, which were in equilibrium at first."""
+        """Return the temperature above 20 °C of a body behind two equal lags, initially in equilibrium."""
         if lag_s == 0.0:
             return self.warmth
         fine = np.arange(0.0, self.time_s[-1] + 10.0, 10.0)
@@ -110,10 +110,10 @@ Act = Callable[[Day, Floats, Rng, Rng], Floats]
 
 @dataclass(frozen=True)
 class Form:
-    """What acts in the readings: what its size times `act` adds, and to what.
+    """A hidden effect: its size times `act` is the addition at a `stage` of the signal.
 
-    At the stage "stand" it adds to the head's angle, the tilt of its axis, the mounting error and the mounting
-    roll, (n, 4) rad; in the "block" to the output in g, (n, 3); in the "meter" to the volts, (n, 3).
+    The stage "stand" has the head's angle, the tilt of its axis, the mounting error and the mounting roll, (n, 4),
+    rad; the stage "block" the output in g, (n, 3); the stage "meter" the signal in V, (n, 3).
     """
 
     name: str
@@ -124,14 +124,14 @@ class Form:
     seed: int = 0
 
     def addition(self, on: Day, seen: Floats, seed: int) -> Floats:
-        """Return the addition. Of a form with a mean it is the same with each seed."""
+        """Return the addition; for a form with a mean, it is the same for each seed."""
         now = np.random.default_rng([self.seed, 2, seed if self.scatter else 0])
         return self.size * self.act(on, seen, np.random.default_rng(self.seed), now)
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What is true of a run in the place of what its file says; the angle in rad, the labels of `BLOCK_AXES`."""
+    """The true angles (rad) and labels (of `BLOCK_AXES`) of a run, where they differ from those in its file."""
 
     angle: Floats | None = None
     label: NDArray[np.str_] | None = None
@@ -149,7 +149,7 @@ def volts(
     seed: int = 0,
     truth: Truth = AS_SAID,
 ) -> Floats:
-    """Return readings without noise (n, 3) in V. `stand` (mountings, 3) has the columns of `STAND`."""
+    """Return readings without noise (n, 3), V; `stand` (mountings, 3) has the columns of `STAND`."""
     error = np.zeros((len(on), 4))
     error[:, :3] = 0.0 if stand is None else stand[on.mount]
     for form in (one for one in forms if one.stage == "stand"):
@@ -176,7 +176,7 @@ NOISES: Final = {"normal": 0.6, "t4": 0.1, "rounded": 0.1, "by channel": 0.1, "s
 
 
 def read(on: Day, kind: str, rng: Rng, forms: Sequence[Form] = (), truth: Truth = AS_SAID) -> Floats:
-    """Return readings (n, 3) in V with errors of the stand, setting errors and noise of a kind."""
+    """Return readings (n, 3), V, with errors of the stand, setting errors, and noise of a kind."""
     stand, setting = STAND * rng.standard_normal((3, 3)), SETTING * rng.standard_normal(len(on))
     signal = volts(on, forms, stand, setting, int(rng.integers(2**31)), truth)
     noise = (
@@ -195,7 +195,7 @@ def read(on: Day, kind: str, rng: Rng, forms: Sequence[Form] = (), truth: Truth 
 
 
 def table(on: Day, signal: Floats) -> pd.DataFrame:
-    """Return the columns of a readings file."""
+    """Return a table with the columns of a readings file."""
     frame = pd.DataFrame({"installation": on.label, "pass": on.pass_number, "point": on.point})
     frame["angle_deg"] = np.round(np.degrees(on.angle), 9)
     frame["direction"], frame["time_s"] = 1, on.time_s
@@ -206,11 +206,11 @@ def table(on: Day, signal: Floats) -> pd.DataFrame:
 
 @cache
 def sight(number: int) -> Floats:
-    """Return the matrix that turns signals (3n,) of a day into what is left of them, in units of normal noise.
+    """Return the matrix that maps signals (3n,) of a day to their visible part, in units of normal noise.
 
-    Each setting's three readings are whitened by their covariance; a verification point is seen by its modulus.
-    What the twelve coefficients take up is left out, and what the errors of the stand may, within their sizes.
-    The norm of what is left is rho.
+    The three readings of each setting are whitened by their covariance; a verification point is visible only by its
+    modulus. The part that the twelve coefficients can absorb is removed, and also the part that stand errors within
+    their sizes can. The norm of the visible part is rho.
     """
     on, inverse = day(number), np.linalg.inv(K)
     plain, step = volts(on), 1e-6
@@ -231,10 +231,10 @@ def sight(number: int) -> Floats:
 
 
 def left(signal: Floats, number: int) -> Floats:
-    """Return what is left of a signal (n, 3) of a day, in units of noise."""
+    """Return the visible part of a signal (n, 3) of a day, in units of noise."""
     return np.asarray(sight(number) @ signal.ravel())
 
 
 def rho(signal: Floats, number: int) -> float:
-    """Return the size of a signal (n, 3) of a day, in units of noise."""
+    """Return the norm of the visible part of a signal (n, 3) of a day, in units of noise."""
     return float(np.linalg.norm(left(signal, number)))

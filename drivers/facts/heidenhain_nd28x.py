@@ -1,20 +1,20 @@
-"""What is true of a Heidenhain ND 281B or ND 287 display unit at its RS-232-C port (X31).
+"""Facts about a Heidenhain ND 281B or ND 287 display unit at its RS-232-C port (X31).
 
 Sources: ND 281B User's Manual, pages 47 (data format, control characters), 61 and 62 (commands); ND 287 User's
 Manual, pages 102 (control characters) and 108 (commands); ND 287 Operating Instructions 07/2016, page 6 (status
-display). The codes of the commands and the status bar of the ND 287 are those of public programs, one for the
-ND 287 and one for the ND 760 and ND 780, which agree; the manuals describe the commands in the same order.
+display). The codes of the commands and the status bar of the ND 287 are from two public programs that agree, one
+for the ND 287, one for the ND 760 and ND 780; the manuals describe the commands in the same order.
 
 Not confirmed by a source:
 - the baud rate as delivered, and the list of rates (38400 is in the manual of the ND 221B);
 - the length of the indicators of an ND 287 and which of them is REF (so none of them may blink);
 - whether REF of an ND 281B that waits for its reference mark is dark, blinks or glows (so it must glow, and the
-  display must show a number: the question after switching on is shown, and so sent, in place of one);
-- the texts of errors of signal and count, which are shown, and so sent, in place of the value;
+  display must show a number; after switch-on it shows, and sends, a question instead of one);
+- the texts of errors of signal and count, which it shows, and sends, instead of the value;
 - the sign of a positive value, + or a blank;
-- a command by which an ND 281B tells degrees from millimetres (only inches show).
-STX (Ctrl B) calls the measured value in a form that depends on unit, sorting and series. ENQ (Ctrl E) calls an
-error message in a form that is not confirmed. The driver uses neither; it asks what the display shows.
+- a command that shows whether an ND 281B measures in degrees or millimetres (only inches are indicated).
+STX (Ctrl B) requests the measured value in a form that depends on unit, sorting and series. ENQ (Ctrl E) requests
+an error message in a form that is not confirmed. The driver uses neither; it queries the display.
 """
 
 from typing import Final
@@ -25,9 +25,9 @@ MODELS: Final = ("ND-281B", "ND-287")
 # --- messages ---------------------------------------------------------------------------------------
 
 STX: Final = "\x02"
-"""It begins each output."""
+"""The first character of each output."""
 NAK: Final = "\x15"
-"""The answer to a command that it does not know."""
+"""The reply to an unknown command."""
 READ_TERMINATION: Final = "\r\n"
 WRITE_TERMINATION: Final = "\r"
 SERIAL: Final = {

@@ -75,11 +75,11 @@ CHANNEL_DELAY_S: Final = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """A probe: `configured` is the argument of CONF:TEMP, `proved` lists the queries that verify it, with their
-    replies.
+    """A temperature sensor: `configured` is the argument of CONF:TEMP that selects it.
 
-    `meter_c` and `probe_c` are limits of error, °C; the probe's grows by `probe_slope` per degree from 0 °C. With
-    four wires the sense pair is `pair` channels higher; 0 means two wires.
+    `proved` lists the queries that verify it, with their replies. `meter_c` and `probe_c` are limits of error,
+    °C; the probe's grows by `probe_slope` per degree from 0 °C. With four wires the sense pair is `pair` channels
+    higher; 0 means two wires.
     """
 
     words: str

@@ -1,12 +1,11 @@
-"""What is true of a counter whose reading comes as a Mitutoyo MUX-10 multiplexer sends it.
+"""Facts about counters that send readings in the format of a Mitutoyo MUX-10 multiplexer.
 
 Source: GageMux Operating Manual, page 7, "Mitutoyo Mux-10 Format": 0, channel, A, sign, eight characters of a
 reading, CR, such as 01A-001.2340.
 
-Not confirmed by a source: the request (taken: the number of the channel and CR, as at other multiplexers); the
-port as delivered; the codes of errors (any other reply is no reading). The form has no place for a unit, for a
-reference mark or for the name of the maker: the driver assumes degrees, and a person is asked for the reference
-mark.
+Not confirmed by a source: the request (assumed: the number of the channel and CR, as for other multiplexers); the
+port as delivered; the codes of errors (the driver takes any other reply as no reading). The format has no unit,
+reference mark or maker's name: the driver assumes degrees, and asks a person about the reference mark.
 """
 
 from typing import Final

@@ -1,6 +1,6 @@
-"""What is true of an instrument that answers a request with one line of text: what its bench file says.
+"""Facts about instruments that answer a request with one line of text; their bench file states the rest.
 
-The port is that of most serial adapters; one that is set otherwise is set to it, or has its baud rate stated.
+The port has the settings of most serial adapters. Set the instrument to them, or state its baud rate.
 """
 
 from typing import Final
@@ -16,4 +16,4 @@ TEMPERATURE: Final = "temperature"
 """The named groups of a pattern that hold the number of a counter and of a thermometer."""
 ENDS: Final = {"CR": "\r", "LF": "\n", "CR LF": "\r\n"}
 PER_TURN: Final = {"degrees": 360.0, "arcsec": 1296000.0}
-"""How many of a unit are a turn; of counts the bench file says it."""
+"""Number of each unit in a turn; for counts the bench file states it."""

@@ -1,4 +1,4 @@
-"""HP / Agilent / Keysight 34401A, or a Truevolt 34461A that emulates it: DC volts into memory.
+"""HP / Agilent / Keysight 34401A, or a Truevolt 34461A that emulates it, measuring DC volts into its memory.
 
 Sources: see `drivers.facts.agilent_34401a`.
 """

@@ -1,4 +1,4 @@
-"""A counter that answers a request with one line of text, on a head that a person turns."""
+"""A counter that answers a request with one line of text, and that measures a head turned by a person."""
 
 from __future__ import annotations
 

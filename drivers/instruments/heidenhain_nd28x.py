@@ -1,4 +1,7 @@
-"""A Heidenhain ND 281B or ND 287 on a head that a person turns. Source: see its facts."""
+"""A Heidenhain ND 281B or ND 287 that measures the angle of a head turned by a person.
+
+Source: see `drivers.facts.heidenhain_nd28x`.
+"""
 
 from __future__ import annotations
 

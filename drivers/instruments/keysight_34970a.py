@@ -1,8 +1,8 @@
-"""HP / Agilent / Keysight 34970A and 34972A with 34901A multiplexer cards: several DC voltages, one meter.
+"""HP / Agilent / Keysight 34970A and 34972A with 34901A cards: one meter that measures several DC voltages.
 
-The signals are sampled one after another, not simultaneously: within a scan each waits for its channel's
-delay and the integration of the channels before it. The meter scans in ascending order of the channel numbers,
-whatever order is requested. Sources: see `drivers.facts.keysight_34970a`.
+The signals are sampled one after another, not simultaneously: within a scan each waits for its channel's delay
+and the integration of the channels before it. The meter scans in ascending order of the channel numbers, whatever
+order is requested. Sources: see `drivers.facts.keysight_34970a`.
 """
 
 from __future__ import annotations

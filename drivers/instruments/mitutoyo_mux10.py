@@ -1,4 +1,7 @@
-"""A counter in the form of a Mitutoyo MUX-10, on a head that a person turns. Source: see its facts."""
+"""A counter with the format of a Mitutoyo MUX-10, which measures the angle of a head turned by a person.
+
+Source: see `drivers.facts.mitutoyo_mux10`.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class MitutoyoMux10(ReadOutHead):
-    """A `DividingHead` with an encoder on a channel of a counter that shows degrees."""
+    """A `DividingHead` whose encoder is connected to one channel of a counter that shows degrees."""
 
     def __init__(
         self,

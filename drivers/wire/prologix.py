@@ -93,7 +93,10 @@ class AdapterConnection:
         return self._adapter.has_link(self._link_number)
 
     def close(self) -> None:
-        """Leave the adapter; its last instrument closes the link. Never raises, may be called twice."""
+        """Release the adapter for this instrument; the last instrument closes the link.
+
+        Never raises, may be called twice.
+        """
         self._interrupted.set()
         if not self._left:
             self._left = True

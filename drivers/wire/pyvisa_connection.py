@@ -180,11 +180,11 @@ _FLOW: Final = {
 
 @dataclass(frozen=True, slots=True)
 class SerialSettings:
-    """Settings of a serial port; the defaults are those of a 34401A set to 9600 baud, no parity.
+    """Settings of a serial port; the defaults suit a 34401A set to 9600 baud, no parity.
 
     `flow` "dtr_dsr" leaves DTR asserted, as the meter requires; the port does the handshake itself.
-    `device_clear` is sent after a lost reply, to keep the instrument from sending that reply late.
-    Source: 34401A User's Guide, chapter 4, RS-232 interface configuration.
+    `device_clear` is sent after a lost reply, to keep the instrument from sending that reply late. Source: 34401A
+    User's Guide, chapter 4, RS-232 interface configuration.
     """
 
     baud_rate: int = 9600
@@ -202,7 +202,7 @@ class SerialSettings:
 
 
 _PSEUDO_TERMINALS: Final = ("/dev/pts/", "/dev/ttys")
-"""Where pseudo-terminals stand on Linux and on macOS."""
+"""The paths of pseudo-terminals on Linux and on macOS."""
 
 
 class Connection:
@@ -416,7 +416,7 @@ def _sessions(visa: MessageBasedResource) -> dict[int, Any]:
 
 
 def _interface(visa: MessageBasedResource) -> Any:
-    """Return the socket, pyserial port or other object that pyvisa-py keeps beneath the resource."""
+    """Return the socket, pyserial port or other object on which pyvisa-py bases the resource."""
     return getattr(_sessions(visa).get(visa.session), "interface", None)
 
 

@@ -213,7 +213,7 @@ def _read_line(number: int, text: str) -> tuple[str, Logged]:
 
 
 def exchanges(lines: Iterable[Logged]) -> list[Exchange]:
-    """Return the lines grouped into exchanges; a failure replaces the part of a reply received before it."""
+    """Return the lines grouped into exchanges; a failure replaces the part of the reply received before it."""
     made: list[Exchange] = []
     for entry in lines:
         answer = entry.failure or entry.data.decode("ascii", "backslashreplace")
@@ -230,8 +230,8 @@ def exchanges(lines: Iterable[Logged]) -> list[Exchange]:
 def replayed(log: Path, instrument: str, **settings: Any) -> Iterator[tuple[MessageSession, Replay]]:
     """Yield a session that replays one instrument's lines of a log, and its clock.
 
-    `settings` are those of `MessageSession`, such as `timeout_s` or `serial`. Raises `Deviation` if the driver
-    deviated (even if it swallowed the error) or lines are left over; also `WireLogError`, `OSError`.
+    `settings` are arguments of `MessageSession`, such as `timeout_s` or `serial`. Raises `Deviation` if the
+    driver deviated (even if it swallowed the error) or lines are left over; also `WireLogError`, `OSError`.
     """
     replay = Replay(f"{log}", instrument, read_log(log, instrument), settings.get("read_termination", "\n"))
     session = _ReplayedSession(replay, **settings)
@@ -344,7 +344,7 @@ class Replay(Connection):
         return reply.data + self._read_end, reply.data.endswith(b"\n")
 
     def take_all(self) -> bytes:
-        """Return a reply that is logged with its own line end; otherwise as `take`."""
+        """Return the next reply, if it is logged with its own line end; otherwise return what `take` returns."""
         return self.take()[0].removesuffix(self._read_end)
 
     def resynchronise(self, device_clear: bytes, timeout_s: float) -> bool:

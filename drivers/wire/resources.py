@@ -173,8 +173,7 @@ class Holding:
     def take(self, name: str, resource: str, called: str = "") -> None:
         """Lock the resource of instrument `name`. Raises `InstrumentRefused`, naming the holder, if it is in use.
 
-        The message names the resource; `called`, if given, replaces it there, as for a resource that no person
-        typed.
+        The message names the resource, or `called` instead, for example for a resource that no person typed.
         """
         path = self._path(resource)
         with self._guard:

@@ -313,7 +313,7 @@ class MessageSession:
         return data.endswith(end)
 
     def _behind(self, data: bytes, end: bytes, lines: int) -> int:
-        """Return how many bytes stand behind a reply of so many lines; negative where it has not all come."""
+        """Return how many bytes follow a reply of `lines` lines in `data`; negative if the reply is incomplete."""
         at = -1
         for _ in range(lines):
             at = data.find(end, at + 1)
@@ -322,7 +322,7 @@ class MessageSession:
         return len(data) - at - len(end) - self._read_tail
 
     def _comes(self, connection: Connection, begun_s: float, allowed_s: float) -> bool:
-        """Wait for bytes, in slices so that haste takes effect; return False if none arrive in time."""
+        """Wait for bytes, in slices so that `haste` takes effect; return False if none arrive in time."""
         while True:
             left_s = begun_s + self._haste.limited_s(allowed_s) - self._clock.now_s()
             if connection.wait(max(0.0, min(left_s, _SLICE_S))):
@@ -391,8 +391,8 @@ _T = TypeVar("_T")
 class ProvedSession:
     """Commands and queries over a `MessageSession`; the instrument is verified first on every new connection.
 
-    `prove` identifies the instrument through this session and raises an error if it is not the expected one.
-    `write_gap_s` is the pause that the instrument needs after a command without reply.
+    `prove`, which verifies it, identifies the instrument through this session and raises an error if it is not
+    the expected one. `write_gap_s` is the pause that the instrument needs after a command without reply.
     """
 
     def __init__(
@@ -413,11 +413,11 @@ class ProvedSession:
 
     @property
     def opened(self) -> bool:
-        """Whether the instrument was proved and the session has not been closed since."""
+        """Whether the instrument was verified and the session has not been closed since."""
         return self._proved is not None
 
     def open(self) -> None:
-        """Connect and prove the instrument. Raises `InstrumentLost`, `BadReading` and the errors of `prove`."""
+        """Connect and verify the instrument. Raises `InstrumentLost`, `BadReading` and the errors of `prove`."""
         self._proved = None
         self._session.open()
         self.repeating(self.ensure_proved)
@@ -428,7 +428,7 @@ class ProvedSession:
         self._session.close()
 
     def ensure_proved(self) -> None:
-        """Prove the instrument unless it was proved over the current connection."""
+        """Verify the instrument, unless it was verified over the current connection."""
         if self._proving or (self._proved is not None and self._proved == self._session.connection):
             return
         self._proving = True
@@ -442,7 +442,7 @@ class ProvedSession:
         """Return the result of `exchange`, repeated over a new connection after a transport failure.
 
         There are at most three attempts; a second `InstrumentLost` ends them, as the instrument is then absent.
-        Inside `prove` nothing is repeated: the outer call repeats the whole proof.
+        Inside `prove` nothing is repeated: the outer call repeats the whole verification.
         """
         lost = 0
         for _ in range(ATTEMPTS - 1):
@@ -469,7 +469,7 @@ class ProvedSession:
         return self._session.query(command, timeout_s, pattern, expected, lines)
 
     def urgent(self, command: str, pattern: str, expected: str) -> str:
-        """Send a command at once, proved or not, and return its reply: a stop must not wait for a proof."""
+        """Send a command at once, even to an instrument not yet verified, and return its reply; for a stop."""
         return self._session.query(command, pattern=pattern, expected=expected)
 
     def write(self, command: str) -> None:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class FaultKind(StrEnum):
-    """Kinds of faults. The last five occur in the instrument, the others on its wire."""
+    """Kinds of faults: the last five occur in the instrument, all others on its wire."""
 
     DROP = "drop"
     """The command is carried out; the connection is closed without a reply."""

@@ -146,14 +146,14 @@ _Instrument = TypeVar("_Instrument", bound=ScpiInstrument)
 
 
 class GpibAdapter(PlainDialect):
-    """The adapter; `clock` is the bench's. `attach` puts instruments on its bus.
+    """A GPIB adapter in a bench with the time `clock`; `attach` puts instruments on its bus.
 
     With `nul` it sends a NUL after the LF of each reply (a GPIB-USB: pymeasure issue 954). An AR488 calls itself
     "AR488 version 6.102" or "Prologix AR488 HRK version 6.101" (Twilight-Logic/AR488 issues 22 and 50), and its
     ++savecfg saves at once.
 
-    `settings` are those at switch-on. `writes_to_memory` counts how often settings were saved (savecfg 1), because
-    each write wears the adapter's memory.
+    `settings` are those at switch-on. `writes_to_memory` counts how often settings were saved (savecfg 1),
+    because each write wears the adapter's memory.
     """
 
     model = "GPIB adapter"
@@ -223,7 +223,7 @@ class GpibAdapter(PlainDialect):
 
     @property
     def line_ends(self) -> LineEnds:
-        """The line ends: the reply's own, then a stray NUL if the adapter sends one."""
+        """The line ends: the end of the reply itself, then a stray NUL if the adapter sends one."""
         return LineEnds(reply=b"\n\0") if self._nul else LineEnds()
 
     def handle(self, message: bytes, interrupted: Callable[[], bool] = never) -> bytes | None:

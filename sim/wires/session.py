@@ -113,8 +113,8 @@ class LineEnds:
     If `reply` is None, the wire's own terminator is appended. A CR before an LF that ends a message is dropped;
     other ends leave the surrounding bytes unchanged. `frame`, if given, replaces `reply`: it converts a reply to
     the bytes that are sent. `clears` is False if ETX is an ordinary character and not a device clear. A longer
-    message than `buffer` overflows. With `loses_early` the instrument loses what is sent after a query and before
-    its reply is out, apart from the first characters, as one whose hold-off the sender ignores.
+    message than `buffer` overflows. With `loses_early` the instrument loses what arrives between a query and the
+    end of its reply, except the first characters, as if the sender ignored its flow control.
     """
 
     messages: tuple[bytes, ...] = (TERMINATOR,)
@@ -268,7 +268,7 @@ class Framer:
         self._buffer += data
 
     def lose(self) -> bool:
-        """Lose the input but for its first characters, a device clear too; return whether anything was lost."""
+        """Discard the input except its first characters, and any device clear; return whether anything was lost."""
         lost = len(self._buffer) > _WITHIN_HOLD_OFF or DEVICE_CLEAR in self._buffer
         self._buffer = self._buffer[:_WITHIN_HOLD_OFF].replace(DEVICE_CLEAR, b"")
         return lost
@@ -407,7 +407,7 @@ class Session:
         return self._left
 
     def look_whether_left(self) -> None:
-        """Update whether the client has left for good; to be called only from the session's own thread."""
+        """Update whether the client has left for good; only the session's own thread may call this."""
         try:
             self._interrupted()
         except OSError:

@@ -77,9 +77,9 @@ class OperatorSettings:
 class ScriptedOperator:
     """A `drivers.interfaces.WatchingPerson` who carries out `prompt.action` on the world and answers.
 
-    Random numbers are keyed by the world's seed and by the step in the prompt's id (the part before "#"), so a step
-    repeated in another process gives the same result. A repeated question ("…#2") is answered without a slip and
-    without turning the head again.
+    Random numbers are keyed by the world's seed and by the step in the prompt's id (the part before "#"), so a
+    step repeated in another process gives the same result. A repeated question ("…#2") is answered without a slip
+    and without turning the head again.
     """
 
     def __init__(self, world: World, settings: OperatorSettings | None = None) -> None:
@@ -142,7 +142,7 @@ class ScriptedOperator:
     ) -> None:
         """Turn the head until its scale shows `angle_rad`; it takes as long as when `ask` handles this prompt.
 
-        Where an encoder watches, the head comes to the angle from more than `backoff_rad` away.
+        If an encoder watches, the head first goes beyond `backoff_rad` before the angle, then to the angle.
         """
         generator = self._generator("turn", prompt_id.partition("#")[0])
         generator.normal()  # skip the setting error: the next number, the time, is that of `_turn`
@@ -179,9 +179,10 @@ class ScriptedOperator:
         return scale_text(read_arcsec + (float(generator.choice(_SLIPS_ARCSEC)) if slips else 0.0))
 
     def _approach(self, angle_rad: float, backoff_rad: float, duration_s: float) -> None:
-        """Turn the head under the eyes of an encoder: twice `backoff_rad` short of an angle, then to it.
+        """Turn the head as an encoder requires: to twice `backoff_rad` before an angle, then to the angle.
 
-        A slip is one that comes from the other side: then `backoff_rad` has the other sign.
+        `backoff_rad` is positive for rising, negative for falling approach; a slip of the operator reverses its
+        sign.
         """
         for end_rad, share in ((angle_rad - 2.0 * backoff_rad, 0.6), (angle_rad, 0.4)):
             way_rad = abs(end_rad - self._world.scale_angle_rad)

@@ -151,9 +151,9 @@ class HeadTurn:
 class HeadFault:
     """A fault of a motorised head, for movements that begin while it is set.
 
-    The head sticks after a rotation by `sticks_after_rad` (0: it does not move at all), or it stops at an error of
-    `stops_off_rad` on its own scale. A head that `runs_away`, as with a wrong sign, turns away from the target
-    until it is stopped.
+    The head sticks after a rotation by `sticks_after_rad` (0: it does not move at all), or it stops
+    `stops_off_rad` away from the target on its own scale. A head that `runs_away`, as with a wrong sign, turns
+    away from the target until it is stopped.
     """
 
     sticks_after_rad: float | None = None

@@ -77,7 +77,8 @@ class _Stretch:
 class Heat:
     """The temperatures of the chamber air and of the block in it, both at `ambient_c` at time `now_s`.
 
-    `block_lag_s` is the time constant of the block behind the air. A demand holds until the next one.
+    `block_lag_s` is the time constant of the block behind the air. A demanded air temperature holds until the
+    next demand.
     """
 
     def __init__(self, now_s: float, ambient_c: float, block_lag_s: float) -> None:
@@ -185,13 +186,13 @@ class WorldSettings:
 
     `stand` maps names in `STAND_NAMES` to the distributions of the stand errors: the stand angles (rad, drawn at
     each mounting), "setting_error" alpha4 (rad, drawn at each turn of the head) and "voltmeter_error" (V, drawn
-    for each reading of each channel); an omitted error is zero. The room swings about
-    `ambient_c` by `room_swing` (K, period in s), and the meters follow it with `meter_lag_s`.
-    `block_time_constant_s` is the lag of the block behind the chamber air. A controlled chamber ramps its demand
-    at `chamber_rate_c_s`, and its air follows with the lag `chamber_lag_s`; with a period `chamber_ringing_s` it
-    overshoots and rings. Switched off, it relaxes to the room temperature with `chamber_off_lag_s`. The platform
-    conducts heat: the block settles at the air plus `room_share` of what separates the room from it. A block
-    without rails in `power` always has power.
+    for each reading of each channel); an omitted error is zero. The room swings about `ambient_c` by `room_swing`
+    (K, period in s), and the meters follow it with `meter_lag_s`. `block_time_constant_s` is the lag of the block
+    behind the chamber air. A controlled chamber ramps its demand at `chamber_rate_c_s`, and its air follows with
+    the lag `chamber_lag_s`; with a period `chamber_ringing_s` it overshoots and rings. Switched off, it relaxes
+    to the room temperature with `chamber_off_lag_s`. The platform conducts heat: the block settles at the air
+    temperature plus `room_share` of the difference between room and air. A block without rails in `power` always
+    has power.
     """
 
     block: Block
@@ -262,9 +263,9 @@ class World(KeyedNumbers):
 
     @contextmanager
     def aside(self) -> Iterator[None]:
-        """Let instruments be read without a change: afterwards time, history and random numbers are as before.
+        """Let instruments be read without consequences: afterwards time, history and random numbers are as before.
 
-        Random numbers drawn meanwhile belong to no step. It needs a virtual clock, which alone can go back.
+        Random numbers drawn meanwhile belong to no step. It needs a virtual clock, because no other can go back.
         """
         with self._lock:
             now_s, kept = self.clock.now_s(), (self._step, self._counts.copy(), self._aside)
@@ -512,7 +513,10 @@ class World(KeyedNumbers):
         return self._swung_c(time_s, self.settings.meter_lag_s)
 
     def _swung_c(self, time_s: float | None, lag_s: float) -> float:
-        """Return the temperature of what follows the room with a first-order lag, after the first swings."""
+        """Return the temperature of a body that follows the room with a first-order lag, °C, in the steady swing.
+
+        The transient at the beginning of the world is ignored.
+        """
         elapsed_s = (self.clock.now_s() if time_s is None else time_s) - self.began_s
         size_c, period_s = self.settings.room_swing
         rate = math.tau / period_s
@@ -575,7 +579,7 @@ class World(KeyedNumbers):
         )
 
     def _past_s(self, time_s: float) -> float:
-        """Return the earlier of `time_s` and now, since a meter on a bus may be ahead of the bench.
+        """Return `time_s` or, if it is later than now, now: a meter on a bus may be ahead of the bench.
 
         The power supply is simulated only up to now.
         """

@@ -33,7 +33,7 @@ HELD_BY = {
         ("run/test_runner.py", "test_a_failed_reading_is_met_as_its_step_says"),
         ("drivers/wire/test_visa.py", "test_instrument_that_is_gone_for_good_is_lost_at_each_exchange"),
     ),
-    "rail out of its window, tripped, in current limit, off": (
+    "supply rail out of tolerance, tripped, in current limit or off": (
         (
             "run/test_power.py",
             "test_a_rail_that_is_not_as_it_should_be_stops_the_run_and_switches_the_block_off",
@@ -67,7 +67,7 @@ HELD_BY = {
         ("run/test_runner.py", "test_resumed_with_the_instruments_still_off_a_run_stays_as_it_was"),
         ("run/test_commands_campaign.py", "test_no_record_is_lost_whatever_is_done"),
     ),
-    "stopped at the task to mount": (
+    "run stopped at the task to mount the block": (
         (
             "run/test_runner.py",
             "test_stopped_at_the_task_to_mount_it_asks_for_that_mounting_and_not_for_the_one_before",
@@ -106,7 +106,7 @@ HELD_BY = {
             "test_what_is_stale_double_ill_fitting_or_garbage_is_refused_on_record_and_the_question_stands",
         ),
     ),
-    "suspended laptop, civil time set": (
+    "suspended laptop, or civil time set by somebody": (
         ("run/test_watches.py", "test_a_jump_is_told_once_and_every_reading_is_taken"),
         ("run/test_watches.py", "test_a_clock_that_is_set_by_little_is_none"),
     ),
@@ -118,13 +118,13 @@ HELD_BY = {
         ("drivers/wire/test_holding.py", "test_who_holds_it_is_named_and_what_a_killed_program_held_is_free"),
         ("cli/test_instruments.py", "test_instruments_that_another_program_holds_are_refused_with_its_name"),
     ),
-    "chamber that does not move": (
+    "chamber that does not move (its temperature does not change)": (
         (
             "run/test_watches.py",
             "test_a_chamber_short_of_a_fifth_of_its_way_is_told_of_once_and_the_run_goes_on",
         ),
     ),
-    "head that moves away or is outside its limits": (
+    "head that moves away from its target, or is outside its limits": (
         (
             "conformance/test_every_head.py",
             "test_a_head_that_turns_away_from_where_it_is_sent_is_stopped_within_two_samples",

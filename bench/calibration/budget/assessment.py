@@ -115,7 +115,10 @@ def measured(
 def _of_reading(
     contribution: Contribution, budget: Budget, force: Floats, *, same_voltmeters: bool
 ) -> tuple[Floats, Floats]:
-    """Return a source's errors of the reading, V, (d, 3, q): one for the calibration's draws, one for new draws."""
+    """Return a source's errors of one reading, V, as two arrays (d, 3, q).
+
+    The first is for the draws that already acted in the calibration, the second for new draws.
+    """
     source, block = contribution.source, budget.setup.block
     per_channel = np.eye(3)[None]
     alone = np.zeros((len(force), 3, 0))
@@ -138,10 +141,7 @@ def _of_reading(
 
 
 def _of_effect(source: ErrorSource, budget: Budget, force: Floats) -> Floats:
-    """Return the error by an effect of the block in use, V, (d, 3, 1), at reference time and temperature.
-
-    It is zero for an effect that does not act on the block's output, or that needs a history.
-    """
+    """Return the error due to an effect of the block in use, V, (d, 3, 1), at reference time and temperature."""
     unknown, setup = source.effect, budget.setup
     none = np.zeros((1, 3, 1))
     if unknown is None:
@@ -213,9 +213,7 @@ def over_directions(
 
 
 class DeltaG(ResultModel):
-    """Delta g at one verification point, in local g: its uncertainty, and the limit up to which the decision rule
-    accepts it.
-    """
+    """Delta g at one verification point, in local g: its uncertainty, and the acceptance limit of the rule."""
 
     angle_deg: float
     point: int
@@ -330,7 +328,7 @@ def exact_readings(budget: Budget, trials: int, rng: np.random.Generator) -> Flo
 
 
 def _linear(budget: Budget) -> Propagated:
-    """Return coefficients and delta g of the linear budget; covariances between both are left out."""
+    """Return coefficients and delta g of the linear budget, without covariances between the two."""
     total, variances = budget.combined, delta_g_variances(budget)
     count = len(variances)
     covariance = np.diag(np.concatenate([np.zeros(12), variances.sum(axis=1)]))
@@ -369,7 +367,7 @@ class _Simulation:
         return np.concatenate([coefficients, np.linalg.norm(force, axis=1) - 1.0], axis=1)
 
     def _estimate(self, excess: Floats, gain: Floats) -> Floats:
-        """Return the estimates from the differences to error-free readings, whose estimates are exact."""
+        """Return the estimates of trials, from the differences `excess` of their readings to error-free ones."""
         flat = excess.reshape(len(excess), -1) @ gain.reshape(len(gain), -1).T
         return self._setup.block.vector + flat
 
@@ -414,7 +412,7 @@ NAMED: Final = 0.01
 
 @dataclass(frozen=True)
 class Question:
-    """Options of an assessment: measuring range and limit of delta g (g), decision rule, trials, voltmeters.
+    """Options of an assessment: measuring range (g), limit of delta g (g), decision rule, trials, voltmeters.
 
     `population` is the distribution of delta g over many blocks.
     """
@@ -429,7 +427,10 @@ class Question:
 
 @dataclass(frozen=True)
 class Assessment:
-    """A budget and its consequences; `exact` is None without Monte Carlo; `beside` holds additional notes."""
+    """A budget and its consequences; `exact` is None without Monte Carlo.
+
+    `beside` are further notes, which the budget itself does not give.
+    """
 
     budget: Budget
     question: Question

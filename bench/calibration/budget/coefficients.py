@@ -72,14 +72,17 @@ class Setup:
         return self._slope(lambda step: (self._angles(), step))
 
     def stand_slope(self, name: str) -> Floats:
-        """Return the derivatives of the readings by a stand angle of their mounting, V/rad, shape (n, 3)."""
+        """Return the derivatives of the readings by the stand angle `name`, V/rad, shape (n, 3).
+
+        Each is by the angle in the mounting of the reading.
+        """
         if name not in self._stand_slopes:
             self._stand_slopes[name] = self._slope(lambda step: (self._angles(name, step), 0.0))
         return self._stand_slopes[name]
 
     @cached_property
     def _stand_slopes(self) -> dict[str, Floats]:
-        """Cache of `stand_slope`: a requirement computes hundreds of budgets of one setup."""
+        """The derivatives by each stand angle, cached because `bench require` computes hundreds of budgets."""
         return {}
 
     def _slope(self, errors: Callable[[float], tuple[Floats, float]]) -> Floats:
@@ -196,9 +199,9 @@ def estimator_map(
     """Return an estimator's linear map (12, n, 3) from readings to coefficients; zero at verification points.
 
     `stated` maps stand errors to standard uncertainties (rad, V), by which generalised least squares weighs the
-    readings. `known`, prior knowledge from other runs, replaces these uncertainties. An iterative estimator has the
-    map of its last step on readings without outliers. Raises `CalibrationError` for an unknown estimator, and for
-    readings that do not determine the coefficients or do not suit the closed form.
+    readings. `known`, prior knowledge from other runs, replaces these uncertainties. For an iterative estimator
+    it is the map of its last step, for readings without outliers. Raises `CalibrationError` for an unknown
+    estimator, and for readings that do not determine the coefficients or do not suit the closed form.
     """
     by = in_a_budget(estimator)
     require_rank(setup.force[setup.fitted])
@@ -218,7 +221,10 @@ def estimator_map(
 def _task(
     problem: Problem, setup: Setup, stated: Mapping[str, float], known: KnownStand | None
 ) -> WeightingTask:
-    """Return the weighting task of noise-free readings; its fit has the map of the last step on real readings."""
+    """Return the input of an estimator's weighting for noise-free readings of the setup.
+
+    Its fit has the linear map that the last step of a fit to real readings would have.
+    """
     signal = setup.signal[setup.fitted]
     floor = gls.LEAST_NOISE * float(np.max(np.abs(signal)))
     reading, setting = max(stated.get("voltmeter_error", 0.0), floor), stated.get("setting_error", 0.0)
@@ -231,7 +237,7 @@ def _task(
 
 @dataclass(frozen=True)
 class Influence:
-    """The effect of one error on the signals of n readings.
+    """The effect of one kind of error on the signals of n readings.
 
     `pattern` (n, 3) is in V per unit of the error. Entries with the same number in `group` (n, 3), from 0 to
     `draws` - 1, share one random draw.
@@ -243,7 +249,10 @@ class Influence:
 
     @classmethod
     def of(cls, pattern: Floats, group: Ints) -> Influence:
-        """Return the influence with a pattern (n, 3) and labels that broadcast to it: equal labels share a draw."""
+        """Return the influence of a pattern (n, 3); readings with equal labels in `group` share one draw.
+
+        `group` broadcasts to the shape of the pattern.
+        """
         labels, numbers = np.unique(np.broadcast_to(group, pattern.shape), return_inverse=True)
         return cls(pattern, numbers.reshape(pattern.shape), len(labels))
 
@@ -305,7 +314,7 @@ _EVERYTHING: Final = np.zeros((1, 1), dtype=np.int64)
 
 
 def influences(source: ErrorSource, setup: AnyReadings) -> tuple[Influence, ...]:
-    """Return the independent influences on the readings of one unit of the source.
+    """Return the independent influences of a source on the readings, for an error of one unit.
 
     Stand angles and effects act on a `Setup` alone: for measured readings the fit has estimated them.
     """
@@ -329,7 +338,7 @@ def _linearity(source: ErrorSource, setup: AnyReadings) -> _Patterns:
 
 
 def _same_angle(setup: AnyReadings) -> Ints:
-    """Return a number for each reading's angle of the head, shape (n,): the same at the same angle of its scale."""
+    """Return a number for each reading (n,) that is equal for equal angles on the head's scale."""
     angle_rad = np.mod(setup.conditions.angle_rad + _SAME_ANGLE_RAD, math.tau)
     order = np.argsort(angle_rad, kind="stable")
     numbers = np.empty(len(order), dtype=np.int64)
@@ -342,7 +351,10 @@ def _temperature(source: ErrorSource, seen: AnyReadings) -> _Patterns:
 
 
 def _room(source: ErrorSource, seen: AnyReadings) -> _Patterns:
-    """Return the patterns of gains that follow the meters' temperature late: as recorded, or any course of it."""
+    """Return the patterns of meter gains that follow the temperature of the room with a lag.
+
+    The temperature is the recorded one; without a record it may take any course within its limits.
+    """
     conditions = seen.conditions
     if conditions.meter_c is not None and source.u > 0:
         behind = lagged(conditions.meter_warmth_k, conditions.elapsed_s, source.correlation_s)
@@ -361,7 +373,7 @@ def _supply(source: ErrorSource, seen: AnyReadings) -> _Patterns:
 
 
 def _off_and_known(source: ErrorSource, seen: AnyReadings, recorded: Floats) -> _Patterns:
-    """Return the patterns of an unknown time course within its limits, and of the `recorded` one (n,)."""
+    """Return the patterns of an unknown course in time within its limits, and of the course `recorded` (n,)."""
     courses = list(_unknown(seen.conditions.elapsed_s, source.correlation_s).T)
     known = recorded - recorded.mean()
     if source.u > 0 and np.any(known):
@@ -396,8 +408,8 @@ HARDLY_ANY: Final = 1e-3
 def _unknown(time_s: Floats, correlation_s: float) -> Floats:
     """Return the principal components (n, q) of a stationary process of unit variance.
 
-    Without a correlation time this is a constant: limits alone say nothing of the course within them, and averaging
-    over passes does not reduce a constant offset (GUM, 4.3.7).
+    Without a correlation time (infinite) the process is a constant: limits alone say nothing of the course within
+    them, and averaging over passes does not reduce a constant offset (GUM, 4.3.7).
     """
     if math.isinf(correlation_s):
         return np.ones((len(time_s), 1))
@@ -526,8 +538,9 @@ def sizes_by_name(sources: Iterable[ErrorSource]) -> dict[str, float]:
 
 
 def parts_of(source: ErrorSource, setup: AnyReadings, functionals: Floats) -> Floats:
-    """Return the changes (m, q) of m linear functionals (m, n, 3) of the n readings, one column for each of a
-    source's q draws of size u.
+    """Return the changes of m linear functionals (m, n, 3) of the n readings, (m, q).
+
+    Column j is the change by draw j of the source, of the size of its u.
     """
     parts = [influence.through(functionals) for influence in influences(source, setup)]
     return source.acting(np.concatenate(parts, axis=1))

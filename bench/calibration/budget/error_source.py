@@ -47,15 +47,14 @@ _SHOWN: Final[Mapping[str, tuple[str, float]]] = {
 
 @dataclass(frozen=True)
 class ErrorSource:
-    """An error source: its distribution in `unit` (SI), the readings that share one draw (`common`), and degrees of
-    freedom.
+    """An error source: its distribution in `unit` (SI), and which readings share one draw of it (`common`).
 
-    `origin` says where the size comes from; `prior` marks a plausible size that nobody stated. `factors` scale the
-    error where it acts (temperature coefficients, per K). For a parameter of an effect, `effect` is set, and
-    `written_in` has the unit of model files and its size in SI. `channels` are the affected channels: those of one
-    voltmeter; for K2 and K3, those whose model has no such effect. For correlated draws `root` (q, k) makes q of
-    them from k independent ones. `angles` are the kinds of stand angle whose means over mountings this source
-    describes. `correlation_s` is the correlation time of an error that is common in "time".
+    `origin` says where the size comes from; `prior` marks a plausible size that nobody stated. `factors` scale
+    the error where it acts (temperature coefficients, per K). For a parameter of an effect, `effect` is set, and
+    `written_in` has the unit of model files and its size in SI. `channels` are the affected ones: for K2 and K3,
+    those whose model has no such effect. For correlated draws, `root` (q, k) turns k independent draws into q
+    correlated ones. `angles` are the kinds of stand angle whose means over mountings this source describes.
+    `correlation_s` is the correlation time of an error that is common in "time".
     """
 
     name: str
@@ -103,7 +102,7 @@ class ErrorSource:
         return self.u * draws if self.root is None else self.u * draws @ np.array(self.root)
 
     def sized(self, u: float) -> ErrorSource:
-        """Return the source with another standard uncertainty, normally distributed."""
+        """Return the source with the standard uncertainty `u`, normally distributed."""
         return replace(self, distribution=Distribution(u), origin="as asked")
 
 
@@ -157,7 +156,10 @@ def _means(kinds: tuple[str, ...], known: KnownStand, labels: Sequence[str]) -> 
 
 
 def _with_root(source: ErrorSource, root: Floats) -> ErrorSource:
-    """Return the source with correlated draws by a root in SI; its u is the root mean square of their u."""
+    """Return the source with draws correlated by the matrix `root` (q, k), SI.
+
+    Its u is the root mean square of the u of the q draws.
+    """
     u = rms(np.sqrt(np.sum(root**2, axis=1)))
     return replace(
         source,

@@ -157,7 +157,7 @@ class JointErrors:
 
     @property
     def u(self) -> float:
-        """Root mean square of their standard uncertainties."""
+        """Root mean square of the standard uncertainties of the n errors."""
         return float(np.sqrt(np.mean(np.diag(self.covariance))))
 
     @property
@@ -171,12 +171,7 @@ class JointErrors:
 def joint_errors(
     told: LearnedDifferences, at: Sequence[int | None], prior_u: Floats, certified: Mask, kept: float
 ) -> JointErrors | str:
-    """Return the joint errors of n meters given learned differences, or the reason for not using the differences.
-
-    `at` has the index of each meter in the differences `told`, None for a meter that they lack. `prior_u` (n,) is u
-    from certificates or makers' limits; `certified` (n,) marks the meters with certificates. `kept`, from 0 to 1,
-    is the correlation of a meter's error today with its error when the differences were learned.
-    """
+    """Return the joint errors of n meters given learned differences, or the reason why these are not used."""
     n = len(prior_u)
     places = [place if place is not None else -1 for place in at]
     group = np.array([told.group[place] if place >= 0 else -1 - k for k, place in enumerate(places)])
@@ -207,7 +202,10 @@ def joint_errors(
 
 
 def _never_over(found: JointErrors, prior: Floats, certified: Mask) -> JointErrors:
-    """Return joint errors in which certified meters keep their certified u; the others are conditional on them."""
+    """Return joint errors in which certified meters keep their certified u and have no mean error.
+
+    The errors of the other meters are conditional on those of the certified ones.
+    """
     if not np.any(certified):
         return found
     a, rest = np.flatnonzero(certified), np.flatnonzero(~certified)
@@ -229,7 +227,7 @@ def _never_over(found: JointErrors, prior: Floats, certified: Mask) -> JointErro
 
 @dataclass(frozen=True)
 class LearnedMeters:
-    """Learned differences between `meters` around a `day`: of gains (1) and of zeros (V)."""
+    """Learned differences of gain (1) and of zero (V) between `meters`, as of `day`."""
 
     meters: tuple[str, ...]
     day: datetime.date

@@ -1,4 +1,4 @@
-"""Propagation of uncertainty, linear and by Monte Carlo, and the comparison of both."""
+"""Propagation of uncertainty: linear, by Monte Carlo, and a comparison of the two."""
 
 from __future__ import annotations
 
@@ -83,10 +83,7 @@ def correlation_of(covariance: Floats) -> Floats:
 
 def drawn(distribution: Distribution, shape: tuple[int, ...], rng: np.random.Generator,
           dof: float = math.inf) -> Floats:  # fmt: skip
-    """Return draws of an error with mean zero: rectangular, normal, or scaled t where dof is finite.
-
-    Source: JCGM 101:2008, 6.4.2, 6.4.7, 6.4.9 (u is the scale of the t, as for a type A evaluation).
-    """
+    """Return random errors with mean zero: rectangular, normal, or scaled t if `dof` is finite."""
     if distribution.shape == "rectangular":
         return rng.uniform(-distribution.limit, distribution.limit, shape)
     if math.isinf(dof):
@@ -161,9 +158,9 @@ class Validation:
 
 
 def validate(linear: Propagated, trials: Distributed, digits: int = 1) -> Validation:
-    """Compare the probabilistically symmetric coverage intervals of both methods. Source: JCGM 101:2008, 8.1.
+    """Compare the probabilistically symmetric coverage intervals of linear propagation and Monte Carlo.
 
-    `digits` is the number of meaningful digits of u.
+    `digits` is the number of meaningful digits of u. Source: JCGM 101:2008, 8.1.
     """
     reach = linear.expanded(trials.probability)
     low, high = trials.symmetric.T

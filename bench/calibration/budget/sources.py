@@ -67,7 +67,7 @@ def bench_sources(
 def signed_sources(
     bench: BenchFile, model: ForwardModel, day: datetime.date | None = None
 ) -> tuple[ErrorSource, ...]:
-    """Return the sources that a calibration's combined u contains besides readings and stand angles.
+    """Return the sources that a calibration's combined u contains in addition to readings and stand angles.
 
     Local gravity is left out: coefficients are stated per local g.
     """
@@ -125,7 +125,7 @@ ROLL_ORIGIN: Final = message("not stated: as mounting_error")
 
 
 def assumed_stand(bench: BenchFile) -> dict[str, Distribution]:
-    """Return the stand errors that every bench has but this file does not state, by name."""
+    """Return the stand errors that every bench has and this file does not state, by name, with assumed sizes."""
     if bench.stand.mounting_roll is not None:
         return {}
     return {"mounting_roll": bench.stand_distributions()["mounting_error"]}
@@ -181,9 +181,10 @@ def _voltmeter_sources(
 
 
 def _room_source(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]:
-    """Yield the gain of voltmeters that follow the room late, if the changes of the room are stated.
+    """Yield the gain error of voltmeters that follow the room's temperature with a lag.
 
-    It acts on the channels whose model has no such effect.
+    There is none unless the changes of the room are stated. It acts on the channels whose model has no such
+    effect.
     """
     room, stated = bench.uncertainty.room_temperature, bench.uncertainty.voltmeter_temperature_coefficient
     known = {c for a in model.effects if a.effect.name == "voltmeter_thermal_gain" for c in a.channels}
@@ -275,7 +276,7 @@ def _thermometer_source(bench: BenchFile) -> Iterator[ErrorSource]:
 
 
 def _supply_sources(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]:
-    """Yield one source per supply rail, on the channels whose model has no sensitivity to this rail."""
+    """Yield one source per supply rail; it acts on the channels whose model has no sensitivity to this rail."""
     supply, section = bench.unit_under_test.supply, bench.uncertainty
     sizes = (section.bias_supply_coefficient, section.scale_supply_coefficient)
     bias, scale = (

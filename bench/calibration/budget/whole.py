@@ -1,7 +1,8 @@
 """The combined uncertainty of a calibration, from its readings and from bench errors that these do not show.
 
-Each error acts on measured readings as on planned ones, and by the estimator's map on the coefficients. So a plan's
-budget and the calibration of its readings agree if their noise does. Source: JCGM 100:2008 (GUM), 4.3 and 5.2.
+Each error acts on measured readings as on planned ones, and through the estimator's linear map on the
+coefficients. A plan's budget therefore agrees with the calibration of its readings if the noise is the same.
+Source: JCGM 100:2008 (GUM), 4.3 and 5.2.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class MeasuredReadings:
 
     @property
     def signal(self) -> Floats:
-        """The signals, (n, 3)."""
+        """The signals, (n, 3), in the unit of the readings."""
         return self.readings.signal
 
     @cached_property
@@ -63,7 +64,10 @@ class MeasuredReadings:
 
     @cached_property
     def orientation(self) -> Ints:
-        """Orientation number of each reading, (n,): by installation and whole degree, or its own if unoriented."""
+        """Orientation number of each reading, (n,): equal for the same installation and whole degree.
+
+        A reading without an orientation has a number of its own.
+        """
         of = self.readings
         degrees = np.where(np.isfinite(of.angle_rad), np.degrees(of.angle_rad), 0.0)
         keys = np.stack([np.round(degrees) % 360, np.zeros(len(of))], axis=1)
@@ -86,12 +90,11 @@ def sign(
     day: date | None = None,
     meters: KnownMeters | None = None,
 ) -> Calibration:
-    """Return the calibration with its combined covariance: the covariance from its readings plus that from errors
-    which no reading shows.
+    """Return the calibration with its combined covariance, from readings and from errors that they do not show.
 
-    `readings` is the whole table of the calibration, `day` its date, `meters` the learned errors of the voltmeters.
-    For readings in another unit than volts, whose meters' errors are unknown, only the scatter of the zeros from
-    repeat to repeat is added, and a note.
+    `readings` is the whole table of the calibration, `day` its date, `meters` the learned errors of the
+    voltmeters. For readings in another unit than volts, whose meters' errors are unknown, only the scatter of the
+    zeros from repeat to repeat is added, and a note.
     """
     repeats = tuple(_zero_repeats(calibration, bench))
     if readings.unit != VOLTS:
@@ -124,10 +127,10 @@ def sign(
 
 
 def dof_through(calibration: Calibration, jacobian: Floats, known: float | Floats = 0.0) -> Floats:
-    """Return the effective degrees of freedom (m,) of quantities computed from the coefficients of `sign`.
+    """Return the effective degrees of freedom (m,) of quantities computed from a calibration with combined u.
 
-    `jacobian` (m, 12) has their derivatives by the coefficients; `known` is an additional variance with
-    infinite degrees of freedom.
+    `jacobian` (m, 12) has their derivatives by the coefficients; `known` is an additional variance with infinite
+    degrees of freedom.
     """
     if not calibration.sources:
         return np.full(len(jacobian), np.inf)
@@ -139,7 +142,7 @@ def dof_through(calibration: Calibration, jacobian: Floats, known: float | Float
 
 
 def _zero_repeats(calibration: Calibration, bench: BenchFile) -> Iterator[SourceOfError]:
-    """Yield the scatter of the zeros from repeat to repeat, if the bench file states it."""
+    """Yield the scatter of the zeros between repeats, if the bench file states it."""
     stated = bench.uncertainty.zero_repeats
     if stated is None:
         return
@@ -159,7 +162,10 @@ def _foundation(readings: Readings, bench: BenchFile) -> TiltRate | None:
 
 
 def _on_roll(roll: Floats, covariance: Floats) -> tuple[str, ...]:
-    """Return advice on measuring the third mounting angle, if it dominates the u of a coefficient."""
+    """Return advice to measure the third mounting angle if it causes most of the u of a coefficient.
+
+    `roll` (12, 12) is the part of `covariance` (12, 12) that this angle causes.
+    """
     most = [
         n
         for n, part, u2 in zip(COEFFICIENTS, np.diag(roll), np.diag(covariance), strict=True)
@@ -282,7 +288,7 @@ def _acting(
 ) -> list[ErrorSource]:
     """Return the errors that no reading shows.
 
-    Linearity is left out if the repeats share an error at least as large, which then contains it.
+    The meters' nonlinearity is left out if repeats share an error at least as large, which then includes it.
     """
     shown = max((c.size for c in calibration.shared if c.what == "setting"), default=0.0)
     return [

@@ -164,7 +164,7 @@ def number(value: float) -> str:
 
 
 def positional(value: float) -> str:
-    """Return a number without an exponent, as D-SI requires for coverage factors and probabilities."""
+    """Return a number without an exponent; D-SI requires this form for coverage factors and probabilities."""
     return format(Decimal(repr(float(value))), "f")
 
 
@@ -397,8 +397,9 @@ _STAND_INS: Final = {
 
 @dataclass(frozen=True)
 class Schemas:
-    """The compiled schemas of a folder; `stood_in` names missing imported schemas that were replaced by empty
-    ones.
+    """The compiled schemas of a folder.
+
+    `stood_in` names imported schemas that are missing and were replaced by empty ones.
     """
 
     folder: Path

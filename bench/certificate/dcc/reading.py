@@ -37,7 +37,7 @@ _VOLT_PER_MS2: Final[Dimension] = (("V", 1), ("m", -1), ("s", 2))
 
 @dataclass(frozen=True)
 class DocumentReading:
-    """The result for a block in a DCC, in the form of `bench calibrate --json`, with notes for the user."""
+    """The result for a block in a DCC, with the members of `bench calibrate --json`, and notes for the user."""
 
     result: dict[str, Any]
     notes: tuple[str, ...]
@@ -103,8 +103,8 @@ def has_coefficients(root: Node) -> bool:
 def coefficients_in(path: Path, g_m_s2: float | None = None, noise: str | None = None) -> DocumentReading:
     """Return the twelve coefficients in a DCC with their covariance.
 
-    `g_m_s2` is the local gravity for which K is to be stated, and `noise` the noise of a reading, such as "50
-    uV". Both are needed only for certificates of other programs. Raises `Refused` if the DCC has no list of the
+    `g_m_s2` is the local gravity (m/s²) to which K shall refer, and `noise` the noise of a reading, such as "50
+    uV". Both are needed only for certificates by other programs. Raises `Refused` if the DCC has no list of the
     coefficients, or several.
     """
     try:
@@ -138,7 +138,7 @@ def coefficients_in(path: Path, g_m_s2: float | None = None, noise: str | None =
 
 
 def _ours(path: Path, root: Node, listed: RealList) -> dict[str, Any]:
-    """Return the result in a certificate of this program. Raises `Refused` if its list has other numbers."""
+    """Return the result in a certificate by this program. Raises `Refused` if its list has other numbers."""
     data = from_text(_file(path, root))
     taken = coefficients_of(data, str(path))
     if listed.covariance is None or not (
@@ -195,10 +195,9 @@ def _others(
     g_m_s2: float | None,
     noise_v: float | None,
 ) -> DocumentReading:
-    """Return the coefficients of another program's list as a result with K in V/g.
+    """Return the coefficients in another program's list as a result with K in V/g.
 
-    Raises `Refused` if gravity or noise are not given, or if the units or uncertainties in the list do not
-    suffice.
+    Raises `Refused` if gravity or noise are not given, or if the units or uncertainties in the list do not suffice.
     """
     wanting = [] if g_m_s2 is not None else ["--g, the local gravity for which K is to be stated (m/s²)"]
     wanting += [] if noise_v is not None else ["--noise, the noise of a reading (V), which a check needs"]
@@ -345,7 +344,7 @@ def _tables(root: Node) -> Iterator[tuple[RealList, RealList]]:
 def _rows(
     key: str, unit: str, small: str, axis: RealList, error: RealList, per: float, per_small: float
 ) -> Iterator[dict[str, str]]:
-    """Yield a row for each error; the correction is its negative, and U has k = 2.
+    """Yield a row for each error in a table: the correction is the negative error, and U is for k = 2.
 
     `per` and `per_small` convert SI values to `unit` (axis) and `small` (error).
     """
@@ -379,15 +378,15 @@ Dimension = tuple[tuple[str, int], ...]
 
 
 class NotRead(ValueError):
-    """Raised for a list that violates D-SI; the message has line and reason."""
+    """Raised for a list that violates D-SI; the message states line and reason."""
 
 
 @dataclass(frozen=True)
 class RealList:
     """A list of quantities in a document, with values (n,) converted to SI units.
 
-    `dimensions` (n) maps SI bases to exponents. `covariance` (n, n) and `u` (n,) are None if the document does
-    not state them. `roles` are the words of refType of the list and of its enclosing elements.
+    `dimensions` (n) maps SI bases to exponents. `covariance` (n, n) and `u` (n,) are None if the document does not
+    state them. `roles` are the words in the attribute refType of the list and of its enclosing elements.
     """
 
     line: int
@@ -460,7 +459,7 @@ _UNCERTAINTIES: Final = (
 
 
 def _sizes(element: Node) -> Floats | None:
-    """Return the standard uncertainties of a list, one for each value or one for all; None if it states none."""
+    """Return the standard uncertainties in a list: one for each value, or one for all; None if it states none."""
     for name, factor in _UNCERTAINTIES:
         text = element.findtext(f"si:*//si:{name}XMLList", None, NAMESPACES)
         if text is not None:

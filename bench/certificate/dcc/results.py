@@ -357,8 +357,8 @@ class ShownValues:
     """The values in a certificate.
 
     `covariance` is the covariance of the coefficients, `files` maps names to attachments. `release` is the version
-    of the program that wrote it. `says_signed` is whether the certificate states that it is signed; None if it
-    states neither.
+    of the program that wrote it. `says_signed` is what the certificate states on itself: signed (True), unsigned
+    (False) or nothing (None).
     """
 
     says: CertificateSays
@@ -429,7 +429,7 @@ def _file(node: Any) -> tuple[str, bytes]:
 
 
 def _coefficients(root: Any) -> tuple[tuple[tuple[float, ...], ...], dict[str, CertifiedCoefficient]]:
-    """Return covariance and coefficients of the last result, which shows the unit as it is now; empty if none."""
+    """Return covariance and coefficients of the last result (the unit as left); empty if there is none."""
     results = root.findall(_COEFFICIENTS, nodes.NAMESPACES)
     found = None if not results else results[-1].find(_LIST, nodes.NAMESPACES)
     if found is None:

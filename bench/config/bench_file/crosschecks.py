@@ -26,7 +26,7 @@ _LACKS: Final = {"sensor_noise": "a sensor without noise"}
 
 
 FURTHER: Final[tuple[Role, ...]] = ("head", "chamber", "level", "thermometer", "power_supply")
-"""The roles that at most one instrument of a bench has, thermometers away from the block apart."""
+"""The roles that at most one instrument of a bench has, without thermometers away from the block."""
 _THERMOMETERS: Final = ("thermometer", *SURROUNDINGS)
 
 
@@ -48,7 +48,7 @@ def mistakes_between_parts(data: Any) -> Iterable[tuple[Place, str]]:
 
 
 def _channel_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
-    """Check that exactly one voltmeter carries each of x, y and z."""
+    """Yield a mistake unless exactly one voltmeter carries each of x, y and z."""
     place: Place = ("instruments", "voltmeters")
     if not isinstance(voltmeters, list):
         return
@@ -71,7 +71,7 @@ def _channel_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _one_range_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
-    """Check that all voltmeters are on the same range."""
+    """Yield a mistake for each voltmeter on another range than the first."""
     ranges = [_value(part(meter, "range") or "10 V", VOLTAGE) for meter in _items(voltmeters)]
     for index, range_v in enumerate(ranges):
         if range_v is not None and ranges[0] is not None and range_v != ranges[0]:
@@ -97,7 +97,10 @@ def _resource_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _is_on_a_free_channel(data: Any, key: str) -> bool:
-    """Whether the thermometer of this key is on a channel of a multiplexer that nothing stated before it has."""
+    """Return whether a thermometer has a multiplexer channel that no instrument stated before it uses.
+
+    `key` is the thermometer's key under `instruments`.
+    """
     section = part(data, "instruments", key)
     resource = part(section, "resource")
     meters = [m for m in _items(part(data, "instruments", "voltmeters")) if part(m, "resource") == resource]
@@ -113,13 +116,13 @@ def _is_on_a_free_channel(data: Any, key: str) -> bool:
 
 
 def _with_pair(sensor: Any) -> set[str]:
-    """Return the channel of a sensor and the one ten higher, which its sense wires may have."""
+    """Return the channel of a sensor, and the channel ten higher, to which its sense wires may be connected."""
     own = str(part(sensor, "channel"))
     return {own, str(int(own) + 10)} if own.isdecimal() else {own}
 
 
 def _surrounding_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Check the thermometers of meters and room: nothing is corrected by them, and `chamber` needs a chamber."""
+    """Check the thermometers of meters and room: they need no certificate, and `chamber` needs a chamber."""
     for key in SURROUNDINGS:
         stated = part(data, "instruments", key)
         chamber = part(data, "instruments", "chamber")
@@ -248,9 +251,9 @@ _A: Final[tuple[Place, ...]] = (
 
 
 def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Yield place and text of every mistake in the block's rails, against the block's limits and the power supply.
+    """Yield the mistakes in the block's rails, compared with the limits of the block and of its power supply.
 
-    `data` is the bench file as written; any part of it may be missing or malformed.
+    Each is a place and a text. `data` is the bench file as written; any part of it may be missing or malformed.
     """
     if part(data, *_UNIT) is None:
         return
@@ -282,7 +285,7 @@ def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 
 @dataclass(frozen=True)
 class _Rail:
-    """The numbers of a rail as written, V and A, by key; None where unreadable, which is reported elsewhere."""
+    """The numbers of a rail as written, V and A, by key; None if unreadable, a mistake that pydantic reports."""
 
     numbers: dict[Place, float | None]
 

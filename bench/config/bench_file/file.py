@@ -272,7 +272,7 @@ class Standing:
 
     @property
     def expired(self) -> bool:
-        """Whether the certificate had expired on that day."""
+        """Whether the certificate had expired on the day of the readings."""
         until = self.certificate.valid_until
         return until is not None and self.day > until
 
@@ -330,7 +330,7 @@ class Standing:
                 yield f"{which}, does not cover the {range_v:g} V range: the data sheet's limits apply there"
 
     def to_json(self, *, why_not: str) -> dict[str, Any]:
-        """Return the entry of a result on this certificate; `why_not` says why it is not applied, or is empty."""
+        """Return the certificate as a member of a result; `why_not` says why it is not applied (else empty)."""
         certificate = self.certificate
         until = certificate.valid_until
         return {

@@ -112,13 +112,16 @@ class StandEntry(FileModel):
 
 
 def _symmetric(covariance: Floats) -> bool:
-    """Whether a covariance (k, k) is symmetric, relative to its own variances: values in rad² are all tiny."""
+    """Return whether a covariance (k, k) is symmetric within a tolerance relative to its own variances.
+
+    Values in rad² are so small that any absolute tolerance would accept them.
+    """
     u = np.sqrt(np.abs(np.diag(covariance)))
     return bool(np.all(np.abs(covariance - covariance.T) <= 1e-9 * np.outer(u, u)))
 
 
 class MeterValuesEntry(FileModel):
-    """One quantity of each meter relative to its group's mean, with the covariance matrix, in SI units."""
+    """One quantity of each meter, relative to the mean of its group, with the covariance matrix, in SI units."""
 
     values: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
@@ -194,7 +197,7 @@ class LearnedFile(WithEffects):
 
 
 def learned_for(bench: BenchFile) -> str:
-    """Return the hash of the bench's stand, head, installations and meters, to which learned values apply."""
+    """Return a hash of the parts of a bench to which learned values apply: stand, head, installations, meters."""
     own = {
         "stand": bench.stand.model_dump(mode="json"),
         "installations": {label: one.model_dump(mode="json") for label, one in bench.installations.items()},

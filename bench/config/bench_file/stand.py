@@ -401,10 +401,10 @@ class GravityError(ErrorSize):
 
 
 class TemperatureError(ErrorSize):
-    """The limit of the difference between the block's temperature and that of the calibration, K.
+    """The limit of the difference between the temperatures of the block in use and in the calibration, K.
 
-    By default the difference is constant throughout a run. If the difference fluctuates, `correlation_time` is its
-    correlation time; only then does averaging over readings reduce it.
+    By default the difference is constant throughout a run. If the difference fluctuates, `correlation_time` is
+    its correlation time; only then does averaging over readings reduce it.
     """
 
     limit: SizeK
@@ -418,7 +418,7 @@ class TemperatureError(ErrorSize):
 
 
 class RoomError(ErrorSize):
-    """The limit of the changes of the room's temperature, K, which voltmeters follow a `lag` late.
+    """The limit of the changes of the room's temperature, K, which the voltmeters follow after the time `lag`.
 
     The lag is 100 min by default, as a published record of a 34420A in an air bath shows.
     """

@@ -50,7 +50,7 @@ class EspecSection(ControlledChamberForm):
         return {"identity": self.identity}
 
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
-        """Return the simulation's options: limits (°C), sensor noise, a name if the pattern is a plain one."""
+        """Return the simulation's options: limits (°C), sensor noise, and a name if `identity` is a plain name."""
         named = {"name": self.identity} if as_stated(self.identity) else {}
         return super().simulation_options(truth) | named | {"noise_c": truth.sensor_noise}
 
@@ -86,7 +86,7 @@ class ThermotronSection(ControlledChamberForm):
         return {"identity": self.identity}
 
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
-        """Return the simulation's options: temperature limits, °C, and a name if the pattern is a plain one."""
+        """Return the simulation's options: temperature limits, °C, and a name if `identity` is a plain name."""
         named = {"identity": self.identity} if as_stated(self.identity) else {}
         return super().simulation_options(truth) | named
 

@@ -526,7 +526,7 @@ class LineForm(WiredForm):
         return self.model_dump(include={"model", "request", "pattern", "errors"})
 
     def line_options(self) -> dict[str, Any]:
-        """Return the simulation's options on the request, and on the form of the reply with an example."""
+        """Return the simulation's options: the request, the pattern and an example of the reply, error lines."""
         ends = text_line.ENDS
         return {
             **self.model_dump(include={"request", "pattern", "example"}),

@@ -314,7 +314,7 @@ class HeidenhainNd28xSection(ReadOutHeadForm):
         return {"model": self.model}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the options of every simulated counter, and `model`."""
+        """Return the options common to all simulated counters, and `model`."""
         return super().simulation_options(truth) | {"model": self.model}
 
 
@@ -333,7 +333,7 @@ class MitutoyoMux10Section(ReadOutHeadForm):
         return {"channel": self.channel}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the options of every simulated counter, and the channel to which the encoder is connected."""
+        """Return the options common to all simulated counters, and the channel of the encoder."""
         return super().simulation_options(truth) | {"channel": self.channel}
 
 
@@ -364,11 +364,11 @@ class EncoderLineSection(ReadOutHeadForm, LineForm):
         return self.counts_per_turn or text_line.PER_TURN[self.unit]
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the options of every line of text, and `per_turn`."""
+        """Return the options common to instruments with a line of text, and `per_turn`."""
         return LineForm.driver_options(self) | {"per_turn": self.per_turn}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the options of every simulated counter, the request, and the form of the reply with an example."""
+        """Return the options common to all simulated counters, and the request and form of the reply."""
         return super().simulation_options(truth) | self.line_options() | {"per_turn": self.per_turn}
 
 

@@ -230,7 +230,7 @@ def _union(sections: tuple[type[DeviceSection], ...]) -> Any:
 def chosen_by_driver(role: Role, *, name: str = "", recorded: bool = False) -> BeforeValidator:
     """Return a validator that turns a section as written into the section class of its `driver`.
 
-    `name` is the default name of the instrument, if it is not that of the role.
+    `name` is the default name of the instrument, if not the name of the role.
 
     For an unknown driver the only error is one about the driver: with similar names, or the reason why the driver
     could not be loaded. If the bench file was `recorded` with a run, such a section is instead kept as written.
@@ -245,7 +245,7 @@ def chosen_by_driver(role: Role, *, name: str = "", recorded: bool = False) -> B
 
 
 def unknown_drivers(sections: Iterable[object]) -> list[str]:
-    """Return the sorted driver names in sections as written for which no device is known."""
+    """Return, sorted, the driver names in `sections` (as written in the file) for which no device is known."""
     stated = [section.get("driver") for section in sections if isinstance(section, dict)]
     return sorted({name for name in stated if isinstance(name, str) and devices().get(name) is None})
 
@@ -330,7 +330,7 @@ class UnknownHead(HeadForm):
 
 
 class UnknownChamber(ChamberForm):
-    """A chamber with an unknown driver; its temperature range is known, and its band if stated."""
+    """A chamber with an unknown driver; its temperature range is known, and its band if the file states one."""
 
     model_config = KEPT
 
@@ -350,7 +350,7 @@ class UnknownThermometer(ThermometerForm):
 
     @property
     def tolerance_k(self) -> float:
-        """The limit of the thermometer's error, K: it is unknown, so that of an ordinary thermometer is used."""
+        """The limit of the thermometer's error, K: that of an ordinary thermometer, because its own is unknown."""
         return 0.5
 
 

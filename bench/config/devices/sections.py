@@ -103,12 +103,12 @@ class VoltmeterTruth(FileModel):
     """The errors of the simulated voltmeters: whether they have noise, and whether they have errors.
 
     `accuracy` chooses random errors within the 90-day limits of the maker, or the errors in the certificates. The
-    further keys make an input as real ones are: a source of `source_ohm` is loaded by 10 MΩ unless the high
-    impedance is on; `mains` is the amplitude of the mains on the signal, which whole power-line cycles cancel;
-    `zero_drift` is the drift of the zero per hour with autozero off; `flicker` is the standard deviation of 1/f
-    noise per decade of frequency. `firmware` names the versions of the meters in turn; "3-1-1" prints a comma after
-    the last reading. `errors_at_start` stand in the error queue at switch-on. With `real_port` an RS-232 meter
-    loses what is sent between a query and its reply, and is silent after ten idle minutes.
+    further keys are flaws of a real input: a source of `source_ohm` is loaded by 10 MΩ unless the high impedance
+    is on; `mains` is the amplitude of the mains on the signal, which whole power-line cycles cancel; `zero_drift`
+    is the drift of the zero per hour with autozero off; `flicker` is the standard deviation of 1/f noise per
+    decade of frequency. `firmware` names the versions of the meters in turn; "3-1-1" sends a comma after the last
+    reading. `errors_at_start` are errors in the queue at switch-on. With `real_port`, an RS-232 meter loses
+    messages sent between a query and its reply, and stops responding after ten idle minutes.
     """
 
     noise: bool = True
@@ -148,7 +148,7 @@ class SerialSection(FileModel):
 
 
 class VoltmeterForm(WiredForm):
-    """The settings of every voltmeter.
+    """The settings that all voltmeters have.
 
     The range is fixed, since a meter's errors differ between ranges. `interface` is the interface selected at the
     meter, regardless of the wire that carries its messages.
@@ -259,7 +259,7 @@ class HeadTruth(FileModel):
 
 
 class HeadForm(DeviceSection):
-    """The settings of every head; `tolerance` is the largest deviation of a reading's angle from its target."""
+    """The settings that all heads have; `tolerance` is the largest deviation of an angle from its target."""
 
     role: ClassVar[Role] = "head"
     scale_on_axis: ClassVar[bool] = False
@@ -428,7 +428,7 @@ class TemperatureRange(FileModel):
 
 
 class ChamberForm(TemperatureRange, DeviceSection):
-    """The settings of every chamber: the range of temperatures that may be demanded.
+    """The settings that all chambers have: the range of temperatures that may be demanded.
 
     `certificate` is the certificate of the chamber's thermometer.
     """
@@ -471,7 +471,7 @@ class LevelTruth(FileModel):
 
 
 class LevelForm(DeviceSection):
-    """The settings of every level; reading it in two positions cancels its zero error."""
+    """The settings that all levels have; reading a level in two positions cancels its zero error."""
 
     role: ClassVar[Role] = "level"
     certificate: ClassVar[None] = None
@@ -492,7 +492,7 @@ class ThermometerTruth(FileModel):
 
 
 class ThermometerForm(DeviceSection):
-    """The settings of every thermometer on the block; each reading records the temperature that it shows.
+    """The settings that all thermometers on the block have; each reading records the temperature shown.
 
     `gradient` is the largest temperature difference between thermometer and accelerometers, by default 0.2 K.
     Without a `certificate` the tolerance of the sensor type applies.
@@ -539,7 +539,7 @@ OF_THE_UNIT: Final = tuple(SupplyTruth.model_fields)
 
 
 class SupplyForm(DeviceSection):
-    """The settings of every power supply; the voltages and currents are in the unit's own section."""
+    """The settings that all power supplies have; voltages and currents are in the section on the block."""
 
     role: ClassVar[Role] = "power_supply"
 

@@ -46,7 +46,7 @@ class Agilent34401ASection(OneChannelForm, SerialPortForm):
     driver: Literal["agilent-34401a"]
 
     def simulation_options(self, truth: VoltmeterTruth) -> dict[str, Any]:
-        """Return the options of every simulated voltmeter, the flaws of input and port, and the firmware."""
+        """Return the options common to all simulated voltmeters, the flaws of input and port, and the firmware."""
         options = super().simulation_options(truth) | {
             "errors_at_start": truth.errors_at_start,
             "real_port": truth.real_port,
@@ -84,7 +84,7 @@ class Keysight34461ASection(OneChannelForm):
     interface: Literal["lan", "gpib"] = "lan"
 
     def simulation_options(self, truth: VoltmeterTruth) -> dict[str, Any]:
-        """Return the options of every simulated voltmeter, and the flaws of its input."""
+        """Return the options common to all simulated voltmeters, and the flaws of its input."""
         return super().simulation_options(truth) | _flaws(truth)
 
 
@@ -136,7 +136,7 @@ class Keithley2000Section(OneChannelForm):
         return Port(self.line_end, self.line_end, super().port().serial)
 
     def simulation_options(self, truth: VoltmeterTruth) -> dict[str, Any]:
-        """Return the options of every simulated voltmeter, and the line termination."""
+        """Return the options common to all simulated voltmeters, and the line termination."""
         return {**super().simulation_options(truth), "line_end": self.line_end}
 
 
@@ -201,7 +201,7 @@ class Keysight34970ASection(SerialPortForm):
         return {"channel_delay_s": self.channel_delay}
 
     def simulation_options(self, truth: VoltmeterTruth) -> dict[str, Any]:
-        """Return the options of every voltmeter, the model (34972A if by LAN) and the cards by slot."""
+        """Return the options common to all voltmeters, the model (34972A if on LAN) and the cards by slot."""
         return super().simulation_options(truth) | {
             "model": multiplexer.MODELS[self.interface == "lan"],
             "cards": {100 * (number // 100): multiplexer.CARD for number in self.inputs.values()},
@@ -216,9 +216,9 @@ _ROOM_C = 23.0
 class Keysight34970AThermometerSection(ThermometerForm, WiredForm):
     """A temperature sensor on a channel of a 34901A card, such as 104.
 
-    A four-wire `pt100` has its sense wires ten channels higher, such as on 114. If `resource` is that of the
-    voltmeter for the signals, the sensor is an extra channel of that meter, which is then configured again after
-    each temperature.
+    A four-wire `pt100` has its sense wires ten channels higher, such as on 114. If the voltmeter for the signals
+    has the same `resource`, the sensor is an extra channel of that meter, which is configured again after each
+    temperature.
     """
 
     facts: ClassVar = multiplexer
@@ -307,11 +307,11 @@ class LineThermometerSection(TemperatureRange, ThermometerForm, LineForm):
         return self.tolerance
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the options of every line of text, and the temperature range, °C."""
+        """Return the options common to all instruments that answer with a line of text, and the range, °C."""
         return super().driver_options() | {"minimum_c": self.minimum, "maximum_c": self.maximum}
 
     def simulation_options(self, truth: ThermometerTruth) -> dict[str, Any]:
-        """Return the options of every simulated line of text, and the error of the thermometer, K."""
+        """Return the options common to all simulated instruments with a line of text, and the error, K."""
         return self.line_options() | {"error_c": truth.error}
 
 

@@ -43,7 +43,7 @@ _BYTES_OF_SAMPLE: Final = 40
 def check(plan: Plan, bench: BenchFile, *, dry_run: bool = False) -> list[str]:
     """Return every reason why a plan cannot be carried out on a bench, one sentence each.
 
-    In a dry run nobody can answer a prompt without a default, so each such prompt is a reason, too.
+    In a dry run, each prompt without a default is a reason, too, because nobody can answer it.
     """
     return [*_installation_problems(plan, bench), *_reading_problems(plan, bench), *_scan_problems(plan, bench),
             *_turn_problems(plan, bench), *_signal_problems(plan, bench), *_temperature_problems(plan, bench),
@@ -105,7 +105,7 @@ def _level_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
 
 
 def _scan_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
-    """Check the requested scan orders: a multiplexer reads its channels in its own order only."""
+    """Check the requested scan orders: a multiplexer always reads its channels in ascending order."""
     scans = {step.scan: step.key for step in reversed(plan.steps) if isinstance(step, Read) and step.scan}
     for scan, key in reversed(scans.items()):
         order = read_order(in_scan_order(bench.instruments.voltmeters, scan))
@@ -138,7 +138,7 @@ def _turn_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
 
 
 def _signal_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
-    """Check references against the voltmeters' range, and accelerations against that of the block."""
+    """Check reference voltages against the voltmeters' range, and accelerations against the block's range."""
     range_v = bench.voltmeter_range_v
     references = {s.reference_v: s.key for s in reversed(plan.steps) if isinstance(s, SelectInput)}
     for reference_v, key in reversed(references.items()):

@@ -49,7 +49,10 @@ _INPUTS: Final[Mapping[str, str]] = {"short": SHORTED, "reference": REFERENCE}
 
 @dataclass(frozen=True)
 class _Context:
-    """The position in the procedure at which a step is expanded; fields of verbs not yet entered have defaults."""
+    """The position in the procedure at which a step is expanded: mounting, pass, point and what encloses it.
+
+    Fields of verbs that do not enclose the step have defaults.
+    """
 
     document: Document
     reading: ReadingSection

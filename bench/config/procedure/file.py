@@ -1,4 +1,4 @@
-"""The contents of a procedure file: steps with one verb each, and the other sections."""
+"""The contents of a procedure file: steps with one verb each, and sections with defaults."""
 
 from __future__ import annotations
 
@@ -339,7 +339,7 @@ class WaitVerb(ActionVerb):
     reason: str = "waiting"
 
     def plan_steps(self, key: Callable[[str], str]) -> Iterator[Step]:
-        """Yield the wait."""
+        """Yield the step that waits."""
         yield Wait(key("wait"), self.duration, self.reason)
 
 
@@ -371,7 +371,7 @@ class PromptVerb(ActionVerb):
         return self
 
     def plan_steps(self, key: Callable[[str], str]) -> Iterator[Step]:
-        """Yield the question."""
+        """Yield the step that asks the question."""
         yield Ask(key("ask"), **dict(self))
 
     def _check_default_number(self, default: str) -> None:
@@ -393,7 +393,7 @@ class TemperatureVerb(ActionVerb):
     soak: SpanS = 0.0
 
     def plan_steps(self, key: Callable[[str], str]) -> Iterator[Step]:
-        """Yield setting the chamber, settling, and the soak."""
+        """Yield the steps that set the chamber, settle and soak."""
         yield from heating(self, self.at, key)
 
 
@@ -445,7 +445,7 @@ class PowerVerb(ActionVerb):
         return self
 
     def plan_steps(self, key: Callable[[str], str]) -> Iterator[Step]:
-        """Yield the switching."""
+        """Yield the step that switches the block."""
         yield Power(key("power"), self.switch, self.off_for or 0.0, self.warm_up)
 
 

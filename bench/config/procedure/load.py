@@ -105,7 +105,7 @@ class _Tree:
 
     @property
     def sha256(self) -> str:
-        """The SHA-256 of a single file's bytes; for several files, that of their concatenated hex digests."""
+        """The SHA-256 of the file's bytes; of several files, the SHA-256 of their concatenated hex digests."""
         digests = [document.sha256 for document in self.documents.values()]
         return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
 

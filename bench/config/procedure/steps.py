@@ -148,13 +148,13 @@ class _AtPoint(Step):
     point: int
 
     def place(self) -> str:
-        """Return the place in words, such as "installation 1" or "the shorted input (series 2)"."""
+        """Return the installation or the input in words: "installation 1", "the shorted input (series 2)"."""
         if self.installation in _INPUTS:
             return _INPUTS[self.installation] + ("" if self.series == 1 else f" (series {self.series})")
         return message(f"installation {mount_in_words(self.installation, self.series)}")
 
     def where(self) -> str:
-        """Return the place, the pass and the point in words."""
+        """Return the installation or the input, the pass and the point in words."""
         return message(f"{self.place()}, pass {self.pass_number}, point {self.point}")
 
 
@@ -285,7 +285,7 @@ class Read(_AtPoint):
 
 @dataclass(frozen=True, slots=True)
 class Ask(Step):
-    """The operator answers a question; the fields are those of `drivers.person.Prompt`."""
+    """The operator answers a question; its fields are those of `drivers.person.Prompt`."""
 
     NAME: ClassVar[str] = "ask"
     BY_OPERATOR: ClassVar[bool] = True
@@ -408,9 +408,9 @@ _Meter = TypeVar("_Meter", bound=_HasChannels)
 
 
 def in_scan_order(meters: Sequence[_Meter], scan: str) -> list[_Meter]:
-    """Return the meters in the order in which a scan such as "zyx" triggers them; for "" the order stays as listed.
+    """Return the meters in the order in which a scan such as "zyx" triggers them; as listed for an empty scan.
 
-    A meter with several channels is placed by its first channel; it reads its own channels in its own order.
+    A meter with several channels is placed by its first channel; it reads its channels in an order of its own.
     """
     return sorted(meters, key=lambda meter: scan.find(meter.channels[0])) if scan else list(meters)
 

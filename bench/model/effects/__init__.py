@@ -1,8 +1,8 @@
-"""The catalogue of effects: those of this folder, of installed distributions, and temporarily the user's own.
+"""The catalogue of effects: effects of this folder, of installed distributions, and temporarily of the user.
 
 A distribution adds effects by the entry-point group `triaxial_bench.effects`; each entry is an `Effect`, a
-subclass of it, or a module with subclasses. The user's own effects are formulas from a file; they are known within
-the context of `Catalogue.also`.
+subclass of it, or a module with subclasses. The user's own effects are formulas from a file; they are known
+within the context of `Catalogue.also`.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def effects_of(module: ModuleType) -> list[Effect]:
 
 
 class Catalogue(MutableMapping[str, Effect]):
-    """Effects by name, in order: the bench's own, those of installed distributions, then the user's."""
+    """Effects by name: first the bench's own, then those of installed distributions, then the user's."""
 
     def __init__(self, shipped: Iterable[Effect]) -> None:
         self._shipped = {effect.name: effect for effect in shipped}
@@ -75,7 +75,7 @@ class Catalogue(MutableMapping[str, Effect]):
 
     @property
     def own(self) -> tuple[Effect, ...]:
-        """The user's own effects that `also` has added in this context."""
+        """The user's effects that `also` has added in this context."""
         return _OWN.get()
 
     @contextmanager

@@ -47,7 +47,7 @@ class Subsystem(StrEnum):
 class Parameter:
     """One parameter of an effect: its unit in files, that unit in SI, and a plausible size (1 sigma) in SI.
 
-    A `per_channel` parameter has a value for each of x, y, z (zero for a channel without the effect). A parameter
+    A `per_channel` parameter has a value for each of x, y, z, zero for a channel without the effect. A parameter
     with a `grid` (SI values) is a shape, such as a time constant, a width or a harmonic. Readings are not linear
     in a shape: a fit holds it fixed, and the diagnosis tries each grid value. An unstated shape has the value
     `default`.
@@ -73,7 +73,7 @@ Values = Mapping[str, Floats]
 
 @dataclass(frozen=True)
 class Seen:
-    """The input of an effect: its stage's `signal` (see `Stage`), the conditions of the rows, and the block."""
+    """The input of an effect: the `signal` at its stage (see `Stage`), the conditions of the rows, the block."""
 
     signal: Floats
     conditions: Conditions
@@ -88,12 +88,12 @@ class Seen:
 class Effect(ABC):
     """An effect of the forward model. Stateless: the values of its parameters are passed in.
 
-    `sentence` describes the effect; `shown_by` names a measurement that would show it. A `per_mount` effect may act
-    in single mountings; if it `lasts`, it acts from that mounting to the end of the run. A `per_pass` effect may
-    act in single passes of a mounting; if it `outlasts_mount`, it may continue through remounts. `apart` lists sets
-    of parameters that may occur without the others, unless these sets follow from the parameter names.
-    `needs_history` is true if a reading depends on earlier rows, `needs_path` if it depends on the path of the head
-    to the setting.
+    `sentence` describes the effect; `shown_by` names a measurement that would show it. A `per_mount` effect may
+    act in single mountings; if it `lasts`, it acts from that mounting to the end of the run. A `per_pass` effect
+    may act in single passes of a mounting; if it `outlasts_mount`, it may continue through remounts. `apart`
+    lists sets of parameters that may occur without the others; if it is empty, the sets follow from the names.
+    `needs_history` is true if a reading depends on earlier rows, `needs_path` if it depends on the path of the
+    head to the setting.
     """
 
     name: str
@@ -298,9 +298,9 @@ PART: Final = "part"
 
 @dataclass(frozen=True)
 class InPart(Effect):
-    """A part of the shape of the effect named `of`.
+    """An uncertain part of the shape of the effect named `of`, with one size that a fit may estimate.
 
-    Its size is uncertain and multiplies the sum of `parts`, effects with fixed values.
+    The effect is this size times the sum of `parts`, which are effects with fixed values.
     """
 
     name: str
@@ -336,6 +336,6 @@ class InPart(Effect):
 
 
 def in_part(of: str, number: int, parts: tuple[AppliedEffect, ...], value: float, u: float) -> AppliedEffect:
-    """Return one part of an effect's shape as an applied effect, with its size and standard uncertainty."""
+    """Return part `number` of the shape of effect `of`, with the estimate `value` of its size and its `u`."""
     effect = InPart(f"{of}_shape_{number}", of, parts)
     return AppliedEffect(effect, {PART: np.asarray(value)}, u={PART: np.asarray(u)})

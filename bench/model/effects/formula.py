@@ -1,4 +1,4 @@
-"""Effects stated as a formula in a file: the addition is an expression, not a class of its own."""
+"""Effects stated as a formula in a file: their addition is an expression instead of a method."""
 
 from __future__ import annotations
 

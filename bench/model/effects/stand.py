@@ -23,7 +23,7 @@ from bench.model.geometry import STAND_ANGLES
 
 
 def into(column: str, angle_rad: Floats, stand_rad: Floats) -> Floats:
-    """Return an array (n, 5) for the stand angles with `angle_rad` in the named column and zeros elsewhere."""
+    """Return an array (n, 5) of stand angles with `angle_rad` (n,) in the named column and zeros elsewhere."""
     addition = np.zeros_like(stand_rad)
     addition[:, STAND_ANGLES.index(column)] = angle_rad
     return addition
@@ -36,7 +36,7 @@ class ConstantAngle(StandEffect):
     per_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the angle in the column of `column`, rad, shape (n, 5)."""
+        """Return the angle in the column of `STAND_ANGLES` that it changes, zero elsewhere, rad, shape (n, 5)."""
         return into(self.column, values["angle"], seen.signal)
 
 
@@ -173,7 +173,7 @@ class AxisWobble(StandEffect):
 
 
 class BracketTilt(ConstantAngle):
-    """A constant tilt out of the plane of rotation that changes at a remount: alpha1 of one mounting."""
+    """A tilt out of the plane of rotation, alpha1 of one mounting: constant in it, and changed by a remount."""
 
     name = "bracket_tilt"
     column = "axis_tilt"
@@ -234,8 +234,9 @@ class BlockSlip(StandEffect):
 
 
 class MountingCreep(StandEffect):
-    """An exponential approach of the mounting angles to their final values: exp(-t / tau), where t is the time
-    since mounting.
+    """The mounting angles approach their final values exponentially, as exp(-t / tau).
+
+    t is the time since mounting.
     """
 
     name = "mounting_creep"
@@ -304,7 +305,10 @@ class MetersExchanged(VoltmeterEffect):
     outlasts_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return gain U + zero in V at one channel of each pair and its negative at the other, shape (n, 3)."""
+        """Return gain U + zero, V, shape (n, 3), for channels with exchanged meters.
+
+        It is positive in one channel of each pair and negative in the other.
+        """
         added = np.zeros_like(seen.signal)
         for one, other in PAIRS:
             gain, zero = values[f"{one}{other}_gain"], values[f"{one}{other}_zero"]

@@ -50,7 +50,7 @@ class VoltmeterDrift(VoltmeterEffect):
     shown_by = "a shorted input in each pass"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return rate t in volts, shape (n, 3)."""
+        """Return the rate times t in volts, shape (n, 3)."""
         return np.broadcast_to((values["rate"] * seen.conditions.elapsed_s)[:, None], seen.signal.shape)
 
 
@@ -84,7 +84,10 @@ _SHAPES: Final = (
 
 
 def _followed(values: Values, seen: Seen) -> Floats:
-    """Return the temperature of the meters as their gain and zero follow it, K, shape (n,)."""
+    """Return the temperature that gain and zero of the meters follow, K above the reference, shape (n,).
+
+    It is the meters' temperature after the lag and the hysteresis of the effect.
+    """
     conditions = seen.conditions
     behind = lagged(conditions.meter_warmth_k, conditions.elapsed_s, float(values["lag"]))
     return play(behind, float(values["width"]))
@@ -149,9 +152,9 @@ class VoltmeterMove(VoltmeterEffect):
 
 
 class ReferenceSupply(VoltmeterEffect):
-    """Change s v of a reference at the inputs.
+    """Change s v of a reference voltage at the inputs with its supply.
 
-    V is the voltage of the reference's supply rail minus its nominal voltage.
+    v is the voltage of the reference's supply rail minus its nominal voltage.
     """
 
     name = "reference_supply"
@@ -175,7 +178,7 @@ class ReferenceSupply(VoltmeterEffect):
 
 
 class RangeOffset(VoltmeterEffect):
-    """A different zero and gain of each channel's meter on the range that autorange uses below 1.2 V."""
+    """A zero and gain of each channel's meter that differ on the range used by autorange below 1.2 V."""
 
     name = "range_offset"
     parameters = (
@@ -193,7 +196,7 @@ class RangeOffset(VoltmeterEffect):
 
 
 class ChannelCrosstalk(VoltmeterEffect):
-    """The fraction of U_before - U that is added to U.
+    """Crosstalk from the voltage scanned before: a fraction of U_before - U is added to U.
 
     U_before is the voltage scanned just before U, possibly in the row before.
     """
@@ -260,7 +263,7 @@ class VoltmeterOffset(VoltmeterEffect):
 
 
 class ThermalEmf(Effect):
-    """A constant voltage in the leads of each channel; a short at the meter inputs does not show it."""
+    """A constant voltage in the leads of each channel; shorting the meter's inputs does not reveal it."""
 
     name = "thermal_emf"
     stage = Stage.BLOCK_OUTPUT

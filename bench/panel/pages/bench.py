@@ -1,4 +1,4 @@
-"""Bench files in a form: the list, the form with its mistakes, finding instruments, writing, trying."""
+"""Bench files in a form: their list, the form with its mistakes, finding instruments, writing and testing."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ TARGETS: Final = ("x", "y", "z", "scanner", "head", "chamber")
 
 @dataclass
 class FormState(EditedFile):
-    """The state of the form: its file, the typed values, the findings; `written` is the text with the values."""
+    """The state of the form: its file, the typed values, the findings; `written` is the text that they give."""
 
     values: dict[str, str] = field(default_factory=dict)
     groups: list[Group] = field(default_factory=list)
@@ -125,7 +125,7 @@ def form(request: Request) -> Response:
 
 
 def _begun(name: str, start: str, new_name: str = "") -> FormState:
-    """Return the form of a file as it is. Raises `Refusal` if there is none."""
+    """Return the form of a file before any change. Raises `Refusal` if there is no such file."""
     if name:
         base = read_file(own_file(CONFIG, name))
         return FormState(name, "", base, values=_values(base.text))
@@ -146,7 +146,7 @@ def _values(text: str) -> dict[str, str]:
 
 
 def _judge(state: FormState) -> None:
-    """Make the text to be written from what is typed, and put its mistakes at their fields."""
+    """Make the text to be written from the typed values, and assign its mistakes to their fields."""
     state.groups = groups_of(state.values)
     try:
         state.written = changed_text(state.base.text, state.values, state.groups)
@@ -184,7 +184,7 @@ def _sent(request: Request, person: Person, given: dict[str, str]) -> Response:
 
 
 def _typed(given: Mapping[str, str]) -> FormState:
-    """Return the form with what was typed. Raises `Refusal` for texts that no form of the panel sends."""
+    """Return the form with the typed values. Raises `Refusal` for texts that no form of the panel sends."""
     for text in given.values():
         if len(text) > LONGEST and "\n" not in text:
             raise Refusal(400, message(f"shorten the field to at most {LONGEST} characters"))
@@ -215,7 +215,10 @@ def _assign(state: FormState, given: Mapping[str, str], found: Findings) -> None
 
 
 def _place_of(target: str, values: dict[str, str]) -> str:
-    """Return the place of the instrument that a found resource is given to; the form's choices follow it."""
+    """Return the path in the bench file of the instrument that a found resource is given to.
+
+    The choices of the form in `values` are changed to suit.
+    """
     if target in {"head", "chamber"}:
         return f"instruments.{target}"
     if target == "scanner":
@@ -274,7 +277,7 @@ def _shown(request: Request, state: FormState) -> Response:
 
 
 def _known_certificates(file: BenchFile | None) -> dict[str, str]:
-    """Return the date of the certificate of each resource that the bench file knows."""
+    """Return, by resource, the date of the certificate that the bench file states."""
     found = {}
     for section in file.instruments.all() if file else ():
         resource, certificate = getattr(section, "resource", None), section.certificate
@@ -284,7 +287,7 @@ def _known_certificates(file: BenchFile | None) -> dict[str, str]:
 
 
 def _by_place(file: BenchFile | None, results: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the results of a test by the place of their instrument in the form."""
+    """Return the results of a test by the path of their instrument in the form."""
     if file is None:
         return {}
     meters = enumerate(file.instruments.voltmeters)

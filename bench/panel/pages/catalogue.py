@@ -1,4 +1,4 @@
-"""The pages on the catalogue, if the panel has one: a search among units, and a unit's page. They only read."""
+"""The pages on the catalogue, if the panel has one: a search for units, and the page of a unit. They only read."""
 
 from __future__ import annotations
 

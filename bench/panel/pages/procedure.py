@@ -50,7 +50,7 @@ MOST_CHECKED: Final = 20_000
 
 @dataclass(frozen=True)
 class CheckBeside:
-    """The findings of a check beside the table: sentences, problems, and the operator's actions."""
+    """The findings of a check, shown beside the table: sentences, problems, and the operator's actions."""
 
     told: tuple[str, ...] = ()
     problems: tuple[str, ...] = ()
@@ -80,7 +80,7 @@ class TableState(EditedFile):
 
     @property
     def short(self) -> dict[str, str]:
-        """The name of each field in the form, which is shorter than its place in the file."""
+        """The name of each field in the form, which is shorter than its path in the file."""
         return {one.name: f"f{number}" for number, one in enumerate(self.fields)}
 
     @property
@@ -113,7 +113,7 @@ def form(request: Request) -> Response:
 
 
 def _begun(name: str, start: str, new_name: str) -> TableState:
-    """Return the table of a file as it is. Raises `Refusal` if there is none."""
+    """Return the table of a file before any change. Raises `Refusal` if there is no such file."""
     if name:
         base = read_file(own_file(PROCEDURES, name))
         return TableState(name, "", base, text=base.text)
@@ -178,7 +178,7 @@ def _data(text: str) -> Any:
 
 
 def _from_table(text: str, given: Mapping[str, str]) -> str:
-    """Return a text with what is typed in the table's fields; the text itself if it is no YAML."""
+    """Return a text with the values typed in the table's fields; the text itself if it is no YAML."""
     data = _data(text)
     if not isinstance(data, dict):
         return text
@@ -217,7 +217,7 @@ def _write(panel: Panel, person: Person, state: TableState, expected: str) -> bo
 
 
 def _named(state: TableState) -> str:
-    """Return the text of a new file under its own name, unless the person named it otherwise."""
+    """Return the text of a new procedure with its file's name in it, unless the person named it otherwise."""
     data = _data(state.text)
     name = sections_of(data)[0].fields[:1]
     if not isinstance(data, dict) or data.get("procedure") != (_data(state.base.text) or {}).get("procedure"):

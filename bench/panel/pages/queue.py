@@ -39,7 +39,8 @@ MOVES: Final = {"up": -1, "down": 1}
 class QueueRow:
     """An item with its state in words: "to do", a stage of its check, or the state of its run.
 
-    `run` is the row of its run; `beginnable` and `returnable` say whether a person may begin it or put it back.
+    `run` is the row of the item's run. `beginnable` and `returnable` say whether a person may begin the item or put
+    it back into the queue.
     """
 
     item: QueueItem
@@ -156,7 +157,7 @@ def next_unit(panel: Panel) -> QueueItem | None:
 
 
 def bench_today(name: str, runs: Sequence[RunRow], on: DayNote | None) -> BenchToday:
-    """Return today's notes on a bench for its operator; `on` is the note that the bench was switched on."""
+    """Return today's notes on a bench for its operator; `on` is the note of when the bench was switched on."""
     busy = next((row.name for row in runs if row.alive and row.bench == Path(name).stem), "")
     try:
         path = chosen_bench_file(name)
@@ -219,7 +220,7 @@ def _warm_up(bench: BenchFile) -> list[str]:
 
 
 def _warm(on: DayNote | None) -> str:
-    """Return the state of the instruments' warm-up in words; empty where nobody noted that they are on."""
+    """Return the state of the instruments' warm-up in words; "" if nobody noted that they are switched on."""
     if on is None:
         return ""
     minutes = (utc_now() - on.at) // timedelta(minutes=1)
@@ -248,8 +249,10 @@ def _check_block(bench: BenchFile, runs: Sequence[RunRow]) -> list[str]:
 
 
 async def changed(request: Request) -> Response:
-    """Carry out an action on the queue: add units, remove finished ones, note who is on duty or that a bench is on,
-    put damaged files aside.
+    """Carry out an action on the queue.
+
+    It adds units, removes finished ones, notes who is on duty or that a bench is switched on, or puts damaged files
+    aside.
     """
     person, sent = await acting(request, Role.OPERATOR)
     await run_in_threadpool(_changed, panel_of(request), person, sent)
@@ -324,7 +327,7 @@ def _item_changed(panel: Panel, person: Person, item_id: str, do: str) -> str:
 
 
 def _check_of(panel: Panel, person: Person, item: QueueItem) -> str:
-    """Return the id of the check of an item: the one at work or still true, else a new one."""
+    """Return the id of the check of an item: the check in progress or still valid, else a new one."""
     if panel.runs.holds(item.run) or panel.queue.is_starting(item):
         raise Refusal(409, message(f"{item.words} was begun already; see the run {item.run}"))
     try:

@@ -1,4 +1,4 @@
-"""One run: its page, the data for its script, answers, wishes (pause, stop, …), control, resuming, giving up."""
+"""One run: its page, data for its script, answers, wishes (pause, stop, …), control, resuming, ending for good."""
 
 from __future__ import annotations
 
@@ -41,8 +41,9 @@ MOST_STREAMS: Final = 30
 
 
 def run_of(request: Request) -> Run:
-    """Return the run in a request's address. Raises `Refusal` if nobody is signed in, and if there is no such
-    run.
+    """Return the run in a request's address.
+
+    Raises `Refusal` if nobody is signed in, and if there is no such run.
     """
     looking(request)
     return panel_of(request).runs.run(request.path_params["name"])
@@ -133,7 +134,7 @@ async def check_answer(request: Request) -> Response:
 
 
 def checked(asked: AskedPrompt | None, prompt_id: str, text: str) -> dict[str, str]:
-    """Return the `problem` with an answer, empty if it is acceptable, and how it is `understood`.
+    """Return the `problem` with an answer (empty if it is acceptable) and its interpretation, `understood`.
 
     Raises `Refusal` (409) if the question is no longer open.
     """
@@ -169,7 +170,7 @@ async def answer(request: Request) -> Response:
 
 
 async def wish(request: Request) -> Response:
-    """Store a wish for the program that carries out a run.
+    """Store a wish, such as pause or stop, for the program that carries out a run.
 
     Everybody may stop the run; other wishes need control of the run.
     """
@@ -249,7 +250,7 @@ async def _doing(work: Callable[..., Told], *given: object) -> Told:
 
 
 def _done(request: Request, run: Run, what: str) -> Response:
-    """Return the response to a successful request: a sentence for a script, for a form the page of the run."""
+    """Return the response to a successful request: a script gets a sentence, a form gets the page of the run."""
     if wants_json(request):
         return JSONResponse({"done": what})
     from urllib.parse import quote

@@ -1,4 +1,4 @@
-"""Simulated hands at a served bench: they do what the questions of runs ask; a person only answers."""
+"""Simulated hands at a served bench: they do the tasks that runs ask for, and a person only answers."""
 
 from __future__ import annotations
 
@@ -32,8 +32,9 @@ _BRISK: Final = OperatorSettings(mount_time_s=0.0, task_time_s=0.0, display_time
 class SimulatedHands:
     """Hands that work at the simulated bench of `world` for the real runs in the folder `runs`.
 
-    They turn the head, mount the block, set a manual chamber, and `tell` what they did or what a display shows.
-    They answer nothing. Where an encoder watches, the head moves at `CRANK_RAD_S` of real time.
+    They turn the head, mount the block, set a manual chamber, and report through `tell` what they did or what a
+    display shows. They leave the answers to a person. Where an encoder watches, the head moves at `CRANK_RAD_S`
+    of real time.
     """
 
     def __init__(self, world: World, runs: Path, tell: Callable[[str], None], speed: float = 1.0) -> None:
@@ -43,7 +44,7 @@ class SimulatedHands:
 
     @contextmanager
     def working(self) -> Iterator[None]:
-        """Work in a thread of their own within this context."""
+        """Do the tasks in a separate thread within this context."""
         over = threading.Event()
 
         def work() -> None:
@@ -58,7 +59,7 @@ class SimulatedHands:
             over.set()
 
     def look(self) -> None:
-        """Do what the questions since the last look ask, of each kind the latest."""
+        """Do the tasks asked since the last look; of each kind, only the latest."""
         for record in self._runs.glob(f"*/{EVENTS}"):
             if is_being_written(record.parent) and not Run(record.parent).simulated:
                 for prompt in self._put(record):
@@ -66,7 +67,7 @@ class SimulatedHands:
                         self._do(prompt)
 
     def _put(self, record: Path) -> list[Prompt]:
-        """Return the questions that were put since the last call, or whose answer by an encoder was refused."""
+        """Return the questions asked since the last call, and those whose answer by an encoder was refused."""
         asked, put = OpenPrompt(), dict[str, Prompt]()
         with suppress(OSError, ValueError), open_regular(record) as file:
             size = file.seek(0, 2)

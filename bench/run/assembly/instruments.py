@@ -44,7 +44,7 @@ from sim.world.world import World, WorldSettings
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What drivers need besides their own section: person, clock, line frequency and wire.
+    """The objects that drivers need in addition to their own section: person, clock, line frequency and wire.
 
     `resources` overrides resources of the bench file, by instrument name. `haste` ends the waiting for
     instruments that do not respond. `holding` reserves the instruments that are opened. `sessions` collects the
@@ -163,7 +163,7 @@ def _driver(section: InstrumentForm, given: Surroundings) -> Any:
 
 
 def world_of(bench: BenchFile, model: ForwardModel, seed: int, clock: Clock) -> World:
-    """Return the simulated world of a bench file: its stand and block are the truth, observed through `model`."""
+    """Return the simulated world of a bench file: its true stand and block, and the effects of `model`."""
     truth = bench.simulation
     settings = WorldSettings(
         block=bench.simulated_block(),
@@ -269,7 +269,10 @@ def _probes(bench: BenchFile, world: World, host: InstrumentForm) -> dict[int, P
 
 
 def _seen_by(section: InstrumentForm, given: InstrumentsSection, world: World) -> World:
-    """Return the world of an instrument: to a thermometer away from the block, with what it is at for the block."""
+    """Return the world that an instrument observes.
+
+    For a thermometer away from the block it is a world in which the block has the temperature of that place.
+    """
     at = {"meter_thermometer": world.meters_c, "room_thermometer": world.room_c}
     key = next((key for key, around in given.around.items() if around is section), None)
     return world if key is None else cast(World, Elsewhere(world, at[key]))

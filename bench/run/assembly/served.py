@@ -113,7 +113,7 @@ class LivingOperator:
         return answer
 
     def _turned_meanwhile(self, prompt: Prompt) -> Answer:
-        """Show the prompt to the person while the operator turns and the encoder watches, which ends it."""
+        """Show the prompt to the person while the operator turns the head, until the encoder ends the prompt."""
 
         def turn() -> None:
             self._hands.ask(prompt)
@@ -270,8 +270,8 @@ def served_bench(
 ) -> Iterator[Serving]:
     """Serve the simulated wired instruments on the network, with a clock `speed` times as fast as real time.
 
-    `hands` is a folder of runs for which simulated hands turn and mount, and `tell` it. Raises `BenchError` if a
-    port is in use, or for a fault that its instrument cannot have.
+    `hands` is a folder of runs for which simulated hands turn the head and mount the block; `tell` prints what
+    they did. Raises `BenchError` if a port is in use, or for a fault that its instrument cannot have.
     """
     world = world_of(bench, model, seed, ScaledClock(speed))
     simulated = _simulated(

@@ -178,7 +178,7 @@ def _identities(evening: CommissioningSession) -> None:
 
 
 def who(evening: CommissioningSession, instrument: Instrument) -> Finding:
-    """Return the finding on an instrument that was opened: who it says it is."""
+    """Return the finding on an opened instrument: the identity that it reported."""
     by_hand = evening.section(instrument.name).by_hand
     said = "is operated by hand" if by_hand else str(evening.identities[instrument.name])
     return Finding(IDENTITY, instrument.name, State.WORKS, said)

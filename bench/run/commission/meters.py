@@ -39,13 +39,13 @@ class _Timed(Protocol):
     """A voltmeter whose driver states the duration of a reading."""
 
     def reading_time_s(self, settings: VoltmeterSettings, character_time_s: float = 0.0) -> float:
-        """Return the time from the start until the last character of the readings has arrived, s."""
+        """Return the time from the start until the last character of the samples has arrived, s."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class TimingSpread:
-    """The spread of the meters' start times in one set of readings, and of the arrival of the readings, s."""
+    """The spread of the meters' start times in one reading, and of the times at which their samples arrived, s."""
 
     starts_s: float
     ends_s: float
@@ -146,7 +146,7 @@ def _judged_by_time(
 def expected_time_s(
     evening: CommissioningSession, meter: Voltmeter, settings: VoltmeterSettings
 ) -> float | None:
-    """Return the duration of a reading that the driver expects, s; None if the driver does not state one."""
+    """Return the duration of a reading that the driver expects, s; None if the driver states none."""
     if not isinstance(meter, _Timed):
         return None
     section = _form(evening, meter)
@@ -166,7 +166,7 @@ def _character_s(serial: Mapping[str, object] | None) -> float:
 
 
 def check_together(evening: CommissioningSession) -> None:
-    """Start all meters as a run does, and measure the spread of their starts and of the readings' arrival."""
+    """Start all meters as a run does; measure the spread of their starts and of the arrival of their samples."""
     meters = [meter for meter in evening.instruments.voltmeters if evening.present(meter)]
     if not meters:
         return

@@ -40,7 +40,7 @@ QueryField = Annotated[
 
 @dataclass(frozen=True)
 class Sync:
-    """The synchronisation of the catalogue with run folders."""
+    """Options of `bench catalogue sync`: update the catalogue from run folders."""
 
     folders: Annotated[
         list[Path], Option("Folders that contain run folders, at any depth.", metavar="DIR…", argument=True)
@@ -55,7 +55,7 @@ class Sync:
 
 @dataclass(frozen=True)
 class Ask:
-    """A question to the catalogue."""
+    """Options of `bench catalogue ask`: a question to the catalogue."""
 
     query: QueryField = None
     _: KW_ONLY
@@ -83,7 +83,7 @@ class _Dated:
 
 @dataclass(frozen=True)
 class Unit(_Dated):
-    """The history of a unit: its coefficients over time, its runs, its due date."""
+    """Options of `bench catalogue unit`: the history of a unit, with coefficients, runs and due date."""
 
     name: Annotated[str, Option("Serial number, or type and serial number.", metavar="UNIT", argument=True)]
     _: KW_ONLY
@@ -92,7 +92,7 @@ class Unit(_Dated):
 
 @dataclass(frozen=True)
 class DueUnits(_Dated):
-    """The due dates of units, predicted from their drift."""
+    """Options of `bench catalogue due`: the due dates of units, predicted from their drift."""
 
     query: QueryField = None
     _: KW_ONLY
@@ -106,7 +106,7 @@ class DueUnits(_Dated):
 
 @dataclass(frozen=True, kw_only=True)
 class Batch(OnReadings):
-    """Many runs to be evaluated again; the results are written into a folder."""
+    """Options of every `bench batch`: the runs to evaluate again, and the folder for the results."""
 
     over: Annotated[
         list[str],
@@ -131,7 +131,7 @@ class Batch(OnReadings):
 
 @dataclass(frozen=True, kw_only=True)
 class BatchCalibrate(Batch):
-    """Coefficients and verdicts of many runs, computed again."""
+    """Options of `bench batch calibrate`: compute coefficients and verdicts of many runs again."""
 
     estimator: EstimatorField = "gls"
     nominal_angles: NominalField = False
@@ -145,14 +145,14 @@ class BatchCalibrate(Batch):
 
 @dataclass(frozen=True, kw_only=True)
 class BatchDiagnose(Batch):
-    """Diagnoses of many runs, computed again."""
+    """Options of `bench batch diagnose`: compute diagnoses of many runs again."""
 
     strict: bool = option(False, "Accept no changed effect under the same verdict.", common=True)
 
 
 @dataclass(frozen=True, kw_only=True)
 class BatchReport(Batch):
-    """Reports of many runs, written into the folder of the batch."""
+    """Options of `bench batch report`: write reports of many runs into the folder of the batch."""
 
     limit: LimitField = None
     rule: RuleField = None
@@ -180,7 +180,7 @@ ReasonField = Annotated[str, Option("Reason, for the register.", metavar="TEXT",
 
 @dataclass(frozen=True, kw_only=True)
 class Issuing:
-    """The laboratory, order, signatory and key with which certificates are issued."""
+    """Options of every command that issues a certificate: laboratory, order, signatory and key."""
 
     laboratory: LaboratoryField = None
     order: Path | None = option(
@@ -199,7 +199,7 @@ class Issuing:
 
 @dataclass(frozen=True)
 class IssueCertificates(Issuing):
-    """The certificates of runs, each issued once."""
+    """Options of `bench certificate issue`: the runs to be certified, and where drafts are written."""
 
     names: Annotated[
         list[str], Option("Runs, by name or path.", metavar="RUN…", argument=True, completes="runs")
@@ -213,7 +213,7 @@ class IssueCertificates(Issuing):
 
 @dataclass(frozen=True)
 class AmendCertificate(Issuing):
-    """A certificate that replaces a valid one."""
+    """Options of `bench certificate amend`: issue a certificate that replaces a valid one."""
 
     number: NumberField
     run: RunField
@@ -224,7 +224,7 @@ class AmendCertificate(Issuing):
 
 @dataclass(frozen=True)
 class RevokeCertificate:
-    """The revocation of a certificate."""
+    """Options of `bench certificate revoke`: revoke a valid certificate."""
 
     number: NumberField
     _: KW_ONLY
@@ -235,7 +235,7 @@ class RevokeCertificate:
 
 @dataclass(frozen=True)
 class CheckRegister:
-    """A check of the register of issued certificates."""
+    """Options of `bench certificate register`: list and check the issued certificates."""
 
     number: str | None = option(None, "Number of a certificate (default: all).", argument=True)
     _: KW_ONLY
@@ -251,7 +251,7 @@ class CheckRegister:
 
 @dataclass(frozen=True)
 class VerifyCertificate:
-    """A check of a certificate: its integrity, its signature and whether it is still valid."""
+    """Options of `bench certificate verify`: check integrity, signature and validity of a certificate."""
 
     file: Annotated[Path, Option("Certificate, PDF or XML; the other form must be beside it.", argument=True)]
     _: KW_ONLY
@@ -266,7 +266,7 @@ class VerifyCertificate:
 
 @dataclass(frozen=True)
 class PlanKit:
-    """The plan of an interlaboratory comparison."""
+    """Options of `bench kit plan`: plan an interlaboratory comparison."""
 
     plan: Annotated[str | Path, Option("Plan to write (YAML).", argument=True, typed=Path)]
     _: KW_ONLY
@@ -280,7 +280,7 @@ class PlanKit:
 
 @dataclass(frozen=True)
 class SealKit:
-    """Seals of results, before any is opened."""
+    """Options of `bench kit seal`: note the seals of the laboratories' results, before any is opened."""
 
     plan: Annotated[str | Path, Option("Plan of the comparison.", argument=True, typed=Path)]
     results: Annotated[
@@ -291,7 +291,7 @@ class SealKit:
 
 @dataclass(frozen=True)
 class EvaluateKit(SealKit):
-    """The evaluation of all sealed results."""
+    """Options of `bench kit evaluate`: evaluate all sealed results."""
 
     _: KW_ONLY
     check: Sequence[str] = option(
@@ -308,7 +308,7 @@ class EvaluateKit(SealKit):
 
 @dataclass(frozen=True)
 class ReadCertificate:
-    """A certificate whose coefficients and covariance are to be read."""
+    """Options of `bench certificate read`: read coefficients or an instrument's data from a certificate."""
 
     file: Annotated[
         Path,
@@ -338,7 +338,7 @@ class ReadCertificate:
 
 @dataclass(frozen=True, kw_only=True)
 class Validate:
-    """The validation of an installation: to be made, accepted, withdrawn or listed."""
+    """Options of `bench validate`: carry out, accept, withdraw or list validations of an installation."""
 
     bench: str | None = option(
         None,
@@ -382,7 +382,7 @@ class Validate:
 
 
 class FailureState(StrEnum):
-    """The state of a failure in the register."""
+    """The states of a failure in the register."""
 
     OPEN = "open"
     REMEDIED = "remedied"
@@ -391,7 +391,7 @@ class FailureState(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Failures:
-    """The register of failures: to be brought up to date from the records, amended, or shown for a year."""
+    """Options of `bench failures`: collect failures from records, note state and remedy, or list a year."""
 
     laboratory: LaboratoryField = None
     number: str | None = option(
@@ -413,7 +413,7 @@ class Failures:
 
 
 class Right(StrEnum):
-    """What a person may do; everybody may look, and stop a run.
+    """A right of a person; everybody may view everything and stop a run.
 
     operate: carry out runs. supervise: also take control by force. authorise: issue certificates, accept
     validations, close failures. administer: change the register of persons.
@@ -426,7 +426,7 @@ class Right(StrEnum):
 
 
 class PersonsCommand(StrEnum):
-    """A change of the register of persons."""
+    """The kinds of change of the register of persons."""
 
     ADD = "add"
     CHANGE = "change"
@@ -435,7 +435,7 @@ class PersonsCommand(StrEnum):
 
 @dataclass(frozen=True)
 class ChangePersons:
-    """The register of persons of a laboratory, to be listed or changed."""
+    """Options of `bench persons`: list or change the persons of a laboratory."""
 
     what: PersonsCommand | None = option(
         None, "add, change, or end (the rights of) a person (default: list all).", argument=True
@@ -459,7 +459,7 @@ class ChangePersons:
 
 
 class PeopleCommand(StrEnum):
-    """A command on access to the panel: make, list or revoke tokens, or make a one-time link."""
+    """The kinds of command on access to the panel: make, list or revoke tokens, or make a one-time link."""
 
     TOKEN = "token"
     TOKENS = "tokens"
@@ -469,7 +469,7 @@ class PeopleCommand(StrEnum):
 
 @dataclass(frozen=True)
 class ServePanel:
-    """The operator's panel over a folder of runs, to be served; or a command on access to it."""
+    """Options of `bench panel`: serve the panel over a folder of runs, or manage access to it."""
 
     what: PeopleCommand | None = option(
         None,

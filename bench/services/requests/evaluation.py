@@ -52,7 +52,7 @@ SeveralField = Annotated[Data, replace(_SOURCES, typed=str)]
 
 @dataclass(frozen=True)
 class Calibrate(OnReadings):
-    """The coefficients of a block."""
+    """Options of `bench calibrate`: estimate the coefficients of a block from readings."""
 
     source: SeveralField
     _: KW_ONLY
@@ -79,7 +79,7 @@ class Calibrate(OnReadings):
 
 @dataclass(frozen=True, kw_only=True)
 class Judging(OnReadings):
-    """The options of a verdict that replace those of the bench file."""
+    """Options of a verdict, which replace those of the bench file."""
 
     model: ModelField = None
     limit: LimitField = None
@@ -90,7 +90,7 @@ class Judging(OnReadings):
 
 @dataclass(frozen=True)
 class Verify(Judging):
-    """Δg at the verification points against the limit."""
+    """Options of `bench verify`: compare Δg at the verification points with the limit."""
 
     source: SeveralField
     _: KW_ONLY
@@ -106,14 +106,14 @@ class Verify(Judging):
 
 @dataclass(frozen=True)
 class Report(Judging):
-    """The report of a calibration."""
+    """Options of `bench report`: write the report of a calibration."""
 
     source: SourceField
 
 
 @dataclass(frozen=True)
 class Coefficients(OnReadings):
-    """Calibrations to be written in the forms of navigation software."""
+    """Options of `bench coefficients`: write calibrations in the forms of navigation software."""
 
     sources: Annotated[
         Sequence[str],
@@ -147,7 +147,7 @@ class Coefficients(OnReadings):
 
 @dataclass(frozen=True)
 class Compensate(OnReadings):
-    """Coefficients over temperature."""
+    """Options of `bench compensate`: fit coefficients over temperature."""
 
     sources: SourcesField
     _: KW_ONLY
@@ -160,7 +160,7 @@ class Compensate(OnReadings):
 
 @dataclass(frozen=True)
 class Tumble(OnReadings):
-    """The IEEE 1293 model terms of each axis."""
+    """Options of `bench tumble`: estimate the IEEE 1293 model terms of each axis."""
 
     sources: SourcesField
     _: KW_ONLY
@@ -179,7 +179,7 @@ class Tumble(OnReadings):
 
 @dataclass(frozen=True)
 class Confirm(OnReadings):
-    """A test whether new readings confirm a model that was found in other readings."""
+    """Options of `bench confirm`: test on new readings a model that was found in others."""
 
     source: Annotated[
         Data,
@@ -202,7 +202,7 @@ class Confirm(OnReadings):
 
 @dataclass(frozen=True)
 class Diagnose(OnReadings):
-    """A search for the places where readings and model disagree, and for the missing effect.
+    """Options of `bench diagnose`: find where readings and model disagree, and which effect is missing.
 
     With `write`, all files of `bench diagnose` are written: beside the source, or into `out`.
     """
@@ -233,7 +233,7 @@ class Diagnose(OnReadings):
 
 @dataclass(frozen=True)
 class Accept:
-    """A name and a sentence for unnamed terms of a model file."""
+    """Options of `bench accept`: give a name and a description to unnamed terms of a model file."""
 
     model: Annotated[
         Path,

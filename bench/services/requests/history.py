@@ -14,7 +14,7 @@ from bench.services.requests.shared import BenchField, Data, ModelField, OnReadi
 
 @dataclass(frozen=True)
 class Chart:
-    """The control charts of a check block."""
+    """Options of `bench chart`: draw the control charts of a check block."""
 
     runs: str | Path | Sequence[str | Path] | None = option(
         None,
@@ -43,7 +43,7 @@ class Chart:
 
 @dataclass(frozen=True)
 class Compare(OnReadings):
-    """A comparison of calibrations of one block."""
+    """Options of `bench compare`: compare calibrations of one block."""
 
     sources: Annotated[
         Sequence[Data],
@@ -66,7 +66,7 @@ class Compare(OnReadings):
 
 @dataclass(frozen=True)
 class Monitor(OnReadings):
-    """The control chart of a few positions over days."""
+    """Options of `bench monitor`: chart a few positions over days."""
 
     sources: Annotated[
         Sequence[Data],
@@ -78,7 +78,7 @@ class Monitor(OnReadings):
 
 @dataclass(frozen=True)
 class Learn(OnReadings):
-    """The estimation of a bench's errors from many of its runs."""
+    """Options of `bench learn`: estimate a bench's errors from many of its runs."""
 
     sources: Annotated[
         Sequence[Data],
@@ -105,7 +105,7 @@ class Learn(OnReadings):
 
 @dataclass(frozen=True)
 class Stability:
-    """Noise and drift of a record at rest."""
+    """Options of `bench stability`: estimate noise and drift of a record at rest."""
 
     record: Annotated[
         str,
@@ -132,7 +132,7 @@ class Stability:
 
 @dataclass(frozen=True)
 class OfFleet:
-    """Calibrations selected from a catalogue."""
+    """Options of every `bench fleet`: select calibrations from a catalogue."""
 
     query: Sequence[str] | None = option(
         None,
@@ -149,7 +149,7 @@ class OfFleet:
 
 @dataclass(frozen=True)
 class CompareBenches(OfFleet):
-    """A comparison of benches by units that several of them measured."""
+    """Options of `bench fleet compare`: compare benches by units that several of them measured."""
 
     reference: str | None = option(
         None,
@@ -161,14 +161,14 @@ class CompareBenches(OfFleet):
 
 @dataclass(frozen=True)
 class DriftOfUnit(OfFleet):
-    """The drift of a unit."""
+    """Options of `bench fleet drift`: estimate the drift of a unit."""
 
     at: str | None = option(None, "Predict the coefficients at this date.", metavar="YYYY-MM-DD", common=True)
 
 
 @dataclass(frozen=True)
 class Capability(OfFleet):
-    """The calibration and measurement capability of the laboratory."""
+    """Options of `bench fleet cmc`: estimate the laboratory's calibration and measurement capability."""
 
     quantile: float = option(
         0.5, "Share of everyday calibrations that reach the CMC.", least=0.01, most=0.99, common=True

@@ -52,7 +52,7 @@ PanelField = Annotated[
 
 @dataclass(frozen=True)
 class DryRunRequest:
-    """A procedure to be run on simulated instruments."""
+    """Options of a dry run: a procedure carried out on simulated instruments."""
 
     procedure: Annotated[
         str | Path,
@@ -68,7 +68,7 @@ class DryRunRequest:
 
 @dataclass(frozen=True, kw_only=True)
 class RunRequest(DryRunRequest):
-    """A procedure to be run on a bench, or dry on simulated instruments."""
+    """Options of `bench run`: carry out a procedure on a bench, or dry on simulated instruments."""
 
     dry_run: bool = option(
         False, "Simulate instruments and clock; touch no hardware.", flags=("--dry-run",), common=True
@@ -109,7 +109,7 @@ class RunRequest(DryRunRequest):
 
 @dataclass(frozen=True)
 class ResumeRequest:
-    """An interrupted run, to be resumed."""
+    """Options of `bench resume`: resume an interrupted run."""
 
     name: LatestField = None
     _: KW_ONLY
@@ -122,7 +122,7 @@ class ResumeRequest:
 
 @dataclass(frozen=True, kw_only=True)
 class InstrumentsRequest:
-    """The instruments of a bench, to be tested or commissioned."""
+    """Options of `bench instruments`: test or commission the instruments of a bench."""
 
     bench: BenchNameField = None
     discover: bool = option(
@@ -146,7 +146,7 @@ class InstrumentsRequest:
 
 @dataclass(frozen=True)
 class SimulateRequest:
-    """Simulated instruments, to be served."""
+    """Options of `bench simulate`: serve simulated instruments."""
 
     command: str | None = option(
         None, "With --control: command to the served bench, such as 'turn 45 deg'.", argument=True

@@ -30,7 +30,7 @@ UpToField = Annotated[str | None, Option("Largest acceleration, such as 5g (defa
 
 @dataclass(frozen=True)
 class Check:
-    """A check of a procedure against a bench, or (`morning`) of the bench itself, each morning."""
+    """Options of `bench check`: check a procedure against a bench or, with `morning`, the bench itself."""
 
     procedure: str | None = option(
         None, "Procedure file, by path or shipped name.", argument=True, completes="procedures"
@@ -55,14 +55,14 @@ class Check:
 
 @dataclass(frozen=True)
 class Init:
-    """Copies of the shipped files."""
+    """Options of `bench init`: copy the shipped files."""
 
     folder: Path = option(Path(), "Folder for the copies.", argument=True)
 
 
 @dataclass(frozen=True)
 class Budget:
-    """An uncertainty budget: the contribution of each error of a bench."""
+    """Options of `bench budget`: compute the contribution of each error of a bench to the uncertainty."""
 
     bench: BenchField = None
     procedure: ProcedureField = "calibration"
@@ -86,7 +86,7 @@ class Budget:
 
 @dataclass(frozen=True, kw_only=True)
 class Require:
-    """Requirements on the errors of a bench for a given accuracy."""
+    """Options of `bench require`: compute how large the errors of a bench may be for an accuracy."""
 
     accuracy: Annotated[
         str, Option("Required accuracy k u, in g (of a coefficient in V/g or V).", common=True)
@@ -113,7 +113,7 @@ class Require:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanPoints:
-    """A search for the test points that reach an uncertainty."""
+    """Options of `bench plan-points`: find the test points that reach an uncertainty."""
 
     bench: BenchField = None
     u: list[str] | None = option(
@@ -145,5 +145,5 @@ class PlanPoints:
 
     @property
     def has_goals(self) -> bool:
-        """Whether an uncertainty is asked for, and not only a time."""
+        """Whether a goal for an uncertainty is stated, and not only a time."""
         return bool(self.u) or self.delta_g is not None or self.modulus is not None

@@ -12,14 +12,14 @@ from bench.services.requests.shared import BenchField, LatestField, OperatorFiel
 
 @dataclass(frozen=True, kw_only=True)
 class ListRuns:
-    """The runs of a folder."""
+    """Options of `bench runs`: list the runs of a folder."""
 
     runs: RunsField = None
 
 
 @dataclass(frozen=True)
 class ShowRun:
-    """The content of a run; with `verify`, or a head, key or authority, also the evidence for its record."""
+    """Options of `bench show`: the content of a run, and with `verify` or a key the evidence for its record."""
 
     run: RunField
     _: KW_ONLY
@@ -33,13 +33,13 @@ class ShowRun:
 
     @property
     def proved(self) -> bool:
-        """Whether the evidence for the record is asked for."""
+        """Whether the evidence for the record is requested."""
         return self.verify or any(given is not None for given in (self.head, self.key, self.authority))
 
 
 @dataclass(frozen=True)
 class SealRun:
-    """A run that has ended, to be sealed."""
+    """Options of `bench seal`: seal a run that has ended."""
 
     run: RunField
     _: KW_ONLY
@@ -52,7 +52,7 @@ class SealRun:
 
 @dataclass(frozen=True)
 class MakeKey:
-    """A key of the laboratory: for seals, or for certificates."""
+    """Options of `bench key`: make a key of the laboratory, for seals or for certificates."""
 
     file: Annotated[
         Path, Option("File for the private key; the public key is written to FILE.pub.", argument=True)
@@ -71,7 +71,7 @@ class MakeKey:
 
 @dataclass(frozen=True)
 class ExportReadings:
-    """The readings of a run as a readings file."""
+    """Options of `bench export`: write the readings of a run as a readings file."""
 
     run: RunField
     _: KW_ONLY
@@ -83,7 +83,7 @@ class ExportReadings:
 
 @dataclass(frozen=True)
 class ImportReadings:
-    """A readings file measured elsewhere, or with `columns` a log of another program, to be imported as a run."""
+    """Options of `bench import`: make a run of a readings file or, with `columns`, of another program's log."""
 
     file: Annotated[Path, Option("Readings file.", argument=True)]
     _: KW_ONLY
@@ -99,7 +99,7 @@ class ImportReadings:
 
 @dataclass(frozen=True)
 class AbortRun:
-    """An interrupted run, to be aborted."""
+    """Options of `bench abort`: end an interrupted run for good."""
 
     name: LatestField = None
     _: KW_ONLY
@@ -109,7 +109,7 @@ class AbortRun:
 
 @dataclass(frozen=True)
 class ControlRun:
-    """A command such as pause or skip to the program that carries out a run."""
+    """Options of `bench control`: send a command such as pause or skip to the program that carries out a run."""
 
     run: RunField
     wish: Annotated[

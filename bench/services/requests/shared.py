@@ -29,7 +29,7 @@ else:
     # placeholders that avoid slow imports; `bench.services.arguments` maps them to kinds of arguments
 
     class Data:
-        """Readings, by name or in memory."""
+        """Readings: by name, or in memory."""
 
     class Bench:
         """A bench file, by name or loaded."""
@@ -110,15 +110,14 @@ UntilField = Annotated[
 
 
 def runs_folder(runs: str | Path | None) -> Path:
-    """Return the folder of runs: the given folder, else the one that BENCH_RUNS names, else `runs` in the working
-    directory.
-    """
+    """Return the folder of runs: `runs` if given, else the one in BENCH_RUNS, else ./runs."""
     return Path(runs or os.environ.get("BENCH_RUNS") or "runs")
 
 
 def name_to_type(run: Path) -> str:
-    """Return the shortest name by which commands find a run: its name if it is in the default folder of runs, else
-    its path.
+    """Return the shortest name by which commands find a run.
+
+    It is the run's name if the run is in the default folder of runs, else its path.
     """
     return run.name if run.parent.absolute() == runs_folder(None).absolute() else str(run)
 

@@ -84,7 +84,7 @@ def test_what_all_runs_share_joins_no_block_larger_than_a_run():
     bias = (system.rows.channel == 0)[:, None] * NOISE_V
     shared = replace(system, random=np.concatenate([system.random, bias], axis=1))
     whitener = make_whitener(shared, NOISE_V, 1e-5)
-    assert max(len(rows) for rows, _ in whitener.blocks) <= len(alone)
+    assert max(factor.shape[1] for _, factor in whitener.blocks) <= len(alone)
     # the same covariance, inverted whole
     setting = system.setting[:, None] == np.where(system.setting < 0, -2, system.setting)
     slope = 1e-5 / NOISE_V * shared.slope
