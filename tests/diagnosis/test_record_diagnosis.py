@@ -5,7 +5,7 @@ import pytest
 
 from bench.base.arrays import rms
 from bench.calibration.result import CalibrationError
-from bench.diagnosis.record_confirm import confirm_record
+from bench.diagnosis.confirm import confirm_record
 from bench.diagnosis.record_diagnosis import diagnose_record
 from bench.diagnosis.record_model import make_record
 from bench.readings.csv import read_csv
