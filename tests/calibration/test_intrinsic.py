@@ -48,6 +48,7 @@ def test_a_common_turn_changes_none_of_the_nine_and_most_of_the_twelve():
         assert intrinsic(Block(K @ R, U0), np.eye(12)).values == pytest.approx(before, rel=1e-13)
 
 
+@pytest.mark.slow
 def test_a_gimbal_like_nists_gives_the_bounds_that_nist_published():
     """J. Res. NIST 126 (2021) 038: 1e-5 of a sensitivity, 5e-3 degrees of an angle, within a factor of 2.
 
