@@ -13,7 +13,7 @@ LINES = [line.strip("| ").split(" | ") for line in TEXT.splitlines() if line.sta
 EVENTS = [[cell.strip() for cell in row] for row in LINES if row[0].strip() != "event"]
 WANTED = (
     "chamber lost", "head lost", "voltmeter lost", "power cut", "closed terminal", "Ctrl-C once", "Ctrl-C again",
-    "suspended", "civil time", "full disk", "second program", "chamber that does not move", "moves away",
+    "suspended", "clock set", "full disk", "second program", "chamber that does not move", "moves away",
     "outside its limits", "stalls",
 )  # fmt: skip
 HELD_BY = {
@@ -77,11 +77,9 @@ HELD_BY = {
         ("run/test_signals.py", "test_killed_and_resumed_it_ends_as_if_nothing_had_been"),
         ("cli/test_answers.py", "test_answers_from_two_places_and_a_kill_change_nothing"),
     ),
-    "closed terminal (SIGHUP), SIGTERM": (
+    "Ctrl-C once, closed terminal (SIGHUP), SIGTERM": (
         ("run/test_campaigns.py", "test_the_bench_is_left_safe_at_every_signal"),
         ("run/test_way_out.py", "test_a_terminal_that_cannot_be_written_to_any_more_stops_no_run"),
-    ),
-    "Ctrl-C once": (
         ("run/test_signals.py", "test_a_process_hit_by_a_signal_keeps_a_whole_record"),
         ("run/test_left_safe.py", "test_every_way_out_leaves_the_bench_safe"),
     ),
@@ -89,7 +87,7 @@ HELD_BY = {
         ("run/test_way_out.py", "test_signals_on_the_way_out_cancel_nothing_and_hide_no_cause"),
         ("drivers/wire/test_haste.py", "test_in_haste_a_wait_that_is_under_way_is_cut_short"),
     ),
-    "signal or SIGKILL after the last reading": (
+    "Ctrl-C, SIGTERM, SIGHUP or SIGKILL after the last reading": (
         ("cli/test_results_made.py", "test_resume_makes_the_results_that_a_run_lacks_and_no_others"),
         ("run/test_signals.py", "test_when_the_bench_is_safe_a_second_signal_ends_the_program_at_once"),
         ("cli/test_program.py", "test_no_signal_takes_the_place_of_a_refusal_on_its_way"),
@@ -106,7 +104,7 @@ HELD_BY = {
             "test_what_is_stale_double_ill_fitting_or_garbage_is_refused_on_record_and_the_question_stands",
         ),
     ),
-    "suspended laptop, or civil time set by somebody": (
+    "suspended laptop, or computer's clock set by somebody": (
         ("run/test_watches.py", "test_a_jump_is_told_once_and_every_reading_is_taken"),
         ("run/test_watches.py", "test_a_clock_that_is_set_by_little_is_none"),
     ),
