@@ -13,6 +13,7 @@ from scipy.linalg import orth
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.base.languages import message
 from bench.config.bench_file.file import BenchFile
+from bench.diagnosis.levels import ALIKE
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.diagnosis.noise_grid import Whitener
 from bench.diagnosis.residual_dictionary import DictionaryTerm, dictionary
@@ -260,16 +261,12 @@ def replace_columns(candidates: Candidates, columns: Floats) -> Candidates:
     return Candidates(columns, candidates.kinds, candidates.scale, candidates.variants)
 
 
-SAME: Final = 0.999
-"""A pattern of whose square this part lies in an effect's own is the effect itself, written otherwise."""
-
-
 def without_copies(candidates: Candidates, white: Whitener) -> Candidates:
     """Return the candidates without the unnamed patterns that an effect of the catalogue reproduces.
 
-    A pattern is dropped if all its columns lie in the span of the columns of an effect in one shape, up to 1
-    - `SAME` of the squared length. The comparison is made after `white`, which maps columns to white noise
-    and projects the coefficients out.
+    A pattern is dropped if all its columns lie in the span of the columns of an effect in one shape, up to
+    `ALIKE` of the squared length. The comparison is made after `white`, which maps columns to white noise and
+    projects the coefficients out.
     """
     own: dict[tuple[object, ...], set[int]] = {}
     for variant in candidates.variants:
@@ -281,7 +278,7 @@ def without_copies(candidates: Candidates, white: Whitener) -> Candidates:
     bases = [orth(columns[:, sorted(of_effect)], rcond=1e-9).T for of_effect in own.values()]
     starts = np.cumsum([0, *map(len, bases[:-1])])
     explained = np.add.reduceat((np.concatenate(bases) @ left) ** 2, starts, axis=0)
-    same[unnamed] = np.any(explained >= SAME * np.sum(left**2, axis=0), axis=0)
+    same[unnamed] = np.any(explained >= (1.0 - ALIKE) * np.sum(left**2, axis=0), axis=0)
     kept = tuple(v for v in candidates.variants if v.named or not all(same[c] for c in v.columns))
     return Candidates(candidates.columns, candidates.kinds, candidates.scale, kept)
 
@@ -408,13 +405,9 @@ def _parameter_sets(effect: Effect, parameters: list[Parameter]) -> Iterator[tup
     waves = [tuple(n for n in names if n.endswith(ROUND) and n.startswith(lead)) for lead in LEADS]
     if set(names) == {n for wave in waves for n in wave}:
         yield from (wave for wave in waves if wave and wave != names)
-    elif 1 < len(names) <= MOST_APART:
+    elif len(names) > 1:
         yield from ((name,) for name in names)
     yield names
-
-
-MOST_APART: Final = 3
-"""The parameters of an effect with more than this many are not tried one by one."""
 
 
 def plausible_columns(

@@ -16,17 +16,19 @@ from typing import Literal
 import numpy as np
 from scipy import special
 
-from bench.base.arrays import CHANNELS, Floats
+from bench.base.arrays import CHANNELS, Floats, rms
 from bench.calibration import CalibrationError
-from bench.calibration.design import EffectUnknown
+from bench.calibration.design import EffectUnknown, make_problem
 from bench.diagnosis.evidence import KNOWN_SIZE, ThresholdCache
 from bench.diagnosis.free_records import FreeDiagnosis
-from bench.diagnosis.gap import part_closed, rms
+from bench.diagnosis.gap import part_closed
 from bench.diagnosis.levels import BY_CHANCE, MOSTLY, OFTEN
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.pipeline import diagnose
 from bench.diagnosis.posterior import NoiseSize, posterior, whiten_rows
-from bench.diagnosis.record_diagnosis import RecordDiagnosis
+from bench.diagnosis.record_diagnosis import RecordDiagnosis, diagnose_record
+from bench.diagnosis.record_model import courses_of, make_record, shape_of
+from bench.diagnosis.record_search import RecordWork
 from bench.diagnosis.result import Diagnosis, EffectValue
 from bench.diagnosis.single_run_search import in_the_noise_of
 from bench.model import AppliedEffect, ForwardModel
@@ -126,6 +128,46 @@ def confirm(
     return compared(diagnosis, without, as_found(make_linear(corrected, model, stand)))
 
 
+def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Confirmation:
+    """Compare a new record at a known input with a model's effects, and diagnose it for further ones.
+
+    The effects keep their values. Root mean squares are in V. Raises `CalibrationError` if the record cannot
+    be evaluated, or could not show any of the effects.
+    """
+    record = make_record(readings)
+    forms = [(one.effect, shape_of(one.effect, one.complete_values())) for one in effects]
+    work = RecordWork.of(record, courses_of(record, forms))
+    left = work.less(record.added_by(effects))
+    there = {(course.family, course.shape): course for course in work.candidates.variants}
+    courses = [there.get((effect.name, shape)) for effect, shape in forms]
+    noises = work.noises([course for course in courses if course is not None])
+    expected = float(np.sqrt(np.mean([noise.variance * (1.0 + noise.ratio) for noise in noises])))
+    freedom = len(work.parts) * (len(record) - record.trend.shape[1])
+    reduced = [sum(one.fitted(k, [], noises[k])[2] for k in one.parts) / freedom for one in (work, left)]
+    before, after = (
+        Model(of_fit, rms(one.record.beside_trend), expected)
+        for of_fit, one in zip(reduced, (work, left), strict=True)
+    )
+    model = ForwardModel({}, tuple(effects))
+    unknowns = [
+        one
+        for one in make_problem(model, record.conditions, {}).effects
+        if one.channel is None or one.channel in record.channels
+    ]
+    of = EstimatedEffects.unchanged(model, unknowns)
+    for number, (applied, course) in enumerate(zip(effects, courses, strict=True)):
+        mine = [i for i, one in enumerate(unknowns) if one.effect == number]
+        if course is not None and mine:
+            # each effect as the record alone gives it, the others at the model's values
+            size, u_size = left.less(-record.added(applied)).sizes([course])
+            at = [0 if (c := unknowns[i].channel) is None else record.channels.index(c) for i in mine]
+            of.change[mine], of.covariance[mine, mine] = size[at] - of.found[mine], u_size[at] ** 2
+    p_after = float(special.chdtrc(freedom, after.reduced * freedom))
+    return Confirmation(
+        before, after, p_after, judged(model, unknowns, of), diagnose_record(readings, effects), "V"
+    )
+
+
 def compared(
     diagnosis: Diagnosis | FreeDiagnosis, without: LinearSystem, having: LinearSystem
 ) -> Confirmation:
@@ -164,7 +206,7 @@ def _left(linear: LinearSystem, noise: NoiseSize) -> tuple[Model, float]:
     variance = (noise.reading * linear.relative) ** 2 + (noise.setting_rad * linear.slope) ** 2
     variance -= np.einsum("ni,ij,nj->n", design, fitted.covariance, design)
     expected = np.sqrt(np.maximum(variance, 0.0))[of_g] * linear.g_per_signal[of_g]
-    return Model(chi2 / (len(linear) - linear.fixed.shape[1]), rms([error]), rms([expected])), chi2
+    return Model(chi2 / (len(linear) - linear.fixed.shape[1]), rms(error), rms(expected)), chi2
 
 
 def _chi2(linear: LinearSystem, noise: NoiseSize) -> float:
@@ -185,13 +227,11 @@ def _now(linear: LinearSystem, diagnosis: Diagnosis | FreeDiagnosis) -> tuple[Ef
     whole = [not isinstance(model.effects[one.effect].effect, InPart) for one in linear.problem.effects]
     unknowns = list(compress(linear.problem.effects, whole))
     places = np.arange(linear.own.start, linear.own.stop)[np.array(whole, dtype=bool)]
-    plausible = np.array([parameter_of(model, unknown).plausible for unknown in unknowns])
-    found = np.array([unknown.prior_mean for unknown in unknowns]) / plausible
-    u = np.array([unknown.prior_u if unknown.stated else 0.0 for unknown in unknowns]) / plausible
-    own = linear.random[:, places] * (plausible / [unknown.prior_u for unknown in unknowns])
+    of = EstimatedEffects.unchanged(model, unknowns)
+    own = linear.random[:, places] * (of.plausible / [unknown.prior_u for unknown in unknowns])
     free = replace(linear, random=np.delete(linear.random, places, axis=1))
-    estimated = _estimated(free, own, found, diagnosis)
-    return judged(model, unknowns, EstimatedEffects(plausible, found, u, *estimated))
+    change, covariance = _estimated(free, own, of.found, diagnosis)
+    return judged(model, unknowns, replace(of, change=change, covariance=covariance))
 
 
 @dataclass(frozen=True)
@@ -209,6 +249,14 @@ class EstimatedEffects:
     u: Floats
     change: Floats
     covariance: Floats
+
+    @classmethod
+    def unchanged(cls, model: ForwardModel, unknowns: Sequence[EffectUnknown]) -> EstimatedEffects:
+        """Return the values in the model before new readings are used: no change, and a wide prior."""
+        plausible = np.array([parameter_of(model, unknown).plausible for unknown in unknowns])
+        found = np.array([unknown.prior_mean for unknown in unknowns]) / plausible
+        u = np.array([unknown.prior_u if unknown.stated else 0.0 for unknown in unknowns]) / plausible
+        return cls(plausible, found, u, np.zeros(len(found)), KNOWN_SIZE**2 * np.eye(len(found)))
 
 
 def judged(

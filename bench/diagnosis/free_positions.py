@@ -40,7 +40,7 @@ from bench.diagnosis.free_records import (
     place_of,
 )
 from bench.diagnosis.gap import LEAST_FREEDOM, measure_gap
-from bench.diagnosis.levels import BY_CHANCE, FOLDS, HARDLY_EVER
+from bench.diagnosis.levels import BY_CHANCE, FOLDS, HARDLY_EVER, LISTED
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.naming import Naming, name
 from bench.diagnosis.noise_grid import NoiseGrid, make_noise_grid
@@ -48,7 +48,7 @@ from bench.diagnosis.pipeline import effects_of, verdict_of
 from bench.diagnosis.posterior import NoiseSize, Posterior, fit_found, noise_size, posterior
 from bench.diagnosis.residual_dictionary import FASTEST
 from bench.diagnosis.result import UNNAMED_WORDS, NamedEffect
-from bench.diagnosis.where import MOST_PLACES, ResidualPattern, far_readings
+from bench.diagnosis.where import ResidualPattern, far_readings
 from bench.model.effects import CATALOGUE, Effect
 from bench.model.effects.base import Subsystem
 from bench.model.forward import ForwardModel
@@ -149,7 +149,7 @@ def _where(
         pattern = f"sensor {sensor + 1}, record {record + 1}"
         places.append(ResidualPattern("modulus", FREE, pattern, size, "g", min(1.0, p * len(cells)), p))
     shown = [place for place in places if place.p < BY_CHANCE]
-    return tuple(sorted(shown, key=lambda place: -place.size)[:MOST_PLACES])
+    return tuple(sorted(shown, key=lambda place: -place.size)[:LISTED])
 
 
 # --- candidates ---------------------------------------------------------------------------------------
@@ -221,8 +221,6 @@ def _add_unnamed(rows: FreeRows, collector: Collector, unit: float) -> None:
 
 FAR: Final = 12.0
 """It must also be this many standard deviations from the others, as real sensors have heavier tails than normal."""
-MOST_APART: Final = 0.1
-"""Largest fraction of the positions that is left out."""
 
 
 def _prepared(linear: FreeSystem) -> tuple[NoiseGrid, Candidates]:
@@ -268,7 +266,7 @@ def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
     """
     apart: list[str] = []
     origin: list[Ints] = []
-    for _ in range(int(MOST_APART * len(rows))):
+    while True:
         left, free, freedom = _loose(make_system(rows), drifting=True)
         freedom -= 1
         if freedom < LEAST_FREEDOM:

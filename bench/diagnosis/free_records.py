@@ -16,7 +16,9 @@ from bench.calibration.free import first_guess_free
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.gap import Gap
+from bench.diagnosis.levels import MOSTLY, STEPS
 from bench.diagnosis.linear import MODULUS, LinearSystem, Rows, View, own_column
+from bench.diagnosis.multi_run_system import OTHER_BLOCK
 from bench.diagnosis.naming import Naming
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.result import NamedEffect, Verdict
@@ -30,12 +32,11 @@ from bench.stats.repeats import Repeats, compare_repeats
 
 SAME_TIME_S: Final = 1.0
 """Two tables whose times agree within this belong to sensors measured side by side."""
-SCALE_BETWEEN: Final = 1e-3
-ZERO_BETWEEN_G: Final = 5e-3
-"""Typical changes of a sensor's scale factors and zeros between records: the units for sensor distances."""
-ANOTHER: Final = 4.0
-"""A larger distance, in these units, is another sensor where the times do not identify it."""
-ROUNDS: Final = 6
+ANOTHER: Final = 2.0
+"""A distance beyond this is another sensor, in units of the largest changes between runs (`OTHER_BLOCK`).
+
+In nine records of each of four real sensors those of one are at most 1.0 apart, those of two at least 2.2.
+"""
 AT_REST_G: Final = 0.1
 """Largest root mean square of |a| - 1 g, after the fit, of positions at rest. Sensors cause a tenth of it."""
 OWN: Final = len(UPPER)
@@ -198,7 +199,7 @@ def fit_sensor(signal: Floats) -> Block:
     positions are too few, or if the fit leaves more than readings at rest can.
     """
     block = first_guess_free(signal)
-    for _ in range(ROUNDS):
+    for _ in range(STEPS):
         force = block.specific_force(signal)
         slopes, _ = modulus_slopes(force, block)
         step = np.linalg.lstsq(slopes[:, UPPER], 1.0 - np.linalg.norm(force, axis=1), rcond=None)[0]
@@ -296,13 +297,9 @@ def _sensors(tables: Sequence[Readings], records: Sequence[int], one_sensor: boo
 
 
 def _feature(table: Readings) -> Floats:
-    block = fit_sensor(table.signal)
+    block, (own, _, zero) = fit_sensor(table.signal), OTHER_BLOCK
     scale = np.diag(block.K)
-    return np.concatenate([np.log(np.abs(scale)) / SCALE_BETWEEN, block.U0 / scale / ZERO_BETWEEN_G])
-
-
-SHARED: Final = 0.5
-"""Fraction of shared variance from which changes are common to the sensors."""
+    return np.concatenate([np.log(np.abs(scale)) / own, block.U0 / scale / zero])
 
 
 @dataclass(frozen=True)
@@ -347,7 +344,7 @@ class BetweenRecords:
         sizes = ", ".join(f"{c} {size * 1e3:.2g} mg" for c, size in zip(CHANNELS, self.scatter, strict=True))
         text = f"repeats between records scatter {self.repeats.scatter:.3g} × u ({sizes})"
         shared = zip(CHANNELS, self.common, strict=True)
-        parts = [f"{c} {100 * part:.0f} %" for c, part in shared if part >= SHARED]
+        parts = [f"{c} {100 * part:.0f} %" for c, part in shared if part >= MOSTLY]
         if np.all(np.isnan(self.common)):
             text += "; of one sensor nothing says whether others would change alike"
         elif parts:

@@ -14,13 +14,13 @@ from typing import Final
 import numpy as np
 from scipy import special
 
-from bench.base.arrays import Floats, Ints, Mask
+from bench.base.arrays import Floats, Ints, Mask, rms
 from bench.base.computing import tracked
 from bench.base.languages import message
 from bench.diagnosis.candidates import Candidates, replace_columns
 from bench.diagnosis.evidence import Data, Threshold, Whitened
 from bench.diagnosis.levels import BY_CHANCE as BY_CHANCE  # noqa: PLC0414 - also taken from here
-from bench.diagnosis.levels import MOSTLY, OFTEN
+from bench.diagnosis.levels import INSEPARABLE, MOSTLY, OFTEN
 from bench.diagnosis.linear import MODULUS, LinearSystem, Rows
 from bench.diagnosis.naming import ALIAS, Naming, name
 from bench.diagnosis.noise_grid import RATIOS, coupled, make_noise_grid, make_whitener
@@ -123,30 +123,33 @@ class Gap:
     def _chance(self, reduced: float) -> float:
         return float(special.fdtrc(self.count, self.freedom, reduced)) if self.count else float("nan")
 
+    def _rms(self, of: Callable[[Fold], Floats]) -> float:
+        return rms(np.concatenate([np.zeros(0), *map(of, self.folds)]))
+
     @property
     def before_rms(self) -> float:
         """Root mean square of measured minus predicted by the given model, unit of the signal."""
-        return rms([f.before.error for f in self.folds])
+        return self._rms(lambda fold: fold.before.error)
 
     @property
     def after_rms(self) -> float:
         """Root mean square of measured minus predicted with the effects found, unit of the signal."""
-        return rms([f.after.error for f in self.folds])
+        return self._rms(lambda fold: fold.after.error)
 
     @property
     def before_rms_g(self) -> float:
         """The same as `before_rms`, in g."""
-        return rms([f.before.error_g for f in self.folds])
+        return self._rms(lambda fold: fold.before.error_g)
 
     @property
     def after_rms_g(self) -> float:
         """The same as `after_rms`, in g."""
-        return rms([f.after.error_g for f in self.folds])
+        return self._rms(lambda fold: fold.after.error_g)
 
     @property
     def expected_rms_g(self) -> float:
         """The value that `after_rms_g` is expected to have if the model with the effects lacks nothing."""
-        return rms([f.after.expected_g for f in self.folds])
+        return self._rms(lambda fold: fold.after.expected_g)
 
     @property
     def unconfirmed(self) -> tuple[str, ...]:
@@ -206,19 +209,8 @@ def part_closed(before: float, after: float) -> float | None:
     return (before - after) / (before - FLOOR) if before > FLOOR else None
 
 
-def rms(parts: Sequence[Floats]) -> float:
-    """Return the root mean square of the numbers of all arrays together; NaN without any array."""
-    if not parts:
-        return float("nan")
-    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
-
-
 LEAST_FREEDOM: Final = 3
 """Readings beyond the number of coefficients from which there is a scatter to compare anything with."""
-DETERMINED: Final = 1e-6
-"""Smallest singular value over the largest of the coefficients' columns, scaled, from which they are determined."""
-
-THIRDS: Final = 3
 HELD_OUT: Final = message("readings held out in turn")
 
 
@@ -253,10 +245,10 @@ def thirds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
         i = int(reading[row])
         if i != last:
             key = (str(readings.installation[i]), int(readings.series[i]), int(readings.pass_number[i]))
-            now = next_third.setdefault(key, len(next_third)) % THIRDS
+            now = next_third.setdefault(key, len(next_third)) % 3
             next_third[key], last = now + 1, i
         third[row] = now
-    for number in range(THIRDS):
+    for number in range(3):
         yield message(f"every third setting, set {number + 1}"), third == number
 
 
@@ -342,7 +334,7 @@ def _left_by_forms(
     gram = seen.T @ (seen / np.maximum(size, 1e-300)) / np.maximum(size, 1e-300)[:, None]
     explained = [
         gram[0, 1 + form]
-        @ np.linalg.pinv(gram[np.ix_(1 + form, 1 + form)], DETERMINED, hermitian=True)
+        @ np.linalg.pinv(gram[np.ix_(1 + form, 1 + form)], INSEPARABLE, hermitian=True)
         @ gram[0, 1 + form]
         for form in forms
     ]
@@ -359,7 +351,7 @@ def determined(linear: LinearSystem, rows: Mask) -> bool:
     if any(len(part) < part.shape[1] for part in parts):
         return False
     sizes = np.concatenate([np.linalg.svd(part, compute_uv=False) for part in parts])
-    return bool(sizes.min() > DETERMINED * sizes.max())
+    return bool(sizes.min() > INSEPARABLE * sizes.max())
 
 
 def _fold(

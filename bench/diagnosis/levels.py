@@ -20,3 +20,15 @@ FAR: Final = 6.0
 """Distance in u from which a deviation is named for its own sake."""
 UNSEEN: Final = 0.3
 """Change of the readings, in units of noise, below which it may be neglected."""
+ALIKE: Final = 1e-3
+"""Part of a signature's square that another may leave and still count as the same."""
+INSEPARABLE: Final = 1e-6
+"""Part of a square, or of the largest singular value, that the readings cannot separate from nothing."""
+LEAST_GAIN: Final = 0.5
+"""Increase of ln of the odds from which another hypothesis or a further measurement is worth its trouble."""
+STEPS: Final = 6
+"""Most linearisations of a fit; what is nonlinear beyond them stays in the residuals."""
+LISTED: Final = 8
+"""Entries of a list in a result, at most."""
+LISTED_IN_SENTENCE: Final = 4
+"""Entries that one sentence lists, at most."""

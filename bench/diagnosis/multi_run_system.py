@@ -47,10 +47,8 @@ from bench.model.forward import ForwardModel
 from bench.model.geometry import Block
 from bench.readings.table import VERIFICATION, Readings, stacked
 
-OTHER_SCALE: Final = 1e-3
-OTHER_CROSS: Final = 3e-3
-OTHER_ZERO_G: Final = 10e-3
-"""Largest changes of one block between runs, as fractions of the scale factor; beyond is another block."""
+OTHER_BLOCK: Final = (1e-3, 3e-3, 10e-3)
+"""Largest changes of one block between runs: scale factor and cross-axis terms in g/g, bias in g."""
 
 
 @dataclass(frozen=True)
@@ -214,10 +212,10 @@ def _guess(run: Readings, model: ForwardModel) -> Block | None:
 
 
 def _differs(one: Block, other: Block) -> bool:
-    scale = np.abs(np.diag(other.K))
+    (own, cross, zero), scale = OTHER_BLOCK, np.abs(np.diag(other.K))
     change = np.abs(one.K - other.K) / scale[:, None]
-    most = np.where(np.eye(3, dtype=bool), OTHER_SCALE, OTHER_CROSS)
-    return bool(np.any(change > most) or np.any(np.abs(one.U0 - other.U0) > OTHER_ZERO_G * scale))
+    most = np.where(np.eye(3, dtype=bool), own, cross)
+    return bool(np.any(change > most) or np.any(np.abs(one.U0 - other.U0) > zero * scale))
 
 
 def _told(readings: Readings, block: Ints) -> Iterator[str]:
@@ -406,8 +404,9 @@ def _phase(readings: Readings) -> Floats:
 
 
 ALONE: Final = FALSE_ALARMS / 3
+"""Probability of a false alarm in the searches of single runs, all runs together."""
 TOGETHER: Final = FALSE_ALARMS - ALONE
-"""Probability of a false alarm in the searches of single runs, all runs together, and in the joint search."""
+"""Probability of a false alarm in the joint search."""
 
 
 @dataclass(frozen=True)

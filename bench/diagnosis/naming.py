@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import logsumexp, softmax
 
 from bench.base.arrays import Floats
 from bench.diagnosis.candidates import Variant
@@ -20,9 +20,11 @@ from bench.diagnosis.evidence import (
     Threshold,
     Whitened,
 )
+from bench.diagnosis.levels import INSEPARABLE
 from bench.model.effects import CATALOGUE
 
 MOST_EFFECTS: Final = 5
+"""Effects that one search finds at most."""
 ALONE: Final = 0.95
 """Posterior probability from which a find has a single name."""
 SET: Final = 0.99
@@ -31,8 +33,6 @@ ALIAS: Final = 1.0
 """An effect that leaves at most this part of another's signature, in units of noise, is its alias for any prior."""
 ABSURD: Final = 60.0
 """A candidate is no alias if it would have to be more than this many plausible sizes large."""
-SAME: Final = 1e-6
-"""Two effects count as the same in these readings if their signatures differ by at most this part (squared)."""
 
 
 @dataclass(frozen=True)
@@ -284,13 +284,8 @@ def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> Fo
     all).
     """
     family, evidence = one.variant.family, scored.evidence
-    ranked = sorted(
-        (f for f in scored.log_odds if among is None or among(f)), key=lambda f: -scored.log_odds[f]
-    )
-    logs = np.array([scored.log_odds[f] for f in ranked])
-    share = np.exp(logs - logsumexp(logs))
-    odds = [FamilyOdds(f, float(p)) for f, p in zip(ranked, share, strict=True)]
-    likely = holding(odds)
+    odds = ranked_odds({f: log for f, log in scored.log_odds.items() if among is None or among(f)})
+    ranked, likely = [one.name for one in odds], holding(odds)
     explained = scored.explained(one.variant)
     aliases = _aliases(scored, one.variant, explained - ALIAS**2) if explained > (2 * ALIAS) ** 2 else {}
     fewest = min(len(one.variant.columns), aliases.pop(family, len(one.variant.columns)))
@@ -298,7 +293,9 @@ def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> Fo
     ties = [f for f in likely if f != family]
     ties += [f for f in ranked if f in aliases and f not in plainer and f not in ties]
     shape = scored.likeliest(family)
-    same = _aliases(scored, shape, (1.0 - SAME) * scored.explained(shape), most=math.inf) if ties else {}
+    same = (
+        _aliases(scored, shape, (1.0 - INSEPARABLE) * scored.explained(shape), most=math.inf) if ties else {}
+    )
     return replace(
         one,
         evidence=evidence[family],
@@ -309,6 +306,13 @@ def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> Fo
         same=tuple(f for f in ties if f in same),
         odds=tuple(odds),
     )
+
+
+def ranked_odds(log_odds: Mapping[str, float]) -> list[FamilyOdds]:
+    """Return the posterior probabilities of families, the most probable first, from ln of their odds."""
+    ranked = sorted(log_odds.items(), key=lambda item: -item[1])
+    share = softmax([log for _, log in ranked])
+    return [FamilyOdds(name, p) for (name, _), p in zip(ranked, share.tolist(), strict=True)]
 
 
 def holding(odds: Sequence[FamilyOdds]) -> list[str]:

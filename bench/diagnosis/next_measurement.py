@@ -22,7 +22,7 @@ from bench.config.procedure.check import check
 from bench.config.procedure.load import Procedure, load_procedure
 from bench.config.procedure.plan import Plan, Read, SelectInput, SetTemperature
 from bench.config.shipped import PROCEDURES, shipped_folder
-from bench.diagnosis.levels import NEGLIGIBLE
+from bench.diagnosis.levels import LEAST_GAIN, NEGLIGIBLE
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.naming import ALIAS, ALONE
 from bench.diagnosis.result import Diagnosis
@@ -140,9 +140,6 @@ MENU: Final = (
 
 SEPARATED: Final = 8.0
 """D from which two explanations count as separated: four standard deviations."""
-
-HELPS: Final = 0.5
-"""A procedure must increase D by at least this to be proposed."""
 
 SHOWN: Final = 2.5
 """An effect shows if its plausible size is at least this many units of noise: then twice this size is found.
@@ -336,7 +333,7 @@ class _Bill:
             after = self._divergences(plan)
             chances.append(Chance(path.stem, self._minutes(plan) / 60.0, self._answers(before, after)))
             pairs = [Separation(*pair, before[pair], after[pair]) for pair in before]
-            helped = tuple(s for s in pairs if s.after - s.before >= HELPS)
+            helped = tuple(s for s in pairs if s.after - s.before >= LEAST_GAIN)
             if helped:
                 bills.append((path, self._minutes(plan), helped))
         if not bills:

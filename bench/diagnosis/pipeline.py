@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from bench.diagnosis.candidates import (
 )
 from bench.diagnosis.evidence import Threshold, ThresholdCache, Whitened
 from bench.diagnosis.gap import Gap, measure_gap, near_ratios
-from bench.diagnosis.levels import BY_CHANCE
+from bench.diagnosis.levels import BY_CHANCE, LISTED, LISTED_IN_SENTENCE
 from bench.diagnosis.mistakes.search import Mistake, MistakesLeaveTooLittle
 from bench.diagnosis.multi_run_system import find_mistakes_in_each, search_runs, with_blocks
 from bench.diagnosis.naming import SET, FamilyOdds, FoundEffect, Naming, Scored, name, same_signature
@@ -113,7 +112,7 @@ def diagnose(
     columns = prepared.candidates.columns[:, list(naming.columns)]
     far = far_readings(prepared.linear, columns, estimated.noise)
     if any(one.p < BY_CHANCE for one in far) and all(e.in_catalogue for e in effects):
-        effects = (*effects, _apart(far[0].p, "; ".join(one.words for one in far[:LISTED_FAR])))
+        effects = (*effects, _apart(far[0].p, "; ".join(one.words for one in far[:LISTED_IN_SENTENCE])))
     if gap.shrinks is False:  # what held-out readings do not confirm excuses no reading
         far = far_readings(prepared.linear, columns[:, :0], estimated.noise)
     form = _form(prepared, naming, estimated, gap, setting_rad)
@@ -259,21 +258,18 @@ def _form(
     return describe(linear, candidates, found, noise, form_gap, prepared.repeats, instead)
 
 
-def verdict_of(effects: tuple[NamedEffect, ...], findings: tuple[NoiseFinding, ...], gap: Gap) -> Verdict:
+def verdict_of(effects: Sequence[NamedEffect], findings: Sequence[NoiseFinding | str], gap: Gap) -> Verdict:
     """Return the verdict on readings without mistakes: the first of these that applies.
 
-    "unknown": noise is larger than stated, or something found is not in the catalogue. "confounded": an
-    effect has ties, or held-out readings do not confirm the effects. "named": effects were found. "agrees":
-    nothing was.
+    "unknown": `findings` (noise larger than stated, or readings far off), or an effect that is not in the
+    catalogue. "confounded": an effect has ties, or held-out readings do not confirm the effects. "named":
+    effects were found. "agrees": nothing was.
     """
     if findings or any(not e.in_catalogue for e in effects):
         return "unknown"
     if any(e.cannot_tell_from for e in effects) or (effects and not gap.shrinks):
         return "confounded"
     return "named" if effects else "agrees"
-
-
-LISTED_FAR: Final = 4
 
 
 def _apart(p: float, words: str) -> NamedEffect:
@@ -379,10 +375,6 @@ def values_of(applied: tuple[AppliedEffect, ...]) -> Iterator[EffectValue]:
 
 
 # --- a diagnosis with all that follows ------------------------------------------------------------
-
-
-LISTED: Final = 8
-"""Families that a ranking shows, the most plausible first."""
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy.special import softmax
 
 from bench.base.arrays import CHANNELS, Floats, Ints, u_of
 from bench.diagnosis.levels import FOLDS
@@ -208,9 +209,7 @@ def averaged(trials: NoiseTrials, design: Floats, targets: Floats) -> tuple[Floa
     """
     count = design.shape[1]
     products = trials.products(design[:, trials.trend.shape[1] :], np.zeros((len(design), 0)), targets[:, :1])
-    log = products.likelihood[:, 0]
-    weight = np.exp(log - log.max())
-    weight /= weight.sum()
+    weight = softmax(products.likelihood[:, 0])
     whitened = trials.whitened(np.column_stack([design, targets]))
     solutions = [solved(white[:, :count], white[:, count:]) for _, white in whitened]
     means = np.array([mean for mean, _, _ in solutions])

@@ -9,13 +9,15 @@ import numpy as np
 from scipy import linalg, special
 
 from bench.base.arrays import CHANNELS, rms
-from bench.diagnosis.candidates import SLOW_IN_TIME
+from bench.diagnosis.candidates import SLOW_IN_TIME, Variant
 from bench.diagnosis.evidence import Threshold
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.levels import BY_CHANCE, FAR
+from bench.diagnosis.naming import FoundEffect
+from bench.diagnosis.pipeline import verdict_of
 from bench.diagnosis.record_folds import Rival, measure_record_gap, why_unconfirmed
-from bench.diagnosis.record_model import FOLLOWS, Course, Noise, Record, make_courses, make_record
-from bench.diagnosis.record_search import ChannelFit, Find, RecordWork
+from bench.diagnosis.record_model import FOLLOWS, Noise, Record, make_courses, make_record
+from bench.diagnosis.record_search import ChannelFit, RecordWork
 from bench.diagnosis.result import UNNAMED_WORDS, NamedEffect, Verdict
 from bench.diagnosis.where import ResidualPattern
 from bench.model.effects import AppliedEffect
@@ -89,16 +91,16 @@ def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -
     gap, rivals = measure_record_gap(work, finds)
     why = why_unconfirmed(gap)
     named = (
-        *work.named([one for one in finds if one.course.family not in why], limit),
-        *(_unnamed(one, why[one.course.family], limit) for one in finds if one.course.family in why),
+        *work.named([one for one in finds if one.variant.family not in why], limit),
+        *(_unnamed(one, why[one.variant.family], limit) for one in finds if one.variant.family in why),
     )
-    courses = [one.course for one in finds]
+    courses = [one.variant for one in finds]
     noises = work.noises(courses)
     far = tuple(_far(work, courses, noises))
     return RecordDiagnosis(
         source=readings.source,
         record=work.record,
-        verdict=_verdict(named, far),
+        verdict=verdict_of(named, () if named else far, gap),
         where=tuple(_places(work.record)),
         effects=named,
         fits=tuple(work.fits(courses, noises)),
@@ -107,17 +109,9 @@ def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -
         far=far,
         threshold=limit.value,
         noises=tuple(noises),
-        hidden=tuple(name for name in FOLLOWS if not work.shapes_of(name)),
+        hidden=tuple(name for name in FOLLOWS if name not in work.candidates.families),
         notes=record.notes,
     )
-
-
-def _verdict(effects: Sequence[NamedEffect], far: Sequence[str]) -> Verdict:
-    if any(not one.in_catalogue for one in effects) or (far and not effects):
-        return "unknown"
-    if any(one.cannot_tell_from for one in effects):
-        return "confounded"
-    return "named" if effects else "agrees"
 
 
 def _places(record: Record) -> Iterator[ResidualPattern]:
@@ -129,7 +123,7 @@ def _places(record: Record) -> Iterator[ResidualPattern]:
         yield ResidualPattern(CHANNELS[channel], REFERENCE, "slow in time", rms(left), "V", p, p)
 
 
-def _far(work: RecordWork, courses: Sequence[Course], noises: Sequence[Noise]) -> Iterator[str]:
+def _far(work: RecordWork, courses: Sequence[Variant], noises: Sequence[Noise]) -> Iterator[str]:
     """Yield the means that lie `FAR` from what model and earlier readings say, the farthest first."""
     found = []
     for part, noise in enumerate(noises):
@@ -146,8 +140,8 @@ def _far(work: RecordWork, courses: Sequence[Course], noises: Sequence[Noise]) -
         yield f"channel {channel} at {at:.2f} h jumps by {size:.0f} u"
 
 
-def _unnamed(find: Find, why: str, limit: Threshold) -> NamedEffect:
+def _unnamed(find: FoundEffect, why: str, limit: Threshold) -> NamedEffect:
     """Return an unnamed effect in place of a find that readings held out do not confirm."""
     p = limit.p(find.total)
-    words = f"{UNNAMED_WORDS[SLOW_IN_TIME]}: {find.course.family} would explain it, but {why}"
+    words = f"{UNNAMED_WORDS[SLOW_IN_TIME]}: {find.variant.family} would explain it, but {why}"
     return NamedEffect(SLOW_IN_TIME, (), (), (), (), (), p, p, None, words, odds=find.odds)

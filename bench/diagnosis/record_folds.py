@@ -11,11 +11,13 @@ import numpy as np
 from scipy import linalg
 
 from bench.base.arrays import Floats, Mask, least_squares, rms
+from bench.diagnosis.candidates import Variant
 from bench.diagnosis.gap import Fold, Gap, HeldOut
 from bench.diagnosis.levels import FOLDS
+from bench.diagnosis.naming import FoundEffect
 from bench.diagnosis.posterior import NoiseSize
-from bench.diagnosis.record_model import FOLLOWS, MOVE, Course, Noise, solved
-from bench.diagnosis.record_search import Find, RecordWork
+from bench.diagnosis.record_model import FOLLOWS, MOVE, Noise, solved
+from bench.diagnosis.record_search import RecordWork
 
 
 @dataclass(frozen=True)
@@ -36,24 +38,24 @@ PLATEAU: Final = 0.1
 """Part of the range that counts as one level; evenly spread, as large a part of the record would be at it."""
 
 
-def measure_record_gap(work: RecordWork, finds: Sequence[Find]) -> tuple[Gap, tuple[Rival, ...]]:
+def measure_record_gap(work: RecordWork, finds: Sequence[FoundEffect]) -> tuple[Gap, tuple[Rival, ...]]:
     """Return how well excursions held out in turn are predicted, and the comparison of the kinds of shape.
 
     `finds` are the effects found in the whole record; they are estimated again without each excursion.
     """
-    noises = work.noises([one.course for one in finds])
+    noises = work.noises([one.variant for one in finds])
     folds: list[Fold] = []
-    for number, (course, _, _) in enumerate(finds):
+    for number, course in enumerate(one.variant for one in finds):
         family = course.family
         masks = list(_excursions(work, course))
-        others = [one.course for i, one in enumerate(finds) if i != number]
+        others = [one.variant for i, one in enumerate(finds) if i != number]
         # a jump keeps its time, as a gap hides it
         shapes = [course] if family == MOVE else work.shapes_of(family)
         for label, rows in masks if len(masks) > 1 else ():
             before, after = (_predicted(work, others, trials, rows, noises) for trials in ((), shapes))
             folds.append(Fold(label, {family: before.chi2 - after.chi2}, before, after))
     size = NoiseSize(noises[0].white / len(work.parts) ** 0.5, 0.0, len(work.record) - 2)
-    gap = Gap(tuple(folds), size, "V", size.freedom, tuple(one.course.family for one in finds))
+    gap = Gap(tuple(folds), size, "V", size.freedom, tuple(one.variant.family for one in finds))
     return gap, tuple(_rivals(work, finds, noises))
 
 
@@ -68,14 +70,14 @@ def why_unconfirmed(gap: Gap) -> dict[str, str]:
     }
 
 
-def _excursions(work: RecordWork, course: Course) -> Iterator[tuple[str, Mask]]:
+def _excursions(work: RecordWork, course: Variant) -> Iterator[tuple[str, Mask]]:
     """Yield what is held out in turn: the excursions of what an effect follows, or runs of means for time."""
     record, conditions = work.record, work.record.conditions
     match FOLLOWS[course.family]:
         case "meter":
             driver = conditions.meter_warmth_k
         case "rail":
-            driver = conditions.above_nominal_v[:, round(course.shape["rail"]) - 1]
+            driver = conditions.above_nominal_v[:, round(dict(course.shape)["rail"]) - 1]
         case _:
             turn = np.arange(len(record)) // FOLDS % 2
             for number, which in enumerate(("first", "next")):
@@ -105,8 +107,8 @@ def _rest(driver: Floats) -> float:
 
 def _predicted(
     work: RecordWork,
-    others: Sequence[Course],
-    shapes: Sequence[Course],
+    others: Sequence[Variant],
+    shapes: Sequence[Variant],
     rows: Mask,
     noises: Sequence[Noise],
 ) -> HeldOut:
@@ -118,7 +120,7 @@ def _predicted(
     rest = np.flatnonzero(~rows)
     lower = [linalg.cholesky(noise.covariance[np.ix_(rest, rest)], lower=True) for noise in noises]
 
-    def fitted(courses: Sequence[Course]) -> list[tuple[Floats, Floats, float]]:
+    def fitted(courses: Sequence[Variant]) -> list[tuple[Floats, Floats, float]]:
         white = [
             linalg.solve_triangular(half, work.design(courses, k)[rest], lower=True)
             for k, half in enumerate(lower)
@@ -138,18 +140,18 @@ def _predicted(
     return HeldOut(beside, beside, np.full_like(beside, np.nan), chi2)
 
 
-def _rivals(work: RecordWork, finds: Sequence[Find], noises: Sequence[Noise]) -> Iterator[Rival]:
+def _rivals(work: RecordWork, finds: Sequence[FoundEffect], noises: Sequence[Noise]) -> Iterator[Rival]:
     """Yield how well each kind of shape of the first effect of the meter's temperature predicts excursions."""
-    thermal = next((one for one in finds if FOLLOWS[one.course.family] == "meter"), None)
-    masks = [] if thermal is None else list(_excursions(work, thermal.course))
+    thermal = next((one for one in finds if FOLLOWS[one.variant.family] == "meter"), None)
+    masks = [] if thermal is None else list(_excursions(work, thermal.variant))
     if thermal is None or len(masks) < 2:
         return
-    others = [one.course for one in finds if one is not thermal]
-    family = work.shapes_of(thermal.course.family)
+    others = [one.variant for one in finds if one is not thermal]
+    family = work.shapes_of(thermal.variant.family)
     kinds = {
-        "at once": [c for c in family if not c.shape["lag"] and not c.shape["width"]],
-        "lag": [c for c in family if c.shape["lag"]],
-        "hysteresis": [c for c in family if c.shape["width"]],
+        "at once": [c for c in family if not c.shape],
+        "lag": [c for c in family if "lag" in dict(c.shape)],
+        "hysteresis": [c for c in family if "width" in dict(c.shape)],
     }
     for what, shapes in kinds.items():
         if shapes:

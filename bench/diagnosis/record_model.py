@@ -9,20 +9,23 @@ noise of its own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from scipy import linalg, ndimage, special
 
-from bench.base.arrays import CHANNELS, HOUR, MINUTE, Floats, Ints, Mask, least_squares
+from bench.base.arrays import HOUR, MINUTE, Floats, Ints, Mask, least_squares
 from bench.calibration.result import CalibrationError
+from bench.diagnosis.candidates import Candidates, Column, Variant
 from bench.diagnosis.evidence import LOG_SIZE_WEIGHTS, SIZES
 from bench.diagnosis.levels import FAR, NEGLIGIBLE
+from bench.diagnosis.noise_kinds import LARGER
+from bench.diagnosis.posterior import Shape
 from bench.model.conditions import Conditions
-from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Parameter, Seen
+from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Seen
 from bench.model.geometry import Block
 from bench.readings.columns import METER_C, ROOM_C, meter_c, numbers, rails_of, voltage_column
 from bench.readings.table import REFERENCE, REFERENCE_V, Readings
@@ -190,18 +193,19 @@ def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Fl
 
 SMOOTHED: Final = 41
 """Means over which the size of the noise is smoothed."""
-LIKE: Final = 2.0
-"""The noise counts as even where its size varies by less than this factor, and varies by its square at most."""
 
 
 def _relative(spread: Floats) -> Floats:
-    """Return the relative size (n,) of the noise from the scatter (n, c) of the readings in each mean."""
+    """Return the relative size (n,) of the noise from the scatter (n, c) of the readings in each mean.
+
+    The noise counts as even where its size varies by less than `LARGER`; it varies by the square of this at most.
+    """
     middle = np.median(spread, axis=0)
     if np.any(middle == 0.0):
         return np.ones(len(spread))
     size = ndimage.median_filter(np.mean(spread / middle, axis=1), SMOOTHED, mode="reflect")
-    size = np.clip(size / np.median(size), LIKE**-2, LIKE**2)
-    return np.ones(len(size)) if size.max() < LIKE * size.min() else np.asarray(size)
+    size = np.clip(size / np.median(size), LARGER**-2, LARGER**2)
+    return np.ones(len(size)) if size.max() < LARGER * size.min() else np.asarray(size)
 
 
 def _rails(readings: Readings) -> Iterator[Floats]:
@@ -394,88 +398,59 @@ FOLLOWS: Final[Mapping[str, str]] = {
 """The effects that a record at a known input can show beside its zero and drift, and what each follows."""
 
 
-@dataclass(frozen=True)
-class Course:
-    """One effect in one shape, as a course over the n means of a record.
+def make_courses(record: Record) -> Candidates:
+    """Return what may explain a record: every effect of `FOLLOWS` in each of its shapes.
 
-    `course` (n,) is the voltage that the effect adds at its plausible size, divided by the relative noise of
-    each mean. `log_prior` is ln of its prior probability.
-    """
-
-    effect: Effect
-    shape: Mapping[str, float]
-    course: Floats
-    log_prior: float = 0.0
-
-    @property
-    def family(self) -> str:
-        """The name of the effect."""
-        return self.effect.name
-
-    @property
-    def size(self) -> Parameter:
-        """The parameter of the effect that is its size."""
-        return next(p for p in self.effect.parameters if not p.is_shape)
-
-    @property
-    def of_channels(self) -> bool:
-        """Whether each channel has a size of its own; otherwise the size is common to all."""
-        return self.size.per_channel
-
-    def applied(self, sizes: Floats, u: Floats, channels: tuple[int, ...]) -> AppliedEffect:
-        """Return the effect with its estimated values.
-
-        `sizes` and their `u` are in plausible sizes, one for each of the `channels` of the record.
-        """
-
-        def complete(values: Floats) -> Floats:
-            each = np.zeros(3)
-            each[list(channels)] = values * self.size.plausible
-            return each if self.of_channels else np.asarray(values[0] * self.size.plausible)
-
-        default = {p.name: p.default for p in self.effect.parameters}
-        shape = {name: np.asarray(v) for name, v in self.shape.items() if v or default[name]}
-        of = tuple(CHANNELS[i] for i in channels) if self.of_channels else CHANNELS
-        name = self.size.name
-        return AppliedEffect(self.effect, {name: complete(sizes), **shape}, of, u={name: complete(u)})
-
-
-def make_courses(record: Record) -> tuple[Course, ...]:
-    """Return the courses that may explain a record: every effect of `FOLLOWS` in each of its shapes.
-
-    Effects that need a temperature or rail voltage that the record lacks, and shapes that equal a zero and a
-    drift, are left out.
+    Effects that need a temperature or rail voltage that the record lacks are left out (see also `courses_of`).
     """
     conditions = record.conditions
     there = {"meter": conditions.meter_c is not None, "rail": conditions.supply_v is not None, "time": True}
-    shown = [
-        [course for shape in _shapes(record, CATALOGUE[name]) if (course := course_of(record, name, shape))]
-        for name, driver in FOLLOWS.items()
-        if there[driver]
-    ]
-    families = sum(map(bool, shown))
-    return tuple(replace(c, log_prior=-float(np.log(len(each) * families))) for each in shown for c in each)
+    shown = [CATALOGUE[name] for name, driver in FOLLOWS.items() if there[driver]]
+    return courses_of(record, [(effect, shape) for effect in shown for shape in _shapes(record, effect)])
 
 
-def _shapes(record: Record, effect: Effect) -> list[dict[str, float]]:
+def _shapes(record: Record, effect: Effect) -> list[Shape]:
     """Return the shapes of an effect to try: each shape parameter by itself, the others at their default."""
     if effect.name == MOVE:
         time_s = record.conditions.elapsed_s
-        return [{"at": float(at)} for at in (time_s[2:-2] + time_s[1:-3]) / 2.0]
+        return [(("at", float(at)),) for at in (time_s[2:-2] + time_s[1:-3]) / 2.0]
     default = {p.name: p.default for p in effect.parameters if p.is_shape}
     shapes = [default, *({**default, p.name: v} for p in effect.parameters if p.is_shape for v in p.grid)]
-    return [dict(one) for one in dict.fromkeys(tuple(shape.items()) for shape in shapes)]
+    return list(dict.fromkeys(shape_of(effect, shape) for shape in shapes))
 
 
-def course_of(record: Record, name: str, shape: Mapping[str, float]) -> Course | None:
-    """Return the course of one effect in one shape; None if a zero and a drift describe it as well.
+def shape_of(effect: Effect, values: Mapping[str, Any]) -> Shape:
+    """Return name and SI value of an effect's shape parameters, without those that are zero by default and here."""
+    return tuple(
+        (p.name, float(values[p.name]))
+        for p in effect.parameters
+        if p.is_shape and (values[p.name] or p.default)
+    )
 
-    `shape` has the values of the shape parameters in SI.
+
+def courses_of(record: Record, forms: Iterable[tuple[Effect, Shape]]) -> Candidates:
+    """Return effects, each in one shape, as candidates.
+
+    A column (n,) is the voltage that the effect adds at its plausible size, divided by the relative noise of
+    each mean. An effect with a size for each channel has an equal column for each channel of the record. A form
+    that a zero and a drift describe as well is left out.
     """
-    one = Course(CATALOGUE[name], shape, np.zeros(0))
-    unit = np.ones(len(record.channels))
-    course = record.added(one.applied(unit, unit, record.channels))[:, 0]
-    left = least_squares(record.trend, course)[1]
-    if not np.any(course) or left @ left <= NEGLIGIBLE * (course @ course):
-        return None
-    return replace(one, course=course / record.scale)
+    columns, scale, variants = [np.zeros((len(record), 0))], [], []
+    kinds: list[Column] = []
+    for effect, shape in forms:
+        size = next(p for p in effect.parameters if not p.is_shape)
+        plausible = np.full(3 if size.per_channel else (), size.plausible)
+        values = {size.name: plausible, **{name: np.asarray(value) for name, value in shape}}
+        course = record.added(AppliedEffect(effect, values))[:, 0]
+        left = least_squares(record.trend, course)[1]
+        if not np.any(course) or left @ left <= NEGLIGIBLE * (course @ course):
+            continue
+        own = [Column(size.name, channel) for channel in (record.channels if size.per_channel else (None,))]
+        places = tuple(range(len(kinds), len(kinds) + len(own)))
+        variants.append(
+            Variant(effect.name, places, record.channels if size.per_channel else (0, 1, 2), shape=shape)
+        )
+        kinds += own
+        scale += [size.plausible] * len(own)
+        columns += [(course / record.scale)[:, None]] * len(own)
+    return Candidates(np.column_stack(columns), tuple(kinds), np.array(scale), tuple(variants))

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from itertools import compress
+from typing import Final
 
 import numpy as np
 from scipy import linalg, special
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.diagnosis.evidence import SEED, Threshold, fit_tail
+from bench.diagnosis.candidates import Candidates, Variant
+from bench.diagnosis.evidence import SEED, Scores, Threshold, fit_tail
 from bench.diagnosis.levels import OFTEN
-from bench.diagnosis.naming import MOST_EFFECTS, FamilyOdds, holding
-from bench.diagnosis.pipeline import values_of
-from bench.diagnosis.record_model import Course, Noise, NoiseTrials, Record, solved
+from bench.diagnosis.naming import MOST_EFFECTS, FoundEffect, Naming, holding, ranked_odds
+from bench.diagnosis.pipeline import effects_of
+from bench.diagnosis.posterior import Posterior
+from bench.diagnosis.record_model import Noise, NoiseTrials, Record, courses_of, solved
 from bench.diagnosis.result import NamedEffect
 
 NULLS: Final = 200
+"""Simulated data sets behind a threshold: fewer than for runs, as each is scored with more noises."""
 
 
 @dataclass(frozen=True)
@@ -37,18 +41,6 @@ class ChannelFit:
     residual_v: Floats
 
 
-class Find(NamedTuple):
-    """An effect that was found in a record, as its most probable course.
-
-    `odds` are the posterior probabilities of the names that may explain it. `total` is ln of the odds that
-    anything was missing before it was found.
-    """
-
-    course: Course
-    odds: tuple[FamilyOdds, ...]
-    total: float
-
-
 @dataclass(frozen=True)
 class RecordWork:
     """A record, the courses that may explain it, and its trial noises.
@@ -58,17 +50,21 @@ class RecordWork:
     """
 
     record: Record
-    courses: tuple[Course, ...]
+    candidates: Candidates
     trials: NoiseTrials
 
     @classmethod
-    def of(cls, record: Record, courses: tuple[Course, ...] = ()) -> RecordWork:
-        """Return a record with its trial noises; without `courses`, it can be fitted but not searched."""
-        return cls(record, courses, NoiseTrials.of(record))
+    def of(cls, record: Record, candidates: Candidates | None = None) -> RecordWork:
+        """Return a record with its trial noises; without `candidates`, it can be fitted but not searched."""
+        return cls(record, candidates or courses_of(record, ()), NoiseTrials.of(record))
 
-    def shapes_of(self, family: str) -> list[Course]:
-        """Return the courses of the effect with the name `family`, one for each shape."""
-        return [course for course in self.courses if course.family == family]
+    def shapes_of(self, family: str) -> list[Variant]:
+        """Return the candidates of the effect with the name `family`, one for each shape."""
+        return [variant for variant in self.candidates.variants if variant.family == family]
+
+    def of_channels(self, variant: Variant) -> bool:
+        """Return whether each channel has a size of its own; otherwise the size is common to all."""
+        return self.candidates.kinds[variant.columns[0]].channel is not None
 
     def less(self, added_v: Floats) -> RecordWork:
         """Return the same with known voltages `added_v` (n, c), V, subtracted from the record."""
@@ -93,21 +89,21 @@ class RecordWork:
         """The indices of the components: 0 is the mean of the channels, the others are differences."""
         return range(len(self.record.channels))
 
-    def columns(self, courses: Sequence[Course], part: int) -> Floats:
+    def columns(self, courses: Sequence[Variant], part: int) -> Floats:
         """Return the columns (n, m) of courses in the component `part`.
 
         A course that all channels share occurs in the mean only, so that m may be less than the number of
         courses.
         """
-        common = np.sqrt(len(self.parts))
-        mine = [c.course * (1.0 if c.of_channels else common) for c in courses if c.of_channels or part == 0]
-        return np.column_stack(mine) if mine else np.zeros((len(self.record), 0))
+        mine = [course for course in courses if part == 0 or self.of_channels(course)]
+        scale = [1.0 if self.of_channels(course) else len(self.parts) ** 0.5 for course in mine]
+        return np.asarray(self.candidates.columns[:, [course.columns[0] for course in mine]] * scale)
 
-    def design(self, courses: Sequence[Course], part: int) -> Floats:
+    def design(self, courses: Sequence[Variant], part: int) -> Floats:
         """Return the columns of trend and courses in the component `part`, then its signal, (n, 3 + m)."""
         return np.column_stack([self.trials.trend, self.columns(courses, part), self.signal[:, part]])
 
-    def noises(self, courses: Sequence[Course]) -> list[Noise]:
+    def noises(self, courses: Sequence[Variant]) -> list[Noise]:
         """Return the most probable noise of each component, with the courses in the model.
 
         The sizes of the courses have no prior.
@@ -119,49 +115,52 @@ class RecordWork:
             for k in self.parts
         ]
 
-    def gains(self, finds: Sequence[Find], targets: Sequence[Floats]) -> Floats:
-        """Return ln of the posterior odds of each of the h courses, given the effects found, shape (h, d).
+    def log_odds(self, found: Sequence[Variant], targets: Sequence[Floats]) -> tuple[Floats, Floats]:
+        """Return ln of the Bayes factor of each variant (h, d), and of the posterior odds of each family.
 
-        `targets` has, for each component, d data sets as columns (n, d).
+        `found` is in the model already. `targets` has, for each component, d data sets as columns (n, d).
         """
-        courses, columns = [one.course for one in finds], np.column_stack([c.course for c in self.courses])
-        common = np.array([not course.of_channels for course in self.courses])
-        scale = np.where(common, np.sqrt(len(self.parts)), 1.0)
-        total = np.tile([[course.log_prior] for course in self.courses], targets[0].shape[1])
+        every = self.candidates.variants
+        columns = self.candidates.columns[:, [one.columns[0] for one in every]]
+        common = np.array([not self.of_channels(one) for one in every])
+        scale = np.where(common, len(self.parts) ** 0.5, 1.0)
+        total = np.zeros((len(every), targets[0].shape[1]))
         for k in self.parts:
-            products = self.trials.products(self.columns(courses, k), columns, targets[k])
+            products = self.trials.products(self.columns(found, k), columns, targets[k])
             total += np.where((common & (k > 0))[:, None], 0.0, products.gain(scale))
-        return total
+        families = Scores(total, np.zeros(0)).families(self.candidates)
+        return total, families + self.candidates.log_prior[:, None]
 
-    def search(self) -> tuple[list[Find], Threshold]:
+    def search(self) -> tuple[list[FoundEffect], Threshold]:
         """Return the effects found, the strongest first, and the threshold of the search.
 
         The threshold is simulated from the noise of this very record.
         """
         rng = np.random.default_rng(SEED)
         nulls = [noise.drawn(rng, NULLS) for noise in self.noises([])]
-        limit = fit_tail(special.logsumexp(self.gains([], nulls), axis=0))
-        finds: list[Find] = []
+        limit = fit_tail(special.logsumexp(self.log_odds([], nulls)[1], axis=0))
+        finds: list[FoundEffect] = []
         while len(finds) < MOST_EFFECTS:
-            log_odds = self.gains(finds, [self.signal[:, k : k + 1] for k in self.parts])[:, 0]
-            total = float(special.logsumexp(log_odds))
+            known = [one.variant for one in finds]
+            forms, families = self.log_odds(known, [self.signal[:, k : k + 1] for k in self.parts])
+            total = float(special.logsumexp(families))
             if total <= max(limit.value, 0.0):
                 break
-            finds.append(self._find(log_odds, total))
+            odds = ranked_odds(dict(zip(self.candidates.families, families[:, 0].tolist(), strict=True)))
+            first, *others = holding(odds)
+            best = max(self.candidates.of_family(first), key=lambda member: forms[member, 0])
+            variant, evidence = self.candidates.variants[best], float(forms[best, 0])
+            size, u = self.sizes([*known, variant], len(known))
+            finds.append(
+                FoundEffect(
+                    variant, evidence, total, float(np.linalg.norm(size / u)), tuple(others), odds=tuple(odds)
+                )
+            )
         return finds, limit
-
-    def _find(self, log_odds: Floats, total: float) -> Find:
-        logs: dict[str, float] = {}
-        for course, one in zip(self.courses, log_odds.tolist(), strict=True):
-            logs[course.family] = float(np.logaddexp(logs.get(course.family, -np.inf), one))
-        ordered = sorted(logs, key=lambda family: -logs[family])
-        odds = tuple(FamilyOdds(family, float(np.exp(logs[family] - total))) for family in ordered)
-        likeliest = np.where([course.family == ordered[0] for course in self.courses], log_odds, -np.inf)
-        return Find(self.courses[int(np.argmax(likeliest))], odds, total)
 
     # --- estimates ------------------------------------------------------------------------------------
 
-    def fitted(self, part: int, courses: Sequence[Course], noise: Noise) -> tuple[Floats, Floats, float]:
+    def fitted(self, part: int, courses: Sequence[Variant], noise: Noise) -> tuple[Floats, Floats, float]:
         """Return the least-squares estimates of trend and courses in the component `part`, for a known noise.
 
         They are the estimates (2 + m,), their covariance (2 + m, 2 + m), and the chi-square that is left.
@@ -170,7 +169,7 @@ class RecordWork:
         return solved(white[:, :-1], white[:, -1])
 
     def sizes(
-        self, courses: Sequence[Course], number: int = 0, shapes: Sequence[Course] = ()
+        self, courses: Sequence[Variant], number: int = 0, shapes: Sequence[Variant] = ()
     ) -> tuple[Floats, Floats]:
         """Return the size and its u, in plausible sizes, of the course with the index `number`.
 
@@ -179,53 +178,45 @@ class RecordWork:
         the course itself is the only one.
         """
         noises, course = self.noises(courses), courses[number]
-        parts = self.parts if course.of_channels else range(1)
+        parts = self.parts if self.of_channels(course) else range(1)
         means, variances, chi2 = [], [], []
         for shape in shapes or [course]:
             mine = [*courses[:number], shape, *courses[number + 1 :]]
             estimates = [self.fitted(k, mine, noises[k]) for k in parts]
-            at = [2 + [c for c in mine if c.of_channels or k == 0].index(shape) for k in parts]
+            at = [2 + [c for c in mine if self.of_channels(c) or k == 0].index(shape) for k in parts]
             means.append([e[0][i] for e, i in zip(estimates, at, strict=True)])
             variances.append([e[1][i, i] for e, i in zip(estimates, at, strict=True)])
             chi2.append(sum(e[2] for e in estimates))
-        weight = np.exp(-0.5 * (np.array(chi2) - min(chi2)))
-        weight /= weight.sum()
+        weight = special.softmax(-0.5 * np.array(chi2))
         mean = weight @ np.array(means)
         variance = weight @ (np.array(variances) + (np.array(means) - mean) ** 2)
-        if not course.of_channels:
+        if not self.of_channels(course):
             return mean, np.sqrt(variance)
         return self.helmert.T @ mean, np.sqrt(self.helmert.T**2 @ variance)
 
-    def named(self, finds: Sequence[Find], limit: Threshold) -> Iterator[NamedEffect]:
-        """Yield the effects found as results with their values; `limit` is the threshold of the search."""
-        courses, channels = [one.course for one in finds], self.record.channels
-        for number, (course, odds, total) in enumerate(finds):
-            size, u = self.sizes(courses, number, self.shapes_of(course.family))
-            applied = course.applied(size, u, channels)
-            if (
-                course.of_channels
-            ):  # a channel whose size is no more than noise is not said to have the effect
-                seen = special.chdtrc(1, (size / u) ** 2) < OFTEN
-                shown = tuple(CHANNELS[c] for c, one in zip(channels, seen, strict=True) if one)
-                applied = replace(applied, channels=shown or applied.channels)
-            chi2 = float(np.sum((size / u) ** 2))
-            names = tuple(holding(odds))
-            yield NamedEffect(
-                name=course.family,
-                channels=applied.channels,
-                installations=(),
-                cannot_tell_from=names[1:],
-                plainer_than=(),
-                parameters=tuple(values_of((applied,))),
-                p=float(special.chdtrc(len(size), chi2)),
-                p_all_looks=limit.p(total),
-                rho=float(np.sqrt(chi2)),
-                words=course.effect.sentence,
-                applied=(replace(applied, either_of=names if len(names) > 1 else ()),),
-                odds=odds,
-            )
+    def named(self, finds: Sequence[FoundEffect], limit: Threshold) -> tuple[NamedEffect, ...]:
+        """Return the effects found as results with their values; `limit` is the threshold of the search.
 
-    def fits(self, courses: Sequence[Course], noises: Sequence[Noise]) -> Iterator[ChannelFit]:
+        A channel whose size is no more than noise is not said to have the effect.
+        """
+        shown, sizes, known = [], [np.zeros(0)], [np.zeros(0)]
+        for number, one in enumerate(finds):
+            variant = one.variant
+            size, u = self.sizes([f.variant for f in finds], number, self.shapes_of(variant.family))
+            seen = special.chdtrc(1, (size / u) ** 2) < OFTEN
+            if self.of_channels(variant) and seen.any():
+                columns, channels = (tuple(compress(of, seen)) for of in (variant.columns, variant.channels))
+                variant = replace(variant, columns=columns, channels=channels)
+                size, u = size[seen], u[seen]
+            shown.append(replace(one, variant=variant))
+            sizes.append(size)
+            known.append(u)
+        fitted = Posterior(
+            np.concatenate(sizes), np.diag(np.concatenate(known) ** 2), len(np.concatenate(sizes))
+        )
+        return effects_of(self.candidates, Naming(tuple(shown), 0.0), fitted, limit, np.zeros(0))
+
+    def fits(self, courses: Sequence[Variant], noises: Sequence[Noise]) -> Iterator[ChannelFit]:
         """Yield zero, drift and residuals of each channel, with the courses in the model.
 
         `noises` has the noise of each component.

@@ -26,6 +26,7 @@ MIDDLES: Final = (0.3, 0.4, 0.5, 0.6, 0.7)
 CREEPS_MIN: Final = (1, 4, 16)
 """Times from which what creeps grows with the logarithm of the time, min."""
 LEVELS: Final = (-0.8, -0.6, -0.4, -0.2, -0.05, 0.05, 0.2, 0.4, 0.6, 0.8)
+"""Specific forces, g, at which a step is tried."""
 
 
 @dataclass(frozen=True)

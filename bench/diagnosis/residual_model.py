@@ -10,10 +10,9 @@ from typing import Final
 import numpy as np
 from scipy import special
 
-from bench.base.arrays import CHANNELS
 from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.gap import Gap
-from bench.diagnosis.levels import MOSTLY, OFTEN
+from bench.diagnosis.levels import LISTED_IN_SENTENCE, MOSTLY, OFTEN
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.naming import Naming
 from bench.diagnosis.noise_grid import Repeats
@@ -86,23 +85,6 @@ class FormTerm:
         assert isinstance(self.applied.effect, FormulaEffect)  # noqa: S101 - made so
         return self.applied.effect
 
-    def sizes(self) -> list[tuple[str, str, float, float, str]]:
-        """Return each size as its parameter, channel ("" for all), value, u and unit.
-
-        Value and u are in this unit.
-        """
-        told = []
-        for p in self.effect.parameters:
-            if p.is_shape:
-                continue
-            value, u = self.applied.values[p.name], self.applied.u[p.name]
-            for channel in self.applied.channels if p.per_channel else ("",):
-                at = CHANNELS.index(channel) if channel else ()
-                told.append(
-                    (p.name, channel, float(value[at] / p.si_per_unit), float(u[at] / p.si_per_unit), p.unit)
-                )
-        return told
-
 
 @dataclass(frozen=True)
 class FreeForm:
@@ -172,8 +154,4 @@ def _terms(
             candidates, replace(variant, shape=shape), fitted.amplitudes[mine], u[mine], effect=effect
         )
         rho, p = fitted.significance(mine)
-        yield FormTerm(applied, variant.family, one.ties[:MOST_ALIKE], rho, p)
-
-
-MOST_ALIKE: Final = 4
-"""Families listed of those that explain a term as well."""
+        yield FormTerm(applied, variant.family, one.ties[:LISTED_IN_SENTENCE], rho, p)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from bench.diagnosis.candidates import (
     without_copies,
 )
 from bench.diagnosis.evidence import Data, Search, Threshold, ThresholdCache, Whitened
-from bench.diagnosis.levels import UNSEEN
+from bench.diagnosis.levels import BY_CHANCE, LEAST_GAIN, STEPS, UNSEEN
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.naming import MOST_EFFECTS, Naming, Scored, name
 from bench.diagnosis.noise_grid import (
@@ -80,10 +79,6 @@ Reconsider = Callable[[Prepared, LinearSystem, float], tuple[Prepared, Naming]]
 """Searches a system with another noise, at most so large, about the finds of what is prepared."""
 
 
-SURELY_LESS: Final = 6.0
-"""A noise hypothesis is searched in full unless its evidence with the same finds is lower by more than this."""
-
-
 def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple[Prepared, Naming]:
     """Return the readings with the noise hypothesis of the largest evidence, and the effects found with it.
 
@@ -105,7 +100,7 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
                 if one.what == "tails" and any(of.variant.family in SINGLE for of in found):
                     continue  # tails explain single readings, too
                 about = own + one.log_odds + log_density(one.linear, columns, grid)
-                if about > score - SURELY_LESS:
+                if about > score + np.log(BY_CHANCE):
                     rivals.append((about, one, noise.reading))
         tried = []
         for _, one, most in sorted(rivals, key=lambda rival: -rival[0])[:2]:
@@ -121,10 +116,6 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
             return prepared, naming
         score, prepared, naming = better
     return prepared, naming
-
-
-LEAST_GAIN: Final = 0.5
-"""The noise hypothesis changes where ln of the evidence gains this; less is a change of its sizes."""
 
 
 def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSystem:
@@ -144,10 +135,6 @@ def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSyste
         random=np.column_stack([linear.random, of_noise]),
         of_noise=prepared.of_noise,
     )
-
-
-STEPS: Final = 6
-"""Most linearisations; the rest of the nonlinearity stays in the residuals."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.diagnosis.candidates import ROUND, Candidates, Variant, plausible_columns
 from bench.diagnosis.evidence import KNOWN_SIZE, Search, Threshold, Whitened
-from bench.diagnosis.levels import NEGLIGIBLE
+from bench.diagnosis.levels import INSEPARABLE, NEGLIGIBLE
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.noise_grid import make_whitener
 from bench.diagnosis.posterior import NoiseSize
@@ -275,4 +275,4 @@ class ReadingDesign:
 
 def _basis(columns: Floats) -> Floats:
     u, size, _ = np.linalg.svd(columns, full_matrices=False)
-    return u[:, size > 1e-6 * max(1.0, size[0])]
+    return u[:, size > INSEPARABLE * max(1.0, size[0])]

@@ -13,7 +13,7 @@ from scipy import special
 from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.base.languages import message
 from bench.diagnosis.evidence import KNOWN_SIZE
-from bench.diagnosis.levels import BY_CHANCE, FAR
+from bench.diagnosis.levels import ALIKE, BY_CHANCE, FAR, INSEPARABLE, LISTED
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.diagnosis.noise_grid import NoiseGrid, make_whitener
 from bench.diagnosis.noise_kinds import TAIL_DOF
@@ -21,8 +21,6 @@ from bench.diagnosis.posterior import NoiseSize
 from bench.model.effects import AppliedEffect
 from bench.model.effects.voltmeter import LOW_RANGE_V
 
-MOST_PLACES: Final = 8
-"""Patterns listed at most."""
 HARMONICS: Final = (
     "constant",
     message("once per turn"),
@@ -56,7 +54,7 @@ Look = tuple[str, str, str, Floats]
 def find_places(
     linear: LinearSystem, grid: NoiseGrid, ratio: int, sigma: float, freedom: int
 ) -> tuple[ResidualPattern, ...]:
-    """Return the significant patterns of the residuals, the largest first, at most `MOST_PLACES`.
+    """Return the significant patterns of the residuals, the largest first, at most `LISTED`.
 
     `ratio` is the index of the noise ratio in `grid`. `sigma` is the noise of a reading from repeats, with
     `freedom` degrees of freedom. p-values are corrected for the number of patterns tried.
@@ -68,11 +66,11 @@ def find_places(
     seen = [white[:, first:last] for first, last in pairwise(starts)]
     whole = [float(np.linalg.norm(columns, axis=0).min()) for columns in seen]
     places: list[ResidualPattern] = []
-    while len(places) < MOST_PLACES:
+    while len(places) < LISTED:
         bases = [np.linalg.qr(columns) for columns in seen]
         square = np.array([np.sum((q.T @ left) ** 2) for q, _ in bases]) / sigma**2
         # what earlier patterns explain is no other pattern
-        told = np.array([np.abs(np.diag(r)).min() for _, r in bases]) <= TOLD * np.array(whole)
+        told = np.array([np.min(np.diag(r) ** 2) for _, r in bases]) <= INSEPARABLE * np.square(whole)
         wide = np.diff(starts)
         p_each = np.where(told, np.inf, special.fdtrc(wide, freedom, square / wide))
         # where p underflows the size of the statistic still orders
@@ -88,10 +86,6 @@ def find_places(
         left = left - q @ (q.T @ left)
         seen = [own - q @ (q.T @ own) for own in seen]
     return tuple(places)
-
-
-TOLD: Final = 1e-3
-"""A pattern of which earlier ones leave at most this fraction is explained by them."""
 
 
 def _looks(linear: LinearSystem) -> Iterator[Look]:
@@ -230,8 +224,6 @@ _CHANNEL: Final = (*CHANNELS, "modulus")
 
 MOST_PER_TURN: Final = 72
 """Orders looked at: 72 a turn is a mark every 5 degrees."""
-ALIKE: Final = 0.01
-"""Fraction of a wave's square that another wave may leave and still count as the same."""
 
 
 def looking_like(angle_rad: Floats, order: int) -> tuple[int, ...]:
@@ -266,5 +258,5 @@ def _waves(angle_rad: Floats, order: int) -> Floats:
 def _left(waves: Floats, own: Floats) -> float:
     """Return the largest fraction of a wave's square that the other waves leave."""
     size = np.maximum(np.sum(waves**2, axis=0), 1e-12 * len(waves))
-    fitted = own @ np.linalg.lstsq(own, waves, rcond=1e-6)[0]
+    fitted = own @ np.linalg.lstsq(own, waves, rcond=INSEPARABLE)[0]
     return float(np.max(np.sum((waves - fitted) ** 2, axis=0) / size, initial=0.0))

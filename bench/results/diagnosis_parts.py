@@ -8,10 +8,12 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field
 
+from bench.base.arrays import rms
 from bench.base.result_model import Real, ResultModel
-from bench.diagnosis.gap import FLOOR, UNDETERMINED, Fold, Gap, rms
+from bench.diagnosis.gap import FLOOR, UNDETERMINED, Fold, Gap
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.noise_kinds import LocalScatter, NoiseKind
+from bench.diagnosis.pipeline import values_of
 from bench.diagnosis.posterior import KnownTogether
 from bench.diagnosis.residual_model import FormTerm, FreeForm
 from bench.diagnosis.result import Verdict
@@ -368,8 +370,8 @@ def _fold_part(fold: Fold) -> FoldPart:
         named_without_it=list(fold.gains),
         before=fold.before.reduced,
         after=fold.after.reduced,
-        before_rms_ug=1e6 * rms([fold.before.error_g]),
-        after_rms_ug=1e6 * rms([fold.after.error_g]),
+        before_rms_ug=1e6 * rms(fold.before.error_g),
+        after_rms_ug=1e6 * rms(fold.after.error_g),
     )
 
 
@@ -420,7 +422,8 @@ def _term_part(term: FormTerm) -> TermPart:
         },
         channels=list(term.applied.channels),
         sizes=[
-            SizePart(parameter=name, channel=channel or None, value=value, u=u, unit=unit)
-            for name, channel, value, u, unit in term.sizes()
+            SizePart(parameter=v.parameter, channel=v.channel or None, value=v.value, u=v.u, unit=v.unit)
+            for v in values_of((term.applied,))
+            if v.u is not None
         ],
     )

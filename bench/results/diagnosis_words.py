@@ -13,10 +13,10 @@ import numpy as np
 from bench.base.languages import message
 from bench.base.numbers import fixed, quantity, rounded, two_digits, uncertainty
 from bench.diagnosis.gap import Gap
-from bench.diagnosis.levels import BY_CHANCE
+from bench.diagnosis.levels import BY_CHANCE, LISTED_IN_SENTENCE
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.next_measurement import Proposal
-from bench.diagnosis.pipeline import LISTED_FAR, FullDiagnosis, Rival
+from bench.diagnosis.pipeline import FullDiagnosis, Rival, values_of
 from bench.diagnosis.residual_model import FormTerm, FreeForm, UnexplainedScatter
 from bench.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedEffect
 from bench.diagnosis.show import CoefficientChange, ModelComparison, label
@@ -277,9 +277,11 @@ def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
     """Yield the warnings of the headline: the kinds of unusual noise, and readings far from the model."""
     yield from (kind.headline for kind in diagnosis.noise_kinds)
     if diagnosis.far:
-        listed = "; ".join(one.words for one in diagnosis.far[:LISTED_FAR])
+        listed = "; ".join(one.words for one in diagnosis.far[:LISTED_IN_SENTENCE])
         more = (
-            message(f" and {len(diagnosis.far) - LISTED_FAR} more") if len(diagnosis.far) > LISTED_FAR else ""
+            message(f" and {len(diagnosis.far) - LISTED_IN_SENTENCE} more")
+            if len(diagnosis.far) > LISTED_IN_SENTENCE
+            else ""
         )
         yield (
             message(
@@ -506,11 +508,7 @@ def term_in_words(term: FormTerm) -> str:
     """
     effect = term.effect
     added = f" to {effect.adds_to}" if effect.adds_to else ""
-    sizes = [
-        f"{name}{f' of {channel}' if channel else ''} = "
-        f"{with_unit(f'{rounded(value, u)} ± {uncertainty(u)}', unit)} (u)"
-        for name, channel, value, u, unit in term.sizes()
-    ]
+    sizes = [parameter_in_words(size, "") for size in values_of((term.applied,)) if size.u is not None]
     constants = [
         f"{p.name} = {with_unit(format(p.default / p.si_per_unit, 'g'), p.unit)}"
         for p in effect.parameters

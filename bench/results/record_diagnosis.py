@@ -13,7 +13,7 @@ from bench.base.numbers import concise, quantity, scale_for, typeset
 from bench.base.result_model import ResultModel
 from bench.base.tables import print_notes
 from bench.diagnosis.gap import Gap
-from bench.diagnosis.pipeline import LISTED_FAR
+from bench.diagnosis.levels import LISTED_IN_SENTENCE
 from bench.diagnosis.record_diagnosis import RecordDiagnosis
 from bench.diagnosis.record_search import ChannelFit
 from bench.results import diagnosis_words as words
@@ -100,7 +100,7 @@ NOTHING: Final = "the channels follow the reference, with a zero and a drift, wi
 
 def what_in_words(found: RecordDiagnosis) -> str:
     """Return the findings as a sentence without a full stop."""
-    return "; ".join([words.found_in_words(found, NOTHING), *found.far[:LISTED_FAR]])
+    return "; ".join([words.found_in_words(found, NOTHING), *found.far[:LISTED_IN_SENTENCE]])
 
 
 def gap_told(found: RecordDiagnosis) -> str:

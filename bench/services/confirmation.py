@@ -13,11 +13,10 @@ from bench.base.files import cache_folder
 from bench.base.tables import as_text
 from bench.config.model_file import load_model
 from bench.diagnosis import ThresholdCache
-from bench.diagnosis.confirm import Confirmation, confirm
+from bench.diagnosis.confirm import Confirmation, confirm, confirm_record
 from bench.diagnosis.free_positions import confirm_free
 from bench.diagnosis.free_records import OUTLIER, FreeDiagnosis
 from bench.diagnosis.mistakes.search import Mistake
-from bench.diagnosis.record_confirm import confirm_record
 from bench.diagnosis.record_diagnosis import RecordDiagnosis
 from bench.readings.table import all_free, is_record
 from bench.results.confirm import confirm_result, print_confirmation

@@ -26,6 +26,8 @@ from benchmarks.campaign import spread
 
 PART: Final = 0.3
 ROOM: Final = "bench.diagnosis"
+NO_SIZE: Final = {"MODULUS", "SUBSETS", "ZEROS", "SCALES", "SEED", "FLOOR", "OF_MEDIAN"}
+"""Numbers of channels and columns, seeds, and expectations: another value is not larger or smaller, but wrong."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,10 @@ def _times(value: float, factor: float) -> float:
 
 
 def constants() -> list[Constant]:
-    """Return the numeric constants of all modules of the diagnosis, each once, at its definition."""
+    """Return the numeric constants of all modules of the diagnosis, each once, at its definition.
+
+    A constant whose definition has no number follows from others, and is none of its own.
+    """
     found = []
     for info in pkgutil.walk_packages(bench.diagnosis.__path__, f"{ROOM}."):
         module = importlib.import_module(info.name)
@@ -61,6 +66,8 @@ def constants() -> list[Constant]:
                 isinstance(node, ast.AnnAssign)
                 and isinstance(node.target, ast.Name)
                 and node.target.id.isupper()
+                and node.target.id not in NO_SIZE
+                and any(isinstance(part, ast.Constant) for part in ast.walk(node.value or node.target))
             ):
                 value = getattr(module, node.target.id)
                 if _numeric(value):

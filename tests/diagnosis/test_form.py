@@ -13,6 +13,7 @@ from bench.diagnosis.candidates import make_candidates, with_terms, without_copi
 from bench.diagnosis.linear import make_linear
 from bench.diagnosis.noise_grid import Repeats, make_whitener
 from bench.diagnosis.noise_kinds import larger_scatter
+from bench.diagnosis.pipeline import values_of
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.residual_dictionary import dictionary
 from bench.diagnosis.residual_model import UNNAMED_FORM, UnexplainedScatter
@@ -119,16 +120,16 @@ def test_half_a_wave_is_described_and_predicts(run):
     (term,) = form.terms
     assert term.family == "a wave, 0.5 per turn, in the bias"
     assert term.effect.stage is Stage.BLOCK_OUTPUT
-    (_, channel, cosine, u_cosine, unit), (_, _, sine, u_sine, _) = term.sizes()
-    assert (channel, unit) == ("y", "ug")
-    assert abs(sine - 200) < 4 * u_sine < 60
-    assert abs(cosine) < 4 * u_cosine
+    cosine, sine = values_of((term.applied,))
+    assert (sine.channel, sine.unit) == ("y", "ug")
+    assert abs(sine.value - 200) < 4 * sine.u < 60
+    assert abs(cosine.value) < 4 * cosine.u
     assert form.gap.closed > 0.8
     assert form.predicts
     assert form.applied[0].effect.name == "unnamed_1"
     assert form.gap.after < 1.5 < form.gap.before
     told = form_part(form).to_dict()
-    assert told["terms"][0]["sizes"][1]["u"] == pytest.approx(u_sine)
+    assert told["terms"][0]["sizes"][1]["u"] == pytest.approx(sine.u)
     assert len(told["gap"]["held_out"]) == 4
 
 

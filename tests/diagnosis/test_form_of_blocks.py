@@ -7,6 +7,7 @@ import pytest
 
 from bench.diagnosis import diagnose
 from bench.diagnosis.multi_run_system import make_system
+from bench.diagnosis.pipeline import values_of
 from bench.diagnosis.residual_dictionary import dictionary
 from bench.model import AppliedEffect
 from bench.readings.table import JoinedPart, together
@@ -62,10 +63,10 @@ def test_a_form_of_the_bench_is_found_in_several_blocks_at_once(system):
     found = diagnose(system.readings, MODEL, STAND, None, OneThreshold())
     (term,) = found.form.terms
     assert term.family == "a wave, 0.5 per turn, in the bias"
-    (_, channel, _, _, _), (_, _, sine, u_sine, unit) = term.sizes()
-    assert (channel, unit) == ("y", "ug")
+    _, sine = (size for size in values_of((term.applied,)) if size.u is not None)
+    assert (sine.channel, sine.unit) == ("y", "ug")
     # a bias in g of the mean of the two scale factors, which are 2 % apart
     expected = HALF_WAVE_V / system.block.K[1, 1] / (1.0 + SCALE[1, 1]) * 2.0 * 1e6
-    assert abs(sine - expected) < 4 * u_sine < 40
+    assert abs(sine.value - expected) < 4 * sine.u < 40
     assert found.form.predicts
     assert found.form.gap.closed > 0.8

@@ -129,6 +129,7 @@ class HeadGraduation(HeadEffect):
 
     name = "head_graduation"
     parameters = tuple(angle(f"at_{mark:03d}", 4) for mark in MARKS_DEG)
+    apart = (tuple(parameter.name for parameter in parameters),)  # no mark is displaced by itself
     sentence = "marks of the head's scale are displaced, equally in every pass"
     shown_by = "24 angles in a turn; a polygon and autocollimator"
 
