@@ -407,7 +407,10 @@ def inverse(block: Block, covariance: Floats) -> Derived:
 
 
 def inverse_jacobian(N: Floats) -> Floats:
-    """Return the derivatives (12, 12) of `INVERSE` by `COEFFICIENTS`: dN_ij/dK_kl = -N_ik N_lj, 1 for U0."""
+    """Return the derivatives (12, 12) of `INVERSE` by `COEFFICIENTS`.
+
+    They are dN_ij/dK_kl = -N_ik N_lj and dU0_i/dU0_i = 1; all others are 0.
+    """
     jacobian = np.eye(len(COEFFICIENTS))
     jacobian[:9, :9] = -np.kron(N, N.T)
     return jacobian

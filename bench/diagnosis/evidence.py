@@ -217,7 +217,9 @@ class Search:
 
     @cached_property
     def _together(self) -> tuple[Ints, Ints, Floats]:
-        """Members of all groups (v,), the offset (v,) of each one's eigenvalues, and these (ratios, e)."""
+        """The v variants of all groups, as indices (v,); the place (v,) in the third array where the eigenvalues
+        of each variant begin; and all e eigenvalues at each noise ratio (ratios, e).
+        """
         values = [group.values for group in self.groups]
         counts = np.concatenate([np.full(of.shape[1], of.shape[2]) for of in values])
         starts = np.cumsum(counts) - counts
@@ -351,9 +353,10 @@ TAIL: Final = 0.05
 class Threshold:
     """The least evidence that counts as a finding, and the probability that chance exceeds it.
 
-    The evidence is ln of the odds that any effect is missing. Where nothing is missing it exceeds `value`
-    with `probability`. The upper tail is exponential: chance exceeds `start` with `p_start`, and e times more
-    rarely for every further `decay`. `nulls` is the number of simulated data sets behind it.
+    The evidence is ln of the odds that the model lacks some effect. If the model lacks none, the evidence still
+    exceeds `value` with `probability`, by chance. The upper tail of these chance values is exponential: they
+    exceed `start` with probability `p_start`, and `start` plus x with probability `p_start` exp(-x / `decay`).
+    `nulls` is the number of simulated data sets from which the tail was determined.
     """
 
     value: float

@@ -415,10 +415,10 @@ OUTLIER: Final = "outlier"
 
 @dataclass(frozen=True)
 class FreeFit:
-    """A fit to N free positions.
+    """A fit to N positions of unknown orientation, of which only |a| = 1 g is known.
 
-    `block` has the coefficients of each sensor, `u` (sensors, 12) their standard uncertainties, and `left`
-    (N,) the residuals of |a| - 1, in g.
+    `block` has the coefficients of each sensor; `u` (sensors, 12), their standard uncertainties; `left` (N,),
+    the residuals of |a| - 1 in g.
     """
 
     block: tuple[Block, ...]

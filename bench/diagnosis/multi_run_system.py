@@ -390,7 +390,7 @@ def _visit(readings: Readings) -> Ints:
 
 
 def _phase(readings: Readings) -> Floats:
-    """Return the elapsed fraction of its run for each reading, 0 to 1."""
+    """Return, for each reading, the fraction of its run that had elapsed, 0 to 1."""
     elapsed = readings.conditions().elapsed_s
     run = readings.run
     phase = np.zeros(len(readings))

@@ -43,9 +43,10 @@ class NoiseSize:
 class Posterior:
     """Joint estimates of all unknowns, `mean`, with their `covariance`.
 
-    The order is: the changes of the 12 coefficients of each block from the first guess, in their units; the
-    unknowns of the columns `LinearSystem.random`, in prior standard deviations; the amplitudes of the m
-    columns of the effects found, in plausible sizes. `effects` is m.
+    The unknowns are, in this order: the changes of the 12 coefficients of each block from the first guess, each
+    in the unit of the coefficient; the amplitudes of the columns `LinearSystem.random`, each as a multiple of
+    its prior standard deviation; the amplitudes of the m columns of the effects found, each as a multiple of its
+    plausible size. `effects` is m.
     """
 
     mean: Floats
@@ -54,12 +55,12 @@ class Posterior:
 
     @property
     def amplitudes(self) -> Floats:
-        """The amplitudes (m,) of the effects' columns, in plausible sizes."""
+        """The amplitudes (m,) of the effects' columns, each as a multiple of its plausible size."""
         return self.mean[len(self.mean) - self.effects :]
 
     @property
     def amplitude_covariance(self) -> Floats:
-        """The covariance matrix (m, m) of the amplitudes, in plausible sizes."""
+        """The covariance matrix (m, m) of `amplitudes`."""
         first = len(self.mean) - self.effects
         return self.covariance[first:, first:]
 

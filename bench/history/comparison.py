@@ -299,7 +299,7 @@ def _require_regular(snapshot: Snapshot) -> None:
 
 
 def _constant(snapshots: Sequence[Snapshot]) -> float:
-    """Return the p-value of the hypothesis that all calibrations have one common vector."""
+    """Return the p-value of the hypothesis that all calibrations have the same true coefficients."""
     weights = [np.linalg.inv(snapshot.covariance) for snapshot in snapshots]
     mean = np.linalg.solve(sum(weights), sum(w @ s.vector for w, s in zip(weights, snapshots, strict=True)))
     chi2 = sum(chi_square(s.vector - mean, s.covariance) for s in snapshots)

@@ -115,9 +115,11 @@ def measured(
 def _of_reading(
     contribution: Contribution, budget: Budget, force: Floats, *, same_voltmeters: bool
 ) -> tuple[Floats, Floats]:
-    """Return a source's errors of one reading, V, as two arrays (d, 3, q).
+    """Return the errors, V, that a source causes in one reading of each of d accelerations: two arrays (d, 3, q).
 
-    The first is for the draws that already acted in the calibration, the second for new draws.
+    Each array has q independent components of one standard deviation. Those of the first are common to reading
+    and calibration, so that errors of the coefficients may cancel them; those of the second are of the reading
+    alone.
     """
     source, block = contribution.source, budget.setup.block
     per_channel = np.eye(3)[None]

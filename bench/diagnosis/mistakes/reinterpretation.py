@@ -101,13 +101,13 @@ class Scope:
 
 @dataclass(frozen=True)
 class Reinterpretation:
-    """A supposed mistake in the record of n readings; a field with its default value keeps what was recorded.
+    """A supposed mistake in the record of n readings. A field with its default value leaves the record as it is.
 
-    `label` (n,) and `angle_rad` (n,) are the true installations and head angles. `source` (n,) is, for each
-    reading, the index of the reading that was recorded with its signals, -1 if there is none. `turns` has the
-    rotation matrix (3, 3) by which the block was mounted otherwise, for each installation concerned. `matrix`
-    (3, 3) converts the signals as recorded to the true signals in the unit of the file; it acts in `scope`
-    only. `words` is a sentence for people.
+    `label` (n,) and `angle_rad` (n,) are the true installations and head angles. `source` (n,): the true signals
+    of reading i were recorded with reading `source[i]`, or not at all if that is -1. `turns` maps each
+    installation that was mounted in another orientation to the rotation matrix (3, 3) from the stated to the true
+    block axes. `matrix` (3, 3) converts the signals as recorded to the true signals in the unit of the file; it
+    acts in `scope` only. `words` is a sentence for people.
     """
 
     name: str
