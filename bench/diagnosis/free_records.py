@@ -35,7 +35,7 @@ SAME_TIME_S: Final = 1.0
 ANOTHER: Final = 2.0
 """A distance beyond this is another sensor, in units of the largest changes between runs (`OTHER_BLOCK`).
 
-In nine records of each of four real sensors those of one are at most 1.0 apart, those of two at least 2.2.
+In nine records of each of four real sensors, records of one sensor differ by at most 1.0, of two by at least 2.2.
 """
 AT_REST_G: Final = 0.1
 """Largest root mean square of |a| - 1 g, after the fit, of positions at rest. Sensors cause a tenth of it."""
