@@ -333,7 +333,7 @@ def _tie_names(candidates: Candidates, found: FoundEffect) -> tuple[str, ...]:
 
 
 def _odds(candidates: Candidates, found: FoundEffect) -> tuple[FamilyOdds, ...]:
-    """Return the odds of the families in the place of a find, by the names in results.
+    """Return the odds of the families that may replace a find, by the names in results.
 
     The odds of all unnamed forms are summed. Families below 1 % are left out unless they are ties.
     """

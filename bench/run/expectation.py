@@ -504,10 +504,10 @@ AS_IT_IS, ABSENT = SHIFTS, SHIFTS + 1
 class Sighting:
     """A reading as the early warning keeps it.
 
-    `new_mount` says that the block was mounted just before it. `loosened` (12,) are the variances by which the
-    coefficients may have changed since the previous reading. `taken` means that the model has learnt from the
-    reading; `poorly_known`, that the model was too uncertain to reveal a mistake in it; `struck`, that it is known
-    to be wrong or was repeated.
+    `new_mount` says that the block was mounted just before the reading. `loosened` (12,) are the variances by
+    which the coefficients may have changed since the previous reading. `taken` means that the model has learnt
+    from the reading; `poorly_known`, that the model was too uncertain to reveal a mistake in it; `struck`, that
+    it is known to be wrong or was repeated.
 
     `poses` are, in this order: the recorded pose, the pose with the head's sense reversed, the poses in each other
     installation or orientation, and the poses at each other setting of the head. `sat_before` is the installation

@@ -347,7 +347,7 @@ def _shifted(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
 
 
 def _rows_aside(runs: Ints, mask: Mask, step: int) -> Ints:
-    """Return, for each row, the index of the row `step` later in the same run of rows, -1 if there is none."""
+    """Return, for each row, the index of the row `step` later in its run of rows, -1 if there is none."""
     source = np.arange(len(runs))
     for run in np.unique(runs[mask]):
         places = np.flatnonzero((runs == run) & mask)
@@ -361,7 +361,7 @@ def _rows_aside(runs: Ints, mask: Mask, step: int) -> Ints:
 
 
 def _stop_rad(table: OrientedRows, mask: Mask) -> Floats | None:
-    """Return each row's signed angle (n,) between stops in its pass, rad; None unless all stops are equally wide."""
+    """Return each row's signed angle (n,) between stops in its pass, rad; None unless all are equally wide."""
     stops = np.zeros(len(table))
     widths: list[float] = []
     for mount, number in dict.fromkeys(zip(table.mount[mask], table.pass_number[mask], strict=True)):
