@@ -82,9 +82,10 @@ blind-trial: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python -m benchmarks.blind_trial $(TRIAL)
 
 # Wheel and sdist (twice, equal), bill of materials, licences, container file, offline bundle, manifest, in dist.
-# `make release KEY=FILE` signs the manifest; `make release-matrix` tries Pythons and versions, an hour.
+# `make release KEY=FILE` signs the manifest, OUT=DIR is another folder; `make release-matrix` tries Pythons and versions, an hour.
+OUT ?= dist
 release: $(VENV)/.releasing
-	$(VENV)/bin/python -m release.build --out dist --bundle $(if $(KEY),--key $(KEY))
+	$(VENV)/bin/python -m release.build --out $(OUT) --bundle $(if $(KEY),--key $(KEY))
 
 release-matrix: $(VENV)/.releasing
 	$(VENV)/bin/python -m release.matrix

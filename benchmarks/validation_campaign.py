@@ -102,7 +102,13 @@ def killed(count: int, folder: Path) -> tuple[int, int]:
 
 def main() -> int:
     """Run the campaign; print a line for each fault and run, and the counts."""
-    asked = arguments(__doc__, only=("", "pattern of the names of faults"), healthy=50, kills=200)
+    asked = arguments(
+        __doc__,
+        only=("", "pattern of the names of faults"),
+        healthy=50,
+        first=(0, "number of the first healthy run, which gives its seed and bench file"),
+        kills=200,
+    )
     bench = find_bench("paper-stand")
     chosen = [fault for fault in FAULTS if re.search(asked.only, fault.name)]
     seen = named = 0
@@ -120,7 +126,7 @@ def main() -> int:
     print(f"{seen} of {len(chosen)} faults found, {named} with their place", flush=True)
     alarms = 0
     benches = sorted(shipped_folder(CONFIG).glob("*.yaml"))
-    for number in range(asked.healthy):
+    for number in range(asked.first, asked.first + asked.healthy):
         file = benches[number % len(benches)]
         failed = healthy(file, number)
         alarms += bool(failed)

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from bench.base.files import to_text
-from bench.run.events import sha256
+from bench.run.events import RecordError, sha256
 from bench.run.seal import private_key, sign
 from bench.services.validated import DISTRIBUTION, packages
 from release.bill import bill, licences
@@ -129,10 +129,13 @@ def main() -> None:
     asked = parser.parse_args()
     key = None
     if asked.key is not None:
-        key = private_key(asked.key, lambda: getpass.getpass("passphrase of the key: ").encode())
+        try:
+            key = private_key(asked.key, lambda: getpass.getpass("passphrase of the key: ").encode())
+        except RecordError as error:
+            raise SystemExit(str(error)) from error
     out: Path = asked.out
     if out.exists() and any(out.iterdir()):
-        raise SystemExit(f"{out}: is not empty; name another folder with --out")
+        raise SystemExit(f"{out}: is not empty; remove it, or name another with --out (make release OUT=DIR)")
     out.mkdir(parents=True, exist_ok=True)
     when = epoch_s()
     wheel = next(one for one in built_twice(out, when) if one.suffix == ".whl")

@@ -40,7 +40,12 @@ def table(*headings: str, no_wrap: bool = False) -> Table:
     made = _Rows(box=None, pad_edge=False)
     for heading in headings:
         right = heading.startswith(">")
-        made.add_column(heading.removeprefix(">"), justify="right" if right else "left", no_wrap=no_wrap)
+        made.add_column(
+            heading.removeprefix(">"),
+            justify="right" if right else "left",
+            no_wrap=no_wrap,
+            overflow="fold",  # a path is never cut
+        )
     return made
 
 

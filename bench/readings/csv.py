@@ -231,7 +231,10 @@ def split_table(
     if not header:
         raise ReadingsError(f"{path}: empty; expected a header line such as {example}")
     if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
-        raise ReadingsError(f"{path}, line 1: separate columns by commas, and write decimals with a dot")
+        raise ReadingsError(
+            f"{path}, line 1: separate columns by commas, and write decimals with a dot "
+            "('bench import --columns MAP.yaml' reads other logs)"
+        )
     twice = sorted(map(shortened, repeated(header)))
     if twice:
         raise ReadingsError(f"{path}, line 1: column {', '.join(twice)} appears more than once; keep one")

@@ -145,6 +145,8 @@ class ValidationResult(ResultModel):
         out.print(self.headline, style="bold")
         for file in self.files:
             out.print(f"  {file}")
+        if self.files and not any(file.endswith(".pdf") for file in self.files):
+            out.print("no PDF: typst is not installed; pip install 'triaxial-bench[certificate]'")
 
     @staticmethod
     def _print_against(against: AgainstPart, out: Console) -> None:

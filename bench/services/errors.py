@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -69,7 +70,8 @@ def sentence(error: Exception) -> str:
     if expected(error):
         return missing(error) or str(error)
     if isinstance(error, OSError):
-        return f"{error.filename or 'a file'}: {error.strerror or error}"
+        remedy = "; free disk space, then repeat the command" if error.errno == errno.ENOSPC else ""
+        return f"{error.filename or 'a file'}: {error.strerror or error}{remedy}"
     return f"stopped by an error of the program ({kind_and_words(error)})"
 
 

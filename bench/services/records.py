@@ -34,7 +34,7 @@ from bench.run.seal import (
 )
 from bench.services.errors import Refused, refusing
 from bench.services.requests.records import SealRun, ShowRun
-from bench.services.requests.shared import runs_folder
+from bench.services.requests.shared import name_to_type, runs_folder
 from drivers.clock import utc_now
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def _verdict(run: Run) -> str | None:
 def _state_and_next(run: Run, digest: Digest) -> tuple[str, str]:
     """Return the state of a run in words, and the command that continues it (empty if nothing is to be done)."""
     if digest.problems:
-        return "damaged", f"bench show {run.name} --verify"
+        return "damaged", f"bench show {name_to_type(run.folder)} --verify"
     if run.imported:
         return "imported", ""
     state = digest.state
@@ -112,7 +112,7 @@ def _state_and_next(run: Run, digest: Digest) -> tuple[str, str]:
     if not wanted or is_being_written(run.folder):
         return state.value, ""
     alive = {RunState.READY: "not begun", RunState.RUNNING: "unfinished", RunState.PAUSED: "unfinished"}
-    return alive.get(state, state.value), f"bench resume {run.name}"
+    return alive.get(state, state.value), f"bench resume {name_to_type(run.folder)}"
 
 
 NOTHING_OUTSIDE = (

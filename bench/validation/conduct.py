@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from bench.base.computing import missing
-from bench.base.files import read_json, to_text, write_whole
+from bench.base.files import read_given, read_json, to_text, write_whole
 from bench.base.text import visible
 from bench.base.yaml_files import sha256_of_file
 from bench.config.shipped import find_bench
@@ -28,7 +28,7 @@ from bench.results.validation import (
     render_validation,
 )
 from bench.run.events import sha256
-from bench.run.seal import Seal, private_key, sign, signed, write_seal
+from bench.run.seal import Seal, private_key, read_public_key, sign, signed, write_seal
 from bench.services.bench_selection import bench_path
 from bench.services.errors import Refused, refusing, sentence
 from bench.services.requests.documents import Validate
@@ -56,6 +56,7 @@ def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationR
     """
     began, clock, cpu_s = utc_now(), SystemClock(), _cpu_s()
     began_s = clock.now_s()
+    _check_release(request)
     key = None if request.key is None else private_key(request.key, passphrase)
     bench = _bench(request)
     if request.against is not None:  # what names no run is refused before the checks begin
@@ -97,6 +98,16 @@ def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationR
         seal = signed(seal, *sign(key, seal.signed_bytes))
     written.append(str(write_seal(folder, seal)))
     return result.model_copy(update={"files": written})
+
+
+def _check_release(request: Validate) -> None:
+    """Refuse an unusable manifest or key before the checks begin, which take minutes."""
+    for file in (request.release, request.release_key):
+        if file is not None:
+            with refusing("check its name", file, verb="read"):
+                read_given(file)
+    if request.release_key is not None:
+        read_public_key(request.release_key)
 
 
 def _bench(request: Validate) -> Path:
@@ -167,7 +178,7 @@ def _write(result: ValidationResult, folder: Path, began: datetime) -> tuple[lis
     try:
         contents[PDF] = pdf_of(result, int(began.timestamp()))
     except ImportError as error:
-        if not missing(error):
+        if not missing(error):  # the result says that there is no PDF
             raise
     for name, content in contents.items():
         write_whole(folder / name, content)

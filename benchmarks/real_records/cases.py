@@ -85,7 +85,7 @@ def require_sealed() -> None:
 
 def twin_of(readings: Readings, found: RecordDiagnosis) -> Readings:
     """Return simulated readings at the same times, with the signal of the effects found and noise of the fitted
-    size.
+    size. Before the first mean of the record, the effects continue as straight lines.
     """
     rng = np.random.default_rng(SEED)
     record = make_record(readings)
@@ -97,7 +97,8 @@ def twin_of(readings: Readings, found: RecordDiagnosis) -> Readings:
     signal = np.full(readings.signal.shape, np.nan)
     for number, fit in enumerate(found.fits):
         course = record.reference_v + fit.zero_v + added[:, number] + noise[:, number]
-        level = np.interp(at_h, record.time_h, course)
+        slope = (added[1, number] - added[0, number]) / record.time_h[1]
+        level = np.interp(at_h, record.time_h, course) + slope * np.minimum(at_h, 0.0)
         signal[:, record.channels[number]] = level + rng.normal(0.0, scatter, len(readings))
     reference = np.interp(at_h, record.time_h, record.reference_v)
     extra = {**readings.extra, "reference_v": np.array([repr(v) for v in reference.tolist()])}

@@ -36,6 +36,7 @@ def test_english_texts_come_back_byte_for_byte():
     assert shown(text) is text
 
 
+@pytest.mark.slow
 def test_every_text_has_its_translation():
     assert translations.main([]) == 0
 

@@ -36,7 +36,7 @@ def test_a_mistake_that_is_large_stops_the_run_in_two_readings_for_the_right_rea
 
 @pytest.mark.slow
 def test_a_run_without_a_mistake_is_not_stopped():
-    assert not any(watched(CLEAN, number, 12, **QUICK).stopped for number in range(10))
+    assert not any(watched(CLEAN, number, 12, **QUICK).stopped for number in range(5))
 
 
 @pytest.mark.slow

@@ -261,8 +261,8 @@ def after(measured, u, dof, population, limit):
 @pytest.mark.parametrize(("mean", "deviation", "u"), [(0.0, 1.0, 0.7), (0.5, 0.6, 0.9), (-1.5, 0.4, 0.3)])
 def test_a_population_is_the_prior_of_the_risk(mean, deviation, u, dof):
     """JCGM 106:2012, A.4, and 6.2 for what is not normal: a t of 200 parts within 1 % or 2e-4."""
-    population, values = Population(mean, deviation), np.array([-2.5, -1.0, 0.0, 1.4, 1.9, 2.6])
-    found = probability_outside(values, np.full(6, u), 2.0, np.full(6, dof), population)
+    population, values = Population(mean, deviation), np.array([-2.5, 1.4, 1.9])
+    found = probability_outside(values, np.full(3, u), 2.0, np.full(3, dof), population)
     expected = [after(y, u, dof, population, 2.0) for y in values]
     np.testing.assert_allclose(found, expected, rtol=1e-6 if np.isinf(dof) else 0.01, atol=2e-4)
 
@@ -294,7 +294,7 @@ def test_with_a_population_the_guard_band_is_where_its_risk_is(mean, deviation):
 @pytest.mark.parametrize("errors", [1, 4])
 def test_risks_of_several_points_of_blocks_that_are_drawn(errors, monkeypatch):
     """700 blocks (seed 4) of four points with one error, or one each: five bins within chance at 1 % (Holm)."""
-    monkeypatch.setattr(conformity, "_DRAWS", 10_000)
+    monkeypatch.setattr(conformity, "_DRAWS", 2_500)
     rng = np.random.default_rng(4)
     population, covariance = Population(0.2, 0.6), correlated(4, 0.01) * 0.04
     true = np.broadcast_to(rng.normal(0.2, 0.6, (700, errors)), (700, 4))

@@ -1,4 +1,4 @@
-"""Are the stated uncertainties true? 60 simulated runs at each of two noise levels.
+"""Are the stated uncertainties true? 40 simulated runs at each of two noise levels.
 
 Simulation by support/paper_bench.py: the paper's stand with its limits as three sigma, noise sizes unknown to
 the fit; run k has the seed [2024, k] at 0.1 mV and [2025, k] at 20 uV. Thousands of runs of such a stand are
@@ -21,7 +21,7 @@ from tests.support.results import calibration_json
 
 pytestmark = pytest.mark.slow
 
-RUNS = 60
+RUNS = 40
 SEEDS = {1e-4: 2024, 2e-5: 2025}
 # each bound fails a true 1 with probability 2e-5: 24 of them, 1 in 2000 for all together
 LOW, HIGH = np.sqrt(stats.chi2.ppf([1e-5, 1 - 1e-5], RUNS) / RUNS)
@@ -33,7 +33,7 @@ def level(request):
 
 
 def test_errors_are_as_large_as_their_stated_uncertainty(level):
-    """Promised: 0.95 to 1.05 for every coefficient, here widened by what 60 runs can tell (chi-square)."""
+    """Promised: 0.95 to 1.05 for every coefficient, here widened by what 40 runs can tell (chi-square)."""
     _, runs = level
     assert np.all(runs.z > 0.95 * LOW), runs.z.round(3)
     assert np.all(runs.z < 1.05 * HIGH), runs.z.round(3)
@@ -84,10 +84,10 @@ def test_p_of_lack_of_fit_is_uniform_when_the_model_is_true(level):
 def test_one_pass_is_honest():
     """No repeats: few residuals tell the sizes of the noise, and u has to be wide enough for that.
 
-    40 runs, seed [2026, k].
+    20 runs, seed [2026, k].
     """
-    runs = run(2026, range(40), 1e-4, passes=1)
-    low, high = np.sqrt(stats.chi2.ppf([1e-5, 1 - 1e-5], 40) / 40)
+    runs = run(2026, range(20), 1e-4, passes=1)
+    low, high = np.sqrt(stats.chi2.ppf([1e-5, 1 - 1e-5], 20) / 20)
     assert np.all(runs.z > 0.95 * low), runs.z.round(3)
     assert np.all(runs.z < 1.05 * high), runs.z.round(3)
 

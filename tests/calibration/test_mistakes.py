@@ -256,6 +256,7 @@ def test_another_unit_is_named_and_put_right(readings, words, sheet):
     np.testing.assert_allclose(corrected, readings.signal * factor, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [w for w in CASES if not w.startswith("all signals seem")])
 def test_a_calibration_refuses_signals_in_two_units_and_a_diagnosis_names_them(readings, words):
     how, where = CASES[words]
@@ -272,6 +273,7 @@ def test_a_calibration_refuses_signals_in_two_units_and_a_diagnosis_names_them(r
     assert first.evidence.after < 1e-2 * first.evidence.before or how.get("factor") == 1e-3
 
 
+@pytest.mark.slow
 def test_the_p_of_a_wrong_unit_comes_of_its_odds(readings):
     """More readings make longer odds; a marker would be the same for all."""
     few = readings.select(readings.point <= 3)

@@ -105,6 +105,7 @@ def test_many_folders_are_looked_into_by_processes(catalogue, tmp_path, monkeypa
     assert apart.changed + apart.unchanged == 7
 
 
+@pytest.mark.slow
 def test_an_older_catalogue_is_made_anew_from_its_runs(tmp_path):
     """One folder is below that of the sync, one elsewhere, one gone; the older tables lack a column."""
     one, _, gone = (

@@ -289,6 +289,7 @@ def test_what_too_little_is_left_of_is_written_as_a_copy(bench):
     assert len(load_sources(Request(["diagnose/r-corrected.csv"], Path("runs")))[0].readings) == 5
 
 
+@pytest.mark.slow
 def test_a_block_that_was_not_remounted_is_named_though_the_rest_determines_too_little(bench):
     taken, again = (diagnosis_bench.paper_run(np.random.default_rng(seed)) for seed in (24, 25))
     signal = taken.signal.copy()

@@ -27,6 +27,7 @@ def record(bench):
     return "r.csv"
 
 
+@pytest.mark.slow
 def test_calibrate_gives_gain_and_offset_of_each_channel(bench, record):
     status, out, _ = bench("calibrate", record, "--json", "c.json")
     result = json.loads(Path("c.json").read_text(encoding="utf-8"))

@@ -19,7 +19,7 @@ from bench.diagnosis.posterior import (
     with_other_shapes,
 )
 from bench.model.effects.base import InPart
-from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, paper_run, set_up
+from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, OneThreshold, paper_run, set_up
 from tests.support.paper_bench import SETTING_U_RAD, STAND_U, TRUTH
 
 MINUTES = 60.0
@@ -105,6 +105,6 @@ def test_the_u_of_another_run_holds_it(found, tmp_path):
 def test_new_readings_confirm_it_and_the_shape_is_no_effect_of_its_own(found, tmp_path):
     _, _, main, rest = found
     model = replace(MODEL, effects=written(tmp_path, (*main, *rest)))
-    result = confirm(settling(20), model, STAND)
+    result = confirm(settling(20), model, STAND, cache=OneThreshold())
     assert [effect.applied.effect.name for effect in result.effects] == ["warm_up"]
     assert result.verdict == "confirmed"

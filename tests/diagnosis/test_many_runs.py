@@ -136,7 +136,7 @@ def test_what_several_blocks_have_is_named_alone_and_no_form_competes_with_it():
 
 @pytest.mark.slow
 def test_zeros_that_change_between_runs_are_said_and_no_cause_is_made_up(cache):
-    tables = runs(4, 31)
+    tables = runs(3, 31)
     rng = np.random.default_rng(32)
     tables = [replace(t, signal=t.signal + rng.normal(0.0, 100e-6, 3) * SCALE) for t in tables]
     found = diagnose(joined(tables), MODEL, LIMITS, SCALE, cache)
@@ -147,7 +147,7 @@ def test_zeros_that_change_between_runs_are_said_and_no_cause_is_made_up(cache):
 
 @pytest.mark.slow
 def test_what_one_run_has_alone_is_found_in_it(cache):
-    tables = runs(4, 41)
+    tables = runs(3, 41)
     late = (tables[2].installation == "2") & (tables[2].pass_number > 1)
     tables[2] = replace(tables[2], signal=tables[2].signal + np.where(late[:, None], [0, 2e-4, 0], 0))
     found = diagnose(joined(tables), MODEL, LIMITS, SCALE, cache)
@@ -158,7 +158,7 @@ def test_what_one_run_has_alone_is_found_in_it(cache):
 
 @pytest.mark.slow
 def test_runs_that_agree_are_said_to_agree(cache):
-    assert diagnose(joined(runs(4, 51)), MODEL, LIMITS, SCALE, cache).verdict == "agrees"
+    assert diagnose(joined(runs(3, 51)), MODEL, LIMITS, SCALE, cache).verdict == "agrees"
 
 
 def test_coefficients_of_several_blocks_are_each_its_own():

@@ -124,19 +124,19 @@ def noisy(seed, kind, **hidden):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["tails", "channels", "slow"])
 def test_the_kind_of_noise_that_is_there_is_chosen_and_nothing_is_named(kind):
-    """Three runs: in two of them at least, and in none with an effect of the catalogue alone."""
-    found = [chosen(noisy(seed, kind)) for seed in range(3)]
-    assert sum(kind in kinds for kinds, _ in found) >= 2
+    """Two runs: in one of them at least, and in none with an effect of the catalogue alone."""
+    found = [chosen(noisy(seed, kind)) for seed in range(2)]
+    assert any(kind in kinds for kinds, _ in found)
     assert not any(one.variant.named and not one.ties for _, naming in found for one in naming.found)
 
 
 @pytest.mark.slow
 def test_normal_noise_is_left_normal():
-    """Six runs, three kinds of prior odds 0.1: chance gives a Bayes factor of 10 in a tenth of them at most.
+    """Three runs, three kinds of prior odds 0.1: chance gives a Bayes factor of 10 in a tenth of them at most.
 
-    More than 4 of 18 then come in 3 of 100 times at most (binomial).
+    More than 3 of 9 then come in 1 of 100 times at most (binomial).
     """
-    assert sum(len(chosen(noisy(seed, "normal"))[0]) for seed in range(6)) <= 4
+    assert sum(len(chosen(noisy(seed, "normal"))[0]) for seed in range(3)) <= 3
 
 
 @pytest.mark.slow

@@ -10,7 +10,16 @@ from bench.diagnosis.record_diagnosis import diagnose_record
 from bench.diagnosis.record_model import make_record
 from bench.readings.csv import read_csv
 from bench.readings.table import is_record
-from tests.support.known_inputs import BATH, BATH_COLUMNS, SWEPT, SWEPT_COLUMNS, as_readings, twin
+from benchmarks.real_records.cases import twin_of
+from tests.support.known_inputs import (
+    BATH,
+    BATH_COLUMNS,
+    SWEPT,
+    SWEPT_COLUMNS,
+    as_readings,
+    switched_on,
+    twin,
+)
 
 THERMAL = {"voltmeter_thermal_gain", "voltmeter_thermal_offset"}
 
@@ -54,6 +63,26 @@ def test_a_reference_follows_its_swept_supply_and_not_the_room(tmp_path):
     assert -1.6 <= size.value <= -1.2
     assert found.gap.shrinks
     assert any("had not settled" in note for note in found.notes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tau_min", [15, 30, 60, 90])
+def test_self_heating_after_switching_on_is_named_with_its_size(tau_min, tmp_path):
+    readings = read_csv(switched_on(tmp_path, 3200 + tau_min, 20e-6, tau_min), ())
+    found = diagnose_record(readings)
+    (heating,) = found.effects
+    assert (found.verdict, heating.name) == ("named", "voltmeter_warm_up")
+    size, tau = heating.parameters
+    # 80 min is the longest that is searched
+    assert (size.value, tau.value) == pytest.approx((20.0, min(tau_min, 80)), rel=0.25)
+    strongest = diagnose_record(twin_of(readings, found)).effects[0]
+    assert strongest.name == heating.name
+    assert strongest.parameters[0].value == pytest.approx(size.value, rel=0.25)
+
+
+@pytest.mark.slow
+def test_a_record_that_starts_warm_names_nothing(tmp_path):
+    assert diagnose_record(read_csv(switched_on(tmp_path, 3200, 0.0, 30), ())).effects == ()
 
 
 @pytest.fixture(scope="module")

@@ -27,6 +27,7 @@ def test_positions_are_one_g_all_round():
     assert RESULT.check[1] == pytest.approx(POSITIONS, abs=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["json", *COMMENTED])
 def test_the_test_of_a_file_passes_and_fails_when_a_digit_of_it_changes(form, tmp_path):
     file = tmp_path / f"x{FORMS[form].suffix}"

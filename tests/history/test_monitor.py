@@ -38,6 +38,7 @@ def test_an_error_of_the_heads_zero_changes_no_number_of_four_positions():
     assert here.value[4] == pytest.approx(angle, abs=6 * here.covariance[4, 4] ** 0.5)
 
 
+@pytest.mark.slow
 def test_u_is_the_scatter_between_runs():
     """Seed 3, 400 runs: standard deviation over stated u within 4 sqrt(1/800)."""
     rng = np.random.default_rng(3)

@@ -23,6 +23,7 @@ from tests.support.commands import without_figures
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.slow
 def test_the_bill_names_every_package_with_its_licence_and_is_the_same_each_time():
     found = bill(1_700_000_000)
     assert found == bill(1_700_000_000)

@@ -89,7 +89,7 @@ def channels(order, signs=(1, 1, 1)):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("noise_v", "runs"), [(1e-4, 40), (2e-5, 20)])
+@pytest.mark.parametrize(("noise_v", "runs"), [(1e-4, 20), (2e-5, 10)])
 def test_good_runs_are_silent(noise_v, runs):
     """No more alarms than 1 % of runs would give but once in a thousand times."""
     alarms = sum(bool(watch(run_of([7, k], noise_v))) for k in range(runs))
@@ -149,6 +149,7 @@ def test_a_wrong_installation_is_named(stated, actual, by):
     assert signs[by].causes == (f"the block sits in installation {actual}, not in {stated}",)
 
 
+@pytest.mark.slow
 def test_a_mount_that_slips_between_passes_is_seen_at_once_and_told_until_it_is_mended():
     installation, pass_number, _, _ = plan()
     slipped = np.array([i == "1" and p >= 2 for i, p in zip(installation, pass_number, strict=True)])

@@ -125,7 +125,6 @@ def test_a_dry_run_leaves_nothing_and_is_that_of_the_command(bench):
     assert program.calibrate("kept", runs="mine").to_dict()["simulated"] is True
 
 
-@pytest.mark.figures
 @pytest.mark.slow
 def test_a_page_is_written_where_it_is_asked_for_and_nothing_else_is(readings, capsys):
     result = program.calibrate(readings)

@@ -32,12 +32,12 @@ def test_honest_u_is_left_alone():
 @pytest.mark.slow
 @pytest.mark.parametrize("term", ["restart", "drift", "scale"])
 def test_u_that_is_too_small_is_said_to_be_and_the_term_makes_it_honest(term):
-    found = [compare_repeats(*repeats(seed, term)) for seed in range(12)]
+    found = [compare_repeats(*repeats(seed, term)) for seed in range(6)]
     assert all(one.too_small and one.scatter > 5.0 for one in found)
     names = [one.term.name for one in found]
-    assert names.count(term) >= 9
-    # a 95 % interval holds 1 in 9 of 12 or more, but for a chance of 2 in 1000
-    assert sum(one.held_after.low < 1.0 < one.held_after.high for one in found) >= 9
+    assert names.count(term) >= 4
+    # a 95 % interval holds 1 in 4 of 6 or more, but for a chance of 2 in 1000
+    assert sum(one.held_after.low < 1.0 < one.held_after.high for one in found) >= 4
     assert all(np.all(one.term.u > repeats(0, term)[1].min()) for one in found)
 
 

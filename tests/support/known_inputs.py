@@ -33,6 +33,18 @@ def as_readings(log: Path, columns: dict[str, Any], folder: Path, **constants: s
     return read_csv(file, ())
 
 
+def switched_on(folder: Path, seed: int, settles_v: float, tau_min: float) -> Path:
+    """A record of 10 h at 1 V from the moment of switching on: a settling zero, a random walk, white noise."""
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(0.0, 10 * 3600.0, 30.0)
+    walk = np.cumsum(rng.normal(0.0, 0.05e-6, len(time_s)))
+    volts = 1.0 + settles_v * np.exp(-time_s / (60.0 * tau_min)) + walk + rng.normal(0.0, 0.5e-6, len(time_s))
+    file = folder / f"switched-on-{seed}.csv"
+    rows = (f"R,{t:g},1,{u:.9f}" for t, u in zip(time_s, volts, strict=True))
+    file.write_text("\n".join(["installation,time_s,reference_v,ux_v", *rows]) + "\n")
+    return file
+
+
 def twin(
     folder: Path, seed: int, gain_per_k: float = 0.74e-6, lag_min: float = 95.0, jump_v: float = 0.0
 ) -> Path:

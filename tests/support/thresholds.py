@@ -6,6 +6,7 @@ once for all workers, so that a stale file costs time and nothing else. `make th
 
 import json
 import os
+import warnings
 from pathlib import Path
 from typing import Any, Final
 
@@ -34,8 +35,15 @@ def unpack(folder: Path, base: Path) -> None:
 
 
 def keep(folder: Path) -> None:
-    """Where that is asked for, keep what the tests of this process left in the cache, beside what others did."""
+    """Where that is asked for, keep what the tests of this process left in the cache, beside what others did.
+
+    Elsewhere warn of designs that are not kept, each of which costs seconds.
+    """
     if not os.environ.get(ASKED):
+        if new := {file.stem for file in folder.glob("*.json")} - kept().keys():
+            warnings.warn(
+                f"{len(new)} thresholds had to be simulated; 'make thresholds' keeps them", stacklevel=1
+            )
         return
     with FileLock(str(KEPT.with_suffix(".lock"))):
         found = {f.stem: json.loads(f.read_text(encoding="utf-8")) for f in folder.glob("*.json")}

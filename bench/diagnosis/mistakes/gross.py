@@ -232,12 +232,12 @@ class GrossSearch:
         unit = float(np.max(self._scale(like)))
         mean, u = (of / unit for of in self._prior(like))
         errors_g = np.maximum(ERRORS_G, self._smallest_g)
-        plain, found = self._columns(table, nothing(table)), []
+        plain, products = self._columns(table, nothing(table)), []
         for one in supposed:
             columns = self._columns(table, one) if one.turns or one.moves else plain
-            products = _products(table, one, np.hstack([columns, one.signal(table) / unit]), kept)
-            found.append(_integrated(products, mean, u, errors_g) + one.log_jacobian)
-        return np.array(found)
+            products.append(_products(table, one, np.hstack([columns, one.signal(table) / unit]), kept))
+        jacobians = np.array([one.log_jacobian for one in supposed])
+        return _integrated(products, mean, u, errors_g) + jacobians if supposed else jacobians
 
 
 def _enough(maps: Sequence[Reinterpretation]) -> float:
@@ -279,27 +279,29 @@ def _products(table: OrientedRows, supposed: Reinterpretation, columns: Floats, 
     return found
 
 
-def _integrated(products: Products, mean: Floats, u: Floats, errors_g: Floats) -> float:
-    """Return ln of the evidence, averaged for each channel over the sizes of the errors of readings and positions.
+def _integrated(supposed: Sequence[Products], mean: Floats, u: Floats, errors_g: Floats) -> Floats:
+    """Return ln of the evidence (H,) of H maps, averaged for each channel over the sizes of the errors.
 
-    Each channel has its own sizes; with common sizes, the other channels would favour a wrong factor on a channel
-    that hardly moves.
+    These are the errors of readings and of positions. Each channel has its own sizes; with common sizes, the other
+    channels would favour a wrong factor on a channel that hardly moves.
     """
     of_reading, of_position = (
         np.repeat(errors_g**2, len(errors_g) + 1),
         np.tile([0.0, *errors_g**2], len(errors_g)),
     )
-    variance = of_reading + np.outer(list(products), of_position)
-    count, gram = zip(*products.values(), strict=True)
-    around = np.zeros((3, 1, 7, 5))
-    around[:, 0, :4, :4], around[:, 0, :4, 4], around[:, 0, 4:, 4] = np.eye(4), -mean.T, np.eye(3)
-    centred = np.swapaxes(around, 2, 3) @ np.array(gram) @ around
-    whole = np.einsum("cmab,ms->csab", centred, 1.0 / variance)
-    whole[..., range(4), range(4)] += u.T[:, None] ** -2
-    whole[..., 4, 4] += 1e-9 * (
-        1.0 + whole[..., 4, 4]
-    )  # rounding, where signals are far too large, or there is none
+    repeats, none = sorted(set().union(*supposed)), (0, np.zeros((7, 7)))
+    count = np.array([[products.get(m, none)[0] for m in repeats] for products in supposed])
+    gram = np.array([[products.get(m, none)[1] for m in repeats] for products in supposed])
+    variance = of_reading + np.outer(repeats, of_position)
+    around = np.zeros((3, 1, 1, 7, 5))
+    around[..., :4, :4], around[:, 0, 0, :4, 4], around[:, 0, 0, 4:, 4] = np.eye(4), -mean.T, np.eye(3)
+    centred = np.swapaxes(around, 3, 4) @ gram @ around
+    whole = np.moveaxis(np.moveaxis(centred, 2, -1) @ (1.0 / variance), -1, 2)
+    whole[..., range(4), range(4)] += u.T[:, None, None] ** -2
+    # rounding, where signals are far too large, or there is none
+    whole[..., 4, 4] += 1e-9 * (1.0 + whole[..., 4, 4])
     root = np.diagonal(np.linalg.cholesky(whole), axis1=-2, axis2=-1)
-    cost = np.log(root[..., :4] * u.T[:, None]).sum(axis=-1) + 0.5 * root[..., 4] ** 2
+    cost = np.log(root[..., :4] * u.T[:, None, None]).sum(axis=-1) + 0.5 * root[..., 4] ** 2
     of_channel = -0.5 * (count @ np.log(variance)) - cost
-    return float(np.sum(np.logaddexp.reduce(of_channel, axis=1) - np.log(of_channel.shape[1])))
+    of_each = np.logaddexp.reduce(of_channel, axis=2) - np.log(of_channel.shape[2])
+    return np.asarray(of_each.sum(axis=0))

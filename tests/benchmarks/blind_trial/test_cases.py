@@ -71,6 +71,7 @@ def test_rho_is_the_one_asked_for(row):
             assert dense == pytest.approx(row.rho, rel=2e-3), effect
 
 
+@pytest.mark.slow
 def test_every_effect_of_the_catalogue_is_asked_for_where_it_can_be_seen():
     asked = {
         make_case(SEED, Row("single", design, 5), index)[1].names[0]

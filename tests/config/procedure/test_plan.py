@@ -80,7 +80,7 @@ steps = st.one_of(
 
 
 @pytest.mark.slow
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(texts, st.lists(steps, max_size=6).map(tuple), texts)
 def test_a_plan_survives_json(name, some_steps, sha256):
     plan = Plan(name, some_steps, sha256)

@@ -30,12 +30,13 @@ def hand_set(seed, tilt_deg, *, each_trial, trials=3, scale=K, zero=U0):
 @pytest.mark.parametrize("each_trial", [True, False])
 @pytest.mark.parametrize("nominal", [NOMINAL, None])
 def test_positions_that_tilt_by_up_to_degrees_are_no_mistake(each_trial, nominal):
-    for seed, tilt_deg in enumerate([0.2, 0.5, 1.0, 3.0]):
+    for seed, tilt_deg in enumerate([0.5, 3.0]):
         readings = hand_set([71, seed], tilt_deg, each_trial=each_trial)
         found = find_mistakes(readings, MODEL, STAND_U, nominal)
         assert found.mistakes == (), tilt_deg
 
 
+@pytest.mark.slow
 def test_wires_exchanged_among_hand_set_positions_are_still_found():
     readings = hand_set(72, 1.0, each_trial=True)
     mask = readings.installation == "1"
@@ -44,6 +45,7 @@ def test_wires_exchanged_among_hand_set_positions_are_still_found():
     assert (mistake.name, mistake.channels, mistake.installations) == ("swapped_channels", ("x", "z"), ("1",))
 
 
+@pytest.mark.slow
 def test_rows_that_a_supposition_leaves_out_speak_against_it():
     # a stop too late in a pass of three stops: two thirds of six rows fit anything, and are no evidence
     readings = hand_set(73, 0.5, each_trial=True, trials=1)
@@ -55,6 +57,7 @@ def test_rows_that_a_supposition_leaves_out_speak_against_it():
     assert mistake.name == "shifted_points"
 
 
+@pytest.mark.slow
 def test_one_position_in_each_pass_shifts_nowhere():
     good = run(75)
     few = good.select((good.point == 1) | (good.installation == "V"))

@@ -57,6 +57,7 @@ def test_a_known_error_is_no_error_any_more(table):
     assert np.max(np.delete(beside.of_readings(), 30)) < 0
 
 
+@pytest.mark.slow
 def test_the_odds_of_a_map_are_those_of_the_whole_normal_density():
     """Coefficients and errors of positions are in the covariance; a unit has a Jacobian, a channel its errors."""
     readings = run([122, 0], passes=2).select(np.arange(40) % 3 == 0)

@@ -43,6 +43,7 @@ def test_each_mistake_is_named_with_its_run_and_put_right():
     assert with_blocks(found.corrected, MODEL).block is None
 
 
+@pytest.mark.slow
 def test_runs_without_a_mistake_are_returned_as_they_are():
     # five runs share 1e-4
     readings = joined([run([82, number]) for number in range(5)])
@@ -59,6 +60,7 @@ def test_a_run_that_does_not_determine_its_block_goes_with_one_that_does():
     assert (mistake.name, mistake.point) == ("outlier", half.point[5])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, 6])
 def test_no_table_of_suppositions_is_larger_than_a_run(count, monkeypatch):
     """The memory of twenty runs is that of one: 550 MB were those of all together."""

@@ -83,33 +83,33 @@ EVERYWHERE = [
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "scope"), EVERYWHERE)
 def test_a_gross_mistake_is_found_named_placed_and_put_right(name, scope):
-    for seed in range(2):  # in three scopes
-        good, bad, (installations, number, channels) = spoil(name, scope, seed)
-        result = find(bad)
-        (mistake,) = result.mistakes
-        assert (mistake.installations, mistake.pass_number) == (installations, number), seed
-        assert mistake.p < 1e-50
-        assert mistake.evidence.before > 1.5
-        # 162 standardised residuals, 12 coefficients fitted: 0.96, and 5 standard deviations of 0.055
-        assert mistake.evidence.after < 1.25
-        if name == "reversed_rotation" and scope == "run":
-            # nothing but the sign of cross-axis terms and of the bias tells it from channel x reversed
-            assert mistake.name == "reversed_polarity"
-            assert mistake.cannot_tell_from == ("reversed_rotation",)
-            continue
-        assert (mistake.name, mistake.channels) == (name, channels), seed
-        if name == "reversed_polarity" and scope == "run":
-            assert mistake.cannot_tell_from == ALIKE[name, channels]
-        corrected = result.corrected
-        if name == "shifted_points":
-            # at one end of each pass a row has lost its reading
-            assert len(good) - len(corrected) == {"run": 6, "installation": 3, "pass": 1}[scope]
-        good = good.select(np.array([key in keys(corrected) for key in keys(good)]))
-        np.testing.assert_array_equal(corrected.signal, good.signal)
-        np.testing.assert_array_equal(corrected.angle_rad, good.angle_rad)
-        np.testing.assert_array_equal(corrected.installation, good.installation)
+    good, bad, (installations, number, channels) = spoil(name, scope, EVERYWHERE.index((name, scope)))
+    result = find(bad)
+    (mistake,) = result.mistakes
+    assert (mistake.installations, mistake.pass_number) == (installations, number)
+    assert mistake.p < 1e-50
+    assert mistake.evidence.before > 1.5
+    # 162 standardised residuals, 12 coefficients fitted: 0.96, and 5 standard deviations of 0.055
+    assert mistake.evidence.after < 1.25
+    if name == "reversed_rotation" and scope == "run":
+        # nothing but the sign of cross-axis terms and of the bias tells it from channel x reversed
+        assert mistake.name == "reversed_polarity"
+        assert mistake.cannot_tell_from == ("reversed_rotation",)
+        return
+    assert (mistake.name, mistake.channels) == (name, channels)
+    if name == "reversed_polarity" and scope == "run":
+        assert mistake.cannot_tell_from == ALIKE[name, channels]
+    corrected = result.corrected
+    if name == "shifted_points":
+        # at one end of each pass a row has lost its reading
+        assert len(good) - len(corrected) == {"run": 6, "installation": 3, "pass": 1}[scope]
+    good = good.select(np.array([key in keys(corrected) for key in keys(good)]))
+    np.testing.assert_array_equal(corrected.signal, good.signal)
+    np.testing.assert_array_equal(corrected.angle_rad, good.angle_rad)
+    np.testing.assert_array_equal(corrected.installation, good.installation)
 
 
+@pytest.mark.slow
 def test_signs_and_order_of_channels_are_put_right_in_free_and_input_rows_too():
     good = run(3)
     labels = good.installation.copy()
@@ -127,7 +127,7 @@ def test_signs_and_order_of_channels_are_put_right_in_free_and_input_rows_too():
 @pytest.mark.slow
 @pytest.mark.parametrize("size", ["1 deg", "10 arcmin", "1 arcmin", "reflected"])
 def test_a_wrong_setting_is_found_and_its_angle_put_right(size):
-    for seed in range(4):
+    for seed in range(2):
         noise_v = (15e-6, 30e-6)[seed % 2]
         rng = np.random.default_rng([21, seed])
         row = int(rng.integers(54))
@@ -157,7 +157,7 @@ def test_a_wrong_setting_is_found_and_its_angle_put_right(size):
 
 @pytest.mark.slow
 def test_an_outlier_is_found_and_its_reading_left_out():
-    for seed in (0, 1, 2, 3, 8, 9):
+    for seed in (0, 1, 8):
         rng = np.random.default_rng([23, seed])
         good = run([24, seed])
         row = (
@@ -180,6 +180,7 @@ def test_an_outlier_is_found_and_its_reading_left_out():
             assert len(result.corrected.skipped) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size_ug", [20, 60, 180])
 def test_hysteresis_that_is_off_in_a_first_reading_is_no_outlier(size_ug):
     def friction(labels, numbers, _phi, force, _slope):
@@ -187,7 +188,7 @@ def test_hysteresis_that_is_off_in_a_first_reading_is_no_outlier(size_ug):
         way[np.append(True, labels[1:] != labels[:-1])] = 0.0  # at rest when it was mounted
         return size_ug * 1e-6 * np.diag(K) * np.tanh(way / 0.1)
 
-    for seed in range(4):
+    for seed in range(2):
         assert find(run([27, seed], added=friction)).mistakes == (), seed
 
 
@@ -199,7 +200,7 @@ def test_a_slip_and_another_voltmeter_in_one_pass_are_no_outliers():
             ((labels == label) & (numbers == number))[:, None], moved(force), 0.0
         )
 
-    for seed in range(6):
+    for seed in range(2):
         rng = np.random.default_rng([28, seed])
         turn = rng.normal(size=3)
         turn *= rng.uniform(25, 40) * ARCSEC / np.linalg.norm(turn)
@@ -214,11 +215,11 @@ def test_a_slip_and_another_voltmeter_in_one_pass_are_no_outliers():
 @pytest.mark.slow
 def test_two_outliers_in_one_pass_are_found():
     """Of 20 to 60 standard deviations, in readings that are not next to each other: no slip explains them."""
-    for seed in range(4):
+    for seed in range(2):
         rng = np.random.default_rng([44, seed])
         good = run([45, seed])
         first = 9 * int(rng.integers(6))
-        rows = [first + int(k) for k in ((1, 3), (2, 5), (1, 7), (3, 6))[seed]]
+        rows = [first + int(k) for k in ((2, 5), (1, 7))[seed]]
         bad = good
         for row in rows:
             channel, sigma = int(rng.integers(3)), float(rng.uniform(20, 60))
@@ -229,7 +230,7 @@ def test_two_outliers_in_one_pass_are_found():
 
 @pytest.mark.slow
 def test_an_outlier_of_eight_times_the_noise_may_be_a_tail_and_is_no_mistake():
-    for seed in range(6):
+    for seed in range(3):
         rng = np.random.default_rng([25, seed])
         row, channel = int(rng.integers(54)), int(rng.integers(3))
         assert not find(with_outlier(run([26, seed]), row, channel, 8 * NOISE_V)).mistakes, seed
@@ -237,8 +238,8 @@ def test_an_outlier_of_eight_times_the_noise_may_be_a_tail_and_is_no_mistake():
 
 @pytest.mark.slow
 def test_nothing_is_found_where_nothing_is_wrong():
-    # each run fires with a probability below 1e-4
-    for seed in range(60):
+    # each run fires with a probability below 1e-4; three noises with one, two and three passes
+    for seed in range(12):
         readings = run([31, seed], noise_v=(15e-6, 30e-6, 100e-6)[seed % 3], passes=(3, 3, 2, 1)[seed % 4])
         result = find(readings)
         assert result.mistakes == (), seed
@@ -248,13 +249,12 @@ def test_nothing_is_found_where_nothing_is_wrong():
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_a_large_effect_is_no_mistake(effect):
-    for seed in range(2):
-        assert find(run([32, seed], **EFFECTS[effect])).mistakes == (), seed
+    assert find(run([32, list(EFFECTS).index(effect)], **EFFECTS[effect])).mistakes == ()
 
 
 @pytest.mark.slow
 def test_a_mistake_is_found_beside_a_large_effect():
-    for seed, options in enumerate(EFFECTS.values()):
+    for seed, options in list(enumerate(EFFECTS.values()))[::4]:  # one of the block, of time, of a mounting
         readings = run([33, seed], off=(22, np.radians(1 / 6)), **options)
         everything = np.ones(len(readings), dtype=bool)
         result = find(with_signal(readings, everything, lambda signal: signal[:, [1, 0, 2]]))
@@ -279,31 +279,32 @@ PAIRS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("pair", PAIRS)
 def test_two_mistakes_are_found(pair):
-    for seed in range(3):
-        rng = np.random.default_rng([41, seed])
-        first, second = (int(r) for r in rng.choice([r for r in range(1, 54) if r != 27], 2, replace=False))
-        off = None if "setting" not in pair else (first, np.radians(1 / 60) * rng.choice([-1, 1]))
-        bad = run([42, seed], off=off)
-        in_1, in_2 = bad.installation == "1", bad.installation == "2"
-        if pair == "two wrong settings":
-            angle = bad.angle_rad.copy()
-            angle[second] += np.radians(1.0)
-            bad = replace(bad, angle_rad=angle)
-        if "outlier" in pair:
-            bad = with_outlier(bad, second, int(rng.integers(3)), 7e-3)
-        if "swapped channels and" in pair:
-            bad = with_signal(bad, np.ones(len(bad), dtype=bool), lambda signal: signal[:, [2, 1, 0]])
-        if "polarity" in pair:
-            bad = with_signal(bad, in_1 & (bad.pass_number == 2), lambda signal: signal * [-1, 1, 1])
-        if "swapped channels in" in pair:
-            bad = with_signal(bad, in_1, lambda signal: signal[:, [2, 1, 0]])
-        if "head" in pair:
-            bad = turned_back(bad, in_2)
-        result = find(bad)
-        assert sorted(m.name for m in result.mistakes) == PAIRS[pair], seed
-        assert result.mistakes[-1].evidence.after < 1.25
+    seed = list(PAIRS).index(pair)
+    rng = np.random.default_rng([41, seed])
+    first, second = (int(r) for r in rng.choice([r for r in range(1, 54) if r != 27], 2, replace=False))
+    off = None if "setting" not in pair else (first, np.radians(1 / 60) * rng.choice([-1, 1]))
+    bad = run([42, seed], off=off)
+    in_1, in_2 = bad.installation == "1", bad.installation == "2"
+    if pair == "two wrong settings":
+        angle = bad.angle_rad.copy()
+        angle[second] += np.radians(1.0)
+        bad = replace(bad, angle_rad=angle)
+    if "outlier" in pair:
+        bad = with_outlier(bad, second, int(rng.integers(3)), 7e-3)
+    if "swapped channels and" in pair:
+        bad = with_signal(bad, np.ones(len(bad), dtype=bool), lambda signal: signal[:, [2, 1, 0]])
+    if "polarity" in pair:
+        bad = with_signal(bad, in_1 & (bad.pass_number == 2), lambda signal: signal * [-1, 1, 1])
+    if "swapped channels in" in pair:
+        bad = with_signal(bad, in_1, lambda signal: signal[:, [2, 1, 0]])
+    if "head" in pair:
+        bad = turned_back(bad, in_2)
+    result = find(bad)
+    assert sorted(m.name for m in result.mistakes) == PAIRS[pair]
+    assert result.mistakes[-1].evidence.after < 1.25
 
 
+@pytest.mark.slow
 def test_a_single_pass_shows_gross_mistakes_and_large_slips():
     good = run(51, passes=1)
     everything = np.ones(len(good), dtype=bool)
@@ -351,6 +352,7 @@ def test_a_reading_that_is_no_number_is_refused_with_its_place():
         find(bad)
 
 
+@pytest.mark.slow
 def test_words_name_place_and_correction():
     (slip,) = find(run(63, off=(13, np.radians(1 / 6)))).mistakes
     assert slip.words.startswith("installation 1, pass 2, point 5: ")
@@ -364,7 +366,7 @@ def test_words_name_place_and_correction():
 @pytest.mark.parametrize("late", [False, True])
 def test_a_head_that_was_not_turned_and_points_exchanged_are_wrong_settings(late):
     """The signals are those of the stop before; where points are exchanged those of the stop after, too."""
-    for seed in range(4):
+    for seed in range(2):
         row = int(np.random.default_rng([51, seed]).choice([r for r in range(54) if r % 9]))
         angle = design()[3]
         step = float(angle[row - 1] - angle[row])

@@ -11,6 +11,8 @@ from tests.support.paper_bench import K
 UNEQUAL = 5.0
 """Standard deviations of the mean square residual beyond which a copy is not put right."""
 
+FACTORS = (1e3, 1e-3, 10.0, 0.1, 100.0)
+
 
 def scaled(readings, rows, channels, factor):
     signal = readings.signal.copy()
@@ -19,25 +21,30 @@ def scaled(readings, rows, channels, factor):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("factor", [1e3, 1e-3, 10.0, 0.1, 100.0])
-@pytest.mark.parametrize("scope", ["run", "installation", "pass"])
-def test_a_channel_in_another_unit_is_named_with_its_rows_and_put_right(factor, scope):
-    """The odds are e^(6.9 per reading) and more: of 15 kinds none may be missed."""
-    for seed in range(2):
-        rng = np.random.default_rng([91, seed])
-        good = run([92, seed])
-        rows, installations, number = place(rng, good, scope)
-        channel = int(rng.integers(3))
-        found = find(scaled(good, rows, [channel], factor))
-        (mistake,) = found.mistakes
-        assert (mistake.name, mistake.channels) == ("wrong_unit", ("xyz"[channel],)), seed
-        assert (mistake.installations, mistake.pass_number) == (installations, number), seed
-        assert ("mV" in mistake.words) == (factor == 1e3)
-        assert ("decimal point" in mistake.words) == (factor not in {1e3, 1e-3})
-        assert mistake.p < 1e-6
-        # 162 standardised residuals, 12 coefficients fitted: 0.96, and 5 standard deviations of 0.055
-        assert mistake.evidence.after < 0.96 + UNEQUAL * 0.055
-        np.testing.assert_allclose(found.corrected.signal, good.signal, rtol=1e-12)
+@pytest.mark.parametrize(
+    ("scope", "factor"),
+    [
+        *(("run", factor) for factor in FACTORS),
+        *((part, factor) for part in ("installation", "pass") for factor in (1e3, 0.1)),
+    ],
+)
+def test_a_channel_in_another_unit_is_named_with_its_rows_and_put_right(scope, factor):
+    """The odds are e^(6.9 per reading) and more: of 9 kinds none may be missed."""
+    seed = FACTORS.index(factor)
+    rng = np.random.default_rng([91, seed])
+    good = run([92, seed])
+    rows, installations, number = place(rng, good, scope)
+    channel = int(rng.integers(3))
+    found = find(scaled(good, rows, [channel], factor))
+    (mistake,) = found.mistakes
+    assert (mistake.name, mistake.channels) == ("wrong_unit", ("xyz"[channel],))
+    assert (mistake.installations, mistake.pass_number) == (installations, number)
+    assert ("mV" in mistake.words) == (factor == 1e3)
+    assert ("decimal point" in mistake.words) == (factor not in {1e3, 1e-3})
+    assert mistake.p < 1e-6
+    # 162 standardised residuals, 12 coefficients fitted: 0.96, and 5 standard deviations of 0.055
+    assert mistake.evidence.after < 0.96 + UNEQUAL * 0.055
+    np.testing.assert_allclose(found.corrected.signal, good.signal, rtol=1e-12)
 
 
 @pytest.mark.slow
@@ -55,6 +62,7 @@ def test_a_wrong_unit_is_found_beside_another_mistake_of_the_same_run():
     assert [mistake.name for mistake in find(mixed).mistakes] == ["wrong_unit", "outlier"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_a_perfect_block_with_an_effect_is_in_its_unit(effect):
     """Without biases and cross-axis terms a channel that hardly moves fits any factor: no odds may come of that."""
