@@ -117,7 +117,7 @@ class GrossSearch:
         """Return the likeliest map, given only the rows in the mask `kept` (n,).
 
         If the supposition that some rows are useless is likelier than any map, these rows are left out as well,
-        and the maps that do not need them are compared again.
+        and the maps of other rows are compared again.
         """
         losses = [one for one in losses_of(table) if (kept & ~one.scope.mask).any()]
         maps = [one for one in maps if not one.scope.mask[~kept].any()]
