@@ -28,9 +28,9 @@ STILL: Final = 1e-3
 class AboveOneG:
     """Points above 1 g that joined a fit at 1 g, and how well they agree with it.
 
-    `force` (n, 3) is in g, `gain` (12 + q, n, 3) is the linear map from their signals to the unknowns. `chi2` is
-    the chi-square of the points against the fit at 1 g. `dof` is the number of signals minus the unknowns that
-    readings at 1 g leave free.
+    `force` (n, 3) is the specific force at the points, g. `gain` (12 + q, n, 3) is the linear map from the
+    signals at the points to the unknowns. `chi2` is the chi-square of the points against the fit at 1 g. `dof` is
+    the number of signals minus the unknowns that readings at 1 g leave free.
     """
 
     force: Floats

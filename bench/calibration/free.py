@@ -30,8 +30,8 @@ PRODUCTS: Final = ("xx", "yy", "zz", "xy", "xz", "yz", "x", "y", "z")
 class Modulus:
     """The equations |a| = 1 g of m free readings in a fit, linearised, in g.
 
-    `left` (m,) is 1 - |a|. `jacobian` (m, 12 + q) are the derivatives of |a| by the 12 coefficients and the q other
-    unknowns, `by_signal` (m, 3) is d|a|/dU, g/unit.
+    `left` (m,) is 1 - |a|. `jacobian` (m, 12 + q) are the derivatives of |a| by the 12 coefficients and the q
+    other unknowns. `by_signal` (m, 3) is d|a|/dU, g/unit.
     """
 
     left: Floats

@@ -73,12 +73,13 @@ class Fit:
     """Estimates of the 12 coefficients and the q other unknowns of a problem, and their joint covariance (12 + q,
     12 + q).
 
-    `noise` has the estimated sizes; the covariance uses them widened for their degrees of freedom. `gain` (12 + q,
-    n, 3) and `free_gain` (12 + q, m, 3) are the linear maps from n oriented and m free readings to the unknowns.
-    `misfit` is the chi-square of residuals and priors, without shifted signals. `residuals` (n, 3) are in the unit
-    of the signal, `modulus` (m,) is |a| - 1 of the free readings, g; both include the shifts. `slope` (n, 3) is
-    du/dphi. `shift` and `u_shift` (k,) are the estimates of `shifts` and their u for the noise without widening.
-    `system` is the linear system of the last step, with the final residuals.
+    `noise` has the estimated sizes; the covariance uses them widened for their degrees of freedom. `gain` (12 +
+    q, n, 3) is the linear map from the n oriented readings to the unknowns; `free_gain` (12 + q, m, 3), the map
+    from the m readings of unknown orientation (free readings). `misfit` is the chi-square of residuals and
+    priors, without shifted signals. `residuals` (n, 3) are in the unit of the signal; `modulus` (m,) is |a| - 1
+    of the free readings, g; both include the shifts. `slope` (n, 3) is du/dphi. `shift` (k,) are the estimates of
+    the k shifts, and `u_shift` (k,) their u for the noise without widening. `system` is the linear system of the
+    last step, with the final residuals.
     """
 
     block: Block
@@ -162,9 +163,9 @@ def _not_converged(problem: Problem, system: System, unknown: int, moved: float)
 class System:
     """The linear system of one step.
 
-    Its p unknowns are the active coefficients, the shifts, then the other unknowns of the problem. `left` (n, 3) is
-    measured minus predicted, `jacobian` (n, 3, p) are the derivatives of the readings, `slope` (n, 3) is du/dphi,
-    `free` are the rows of moduli.
+    Its p unknowns are the active coefficients, the shifts, then the other unknowns of the problem. `left` (n, 3)
+    is measured minus predicted. `jacobian` (n, 3, p) are the derivatives of the readings by the unknowns; `slope`
+    (n, 3) is du/dphi. `free` are the equations of the moduli.
     """
 
     left: Floats

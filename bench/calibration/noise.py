@@ -193,9 +193,9 @@ SAME_SCATTER: Final = 1e-3
 class RepeatScatter:
     """Scatter within groups of repeats.
 
-    `matrix` (groups, 3, 3), unit^2, sums the outer products of a group's deviations from its mean. `freedom`
-    (groups,) is the number of readings in a group minus one, `slope` (groups, 3) the mean du/dphi of a group,
-    unit/rad.
+    `matrix` (groups, 3, 3), unit^2, is the sum of the outer products of each group's deviations from its mean.
+    `freedom` (groups,) is the number of readings in each group minus one. `slope` (groups, 3), unit/rad, is the
+    mean du/dphi of each group.
     """
 
     matrix: Floats

@@ -20,9 +20,10 @@ from bench.stats.repeats_likelihood import LEAST_DOF
 class SourceOfError:
     """An error source that the readings do not show, with its `covariance` (12, 12) of the coefficients.
 
-    `size` is its size in words, `origin` the source of this size; `prior` marks a size not stated for this bench.
-    `cancels` marks an error that cancels if the same meters read the block later. `of_block` (12, q) is set for an
-    error of the block itself: column k is the change of the coefficients by draw k of size u.
+    `size` is its size in words; `origin`, where this size comes from; `prior` marks a size not stated for this
+    bench. `cancels` marks an error that cancels if the same meters read the block later. `of_block` (12, q) is
+    set for an error of the block itself; column k is the change of the coefficients by one u of the error's k-th
+    independent component.
     """
 
     name: str
@@ -96,10 +97,10 @@ class Noise:
 
     `reading` (unit of the signal) acts on each channel of each reading. `setting_rad` acts on each setting of the
     head, common to its three channels; `setting_limits_rad` contain it with about 95 %. `dof` are the degrees of
-    freedom of the estimate, counted in single signals, infinite for given sizes. `source` says where the sizes come
-    from. If the channels differ, `channels` are their sizes in x, y, z with `channel_dof`, and `reading` is the
-    root mean square. `p_equal` is the p-value of equal channels (NaN if not tested). `prior` is the prior used, or
-    None.
+    freedom of the estimate, counted in single signals; they are infinite if the sizes are given. `source` says
+    where the sizes come from. If the channels differ, `channels` are the sizes of the noise in x, y and z,
+    `channel_dof` are their degrees of freedom, and `reading` is the root mean square. `p_equal` is the p-value of
+    the hypothesis that the channels have equal noise (NaN if not tested). `prior` is the prior used, or None.
     """
 
     reading: float
@@ -220,8 +221,8 @@ class Outlier:
 class Triangular:
     """The nine numbers of a = T S (U - b), a in m/s^2, with standard uncertainties.
 
-    `T` (3, 3) is unit upper triangular, `scale` (3,) the diagonal of S in m/s^2 per unit, `bias` (3,) in the
-    unit of the signal.
+    `T` (3, 3) is unit upper triangular. `scale` (3,) is the diagonal of S, in m/s^2 per unit of the signal;
+    `bias` (3,) is b, in the unit of the signal.
     """
 
     bias: Floats
@@ -236,8 +237,8 @@ class Triangular:
 class Component:
     """A variance component that readings share; `size` is its standard deviation in `unit` (rad for an angle).
 
-    `what` names the kind ("setting", "visit", "pass", …), `channels` the channels, `dof` the degrees of freedom.
-    `p` is the p-value, adjusted for all candidate components.
+    `what` is the kind ("setting", "visit", "pass", …); `channels` are the channels concerned; `dof`, the degrees
+    of freedom of `size`. `p` is the p-value, adjusted for all candidate components.
     """
 
     what: str
@@ -252,7 +253,7 @@ class Component:
 class BiasWander:
     """Wander of the biases about their mean over a run of `hours`; `size` (3,) is its rms, in the signal's unit.
 
-    `course` (n, 3) is the estimated deviation at each reading, `per_hour` (3,) the slope of a straight line
+    `course` (n, 3) is the estimated deviation at each reading; `per_hour` (3,) is the slope of a straight line
     through it.
     """
 
@@ -385,9 +386,9 @@ right-hand turn of the input axis of channel i about the third axis, in the plan
 
 @dataclass(frozen=True)
 class Derived(HasCovariance):
-    """Numbers computed from the coefficients: `values` (m,) and their `covariance` (m, m), by `names`.
+    """Numbers computed from the coefficients: their `names` (m), `values` (m,) and `covariance` (m, m).
 
-    `jacobian` (m, 12) are their derivatives by `COEFFICIENTS`, by default the identity.
+    `jacobian` (m, 12) are the derivatives of the values by `COEFFICIENTS`; the default is the identity.
     """
 
     names: tuple[str, ...]
@@ -407,7 +408,10 @@ def inverse(block: Block, covariance: Floats) -> Derived:
 
 
 def inverse_jacobian(N: Floats) -> Floats:
-    """Return the derivatives (12, 12) of `INVERSE` by `COEFFICIENTS`: dN_ij/dK_kl = -N_ik N_lj, 1 for U0."""
+    """Return the derivatives (12, 12) of `INVERSE` by `COEFFICIENTS`.
+
+    They are dN_ij/dK_kl = -N_ik N_lj and dU0_i/dU0_i = 1; all others are 0.
+    """
     jacobian = np.eye(len(COEFFICIENTS))
     jacobian[:9, :9] = -np.kron(N, N.T)
     return jacobian

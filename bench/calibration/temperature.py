@@ -176,7 +176,7 @@ def _levels(temperature_c: Floats) -> Ints:
 class PlateauResult:
     """The coefficients from one plateau alone, with its temperature and `branch` (+1, -1, 0).
 
-    `value` and `u` (12,) are None if its readings alone do not determine all twelve.
+    `value` (12,) and `u` (12,) are None if the readings of this plateau alone do not determine all twelve.
     """
 
     temperature_c: float
@@ -190,8 +190,8 @@ class PlateauResult:
 class ThermalHysteresis(HasCovariance):
     """Thermal hysteresis (rising minus falling at one temperature): `size` (12,) with `covariance` (12, 12).
 
-    One size holds for all temperatures reached from both sides. `p` is the p-value of all twelve together (F test),
-    `p_each` (12,) are those of single coefficients times twelve (Bonferroni).
+    One size holds for all temperatures reached from both sides. `p` is the p-value of all twelve sizes together
+    (F test); `p_each` (12,) are the p-values of the single coefficients, multiplied by twelve (Bonferroni).
     """
 
     size: Floats
@@ -230,11 +230,11 @@ class TemperatureModel:
 
     Coefficient j at temperature T is the sum over d of `values[j, d]` (T - `reference_c`)^d.
 
-    `values` (12, D + 1) are in unit/g/K^d and unit/K^d, zero above `degrees` (12,). `covariance` (12 (D + 1), 12
-    (D + 1)) is that of `values` row after row; it includes the uncertainty due to omitted terms. The model is
-    valid from `minimum_c` to `maximum_c`. `fitted` is the test of the fit against the noise. `curve` is the test
-    of the polynomials against coefficients that are free at each plateau (None if a plateau alone does not
-    determine them).
+    `values` (12, D + 1) are in unit/g/K^d and unit/K^d; those above the degree in `degrees` (12,) are zero.
+    `covariance` (12 (D + 1), 12 (D + 1)) is that of `values` row after row; it includes the uncertainty due to
+    omitted terms. The model is valid from `minimum_c` to `maximum_c`. `fitted` is the test of the fit against the
+    noise. `curve` is the test of the polynomials against coefficients that are free at each plateau (None if a
+    plateau alone does not determine them).
     """
 
     unit: str

@@ -205,9 +205,10 @@ NEXT: Final = 2
 
 @dataclass(frozen=True)
 class DegreeChoice:
-    """The chosen `degrees` (12,), and `doubts` (2, 12, D + 1): the changes of the terms (12, D + 1) if one more
-    term were kept. The two doubts are for the next even and the next odd power of temperature. They are zero if no
-    term is left out.
+    """The chosen `degrees` (12,), and the changes of the terms if one more term were kept, `doubts` (2, 12, D + 1).
+
+    The first index of `doubts` is 0 for the next even and 1 for the next odd power of temperature. The changes
+    are zero if no term is left out.
     """
 
     degrees: Ints

@@ -188,12 +188,13 @@ class Quantity:
 class TumbleView(HasCovariance):
     """The three accelerometers of a block, each by the terms of IEEE Std 1293.
 
-    `axes` has the quantities of each channel, in the order of `names` ("x.K0") and of `covariance` (m, m).
-    `covariance_readings` is the part from the readings and the stated stand errors; if `combined`, `covariance`
-    holds more. `judged` says which terms the orientations determine. `left_out` has the change, g or g/g^n, by 1
-    g/g^n of a term that was not requested: by channel, term and quantity. `block` has the coefficients estimated
-    together with these terms. `gain` (m, n, 3) is the map from the readings `fitted` to the quantities, `slope`
-    (n, 3) is du/dphi. `above` describes the points above 1 g that joined the fit.
+    `axes` has the m quantities of all channels, in the order of `names` ("x.K0") and of `covariance` (m, m).
+    `covariance_readings` is the part of the covariance due to the readings and the stated stand errors; if
+    `combined`, `covariance` has further parts. `judged` says which terms the orientations determine. `left_out`
+    has, by channel, term and quantity, the change of the quantity, g or g/g^n, by 1 g/g^n of a term that was not
+    requested. `block` has the coefficients estimated together with these terms. `gain` (m, n, 3) is the linear
+    map from the readings `fitted` to the quantities; `slope` (n, 3) is du/dphi. `above` describes the points
+    above 1 g that joined the fit.
     """
 
     unit: str

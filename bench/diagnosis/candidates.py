@@ -29,11 +29,11 @@ Cell = tuple[str, int]
 def spells(readings: Readings, *, lasting: bool) -> Iterator[tuple[str, ...]]:
     """Yield each set of passes or mountings in which an effect may act, as a tuple of their labels.
 
-    The sets are: a mounting from its second or a later pass onwards, a single pass, and a whole mounting. A
-    whole mounting is yielded only if its installation was mounted more than once, because otherwise the
-    mounting angles describe the same change. If `lasting` (the effect outlasts a remount), every mounting is
-    yielded, and also everything from each later pass onwards, verification points included. A mounting of
-    which all passes are in the set appears by the label of the mounting.
+    The sets are: each mounting from its second or a later pass onwards, each single pass, and each whole
+    mounting. A whole mounting is yielded only if its installation was mounted more than once, because otherwise
+    the mounting angles describe the same change. If the effect outlasts a remount (`lasting`), every mounting is
+    yielded, and also everything from each later pass onwards, verification points included. If a set contains all
+    passes of a mounting, it has the label of the mounting in place of those of the passes.
     """
     conditions = readings.conditions()
     mounts = [str(conditions.mounts[number]) for number in conditions.mount]
@@ -68,7 +68,7 @@ def _labels(chosen: Sequence[Cell], cells: Sequence[Cell]) -> tuple[str, ...]:
 SUBSETS: Final = tuple(
     subset for size in (1, 2, 3) for subset in itertools.combinations(range(3), size)
 )  # fmt: skip
-"""All sets of channels, one, two and three."""
+"""All sets of one, two or three channels."""
 
 ROUND: Final = ("cosine", "sine")
 LEADS: Final = (ROUND, "across_")
@@ -90,9 +90,13 @@ UNNAMED: Final = (
 
 SINGLE: Final = (SINGLE_READING, SINGLE_SETTING)
 RARE: Final = 1e-3
-"""Prior odds of a single deviating reading against another unnamed pattern; heavy tails give such readings."""
+"""Prior odds that a single reading deviates, against another unnamed pattern. Tails of the noise give such
+readings.
+"""
 KIND_PRIOR: Final = (0.03, 0.01, 0.96)
-"""Prior probabilities that a form with a formula is missing, an unnamed pattern, an effect of the catalogue."""
+"""Prior probabilities of what is missing: an unnamed form with a formula, one without, an effect of the
+catalogue.
+"""
 
 
 @dataclass(frozen=True)
@@ -112,9 +116,9 @@ class Column:
 class Variant:
     """One form that a family may take: in which channels and mountings it acts, and with which shape.
 
-    A family is an effect of the catalogue, or an unnamed pattern of residuals. `columns` are the indices of
-    its columns in `Candidates.columns`. `shape` has the name and the SI value of each shape parameter. Of an
-    unnamed family, `where` says in words where it acts; `term` is its formula, None if it has none.
+    `columns` are the indices of the variant's columns in `Candidates.columns`. `shape` has the name and the SI
+    value of each shape parameter. For an unnamed family, `where` says in words where it acts, and `term` holds
+    its formula, if it has one.
     """
 
     family: str
@@ -135,11 +139,11 @@ class Variant:
 class Candidates:
     """All variants that the search compares, with the columns that they need.
 
-    `columns` (N, P) has P columns for the N rows of the linear system: each is the change of the rows by a
-    parameter of plausible size. `kinds` says what each column estimates. `scale` (P,) is the plausible size
-    in SI, 1 for unnamed families. `families` are the distinct names. `by_family` lists the variants sorted by
-    family; the entries of family number f begin at `family_starts[f]`. `log_prior` (families,) is ln of the
-    probability of each family, given that exactly one is missing in the model.
+    `columns` (N, P): each column is the change of the N rows of the linear system by a parameter of plausible
+    size. `kinds` says what each column estimates. `scale` (P,) is the plausible size of each column's parameter
+    in SI, or 1 if the family is unnamed. `families` are the distinct names. `by_family` has the indices of all
+    variants, sorted by family; those of family number f begin at `by_family[family_starts[f]]`. `log_prior`
+    (families,) is ln of the probability of each family, given that exactly one is missing in the model.
     """
 
     columns: Floats
@@ -192,8 +196,8 @@ class Collector:
     ) -> dict[int | None, Floats]:
         """Return the same as `plausible_columns`, reusing an earlier computation where possible.
 
-        An effect that does not depend on earlier readings is computed once for all rows; its column in some
-        mountings is that column with zeros in all other rows.
+        An effect that does not depend on earlier readings is computed once for all rows. Where it acts in some
+        mountings only, its column is the same with zeros in the rows of all other mountings.
         """
         if not mounts or effect.needs_history or effect.needs_path or effect.lasts:
             return plausible_columns(self.linear, effect, parameter, shape, mounts)
@@ -238,7 +242,8 @@ class Collector:
 def with_terms(candidates: Candidates, linear: LinearSystem) -> Candidates:
     """Return the candidates plus the terms of the residual dictionary, as unnamed families with a formula.
 
-    All channels and sizes of one course in one place belong to the same family (see `residual_dictionary`).
+    Terms of one course that act on the same quantity of the model are one family, whatever their channels and
+    sizes.
     """
     columns, scale, variants = [candidates.columns], candidates.scale.tolist(), list(candidates.variants)
     kinds = list(candidates.kinds)
@@ -284,7 +289,9 @@ def without_copies(candidates: Candidates, white: Whitener) -> Candidates:
 
 
 MountSets = Callable[[LinearSystem, Effect], Iterator[tuple[tuple[str, ...], ...]]]
-"""Yields sets of groups of mountings for an effect. Each group has its own parameters; () is everywhere."""
+"""Yields sets of groups of mountings for an effect. Each group has its own parameters; the group () is all
+mountings.
+"""
 
 
 def make_candidates(
@@ -437,8 +444,8 @@ def plausible_columns(
 def add_free_patterns(collector: Collector, unit: float, visit: Ints) -> None:
     """Add two unnamed patterns for each channel: a free value for each angle, and one for each pass.
 
-    Values differ between installations and between the visits (series) of a run, which `visit` (n,) gives for
-    each of the n readings. `unit` is the prior size of a value, in the unit of the signal.
+    The values differ between installations and between the visits (series) of a run. `visit` (n,) is the number
+    of the visit of each reading. `unit` is the prior size of a value, in the unit of the signal.
     """
     linear, free = collector.linear, collector.add_free
     rows, readings = linear.rows, linear.readings
@@ -530,7 +537,9 @@ class KnownBench:
         return {name: why[name] for name in CATALOGUE if why.get(name)}
 
     def not_judged(self, readings: Readings) -> str:
-        """Return a sentence on the effects searched only because the bench is unknown; "" if none is."""
+        """Return a sentence on the effects that are searched only because the bench is unknown; "" if there are
+        none.
+        """
         unknown = {
             "range_offset": self.fixed_ranges is None and not _ranges(readings),
             "channel_crosstalk": self.own_meters is None,

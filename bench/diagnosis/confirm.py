@@ -55,9 +55,9 @@ class Model:
 class EffectNow:
     """One effect of the model, compared with the new readings.
 
-    `verdict` is None if these readings could not have shown the effect. `p_same` is the p-value of the
-    hypothesis that the values have not changed; `p_none` is that of no effect at all. `found` are the values
-    in the model, `now` the values estimated from the new readings alone.
+    `verdict` is None if these readings could not have shown the effect. `p_same` is the p-value of the hypothesis
+    that the values have not changed; `p_none`, the p-value of the hypothesis that there is no effect. `found` are
+    the values in the model; `now`, the values estimated from the new readings alone.
     """
 
     applied: AppliedEffect
@@ -70,12 +70,12 @@ class EffectNow:
 
 @dataclass(frozen=True)
 class Confirmation:
-    """The result of a confirmation: new readings fitted without (`before`) and with (`after`) the effects.
+    """The result of a confirmation: fits of the new readings, `before` without the effects, `after` with them.
 
-    `p_after` is the probability that chance gives at least the chi-square that is left with the effects of
-    the model. `effects` has the verdict on each effect. `diagnosis` is the diagnosis of the new readings with
-    the model: a `FreeDiagnosis` if they are free positions only, a `RecordDiagnosis` for a record at a known
-    input. Root mean squares are in `unit`.
+    `p_after` is the probability that noise alone gives at least the chi-square of the fit with the effects.
+    `effects` has the verdict on each effect. `diagnosis` is the diagnosis of the new readings with the model: a
+    `FreeDiagnosis` if they are free positions only, a `RecordDiagnosis` for a record at a known input. Root mean
+    squares are in `unit`.
     """
 
     before: Model
@@ -97,9 +97,9 @@ class Confirmation:
     def verdict(self) -> Word:
         """The verdict on the model as a whole: "gone", "confirmed" or "changed".
 
-        Effects that these readings could not show do not count. "gone": none of the others is there any more.
-        "confirmed": all of them are unchanged, and the effects either remove at least `MOSTLY` of the excess
-        of chi-square or leave no more than chance explains. "changed": anything else.
+        Effects that these readings could not show do not count. "gone": none of the other effects is there any
+        more. "confirmed": all other effects are unchanged, and either they remove at least `MOSTLY` of the excess
+        of chi-square, or chance explains what remains. "changed": anything else.
         """
         words = {effect.verdict for effect in self.effects} - {None}
         if words == {"gone"}:
@@ -173,7 +173,7 @@ def compared(
 ) -> Confirmation:
     """Return the comparison of two fits of the readings that `diagnosis` has diagnosed.
 
-    `without` is the linear system without the effects of the model, `having` the one with them. Raises
+    `without` is the linear system without the effects of the model; `having`, the system with them. Raises
     `CalibrationError` if the readings could not show any of the effects.
     """
     noise = diagnosis.noise
@@ -190,7 +190,7 @@ def compared(
 
 
 def _left(linear: LinearSystem, noise: NoiseSize) -> tuple[Model, float]:
-    """Return the residuals of a model and its chi-square, with the effects at their values and stated u."""
+    """Return the residuals of a model and their chi-square. The effects have their values and stated u."""
     stated = [unknown.stated for unknown in linear.problem.effects]
     keep = np.ones(linear.random.shape[1], dtype=bool)
     keep[linear.own] = stated
@@ -236,12 +236,12 @@ def _now(linear: LinearSystem, diagnosis: Diagnosis | FreeDiagnosis) -> tuple[Ef
 
 @dataclass(frozen=True)
 class EstimatedEffects:
-    """The m parameters of a model's effects: values in the model, and their change in the new readings.
+    """The m parameters of a model's effects: their values in the model, and how these change in the new readings.
 
-    All arrays are in units of the parameters' plausible sizes, which `plausible` (m,) gives in SI. `found`
-    (m,) and `u` (m,) are the value and the standard uncertainty in the model. `change` (m,) is the estimate
-    from the new readings minus `found`, and `covariance` (m, m) is the covariance of that estimate, without
-    `u`.
+    `plausible` (m,) is the plausible size of each parameter in SI; the other arrays are multiples of it. `found`
+    (m,) and `u` (m,) are the value and the standard uncertainty in the model. `change` (m,) is the estimate from
+    the new readings minus `found`. `covariance` (m, m) is the covariance of the estimate from the new readings;
+    `u` is not part of it.
     """
 
     plausible: Floats
@@ -309,13 +309,13 @@ def judged(
 def _shown(
     estimated: EstimatedEffects, places: Sequence[int], *, apart: bool = True
 ) -> tuple[float, float, float, float]:
-    """Return the size in the model of the parameters at `places`, the least that would show, `p_same` and `p_none`.
+    """Return four numbers: the parameters' size in the model, the least that would show, `p_same` and `p_none`.
 
-    The sizes are in units of noise. The parameters are judged in the directions that the readings determine. A
-    direction is an eigenvector of their covariance: a sum or a difference of parameters may be determined although
-    no parameter is. With `apart` false, the values of several mountings are correlated in the model as in these
-    readings, but a model file has no correlations. The model's u of a direction is therefore limited to that of
-    these readings.
+    The sizes are in units of noise. The parameters, which have the indices `places`, are judged in the directions
+    that the readings determine. A direction is an eigenvector of their covariance: a sum or a difference of
+    parameters may be determined although no parameter is. `apart` is false if the values of several mountings are
+    judged together. The model's values are then as correlated as those of these readings, but a model file has no
+    correlations. The model's u of a direction is therefore limited to the u of these readings.
     """
     use = np.array(places, dtype=np.int64)
     variance, turned = np.linalg.eigh(estimated.covariance[np.ix_(use, use)])

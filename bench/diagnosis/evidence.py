@@ -1,10 +1,10 @@
 """Bayesian evidence of every candidate, with priors on physical size, the noise unknown.
 
-For a variant with whitened columns A, prior b ~ N(0, s^2) of each in units of its plausible size, and residual r
-of nu numbers with unknown variance (Jeffreys prior), the evidence is -1/2 ln|I + s^2 A^T A| - nu/2 ln(r^T r - r^T
-A (A^T A + 1/s^2)^-1 A^T r). It is averaged over a few s, as a plausible size is a guess, and over the ratio of
-the two noise sizes. The evidence depends on the data only by r^T r and A^T r. So many data sets are scored at
-once.
+A variant has the whitened columns A, each for a parameter of plausible size, with amplitudes b ~ N(0, s^2). The
+residual r has nu degrees of freedom and an unknown variance (Jeffreys prior). Then ln of the evidence is -1/2
+ln|I + s^2 A^T A| - nu/2 ln(r^T r - r^T A (A^T A + 1/s^2)^-1 A^T r). It is averaged over a few s, as a plausible
+size is a guess, and over the ratio of the two noise sizes. The evidence depends on the data only by r^T r and A^T
+r. Therefore many data sets can be scored at once.
 
 The threshold is the evidence that chance alone reaches: the same search runs on simulated readings without
 missing effects.
@@ -35,10 +35,12 @@ from bench.model.effects import FormulaEffect
 
 SIZES: Final = (1.0, 4.0, 20.0)
 LOG_SIZE_WEIGHTS: Final = tuple(float(np.log(w)) for w in (0.6, 0.28, 0.12))
-"""Prior of an effect: ln of the probability of each of `SIZES`, which are in plausible sizes."""
+"""Prior of an effect: ln of the probability of each of `SIZES`, which are multiples of its plausible size."""
 
 KNOWN_SIZE: Final = 20.0
-"""Prior size, in plausible sizes, of an effect already in the model: wide, so that the data determine it."""
+"""Prior size of an effect already in the model, as a multiple of its plausible size. The data determine so wide a
+prior.
+"""
 
 CHUNK: Final = 100
 """Data sets scored at once."""
@@ -48,8 +50,8 @@ CHUNK: Final = 100
 class Data:
     """Scalar products of data sets with themselves and with the columns of the candidates.
 
-    A data set is a vector r of N whitened residuals, measured minus predicted. `square` (ratios, sets) is r^T
-    r at each noise ratio, `along` (ratios, P, sets) is A^T r with the P whitened columns A.
+    A data set is a vector r of N whitened residuals, measured minus predicted. `square` (ratios, sets) is r^T r
+    of each data set at each noise ratio. `along` (ratios, P, sets) is A^T r, where A are the P whitened columns.
     """
 
     square: Floats
@@ -67,7 +69,7 @@ class Data:
 
 @dataclass(frozen=True)
 class Whitened:
-    """The columns of the candidates, whitened at each noise ratio of a grid, as their scalar products.
+    """The scalar products of the candidates' columns, whitened at each noise ratio of a grid.
 
     `kept` caches the scores of repeated searches in the same data.
     """
@@ -114,8 +116,8 @@ class Whitened:
     def blocks(self) -> tuple[tuple[Ints, Ints, Floats], ...]:
         """The variants, grouped by their number p of columns.
 
-        Each group has the indices of its v variants (v,), the indices of their columns (v, p), and the Gram
-        matrices of these columns (ratios, v, p, p).
+        A group is a tuple of three arrays: the indices (v,) of its v variants; the indices (v, p) of their
+        columns; the Gram matrices (ratios, v, p, p) of these columns.
         """
         by_size: dict[int, list[int]] = {}
         for number, variant in enumerate(self.candidates.variants):
@@ -145,7 +147,7 @@ class Whitened:
 
 
 def _whitened(white: Whitener, columns: Floats, sigma: float) -> Floats:
-    """Return whitened columns (N, P), in units of `sigma`, made some at a time."""
+    """Return the columns (N, P) divided by `sigma` and whitened, a few at a time to save memory."""
     into = np.empty_like(columns)
     for start in range(0, columns.shape[1], CHUNK):
         part = slice(start, start + CHUNK)
@@ -155,11 +157,11 @@ def _whitened(white: Whitener, columns: Floats, sigma: float) -> Floats:
 
 @dataclass(frozen=True)
 class Group:
-    """Variants with the same number p of columns, and what is left of these beside the known columns.
+    """Variants with the same number p of columns, from which the known columns are projected out.
 
-    `members` are the indices of the variants, `columns` (variants, p) those of their columns. The Gram
-    matrices of the columns, with the known columns projected out, are decomposed: eigenvectors `vectors`
-    (ratios, variants, p, p), eigenvalues `values` (ratios, variants, p).
+    `members` (variants,) are the indices of the variants; `columns` (variants, p), the indices of their columns.
+    The Gram matrix of each variant's projected columns has the eigenvectors `vectors` (ratios, variants, p, p)
+    and the eigenvalues `values` (ratios, variants, p).
     """
 
     members: Ints
@@ -173,9 +175,9 @@ class Search:
     """A search over all variants for what is missing in a model that contains the columns `known`.
 
     `inverse` (ratios, known, known) is the inverse Cholesky factor of the Gram matrix of the known columns,
-    including their prior (1 sigma: `KNOWN_SIZE` plausible sizes). `half` (ratios, known, P) is `inverse`
-    times the scalar products of the known columns with all P columns. `log_det` (ratios,) is the part of ln
-    of the evidence that is due to the known columns and the same for all data.
+    including their prior (1 sigma: `KNOWN_SIZE` plausible sizes). `half` (ratios, known, P) is `inverse` times
+    the scalar products of the known columns with all P columns. `log_det` (ratios,) is the contribution of the
+    known columns to ln of the evidence that is the same for all data.
     """
 
     whitened: Whitened
@@ -186,7 +188,7 @@ class Search:
 
     @classmethod
     def beside(cls, whitened: Whitened, known: Sequence[int]) -> Search:
-        """Return the search for what a model lacks that contains the columns with the indices `known`."""
+        """Return the search for effects that a model with the columns `known` (indices) lacks."""
         h = np.array(known, dtype=np.int64)
         across = whitened.products.across(h)
         inverse = np.linalg.inv(np.linalg.cholesky(across[:, :, h] + np.eye(len(h)) / KNOWN_SIZE**2))
@@ -217,7 +219,9 @@ class Search:
 
     @cached_property
     def _together(self) -> tuple[Ints, Ints, Floats]:
-        """Members of all groups (v,), the offset (v,) of each one's eigenvalues, and these (ratios, e)."""
+        """The v variants of all groups, as indices (v,); the place (v,) in the third array where the eigenvalues
+        of each variant begin; and all e eigenvalues at each noise ratio (ratios, e).
+        """
         values = [group.values for group in self.groups]
         counts = np.concatenate([np.full(of.shape[1], of.shape[2]) for of in values])
         starts = np.cumsum(counts) - counts
@@ -236,7 +240,7 @@ class Search:
     def along(self, ratio: int, columns: Sequence[int], sizes: Floats) -> Floats:
         """Return the scalar products (P,) of a weighted sum of columns with all P columns.
 
-        The sum is that of the `columns` (k,), each times its entry of `sizes` (k,); the known columns are
+        The weighted sum is of the k `columns` (indices), with the weights `sizes` (k,). The known columns are
         projected out. `ratio` is the index of the noise ratio.
         """
         chosen = np.array(columns, dtype=np.int64)
@@ -261,7 +265,9 @@ class Search:
         return float(logsumexp(grid.log_prior + grid.log_det + self.log_det + grid.log_likelihood(square)))
 
     def score(self, data: Data) -> Scores:
-        """Return ln of the Bayes factor of adding each variant to the model, for each data set."""
+        """Return, for each data set, ln of the Bayes factor of the model with each variant added against that
+        without.
+        """
         left = self.left_over(data)
         begun = tracked(range(0, left.sets, CHUNK), "what chance alone would show")
         parts = [self._score(left.part(slice(i, i + CHUNK))) for i in begun]
@@ -330,7 +336,7 @@ def _along(group: Group, left: Data) -> Floats:
 
 
 def _log_sum(logarithms: Floats) -> Floats:
-    """Return ln of the sum of exponentials along the first axis, none of which is infinite."""
+    """Return ln of the sum of exponentials of finite numbers along the first axis."""
     largest = logarithms.max(axis=0)
     total: Floats = largest + np.log(np.sum(np.exp(logarithms - largest), axis=0))
     return total
@@ -342,18 +348,19 @@ def _log_sum(logarithms: Floats) -> Floats:
 NULLS: Final = 1000
 SEED: Final = 20260
 FALSE_ALARMS: Final = 0.006
-"""Probability of a false alarm: the search finds something where nothing is missing."""
+"""Probability of a false alarm: the search finds an effect although none is missing."""
 TAIL: Final = 0.05
-"""Upper part of the simulated evidences to which an exponential tail is fitted."""
+"""Fraction of the simulated evidences, the largest ones, to which an exponential tail is fitted."""
 
 
 @dataclass(frozen=True)
 class Threshold:
     """The least evidence that counts as a finding, and the probability that chance exceeds it.
 
-    The evidence is ln of the odds that any effect is missing. Where nothing is missing it exceeds `value`
-    with `probability`. The upper tail is exponential: chance exceeds `start` with `p_start`, and e times more
-    rarely for every further `decay`. `nulls` is the number of simulated data sets behind it.
+    The evidence is ln of the odds that the model lacks some effect. If the model lacks none, the evidence still
+    exceeds `value` with `probability`, by chance. The upper tail of these chance values is exponential: they
+    exceed `start` with probability `p_start`, and `start` plus x with probability `p_start` exp(-x / `decay`).
+    `nulls` is the number of simulated data sets from which the tail was determined.
     """
 
     value: float
@@ -369,7 +376,7 @@ class Threshold:
         return replace(self, value=value, probability=probability)
 
     def p(self, evidence: float) -> float:
-        """Return the probability that chance gives at least this `evidence`; 1 below the fitted tail.
+        """Return the probability that chance gives at least this `evidence`, or 1 if it is below the fitted tail.
 
         As the evidence is that of all candidates together, the p-value counts all tests.
         """
@@ -418,10 +425,10 @@ def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS)
 
 
 def fit_tail(evidence: Floats) -> Threshold:
-    """Return the threshold that `FALSE_ALARMS` of data sets exceed, by an exponential fit to the upper tail.
+    """Return the threshold that the fraction `FALSE_ALARMS` of data sets exceeds, from a fit to the upper tail.
 
-    `evidence` (sets,) is that of simulated data sets without a missing effect. The fitted quantile has a
-    smaller variance than the empirical one.
+    `evidence` (sets,) is the evidence of each simulated data set without a missing effect. The tail is
+    exponential; its quantile has a smaller variance than the empirical quantile.
     """
     ordered = np.sort(evidence)
     many = max(int(TAIL * len(ordered)), 10)

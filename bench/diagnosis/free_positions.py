@@ -111,7 +111,9 @@ def _threshold(whitened: Whitened, count: int) -> Threshold:
 
 
 def _of_records(effect: NamedEffect, between: BetweenRecords | None) -> NamedEffect:
-    """Return an effect whose `words` speak of records; a change of the zeros also with what is known of it."""
+    """Return the effect with `words` that speak of records. If it changes the zeros, they also describe the
+    changes.
+    """
     if effect.in_catalogue:
         return effect
     if effect.name != ZERO_BY_RUN or between is None:
@@ -155,7 +157,9 @@ def _where(
 # --- candidates ---------------------------------------------------------------------------------------
 
 FINE_G: Final = 10e-6
-"""Noise of a sensor, g, for which the plausible sizes of the catalogue hold; both grow in proportion."""
+"""Noise of a sensor, g, for which the plausible sizes of the catalogue hold. With more noise they are
+proportionally larger.
+"""
 ZERO_OF_NOISE: Final = 3.0
 """Plausible change of a zero or a scale factor between records, in units of a position's noise."""
 COMMON: Final = "common to the sensors"
@@ -187,7 +191,7 @@ def _sensor_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[s
 def _add_unnamed(rows: FreeRows, collector: Collector, unit: float) -> None:
     """Add unnamed changes of zeros and scale factors by record, and zeros that wander.
 
-    The changes are of each sensor, common to the sensors, or both.
+    The changes differ by sensor, are common to all sensors, or are the sum of a common and a separate change.
     """
     records = np.unique(rows.record)
     several = [s for s in range(rows.sensors) if len(np.unique(rows.record[rows.sensor == s])) > 1]
@@ -220,7 +224,7 @@ def _add_unnamed(rows: FreeRows, collector: Collector, unit: float) -> None:
 # --- noise and outliers -------------------------------------------------------------------------------
 
 FAR: Final = 12.0
-"""It must also be this many standard deviations from the others, as real sensors have heavier tails than normal."""
+"""Least distance of an outlier from the other positions, in standard deviations: real sensors have heavy tails."""
 
 
 def _prepared(linear: FreeSystem) -> tuple[NoiseGrid, Candidates]:
@@ -241,7 +245,8 @@ def _prepared(linear: FreeSystem) -> tuple[NoiseGrid, Candidates]:
 def _loose(linear: FreeSystem, *, drifting: bool = False) -> tuple[Floats, Floats, int]:
     """Fit zeros and scale factors of each record; `drifting` zeros also change linearly with the row number.
 
-    Return the residuals (N,), the part of each position in its residual (N,), and the degrees of freedom.
+    Return the residuals (N,); for each position, the fraction (N,) of its error that remains in its residual; and
+    the degrees of freedom.
     """
     rows = linear.positions
     cells = sorted(set(zip(rows.sensor.tolist(), rows.record.tolist(), strict=True)))
@@ -258,11 +263,11 @@ def _loose(linear: FreeSystem, *, drifting: bool = False) -> tuple[Floats, Float
 
 
 def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
-    """Return the positions without outliers, with a sentence for each outlier and its origin.
+    """Return the positions without outliers, a sentence for each outlier, and the origins of the outliers.
 
-    The third item (k, 2) has, for each of the k outliers, the index of its table and its row there. One after
-    the other, the position with the largest residual is compared with its prediction from all others, and
-    with the scatter of these.
+    The origins (k, 2) are, for each of the k outliers, the index of its table and its row there. Step by step,
+    the position with the largest residual is compared with its prediction from all other positions, and with
+    their scatter.
     """
     apart: list[str] = []
     origin: list[Ints] = []
@@ -290,9 +295,9 @@ def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
 def stated(rows: FreeRows) -> float:
     """Return the standard uncertainty of |a| at one position that the scatter of its samples implies, in g.
 
-    Samples are taken as independent: the variance of each signal is that of its samples (`signal_sd`) over
-    their number, converted to g by the scale factor. The result is the root mean square over all positions
-    and channels; NaN if a table has no `signal_sd`.
+    Samples count as independent. The variance of each signal is the variance of its samples (`signal_sd` squared)
+    divided by their number, and is converted to g by the scale factor. The result is the root mean square over
+    all positions and channels; NaN if a table has no `signal_sd`.
     """
     sizes = []
     for block, table in zip(rows.block, rows.tables, strict=True):

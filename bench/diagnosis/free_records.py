@@ -31,27 +31,28 @@ from bench.readings.table import JoinedPart, Readings, together
 from bench.stats.repeats import Repeats, compare_repeats
 
 SAME_TIME_S: Final = 1.0
-"""Two tables whose times agree within this belong to sensors measured side by side."""
+"""Two tables whose times agree within this, s, belong to sensors measured side by side."""
 ANOTHER: Final = 2.0
 """A distance beyond this is another sensor, in units of the largest changes between runs (`OTHER_BLOCK`).
 
-In nine records of each of four real sensors those of one are at most 1.0 apart, those of two at least 2.2.
+In nine records of each of four real sensors, records of one sensor differ by at most 1.0, of two by at least 2.2.
 """
 AT_REST_G: Final = 0.1
 """Largest root mean square of |a| - 1 g, after the fit, of positions at rest. Sensors cause a tenth of it."""
 OWN: Final = len(UPPER)
 ZEROS: Final = (6, 7, 8)
 SCALES: Final = (0, 3, 5)
-"""Places of the zeros and of the diagonal of K among the nine coefficients."""
+"""Indices of the diagonal of K among the nine coefficients; those of the zeros are `ZEROS`."""
 
 
 @dataclass(frozen=True)
 class FreeRows:
-    """All N free positions of all sensors, one row each, in the order of the sensors.
+    """All N free positions of all sensors, one row each, sorted by sensor.
 
-    `tables` has the positions of each sensor, all records together, and `block` the coefficients that fit
-    them best. `sensor` and `record` (N,) are the index of the sensor and of the record of each row. `origin`
-    (N, 2) is the index of the table as given and the row in it. `effects` are those of the given model.
+    `tables` has, for each sensor, the positions of all records together; `block` has, for each sensor, the
+    coefficients that fit them best. `sensor` (N,) is the index of each row's sensor; `record` (N,), the index of
+    its record. `origin` (N, 2) tells where each row was read: the index of the given table, and the row in that
+    table. `effects` are the effects of the given model.
     """
 
     tables: tuple[Readings, ...]
@@ -81,7 +82,7 @@ class FreeRows:
 
     @cached_property
     def coefficients(self) -> Floats:
-        """Minus the derivatives of |a| by the nine coefficients of each sensor, shape (N, 9 × sensors).
+        """The derivatives of -|a| by the nine coefficients of each sensor, shape (N, 9 × sensors).
 
         The columns of a sensor are zero in the rows of all others.
         """
@@ -121,9 +122,9 @@ class FreeRows:
 class FreeSystem(LinearSystem):
     """Free positions as a linear system: |a| - 1 in g, with nine coefficients for each sensor.
 
-    The response has the effects of the given model subtracted; the `random` columns estimate them again. In
-    place of mountings, an effect has the labels of the sensors on which it acts ("sensor 1"); without labels
-    it acts on all.
+    The effects of the given model are subtracted from the response, and the `random` columns estimate them again.
+    In place of mountings, an effect names the sensors on which it acts ("sensor 1"); if it names none, it acts on
+    all.
     """
 
     positions: FreeRows
@@ -220,12 +221,11 @@ def make_rows(
 ) -> FreeRows:
     """Return the free positions of several tables, assigned to sensors and records.
 
-    Each of `tables` is from one sensor in one record. Tables with the same times are of the same record, and
-    so of different sensors. `one_sensor` states whether all tables are of one sensor (True) or each of
-    another (False); if None, the coefficients show which tables are of the same sensor. The effects of
-    `model` are kept for `make_system`. Raises `CalibrationError` if the positions of a sensor do not
-    determine its coefficients, if units differ, or if an effect of the model needs an angle, time or
-    temperature that the tables lack.
+    Each of `tables` is from one sensor in one record. Tables with the same times are of the same record, and so
+    of different sensors. `one_sensor` is True if all tables are of one sensor, and False if each is of another;
+    if it is None, the coefficients show which tables are of the same sensor. The effects of `model` are kept for
+    `make_system`. Raises `CalibrationError` if the positions of a sensor do not determine its coefficients, if
+    units differ, or if an effect of the model needs an angle, time or temperature that the tables lack.
     """
     if len({table.unit for table in tables}) > 1:
         raise CalibrationError("signals in different units cannot be evaluated together; use one unit")
@@ -255,7 +255,7 @@ def make_rows(
 
 
 def _records(tables: Sequence[Readings]) -> list[int]:
-    """Return the index of the record of each table; tables with the same times are of one."""
+    """Return the index of the record of each table. Tables with the same times are of one record."""
     first: list[Floats] = []
     numbers = []
     for table in tables:
@@ -306,10 +306,11 @@ def _feature(table: Readings) -> Floats:
 class BetweenRecords:
     """How the biases of free positions change between records, where each record is fitted separately.
 
-    `zero` and its `u` (sensors, records, 3) are biases in g, NaN if a record does not determine them.
-    `scatter` (3,) is their standard deviation about the mean of the sensor, in g. `repeats` compares this
-    scatter with u; if u is too small, it has the term that widens u. `common` (3,) is the fraction of the
-    variance that all sensors share, NaN for one sensor.
+    `zero` (sensors, records, 3) are the biases in g, and `u` (sensors, records, 3) their standard uncertainties;
+    both are NaN where a record does not determine the bias. `scatter` (3,) is the standard deviation of the
+    biases about the mean of their sensor, in g. `common` (3,) is the fraction of this variance that all sensors
+    share, NaN if there is one sensor. `repeats` compares the scatter with u; if u is too small, it has the term
+    that widens u.
     """
 
     zero: Floats
@@ -380,7 +381,7 @@ def between_records(rows: FreeRows) -> BetweenRecords | None:
 
 
 def _zeros(signal: Floats) -> tuple[Floats, Floats] | None:
-    """Return the zeros (3,) of a sensor in one record, g, with u; None where they are not determined."""
+    """Return the zeros (3,) of a sensor in one record and their u (3,), g; None if they are not determined."""
     try:
         block = fit_sensor(signal)
     except CalibrationError:
@@ -397,7 +398,7 @@ def _zeros(signal: Floats) -> tuple[Floats, Floats] | None:
 
 
 def _common(change: Floats, full: Floats) -> Floats:
-    """Return the fraction (3,) of the variance of the changes (sensors, records, 3) that sensors share."""
+    """Return the fraction (3,) of the variance of the `change` (sensors, records, 3) that all sensors share."""
     whole = full.all(axis=0)
     sensors = len(change)
     if sensors < 2 or whole.sum() < 2:
@@ -415,10 +416,10 @@ OUTLIER: Final = "outlier"
 
 @dataclass(frozen=True)
 class FreeFit:
-    """A fit to N free positions.
+    """A fit to N positions of unknown orientation, of which only |a| = 1 g is known.
 
-    `block` has the coefficients of each sensor, `u` (sensors, 12) their standard uncertainties, and `left`
-    (N,) the residuals of |a| - 1, in g.
+    `block` has the coefficients of each sensor; `u` (sensors, 12), their standard uncertainties; `left` (N,),
+    the residuals of |a| - 1 in g.
     """
 
     block: tuple[Block, ...]
@@ -430,11 +431,11 @@ class FreeFit:
 class FreeDiagnosis:
     """The result of the diagnosis of free positions.
 
-    `noise` is the estimated noise of |a| at a position (g), with all effects found in the model; `stated_g`
-    is that expected from the scatter of the samples, NaN if the tables do not state it. `apart` has a
-    sentence for each of the k positions left out, and `left_out` (k, 2) their tables and rows. `of_copy` is
-    the verdict on the remaining positions. `before` is the fit with the given model, `after` the fit with the
-    effects found as well. `between` is the change between records, None if unknown.
+    `noise` is the estimated noise of |a| at a position, g, when the model has all effects found. `stated_g` is
+    the noise expected from the scatter of the samples, NaN if the tables do not state it. `apart` has a sentence
+    for each of the k positions left out; `left_out` (k, 2) has the table and the row of each. `of_copy` is the
+    verdict on the remaining positions. `before` is the fit with the given model; `after`, the fit with the
+    effects found as well. `between` describes the changes between records, None if unknown.
     """
 
     source: str
@@ -462,7 +463,7 @@ class FreeDiagnosis:
 
     @property
     def verdict(self) -> Verdict:
-        """The verdict: "mistake" if any position was left out, else that on all positions.
+        """The verdict: "mistake" if any position was left out, otherwise the verdict on all positions.
 
         "agrees": nothing was found. "named": effects of the catalogue were found. "confounded": other effects
         explain the same, or held-out positions do not confirm what was found. "unknown": what was found is

@@ -1,6 +1,6 @@
 """The gap between readings and model, measured on held-out readings (cross-validation).
 
-The readings held out are each pass in turn, and the verification points. The gap is their reduced chi-square,
+The readings held out are, in turn, each pass and all verification points. The gap is their reduced chi-square,
 which is 1 (the floor) if the model lacks nothing.
 """
 
@@ -27,12 +27,12 @@ from bench.diagnosis.noise_grid import RATIOS, coupled, make_noise_grid, make_wh
 from bench.diagnosis.posterior import NoiseSize, posterior, predicted_error
 
 FLOOR: Final = 1.0
-"""Expected reduced chi-square of held-out readings when nothing is missing."""
+"""Expected reduced chi-square of held-out readings if the model lacks no effect."""
 
 LEAST_FALL: Final = 4.0
-"""Least fall of the chi-square of held-out readings, in all and by each effect.
+"""Least decrease of the chi-square of held-out readings, by all effects together and by each of them.
 
-An absent effect of any size reaches this fall by noise in at most 2.3 % of cases.
+If an effect does not act, noise alone lets it reach this decrease in at most 2.3 % of cases.
 """
 
 
@@ -43,9 +43,9 @@ UNDETERMINED: Final = message("the rest does not determine the coefficients")
 class HeldOut:
     """How well one model predicts the held-out rows, after a fit to all other rows.
 
-    `error` (n,) is measured minus predicted in the unit of the signal, `error_g` (n,) the same in g.
-    `expected_g` (n,) is its standard deviation from the noise and the uncertainty of all that was estimated.
-    `chi2` is the chi-square of the errors with their full covariance.
+    `error` (n,) is measured minus predicted in the unit of the signal; `error_g` (n,) is the same in g.
+    `expected_g` (n,) is the standard deviation of `error_g` that the noise and the uncertainty of all estimates
+    imply. `chi2` is the chi-square of the errors, computed with their full covariance.
     """
 
     error: Floats
@@ -77,9 +77,9 @@ class Fold:
 class Gap:
     """The prediction of held-out readings by the given model, and by the model with the effects found.
 
-    `named` are the names of the effects found in all readings. `undetermined` are the labels of the sets that
-    could not be held out, because the remaining readings do not determine the coefficients. `noise` is the
-    noise that the chi-squares are computed with, `freedom` its degrees of freedom.
+    `named` are the names of the effects that the search of all readings found. `undetermined` are the labels of
+    the sets that could not be held out, because the remaining readings do not determine the coefficients. `noise`
+    is the noise with which chi-square is computed; `freedom`, the degrees of freedom of this noise.
     """
 
     folds: tuple[Fold, ...]
@@ -128,12 +128,14 @@ class Gap:
 
     @property
     def before_rms(self) -> float:
-        """Root mean square of measured minus predicted by the given model, unit of the signal."""
+        """Root mean square of measured minus predicted, for the given model, in the unit of the signal."""
         return self._rms(lambda fold: fold.before.error)
 
     @property
     def after_rms(self) -> float:
-        """Root mean square of measured minus predicted with the effects found, unit of the signal."""
+        """Root mean square of measured minus predicted, for the model with the effects found, in the unit of the
+        signal.
+        """
         return self._rms(lambda fold: fold.after.error)
 
     @property
@@ -210,7 +212,7 @@ def part_closed(before: float, after: float) -> float | None:
 
 
 LEAST_FREEDOM: Final = 3
-"""Readings beyond the number of coefficients from which there is a scatter to compare anything with."""
+"""Least number of readings in excess of the coefficients that gives a usable estimate of the scatter."""
 HELD_OUT: Final = message("readings held out in turn")
 
 
@@ -268,10 +270,10 @@ def measure_gap(
 ) -> Gap:
     """Hold out each set of rows in turn, search the other rows for effects, and predict the rows held out.
 
-    `whitened` has the candidates for all readings, `naming` the effects found in them; `noise` and
-    `setting_rad` (the setting error that the bench file states) are those of all readings. The search of the
-    other rows, by the function `search`, finds at most as many effects as `naming` has. `parts` are the sets,
-    as labels and masks (N,); by default every pass and the moduli (`folds_of`). If the other rows do not
+    `whitened` has the candidates for all readings; `naming`, the effects found in all readings. `noise` is the
+    noise of all readings, and `setting_rad` the setting error that the bench file states. The function `search`
+    searches the other rows for at most as many effects as `naming` has. `parts` are the sets to hold out, as
+    labels and masks (N,); by default they are every pass and the moduli (`folds_of`). If the other rows do not
     determine the effects found, or cannot distinguish their forms, every third setting is held out instead
     (`thirds_of`).
     """
@@ -300,9 +302,9 @@ def _tell(
 ) -> bool:
     """Return whether the readings beside each part, held out, show every find and tell its form.
 
-    They show a find where they keep `MOSTLY` of the square of its signature. They tell its form unless another
-    form of the family leaves at most `ALIAS` of the signature in them, and more than `LEAST_FALL` in all
-    readings. Otherwise chance would choose the form that predicts the part.
+    The remaining readings show a find if they contain `MOSTLY` of the square of its signature. They determine its
+    form unless another form of the family leaves at most `ALIAS` of the signature in them, but more than
+    `LEAST_FALL` in all readings: chance would then choose the form that predicts the part.
     """
     amplitudes = posterior(linear, candidates.columns[:, list(naming.columns)], noise).amplitudes
     every = np.ones(len(linear), dtype=bool)
@@ -323,10 +325,10 @@ def _tell(
 def _left_by_forms(
     linear: LinearSystem, noise: NoiseSize, columns: Floats, forms: Sequence[Ints], rows: Mask
 ) -> tuple[float, Floats]:
-    """Return the square of a signature in some rows, and the part that each form leaves (forms,), in units of
-    noise.
+    """Return the square of a signature in some rows, and the squares (forms,) that each form leaves unexplained.
 
-    The first of the `columns` (N, 1 + m) is the signature; the `forms` have indices of the others.
+    The first of the `columns` (N, 1 + k) is the signature. Each of `forms` has the indices (0 to k - 1) of its
+    columns among the other k. The squares are in units of noise squared.
     """
     white = make_whitener(restrict(linear, rows), noise.reading, noise.setting_rad)
     seen = white @ (columns[rows] / noise.reading)
@@ -343,7 +345,7 @@ def _left_by_forms(
 
 
 def determined(linear: LinearSystem, rows: Mask) -> bool:
-    """Return whether the rows in the mask (N,) determine the coefficients, with degrees of freedom left."""
+    """Return whether the rows in the mask (N,) determine the coefficients and leave enough degrees of freedom."""
     fixed = linear.fixed[rows] / np.linalg.norm(linear.fixed, axis=0)
     if len(fixed) < fixed.shape[1] + LEAST_FREEDOM:
         return False
@@ -365,7 +367,9 @@ def _fold(
     label: str,
     held: Mask,
 ) -> Fold:
-    """Search without the rows `held`, and predict them."""
+    """Search the rows outside the mask `held` (N,), and predict the rows in it with and without the effects
+    found.
+    """
     part, candidates = restrict(linear, ~held), whitened.candidates
     kept = replace_columns(candidates, candidates.columns[~held])
     grid = make_noise_grid(part, whitened.grid.sigma, setting_rad, near_ratios(linear, noise))
@@ -385,7 +389,9 @@ def _fold(
 def _held_out(
     linear: LinearSystem, candidates: Candidates, noise: NoiseSize, held: Mask, columns: Sequence[int]
 ) -> HeldOut:
-    """Predict the rows `held` from all others, with the candidates' `columns`."""
+    """Predict the rows in the mask `held` (N,) from all others, with the candidates' `columns` (indices) in the
+    model.
+    """
     effects = candidates.columns[:, list(columns)]
     fitted = posterior(linear, effects, noise, ~held)
     error, chi2 = predicted_error(linear, effects, noise, fitted, held)

@@ -5,29 +5,29 @@ from __future__ import annotations
 from typing import Final
 
 OFTEN: Final = 0.05
-"""Level where a false alarm costs little: in folds, for scatter as an upper limit, for ties of a mistake."""
+"""Level where a false alarm costs little: in folds, for the upper limit of scatter, and for ties of a mistake."""
 BY_CHANCE: Final = 0.01
-"""Level of a single conclusion: a p-value from this on is chance."""
+"""Level of a single conclusion: chance explains what has a p-value of at least this."""
 HARDLY_EVER: Final = 1e-4
-"""Level where a conclusion would change the record or set the noise of the bench file aside."""
+"""Level where a conclusion would change the record or overrule the noise of the bench file."""
 FOLDS: Final = 5
-"""Parts into which readings are split where neither passes nor visits divide them."""
+"""Number of parts into which readings are split if neither passes nor visits divide them."""
 MOSTLY: Final = 0.5
-"""Least part of a gap, of a square, or of a prior's u that counts as most of it."""
+"""Least fraction of a gap, a square, or a prior's u that counts as most of it."""
 NEGLIGIBLE: Final = 1e-12
 """Relative size of a number that is rounding only."""
 FAR: Final = 6.0
-"""Distance in u from which a deviation is named for its own sake."""
+"""Least deviation, in units of its u, that is reported by itself."""
 UNSEEN: Final = 0.3
 """Change of the readings, in units of noise, below which it may be neglected."""
 ALIKE: Final = 1e-3
-"""Part of a signature's square that another may leave and still count as the same."""
+"""Two signatures count as the same if one leaves at most this fraction of the other's square unexplained."""
 INSEPARABLE: Final = 1e-6
-"""Part of a square, or of the largest singular value, that the readings cannot separate from nothing."""
+"""Fraction of a square, or of the largest singular value, that readings cannot distinguish from 0."""
 LEAST_GAIN: Final = 0.5
-"""Increase of ln of the odds from which another hypothesis or a further measurement is worth its trouble."""
+"""Least increase of ln of the odds for which another hypothesis or a further measurement is worthwhile."""
 STEPS: Final = 6
-"""Most linearisations of a fit; what is nonlinear beyond them stays in the residuals."""
+"""Largest number of linearisations of a fit; what is still nonlinear then stays in the residuals."""
 LISTED: Final = 8
 """Entries of a list in a result, at most."""
 LISTED_IN_SENTENCE: Final = 4

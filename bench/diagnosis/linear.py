@@ -25,8 +25,8 @@ from bench.readings.table import FREE, REFERENCE, SHORTED, VERIFICATION, Reading
 ONE_MOUNTING: Final = 0.01
 """Largest root mean square residual, in rad, of directions that belong to one mounting.
 
-A rotation from the stated orientation by less changes no signature. A larger one is reported and used, if it is
-beyond the limits of the stand.
+A smaller rotation from the stated orientation changes no signature. A larger one is reported and used if it
+exceeds the limits of the stand.
 """
 LEAST_APART: Final = 0.05
 """Least second singular value of the directions, per point, that determines an orientation."""
@@ -36,9 +36,9 @@ LEAST_APART: Final = 0.05
 class Orientation:
     """The orientation of the block at the verification points, estimated from the signals.
 
-    `block_from_platform` (3, 3) is the rotation matrix from platform to block axes. `off_rad` is its angle
-    from the orientation in the bench file, about the unit vector `axis` (3,) in block axes. `contradicts`
-    says whether this angle is significant.
+    `block_from_platform` (3, 3) is the rotation matrix from platform to block axes. It differs from the
+    orientation in the bench file by the angle `off_rad`, rad, about the unit vector `axis` (3,) in block axes;
+    `contradicts` says whether this angle is significant.
     """
 
     block_from_platform: Floats
@@ -103,9 +103,9 @@ REFERENCE_U: Final = 1e-4
 
 @dataclass(frozen=True)
 class Rows:
-    """What each row of the system is made of: a reading (its index in the table), and a channel.
+    """The origin of each row of the system: `reading` (N,) is the index of its reading in the table.
 
-    `channel` is 0, 1 or 2 for the signal of one channel, or `MODULUS` for the modulus |a|.
+    `channel` (N,) is 0, 1 or 2 for the signal of one channel, or `MODULUS` for the modulus |a|.
     """
 
     reading: Ints
@@ -130,24 +130,25 @@ class RunSizes:
 class LinearSystem:
     """N differences of readings and prediction, as a linear function of the unknowns plus noise.
 
-    The model is response = fixed @ c + random @ b + noise, linearised at a first guess of the block: c are
-    the changes of the 12 coefficients, without a prior, and b have independent standard normal priors.
+    The model is response = fixed @ c + random @ b + noise, linearised at a first guess of the block. Here c are
+    the changes of the 12 coefficients, which have no prior, and b are q other unknowns with independent standard
+    normal priors.
 
-    `response` (N,) is measured minus predicted. `fixed` (N, 12) are the derivatives by the coefficients.
-    `random` (N, q) are the derivatives by the q other unknowns, times their prior standard deviations: stand
-    angles, then the effects of the given model, both described in `problem`, then unknown references. The
-    last `of_noise` of its columns are no unknowns of the bench but noise that readings share, such as slow
-    noise in `slow_channels`.
+    `response` (N,) is measured minus predicted. `fixed` (N, 12) are the derivatives by the coefficients. `random`
+    (N, q) are the derivatives by the other unknowns, times their prior standard deviations. Its columns belong to
+    the stand angles, then to the effects of the given model (`problem` describes both), then to unknown
+    references. The last `of_noise` columns are not unknowns of the bench but noise that readings share, such as
+    slow noise in `slow_channels`.
 
-    `slope` (N,) is the derivative of a signal by the head angle; zero in rows without one. `setting` (N,)
-    numbers the settings of the head; -1 in rows without one.
+    `slope` (N,) is the derivative of each row's signal by the head angle, or 0 in a row that does not depend on
+    it. `setting` (N,) is the number of each row's setting of the head, or -1 in a row without a setting.
 
-    `orientation` is that of the block at the verification points, None if they do not determine it. If it
-    contradicts the bench file, `model` has the measured one.
+    `orientation` is the orientation of the block at the verification points, None if they do not determine it. If
+    it contradicts the bench file, `model` has the measured orientation.
 
-    Noise of a row relative to the average is a product of several factors: `by_channel` (3,) with mean square
-    1; `by_run`, for runs with different noise; `by_row` (N,), for noise with heavy tails; `by_place` (N,),
-    for a place that scatters more. Each of the last three is None if there is no such difference.
+    The noise of a row relative to the average is a product of factors. `by_channel` (3,) has mean square 1.
+    `by_run` has a factor for each run; `by_row` (N,), factors that describe heavy tails; `by_place` (N,), factors
+    of a place that scatters more. Each of these three is None if there is no such difference.
     """
 
     readings: Readings
@@ -176,14 +177,14 @@ class LinearSystem:
     def with_random(self, *columns: Floats) -> LinearSystem:
         """Return the system with more unknowns: `columns` of `random`, each (N,) or (N, k).
 
-        They are the change of the rows by one prior standard deviation.
+        A column is the change of the rows by one prior standard deviation of the unknown.
         """
         return replace(self, random=np.column_stack([self.random, *columns]))
 
     def with_noise(self, *columns: Floats) -> LinearSystem:
         """Return the system with more noise that readings share: `columns`, each (N,) or (N, k).
 
-        They are the change of the rows by one standard deviation.
+        A column is the change of the rows by one standard deviation of this noise.
         """
         system = self.with_random(*columns)
         return replace(system, of_noise=self.of_noise + system.random.shape[1] - self.random.shape[1])
@@ -204,9 +205,9 @@ class LinearSystem:
 
     @property
     def typical_slope(self) -> float:
-        """Root mean square over the settings of |du/dphi|: the derivative of the signals by the head angle.
+        """Root mean square of |du/dphi| over the settings, in the unit of the signal per rad.
 
-        Each channel is divided by its relative noise. Unit of the signal per rad.
+        Each channel's derivative is divided by the relative noise of the channel.
         """
         return float(np.sqrt(np.sum((self.slope / self.relative) ** 2) / max(self.settings, 1)))
 
@@ -276,10 +277,10 @@ class LinearSystem:
         `of` is either a course, one value per reading (n,), or an effect. An effect must act at the output of
         the block or in the voltmeter, and must not depend on the path of the head.
 
-        At the stage of the stand, a course is added to the stand angle named `adds_to`; at the head, to the
-        head angle; both in rad, and the result is (N, 1). At the output of the block, a course is an
-        acceleration in g, or with `of_force` a fraction of the specific force; in the voltmeter it is in the
-        unit of the signal. The result is then (N, 3): a column for each channel in which it may act.
+        At the stage of the stand, a course in rad is added to the stand angle named `adds_to`; at the stage of
+        the head, to the head angle. The result is (N, 1). At the output of the block, a course is an acceleration
+        in g, or with `of_force` a fraction of the specific force; in the voltmeter it is in the unit of the
+        signal. The result is then (N, 3), with a column for each channel in which the course may act.
         """
         force, by_angle = self._stand
         if stage in (Stage.STAND, Stage.HEAD_ANGLE):
@@ -298,7 +299,9 @@ class LinearSystem:
 
     @cached_property
     def _stand(self) -> tuple[Floats, Floats]:
-        """Specific force (n, 3) without effects; derivatives (n, 3, 6) of the readings by stand and head."""
+        """The specific force (n, 3) without effects, and the derivatives (n, 3, 6) of the readings by the angles
+        of stand and head.
+        """
         model, conditions = replace(self.model, effects=()), self.conditions
         still = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))
         known = [mount.installation in model.installations for mount in conditions.mounts]
@@ -315,7 +318,7 @@ class LinearSystem:
         return force, np.stack(differences, axis=2) / (2 * STEP_RAD)
 
     def effect_column(self, applied: AppliedEffect) -> Floats:
-        """Return the change of the rows, (N,), if an effect acts with its values."""
+        """Return the change (N,) of the rows that an effect with its values causes."""
         return self.view.rows_of(self._change(applied))
 
     def effect_columns(self, applied: AppliedEffect) -> Floats:
@@ -328,12 +331,12 @@ class LinearSystem:
 class View:
     """The conversion of changes of the signals of n readings to changes of the N rows of the system.
 
-    `conditions` are those of all readings in the order of measurement, as effects may depend on earlier
-    readings. `force` (n, 3), in g, replaces the specific force that the installation gives, and `voltage_v`
-    (n, 3) the output of the block; NaN where they do not. `settings`, `moduli` and `inputs` are the indices
-    of the readings in an orientation, of those whose modulus alone is used, and of those of a shorted or
-    reference input. `by_signal` (moduli, 3) is the unit vector along the gradient of |a| with respect to the
-    signals.
+    `conditions` are those of all readings in the order of measurement, as effects may depend on earlier readings.
+    Where it is not NaN, `force` (n, 3), in g, replaces the specific force that the installation implies, and
+    `voltage_v` (n, 3) replaces the output of the block. `settings` are the indices of the readings in an
+    orientation; `moduli`, of the readings of which only the modulus is used; `inputs`, of the readings of a
+    shorted or reference input. `by_signal` (moduli, 3) is, for each modulus, the unit vector along the gradient
+    of |a| with respect to the signals.
     """
 
     conditions: Conditions
@@ -432,7 +435,7 @@ def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, f
 
 
 def _modulus(block: Block, signal: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return a (m, 3), the unit vector along d|a|/du (m, 3), and the signal per unit of |a| (m,)."""
+    """Return, for m signals, the force a (m, 3), the unit vectors along d|a|/du (m, 3), and 1 / |d|a|/du| (m,)."""
     if not len(signal):
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
     force = block.specific_force(signal)
@@ -446,9 +449,10 @@ def _unit(vectors: Floats) -> Floats:
 
 
 def _references(readings: Readings) -> tuple[Floats, Ints]:
-    """Return the voltage (n, 3) of each input, NaN elsewhere, and the references of unstated value.
+    """Return the voltages (n, 3) of shorted and reference inputs, and the indices of references of unstated value.
 
-    The value of those is what the voltmeters read, its prior u that value itself.
+    The voltages are NaN for readings of the block. A reference of unstated value has the mean that the voltmeters
+    read; its prior u is as large as this value.
     """
     volts = np.full((len(readings), 3), np.nan)
     volts[readings.installation == SHORTED] = 0.0
@@ -464,8 +468,8 @@ def _references(readings: Readings) -> tuple[Floats, Ints]:
 def own_column(problem: Problem, block: Block, view: View, number: int) -> Floats:
     """Return the change of the signals (n, 3) by one prior standard deviation of an unknown of the problem.
 
-    `number` is the index of the unknown among stand angles and effect parameters; only an effect parameter
-    has an effect here.
+    `number` is the index of the unknown among the stand angles and the effect parameters; only an effect
+    parameter changes the signals here.
     """
     step = np.zeros_like(problem.prior_u)
     step[number] = 1e-3 * problem.prior_u[number]
@@ -476,9 +480,10 @@ def own_column(problem: Problem, block: Block, view: View, number: int) -> Float
 def _columns(
     problem: Problem, block: Block, unit: Floats, view: View, label: NDArray[np.str_], unstated: Ints
 ) -> tuple[Floats, Floats]:
-    """Return the columns of the coefficients, and of stand angles and own effects times their prior u.
+    """Return the columns of the coefficients (N, 12), and those of the other unknowns times their prior u (N, q).
 
-    A modulus does not depend on the angles of the stand. `unstated` indexes readings of unknown references.
+    A modulus does not depend on the angles of the stand. `unstated` are the indices of the readings of references
+    with an unstated value.
     """
     jacobian = problem.jacobian(block, problem.prior_mean)
     jacobian[:, :, FIXED:] *= problem.prior_u

@@ -48,15 +48,15 @@ from bench.model.geometry import Block
 from bench.readings.table import VERIFICATION, Readings, stacked
 
 OTHER_BLOCK: Final = (1e-3, 3e-3, 10e-3)
-"""Largest changes of one block between runs: scale factor and cross-axis terms in g/g, bias in g."""
+"""Largest changes of one block between runs: of a scale factor, g/g; of a cross-axis term, g/g; of a bias, g."""
 
 
 @dataclass(frozen=True)
 class JointSystem(LinearSystem):
     """The joint linear system of several accelerometer blocks on one bench.
 
-    `parts` are the systems of the blocks, whose rows follow one another; `block` is the first guess of the
-    first one. Each block has coefficients of its own; unknowns of the bench are common.
+    `parts` are the systems of the blocks; the rows of the joint system are theirs, in this order. `block` is the
+    first guess of the first block. Each block has its own coefficients; unknowns of the bench are common.
     """
 
     parts: tuple[LinearSystem, ...]
@@ -82,7 +82,9 @@ class JointSystem(LinearSystem):
 
     @property
     def relative_of_channel(self) -> Floats:
-        """The relative noise (N,) of each row that is due to its channel; for a modulus, of its own block."""
+        """The relative noise (N,) of each row that is due to its channel; for a modulus, to the channels of its
+        block.
+        """
         return self._of_each_block(lambda part: replace(part, by_channel=self.by_channel).relative_of_channel)
 
     @cached_property
@@ -164,7 +166,7 @@ def _rows_of(readings: Readings, rows: Ints) -> Readings:
 
 
 def _random_of(part: LinearSystem, stand_u: Mapping[str, float]) -> tuple[Floats, Floats]:
-    """Return the random columns of effects of the bench, which blocks share, and the block's own columns."""
+    """Return the columns of `random` that all blocks share (effects of the bench), and those of this block."""
     problem = make_problem(part.model, part.moved, stand_u)
     of_bench = np.zeros(part.random.shape[1], dtype=bool)
     for place, unknown in enumerate(problem.effects):
@@ -257,9 +259,10 @@ def find_mistakes_in_each(
 
 
 def _searched_together(readings: Readings, model: ForwardModel) -> Iterator[tuple[Mask, int]]:
-    """Yield the rows of each run with the place of its block.
+    """Yield the mask (n,) of each run's rows, and the index of the run's block.
 
-    Runs of a block that do not determine its coefficients go with the first that does, or with each other.
+    A run that does not determine the coefficients of its block is joined to the first run that does, or else to
+    the others.
     """
     run = readings.run
     block = np.zeros(len(readings), dtype=np.int64) if readings.block is None else readings.block
@@ -346,7 +349,7 @@ def _labels(readings: Readings, number: Ints) -> Iterator[tuple[str, ...]]:
 
 
 def _add_unnamed(collector: Collector, unit: float) -> None:
-    """Add the unnamed families: signatures shared by all runs, and zeros or scale factors by run."""
+    """Add the unnamed families: patterns common to all runs, and zeros or scale factors that differ by run."""
     rows, readings = collector.linear.rows, collector.linear.readings
     add_free_patterns(collector, unit, _visit(readings))
     phase = _phase(readings)[rows.reading]
@@ -390,7 +393,7 @@ def _visit(readings: Readings) -> Ints:
 
 
 def _phase(readings: Readings) -> Floats:
-    """Return the elapsed fraction of its run for each reading, 0 to 1."""
+    """Return, for each reading, the fraction of its run that had elapsed, 0 to 1."""
     elapsed = readings.conditions().elapsed_s
     run = readings.run
     phase = np.zeros(len(readings))
@@ -411,7 +414,9 @@ TOGETHER: Final = FALSE_ALARMS - ALONE
 
 @dataclass(frozen=True)
 class _Run:
-    """A single run: its rows in the joint system, its own system and candidates, and its noise grid."""
+    """A single run: the mask `rows` (N,) of its rows in the joint system, and its own system, candidates and
+    noise grid.
+    """
 
     rows: Mask
     linear: LinearSystem
@@ -424,7 +429,7 @@ class _Run:
 
 
 COMMON: Final = 5
-"""If more than one run in this many has finds of its own, they do not count as effects of single runs."""
+"""If more than one in this many runs has finds of its own, these do not count as effects of single runs."""
 
 
 def search_runs(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]:
@@ -444,7 +449,7 @@ def search_runs(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]
 def _prepared(
     task: SearchTask, linear: LinearSystem, limit: Threshold | None = None, most: float = np.inf
 ) -> tuple[Prepared, Naming]:
-    """Prepare and search all runs together and each alone; `limit` and `most` where they are known."""
+    """Prepare and search all runs together, and each run alone."""
     repeats = task.repeats(linear, most)
     whitened = Whitened.of(
         grid_with_rounding(linear, repeats.sigma, task.setting_rad, task.resolution),
@@ -462,8 +467,9 @@ def _name_in_all_and_each(
 ) -> tuple[Whitened, Naming]:
     """Return the finds in all runs and in single runs, with the whitened candidates that contain them.
 
-    Effects of a few single runs are searched first, as they could be mistaken for common effects. Common
-    effects are searched beside them, and then again effects of single runs beside the common ones.
+    Effects of a few single runs are searched first, as they could be mistaken for common effects. Common effects
+    are then searched with these in the model, and at last effects of single runs with the common effects in the
+    model.
     """
     response = linear.response[:, None]
     data = whitened.reduce(response)
@@ -501,7 +507,7 @@ def _name_in_all_and_each(
 
 
 def _stays(whitened: Whitened, data: Data, naming: Naming, one: FoundEffect) -> bool:
-    """Return whether a single-run find is still likely beside all finds, or was replaced by another form."""
+    """Return whether a single-run find is still likely given all other finds, or was replaced by another form."""
     if one.variant not in [found.variant for found in naming.found]:
         return True
     others = [i for found in naming.found if found.variant != one.variant for i in found.variant.columns]
@@ -523,8 +529,9 @@ def _look_in_each(
 ) -> tuple[Candidates, tuple[FoundEffect, ...]]:
     """Return the candidates with the single-run finds, and these finds; `in_all` (N,) is the common signal.
 
-    One threshold, computed for the first run, serves for all, with a share of the probability for each run.
-    Coefficients are free in every run, so that a different zero or scale factor is no find here.
+    `in_all` (N,) is the signal of the finds common to all runs. The threshold computed for the first run serves
+    for all runs, with a share of the probability of a false alarm for each. Coefficients are free in every run,
+    so that a different zero or scale factor is no find here.
     """
     found: list[FoundEffect] = []
     for run in runs:
@@ -553,7 +560,9 @@ def _runs(task: SearchTask, linear: LinearSystem, sigma_of_all: float) -> Iterat
 
 
 def _embedded(candidates: Candidates, one: FoundEffect, run: _Run) -> tuple[Candidates, FoundEffect]:
-    """Return the candidates with the columns of a single-run find, zero in other runs, and that find."""
+    """Return the candidates with the columns of a single-run find added, and the find. The columns are 0 in other
+    runs.
+    """
     labels, own = _labels_of_runs(run.linear.readings), run.candidates
     chosen = list(one.variant.columns)
     first = candidates.columns.shape[1]

@@ -1,4 +1,4 @@
-"""Naming of what is missing: effects join the model one by one, each with the odds of its rivals."""
+"""Naming of what is missing: effects join the model one by one, each with the odds of the families in its place."""
 
 from __future__ import annotations
 
@@ -24,15 +24,17 @@ from bench.diagnosis.levels import INSEPARABLE
 from bench.model.effects import CATALOGUE
 
 MOST_EFFECTS: Final = 5
-"""Effects that one search finds at most."""
+"""Largest number of effects that one search finds."""
 ALONE: Final = 0.95
 """Posterior probability from which a find has a single name."""
 SET: Final = 0.99
-"""Least sum of the posterior probabilities of the names in a tie."""
+"""Least sum of the posterior probabilities of a find's name and its ties."""
 ALIAS: Final = 1.0
-"""An effect that leaves at most this part of another's signature, in units of noise, is its alias for any prior."""
+"""An effect is an alias of another, whatever the priors, if it leaves at most this much of its signature, in
+noise units.
+"""
 ABSURD: Final = 60.0
-"""A candidate is no alias if it would have to be more than this many plausible sizes large."""
+"""A candidate is no alias if its amplitude would have to exceed this many plausible sizes."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +49,12 @@ class FamilyOdds:
 class FoundEffect:
     """An effect or unnamed family that was found, in the form `variant`.
 
-    `evidence` is ln of the Bayes factor of its family against its absence, given all other effects found.
-    `total` is ln of the odds that anything is missing in a model without it. `size` is the length of the part
-    of the readings that it explains, in units of the noise. `odds` are the most probable families in its
-    place, with their posterior probabilities. `ties` are other families that the readings do not exclude;
-    `same` are those of the ties that change these readings in the same way. `plainer_than` are families of
-    the same subsystem that contain this one and need more parameters.
+    `evidence` is ln of the Bayes factor of its family against its absence, given all other effects found. `total`
+    is ln of the odds that some family is missing in a model without this effect. `size` is the root of the
+    decrease of chi-square when the effect joins the model. `odds` are the families that are most probable in its
+    place, with their posterior probabilities. `ties` are other families that the readings do not exclude; `same`
+    are the ties that change these readings in the same way. `plainer_than` are families of the same subsystem
+    that include this one as a special case and need more parameters.
     """
 
     variant: Variant
@@ -69,7 +71,7 @@ class FoundEffect:
 class Naming:
     """The effects found, in the order of the search.
 
-    `left` is ln of the odds that still another effect is missing.
+    `left` is ln of the odds that yet another effect is missing.
     """
 
     found: tuple[FoundEffect, ...]
@@ -93,10 +95,10 @@ class Naming:
 class Scored:
     """The scores of all families in one data set, given a model that has some known columns.
 
-    `left` are the scalar products of the data after the known columns are fitted. `scores` has those of all
-    variants. `evidence` maps each family to ln of its Bayes factor; `log_odds` maps it to this plus ln of its
-    prior probability. `total` is ln of the sum of these odds: the odds that anything is missing. `ratio` is
-    the index of the most probable noise ratio.
+    `left` are the scalar products of the data after the known columns are fitted and subtracted. `scores` has the
+    scores of all variants. `evidence` maps each family to ln of its Bayes factor; `log_odds` maps each family to
+    this logarithm plus ln of its prior probability. `total` is ln of the sum of these odds, that is, of the odds
+    that some family is missing. `ratio` is the index of the most probable noise ratio.
     """
 
     search: Search
@@ -184,9 +186,9 @@ class Scored:
         return max(float(amplitude @ gram @ amplitude), 0.0)
 
     def amplitude(self, variant: Variant) -> tuple[Floats, Floats]:
-        """Return the estimates (p,) of a form's columns, in plausible sizes, and their Gram matrix (p, p).
+        """Return the amplitudes (p,) estimated for a form's columns, and the Gram matrix (p, p) of these columns.
 
-        The known columns are projected out of both.
+        An amplitude is a multiple of the plausible size. The known columns are projected out.
         """
         columns = list(variant.columns)
         gram = self.search.between(self.ratio, columns)
@@ -199,7 +201,7 @@ Among = Callable[[str], bool]
 """A function that returns whether a family may be found."""
 
 MOST_KEPT: Final = 24
-"""The number of scored models that are cached for the data scored last."""
+"""Largest number of models whose scores are cached, for the data set that was scored last."""
 
 
 def name(
@@ -210,11 +212,11 @@ def name(
     begun: Sequence[FoundEffect] = (),
     among: Among | None = None,
 ) -> Naming:
-    """Return the effects that are missing in one data set.
+    """Return the effects that act in one data set and that the model lacks.
 
-    At most `most` effects are found in addition to those in `begun`, until the odds that anything is missing
-    fall below the threshold. `among` says which families may be found (None: all); the odds that anything is
-    missing always include all of them.
+    Effects are added to those in `begun` until the odds that some family is missing fall below the threshold, or
+    until `most` were added. `among` says which families may be found (None: all); the odds always include all
+    families.
     """
     found, free = list(begun), len(begun)
     while True:
@@ -248,7 +250,7 @@ def _re_examine(
     among: Among | None,
     kept: int,
 ) -> list[FoundEffect]:
-    """Test each earlier find, except the first `kept`, given all others, as it may have replaced another effect."""
+    """Test each find but the first `kept` again, given all others: another effect may explain it better by now."""
     for _ in range(2):
         changed = False
         for i in range(kept, len(found)):
@@ -265,8 +267,8 @@ def needed(
 ) -> list[FoundEffect]:
     """Return the effects found without those that are not necessary.
 
-    An effect is unnecessary if the odds that anything is missing without it stay below the threshold. The
-    weakest is tested first. The first `kept` effects always stay.
+    An effect is unnecessary if, without it, the odds that some family is missing stay below the threshold. The
+    weakest effect is tested first. The first `kept` effects always stay.
     """
     while len(found) > max(kept, 1):
         without = [Scored.beside(whitened, data, _columns(found, but=i)) for i in range(kept, len(found))]
@@ -318,8 +320,8 @@ def ranked_odds(log_odds: Mapping[str, float]) -> list[FamilyOdds]:
 def holding(odds: Sequence[FamilyOdds]) -> list[str]:
     """Return the names of the most probable families that cannot be told apart.
 
-    It is the first alone if its probability reaches `ALONE`, otherwise the first ones whose probabilities
-    together reach `SET`. `odds` are sorted, the most probable first.
+    If the first probability reaches `ALONE`, this is the first name only; otherwise it is as many of the first
+    names as reach `SET` together. `odds` are sorted, the most probable first.
     """
     if odds[0].probability >= ALONE:
         return [odds[0].name]
@@ -333,9 +335,9 @@ def holding(odds: Sequence[FamilyOdds]) -> list[str]:
 
 
 def _aliases(scored: Scored, variant: Variant, enough: float, most: float = ABSURD) -> dict[str, int]:
-    """Return the effects that explain `enough` of a signature, with the fewest parameters that each needs for it.
+    """Return each effect that explains `enough` of a signature, with the least number of parameters it needs.
 
-    None of them may have to be more than `most` plausible sizes large.
+    An effect that would have to exceed `most` plausible sizes is left out.
     """
     if not variant.named:
         return {}

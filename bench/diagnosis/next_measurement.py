@@ -139,7 +139,7 @@ MENU: Final = (
 """Names of the shipped procedures that may be proposed."""
 
 SEPARATED: Final = 8.0
-"""D from which two explanations count as separated: four standard deviations."""
+"""Least divergence D of two explanations that count as separated; it corresponds to four standard deviations."""
 
 SHOWN: Final = 2.5
 """An effect shows if its plausible size is at least this many units of noise: then twice this size is found.
@@ -152,8 +152,9 @@ It counts as hidden if it is found only beyond twice as many plausible sizes.
 class Separation:
     """How well readings distinguish an effect found (`effect`) from one of its ties (`other`).
 
-    `before` is the divergence D of the present readings, `after` that together with the readings of a
-    procedure. D is the expected value of ln of the odds of the true name against the other; higher is better.
+    `before` is the divergence D from the present readings; `after`, the divergence from these and the readings of
+    a procedure together. D is the expected value of ln of the odds of the true name against the other; higher is
+    better.
     """
 
     effect: str
@@ -171,7 +172,7 @@ class Separation:
 class Chance:
     """The prospects of a procedure: its duration, and the probability that it settles every tie (`answers`).
 
-    A tie is settled if one of its names reaches a posterior probability of `ALONE`.
+    `hours` is the duration. A tie is settled if one of its names reaches a posterior probability of `ALONE`.
     """
 
     procedure: str
@@ -182,13 +183,13 @@ class Chance:
 def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) -> float:
     """Return the probability that further readings give one name of a tie a posterior of at least `ALONE`.
 
-    `first` is the name of the effect found; the others are its rivals. `odds` are the present posterior
-    probabilities by name, including that of `first`. `gained` is, for each rival, the increase by the further
-    readings of the divergence D against `first`; -inf for a rival that they cannot tell from it.
+    `first` is the name of the effect found; the other names are its rivals. `odds` maps each name, `first`
+    included, to its present posterior probability. `gained` maps each rival to the increase of its divergence D
+    from `first` by the further readings, or to -inf if they cannot distinguish it from `first`.
 
-    If one of two names is true, ln of its odds against the other grows by a normally distributed number of
-    mean D and variance 2 D. Of several rivals, the one hardest to separate from the true name decides; the
-    divergence between two rivals is not considered.
+    If one of two names is true, ln of its odds against the other grows by a normally distributed number of mean D
+    and variance 2 D. If there are several rivals, the one that is hardest to separate from the true name decides.
+    The divergence between two rivals is not considered.
     """
     enough = math.log(ALONE / (1.0 - ALONE))
 
@@ -209,9 +210,9 @@ class Proposal:
     """A procedure proposed as the next measurement, and the reason `why`.
 
     `source` is the file of the procedure, `minutes` its expected duration. `settles` are the ties that it
-    resolves or reduces, `shows` the effects hidden so far that it would show. `left_out` maps each procedure
-    that this bench cannot carry out to the reason. `written` is the copy of the procedure that begins with
-    `why`, None before `write`. `chances` has the prospects of all procedures if there are ties, the best
+    resolves or reduces; `shows`, the effects that were hidden so far and that it would show. `left_out` maps each
+    procedure that this bench cannot carry out to the reason. `written` is the path of a copy that begins with
+    `why`, or None before `write`. If there are ties, `chances` has the prospects of all procedures, the best
     first.
     """
 
@@ -310,7 +311,7 @@ class _Bill:
                 yield path, procedure.plan
 
     def _linear(self, plan: Plan | None) -> LinearSystem:
-        """Return the system of the present readings, or of these with the readings of a plan as one more run."""
+        """Return the system of the present readings, and of the readings of a plan (if any) as one more run."""
         linear = self._diagnosis.linear
         if plan is None:
             return linear
@@ -365,7 +366,7 @@ class _Bill:
         return whole
 
     def _divergences(self, plan: Plan | None) -> dict[tuple[str, str], float]:
-        """Return D of each find against each of its ties."""
+        """Return the divergence D of each find from each of its ties, by the two names."""
         diagnosis, linear = self._diagnosis, self._linear(plan)
         result = {}
         for index, effect in enumerate(diagnosis.effects):

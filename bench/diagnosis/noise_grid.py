@@ -33,7 +33,9 @@ def coupled(matrix: Floats) -> Iterator[tuple[Ints, Ints]]:
 
 
 RATIOS: Final = (0.0, 0.7, 1.4, 2.6, 5.0, 12.0)
-"""Grid of gamma: the signal of a setting error at the typical slope, in units of a reading's noise."""
+"""Grid of the noise ratio gamma: the signal of a setting error at the typical slope, divided by the noise of a
+reading.
+"""
 
 RATIO_SPREAD: Final = 1.0
 """Prior standard deviation of ln gamma about the bench file's value, which is known to a factor of three."""
@@ -41,7 +43,8 @@ RATIO_SPREAD: Final = 1.0
 LOCAL: Final = 0.5
 """Largest fraction of the rows that a random column joins in one block; a wider column is fitted.
 
-Of several runs it is one in at most a run's rows: what all runs share would join them all in one dense block.
+With several runs, the limit is the share of one run: a column that all runs share would join all rows in a dense
+block.
 """
 
 
@@ -49,8 +52,9 @@ Of several runs it is one in at most a run's rows: what all runs share would joi
 class Span:
     """A subspace of some of the rows (n of them) that is fitted: by coefficients or by unknowns with a prior.
 
-    `basis` (n, k) are its orthonormal directions. `kept` (k,) is the fraction of each direction that remains
-    in the residuals because of the prior; 0 for coefficients, which have none.
+    `rows` are the indices of its n rows. `basis` (n, k) are the k orthonormal directions of the subspace. `kept`
+    (k,) is the fraction of each direction that remains in the residuals because of the prior; it is 0 for
+    coefficients, which have no prior.
     """
 
     rows: slice | Ints
@@ -67,9 +71,10 @@ class Span:
 class Whitener:
     """A linear map of N rows to numbers with independent noise of equal variance.
 
-    `blocks` are sets of rows with correlated noise, b of equal size n together: their rows, b n in sequence,
-    and the inverse Cholesky factors of their covariances (b, n, n). `fitted` are the subspaces that the map
-    removes, orthogonal to each other; several accelerometer blocks have one each. Apply the map with `@`.
+    `blocks` has an entry for each size n of a set of rows with correlated noise. The entry is a pair for the b
+    sets of this size: the indices of their b n rows, one set after the other, and the inverse Cholesky factors
+    (b, n, n) of their covariances. `fitted` are the subspaces that the map removes; they are orthogonal, and each
+    accelerometer block has its own. Apply the map with `@`.
     """
 
     blocks: tuple[tuple[slice | Ints, Floats], ...]
@@ -115,7 +120,7 @@ class Whitener:
 
 
 def _times(matrices: Floats, columns: Floats) -> Floats:
-    """Return each matrix (b, n, n) times its own n rows of the columns (b n, …)."""
+    """Multiply matrix i of the `matrices` (b, n, n) by the rows i n to i n + n - 1 of the `columns` (b n, …)."""
     return (matrices @ columns.reshape(*matrices.shape[:2], -1)).reshape(columns.shape)
 
 
@@ -123,11 +128,11 @@ def _times(matrices: Floats, columns: Floats) -> Floats:
 class NoiseGrid:
     """A grid of noise ratios, each with the map that whitens the rows and projects the coefficients out.
 
-    `white` has a map for each ratio; the rows are given in units of `sigma`, a first estimate of the noise of
-    a reading. `freedom` is the number of rows minus that of the coefficients. `log_det` (ratios,) is the part
-    of ln of the restricted likelihood that does not depend on the data, `log_prior` (ratios,) ln of the prior
-    probability. `setting_rad_per_noise` (ratios,) is the setting error, rad, for a noise of one unit of the
-    signal. With `known`, the noise is `sigma`; otherwise it is unknown.
+    `white` has a map for each ratio; the map takes rows divided by `sigma`, a first estimate of the noise of a
+    reading. `freedom` is the number of rows minus the number of coefficients. `log_det` (ratios,) is the part of
+    ln of the restricted likelihood that does not depend on the data; `log_prior` (ratios,), ln of the prior
+    probability of each ratio. `setting_rad_per_noise` (ratios,) is the setting error, rad, if the noise of a
+    reading is one unit of the signal. If `known`, the noise is `sigma`; otherwise it is unknown.
     """
 
     white: tuple[Whitener, ...]
@@ -154,10 +159,9 @@ def make_noise_grid(
 ) -> NoiseGrid:
     """Return the whitening maps of a linear system for a grid of noise ratios.
 
-    `sigma` is a first estimate of the noise of a reading, in the unit of the signal; it converts prior
-    standard deviations to units of the noise. `setting_rad` is the setting error that the bench file states
-    (0: unknown), from which the prior of the ratios follows. Fewer `ratios` save time if the noise is known
-    well enough.
+    `sigma` is a first estimate of the noise of a reading, in the unit of the signal. Prior standard deviations
+    are divided by it. `setting_rad` is the setting error that the bench file states (0: unknown), from which the
+    prior of the ratios follows. Fewer `ratios` save time if the noise is known well enough.
     """
     oriented = linear.setting >= 0
     scaled2 = (linear.slope / linear.relative)[oriented] ** 2
@@ -189,17 +193,17 @@ def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whi
 
 
 def _wide(linear: LinearSystem) -> Mask:
-    """Return a mask of the random columns that are in more than the fraction `LOCAL` of the rows."""
+    """Return the mask (q,) of the columns of `random` that are nonzero in too many rows (`LOCAL`)."""
     most = min(LOCAL, 1.0 / len(np.unique(linear.readings.run))) * len(linear)
     return np.asarray(np.count_nonzero(linear.random, axis=0) > most)
 
 
 @dataclass(frozen=True)
 class RowBlocks:
-    """Blocks of n rows with correlated noise, `rows` (b, n), and the covariances of this noise (b, n, n).
+    """The row indices, `rows` (b, n), of b blocks of n rows with correlated noise, and covariances of this noise.
 
-    `apart` is the covariance without the setting error, in units of the noise of a reading squared. `setting`
-    is the covariance that a setting error of 1 rad adds, in units of the signal squared.
+    `apart` (b, n, n) are the covariances without the setting error, in units of the squared noise of a reading.
+    `setting` (b, n, n) are the covariances that a setting error of 1 rad adds, in the squared unit of the signal.
     """
 
     rows: Ints
@@ -208,7 +212,7 @@ class RowBlocks:
 
 
 def _blocks(linear: LinearSystem, wide: Mask, sigma: float) -> list[RowBlocks]:
-    """Return the blocks of rows joined by a setting or by a column that is not `wide`, by size."""
+    """Return, for each size, the blocks of rows joined by a setting or by a column outside the mask `wide` (q,)."""
     local = linear.random[:, ~wide] / sigma
     row, column = np.nonzero(local)
     oriented = np.flatnonzero(linear.setting >= 0)
@@ -227,7 +231,7 @@ def _blocks(linear: LinearSystem, wide: Mask, sigma: float) -> list[RowBlocks]:
 
 
 def _row_blocks(linear: LinearSystem, local: Floats, rows: Ints) -> RowBlocks:
-    """Return the blocks `rows` (b, n) with their covariances; `local` (N, k) are random columns, white."""
+    """Return the blocks `rows` (b, n) with their covariances, to which the columns `local` (N, k) contribute."""
     apart = np.eye(rows.shape[1]) * linear.relative[rows][:, :, None] ** 2
     for number, own in enumerate(rows):
         joined = local[own]
@@ -254,7 +258,7 @@ def _white(
 
 
 def _fitted(half: Whitener, fixed: Floats, wide: Floats) -> tuple[tuple[Span, ...], float]:
-    """Return the subspaces of the coefficients and of `wide` columns with their prior; ln of determinants."""
+    """Return the subspaces of coefficients and `wide` columns (N, k), and their contribution to `log_det`."""
     white = half @ fixed
     spans = []
     log_det = 0.0
@@ -276,7 +280,7 @@ def _fitted(half: Whitener, fixed: Floats, wide: Floats) -> tuple[tuple[Span, ..
 
 
 def _as_slice(rows: Ints) -> slice | Ints:
-    """Return rows that follow one another as a slice, which copies nothing."""
+    """Return consecutive row indices as a slice, with which indexing copies nothing; other rows unchanged."""
     first = int(rows[0])
     one_by_one = np.array_equal(rows, np.arange(first, first + len(rows)))
     return slice(first, first + len(rows)) if one_by_one else rows
@@ -316,7 +320,7 @@ class ColumnProducts:
 
 @dataclass(frozen=True)
 class GramProducts:
-    """Scalar products of P whitened columns, all computed in advance, `gram` (ratios, P, P).
+    """Scalar products `gram` (ratios, P, P) of P whitened columns, all computed in advance.
 
     This needs less memory than `ColumnProducts` if there are more rows than columns.
     """
@@ -388,9 +392,10 @@ def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
 
 
 def _likeliest(squares: Floats, along: Floats) -> float:
-    """Return the maximum likelihood noise of independent residuals with these squares (m,).
+    """Return the maximum likelihood noise of m independent residuals with the `squares` (m,).
 
-    The setting error's share is `along` (m,). Its variance, in units of that of the noise, is tried on a grid.
+    `along` (m,) is the factor with which the variance of the setting error enters each square. This variance is
+    tried on a grid of multiples of the noise variance.
     """
     ratio = np.append(0.0, np.geomspace(1e-2, 1e6, 81)) / max(float(along.max()), 1e-300)
     size = 1.0 + np.outer(ratio, along)
@@ -400,7 +405,7 @@ def _likeliest(squares: Floats, along: Floats) -> float:
 
 
 def _about_model(linear: LinearSystem) -> float:
-    """Return the scatter about the model across du/dphi."""
+    """Return the scatter of the residuals about the model, perpendicular to du/dphi in each setting."""
     oriented = linear.setting >= 0
     left = linear.response[oriented]
     whole = np.concatenate([linear.fixed, linear.random], axis=1)[oriented]
@@ -414,9 +419,9 @@ def _about_model(linear: LinearSystem) -> float:
 
 
 def cells_of(linear: LinearSystem) -> Ints:
-    """Return a number for each setting, (n,), that repeats of the setting share.
+    """Return a number (n,) for each setting, which is equal for repeats of a setting.
 
-    Repeats are in the same mounting, at the same angle to 5 deg.
+    Repeats are settings of the same mounting at the same angle, rounded to 5 deg.
     """
     cells = np.column_stack([_mounts_and_angles(linear)[0], np.round(_mounts_and_angles(linear)[1] / 5.0)])
     return np.unique(cells, axis=0, return_inverse=True)[1].ravel()
@@ -442,7 +447,7 @@ def _saturated(angle_deg: Floats, passes: Ints) -> Floats:
 
 
 HARDLY_ANY: Final = 0.1
-"""Fraction of the noise below which repeated rounding error is neglected."""
+"""Rounding error that repeats share is neglected below this fraction of the noise."""
 TERMS: Final = 30
 
 
@@ -472,7 +477,7 @@ def is_rounded(digit: float, sigma: float) -> bool:
 
 
 def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSystem:
-    """Return the system with the rounding error that repeats of a setting share, if it is not negligible.
+    """Return the system with the rounding error that repeats of a setting share as noise, unless it is negligible.
 
     `digit` is the step of the last digit; `sigma` is the noise from repeats, at least that of rounding.
     """

@@ -1,9 +1,9 @@
 """Hypotheses on the noise, compared by evidence: by channel, run or place, heavy-tailed, slow, or larger.
 
-A hypothesis changes the covariance of the readings, and so competes with missing effects in explaining the
-same numbers. For heavy tails each row has its own precision, with the prior that makes its noise
-t-distributed (Tipping and Lawrence, Neurocomputing 69 (2005) 123); its evidence is the lower bound of that
-paper. The last part compares the noise with what the bench file and the samples state.
+A hypothesis changes the covariance of the readings; it competes with missing effects in explaining the readings.
+For heavy tails each row has its own precision, with the prior that makes its noise t-distributed (Tipping and
+Lawrence, Neurocomputing 69 (2005) 123); its evidence is the lower bound of that paper. The last part compares the
+noise with what the bench file and the samples state.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ from bench.readings.table import Readings
 from bench.stats.repeats_likelihood import believed_sizes
 
 LOG_PRIOR: Final = dict.fromkeys(("channels", "runs", "place", "tails", "slow"), math.log(0.1))
-"""ln of the prior odds of each kind of noise against noise that is normal and of one size."""
+"""ln of the prior odds of each kind of noise against ordinary noise, which is normal and has one size."""
 TAIL_DOF: Final = 4.0
 """Degrees of freedom of the t distribution of heavy tails."""
 ROUNDS: Final = 8
-"""Rounds of the fit with heavy tails; the bound is at rest by then."""
+"""Rounds of the fit with heavy tails, after which the bound no longer changes."""
 WAVES: Final = 16
 """Half waves over a run that slow noise has at most."""
 SIZES: Final = tuple(np.geomspace(0.05, 20.0, 61))
-"""Sizes of slow noise, root mean squares in units of the noise of a reading, alike in their prior probability."""
+"""Sizes of slow noise: root mean squares in units of the noise of a reading, all equally probable a priori."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class NoiseHypothesis:
 def noise_hypotheses(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
     """Yield the hypotheses on the noise that `linear` does not contain yet, with their likeliest sizes.
 
-    `effects` (N, m) are the columns of the effects in the model, `noise` the noise estimated so far.
+    `effects` (N, m) are the columns of the effects in the model; `noise` is the noise estimated so far.
     """
     yield from _by_channel(linear, effects, noise)
     if linear.by_run is None and linear.readings.run.any():
@@ -85,7 +85,9 @@ def log_null(grid: NoiseGrid) -> float:
 
 
 def _fit(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[Floats, Floats]:
-    """Return the residuals (N,) beside effects' columns (N, m), and the part of each row that the fit leaves."""
+    """Return the residuals (N,) of a fit with the `effects` (N, m), and each row's fraction of a degree of
+    freedom (N,).
+    """
     fitted = posterior(linear, effects, noise)
     design = linear.design(effects)
     white = whiten_rows(linear, noise, design)
@@ -106,7 +108,7 @@ def residuals(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Floats
 
 
 SAME_SIZE: Final = 0.1
-"""Relative difference within which sizes of noise count as the same."""
+"""Largest relative difference of two sizes of noise that count as the same."""
 
 
 def _by_channel(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
@@ -126,10 +128,10 @@ def _by_channel(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iter
 def sizes_by_channel(left: Floats, freedom: Floats, slope: Floats, cells: Ints, floor: float) -> Floats:
     """Return the relative noise of the three channels, (3,), with mean square 1.
 
-    `left` (n, 3) are the residuals of each setting and `freedom` (n,) the fraction of a degree of freedom
-    that the fit leaves of it. `slope` (n, 3) is the derivative of the signals by the head angle, the
-    direction of a setting error. `cells` (n,) are equal for settings with the same slope. `floor` is the
-    least noise permitted, in the unit of the signal.
+    `left` (n, 3) are the residuals of each setting; `freedom` (n,) is the fraction of a degree of freedom that
+    the fit leaves to each setting. `slope` (n, 3) is the derivative of the signals by the head angle, that is,
+    the direction of a setting error. `cells` (n,) has the same number for settings with the same slope. `floor`
+    is the least noise permitted, in the unit of the signal.
     """
     count = int(cells.max()) + 1
     free = np.bincount(cells, freedom, count)
@@ -142,7 +144,7 @@ def sizes_by_channel(left: Floats, freedom: Floats, slope: Floats, cells: Ints, 
 
 
 def _by_run(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
-    """Yield noise with a size for each run; a setting error is common to all."""
+    """Yield noise with a size for each run. The setting error has one size in all runs."""
     run = linear.readings.run[linear.rows.reading]
     system, variance = linear, np.ones(int(run.max()) + 1)
     sizes = variance
@@ -163,7 +165,7 @@ def _by_run(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator
 def _by_place(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
     """Yield noise that is larger in one place: a channel in an installation, or in one of its passes.
 
-    The cost counts the choice of one place among all, and one more size.
+    The prior odds pay for the choice of one place among all, and for one more size.
     """
     places = _larger(linear, residuals(linear, effects, noise))
     found = min((one for one in places if one[0].where), key=lambda one: one[0].p, default=None)
@@ -188,9 +190,9 @@ def _by_place(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterat
 class LocalScatter:
     """A place where readings scatter more than elsewhere: a channel in an installation or a pass of it.
 
-    `sd` and `elsewhere` are the standard deviations there and in all other places, in the unit of the signal.
-    `where` is the installation and pass in words, empty for a channel everywhere. `p` is the p-value,
-    corrected for the number of places.
+    `sd` is the standard deviation in this place; `elsewhere`, that in all other places; both are in the unit of
+    the signal. `where` is the installation and pass in words, empty if the place is a whole channel. `p` is the
+    p-value, corrected for the number of places.
     """
 
     channel: str
@@ -214,7 +216,7 @@ def larger_scatter(linear: LinearSystem, left: Floats) -> LocalScatter | None:
 
 
 def _larger(linear: LinearSystem, left: Floats) -> Iterator[tuple[LocalScatter, Mask]]:
-    """Yield the places that scatter significantly more than elsewhere, each with its rows (N,)."""
+    """Yield the places that scatter significantly more than all others, each with the mask (N,) of its rows."""
     places = list(_places(linear))
     oriented = linear.setting >= 0
     for channel, where, rows in places:
@@ -226,7 +228,7 @@ def _larger(linear: LinearSystem, left: Floats) -> Iterator[tuple[LocalScatter, 
 
 
 def _places(linear: LinearSystem) -> Iterator[tuple[str, str, Mask]]:
-    """Yield channel, words and rows (N,) of each place."""
+    """Yield, for each place, its channel, its words, and the mask (N,) of its rows."""
     reading, conditions = linear.rows.reading, linear.conditions
     mounts = np.array([str(mount) for mount in conditions.mounts])[conditions.mount][reading]
     passes = linear.readings.pass_number[reading]
@@ -244,7 +246,9 @@ def _places(linear: LinearSystem) -> Iterator[tuple[str, str, Mask]]:
 
 
 def _with_tails(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> NoiseHypothesis:
-    """Return noise with the tails of a t distribution, as a precision of each row (`by_row`)."""
+    """Return the hypothesis that the noise has the tails of a t distribution, with a factor for each row
+    (`by_row`).
+    """
     beside = linear.with_random(effects * KNOWN_SIZE)
     relative2 = linear.relative**2
     weight: Floats = np.ones(len(linear))
@@ -273,12 +277,13 @@ def _with_tails(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Nois
 
 
 def _log_odds_of_weights(weight: Floats, of_mean: Floats, square: Floats) -> float:
-    """Return what the evidence of rows with these weights (N,) lacks to that of t-distributed noise.
+    """Return ln of the evidence of t-distributed noise, less that of normal noise with row weights `weight` (N,).
 
     A precision t has the prior Gamma(d/2, d/2) and, with the expected `square` (N,) of its row in units of the
-    noise, the posterior Gamma((d + 1)/2, (d + square)/2). The bound has E ln t instead of ln of the weight,
-    less the divergence of posterior and prior. It takes precisions and fit for independent; the last term corrects
-    this to second order. `of_mean` (N,) is the part of the square that the mean of the fit leaves.
+    noise, the posterior Gamma((d + 1)/2, (d + square)/2). The bound has E ln t instead of ln of the weight, less
+    the divergence of posterior and prior. It assumes that precisions and fit are independent; the last term
+    corrects this to second order. `of_mean` (N,) is the part of `square` that the residual from the mean of the
+    fit contributes.
     """
     half, prior = 0.5 * (TAIL_DOF + 1.0), 0.5 * TAIL_DOF
     of_each = half - 0.5 * math.log(half) + special.gammaln(half) - special.gammaln(prior)
@@ -304,10 +309,10 @@ def log_density(linear: LinearSystem, effects: Floats, like: NoiseGrid) -> float
 class SlowNoise:
     """Slow noise (of spectral density 1/f) of one size in some `channels` (0, 1, 2), independent in each.
 
-    `size` is its root mean square over a run, in the unit of the signal. `columns` (N, k) are its k
-    independent components, of one standard deviation each. `evidence` is ln of the Bayes factor against no
-    slow noise, averaged over sizes. `cost` is ln of the ratio of the mean likelihood over all sizes to the
-    largest.
+    `size` is its root mean square over a run, in the unit of the signal. `columns` (N, k) are the changes of the
+    rows by one standard deviation of each of its k independent components. `evidence` is ln of the Bayes factor
+    against no slow noise, averaged over sizes. `cost` is ln of the mean likelihood over all sizes, divided by the
+    largest likelihood.
     """
 
     channels: tuple[int, ...]
@@ -340,8 +345,8 @@ def _slow(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[N
 def slow_noise(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[SlowNoise, ...]:
     """Return the slow noise that is more probable than none, given the effects' columns (N, m).
 
-    It is either one size common to all channels, or one size for each channel that has such noise, whichever
-    has the larger evidence. Empty if there is none.
+    The slow noise has either one size common to all channels, or a size for each channel that has such noise,
+    whichever has the larger evidence. The result is empty if there is none.
     """
     white = make_whitener(linear.with_random(effects * KNOWN_SIZE), noise.reading, noise.setting_rad)
     left = white @ (linear.response / noise.reading)
@@ -365,7 +370,9 @@ def _in_channels(
     channels: tuple[int, ...],
     waves: Sequence[Floats],
 ) -> SlowNoise:
-    """Return the likeliest slow noise of one size in some channels; `waves` are those of each channel."""
+    """Return the likeliest slow noise of one size in some channels; `waves` are the draws (N, waves) of each
+    channel.
+    """
     columns = np.concatenate(waves, axis=1)
     inside = white @ columns
     values, vectors = np.linalg.eigh(inside.T @ inside)
@@ -387,7 +394,7 @@ def _in_channels(
 def _waves(linear: LinearSystem, channel: int) -> Floats:
     """Return draws of unit root mean square over the readings, (N, waves), of a course of 1/f of one channel.
 
-    There are no draws where the channel has too few readings, or all at one time.
+    There are none if the channel has too few readings, or has them all at one time.
     """
     own = np.flatnonzero((linear.setting >= 0) & (linear.rows.channel == channel))
     time = linear.conditions.elapsed_s[linear.rows.reading[own]]
@@ -466,7 +473,7 @@ def _series(linear: LinearSystem) -> list[list[int]]:
 
 
 LARGER: Final = 2.0
-"""Least ratio of found to stated noise of a finding."""
+"""Least ratio of found to stated noise that is reported as a finding."""
 
 OWN_SCATTER: Final = message("the readings' own scatter")
 BENCH_FILE: Final = message("the bench file")
@@ -511,7 +518,7 @@ def noise_findings(
     digit: float = 0.0,
     by_run: RunSizes | None = None,
 ) -> tuple[NoiseFinding, ...]:
-    """Return where the estimated noise is significantly larger than stated, by more than a factor of two.
+    """Return each noise that is significantly larger than stated, and by at least the factor `LARGER`.
 
     `stand_u` has the "setting_error" (rad) and the "voltmeter_error" (V) of the bench file. `typical_slope`
     is the root mean square length of the derivative of the signals by the head angle, in their unit per rad.
@@ -532,7 +539,7 @@ def noise_findings(
 def _of_readings(
     noise: NoiseSize, readings: Readings, stand_u: Mapping[str, float], digit: float, by_run: RunSizes | None
 ) -> Iterator[NoiseFinding]:
-    """Yield the noise of readings beside its stated value, for each run where runs have sizes of their own."""
+    """Yield the findings on the noise of readings: for each run if the runs have different noise, else for all."""
     parts = [(readings, 1.0, float(noise.freedom))]
     if by_run is not None:
         runs = [readings.select(readings.run == number) for number in range(len(by_run.sizes))]
@@ -553,8 +560,9 @@ def _stated(
 ) -> Iterator[tuple[float, float, str]]:
     """Yield the stated noise of a reading, by the bench file and by its samples: size, freedom and source.
 
-    Either is without that of `rounding`. Samples do not show an error that they share; the bench file may state
-    it.
+    There is an item for the bench file and one for the scatter of the samples, if they state it. Neither source
+    includes the `rounding` error, which is added. Samples do not show an error that they share; the bench file
+    may state it.
     """
     size = stand_u.get("voltmeter_error", 0.0)
     if size > 0.0 and readings.unit == "V":

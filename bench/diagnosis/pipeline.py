@@ -74,15 +74,15 @@ def diagnose(
 ) -> Diagnosis:
     """Return the diagnosis of a table of readings against a model.
 
-    `stand_u` has the standard uncertainties of the stand angles (`STAND_ANGLES`) and of the "setting_error"
-    in rad, and of the "voltmeter_error" in V, by name. `nominal_scale_factors` are those of the data sheet
-    with their signs, in the unit of the signal per g: (3,), or (blocks, 3) for several blocks. Without them,
+    `stand_u` maps names to standard uncertainties: those of the stand angles (`STAND_ANGLES`) and of the
+    "setting_error", rad, and that of the "voltmeter_error", V. `nominal_scale_factors` (3,), or (blocks, 3) for
+    several blocks, are those of the data sheet with their signs, in the unit of the signal per g. Without them,
     channels exchanged or reversed in the whole run cannot be found. `cache` has simulated thresholds. Effects
-    that the properties `there` of the bench exclude are not searched. Mistakes are corrected in a copy, which
+    that the properties of the bench, `there`, exclude are not searched. Mistakes are corrected in a copy, which
     is then diagnosed.
 
-    Raises `CalibrationError` if the readings do not determine the coefficients, `MistakesLeaveTooLittle` if
-    the corrected copy does not.
+    Raises `CalibrationError` if the readings do not determine the coefficients, and `MistakesLeaveTooLittle` if
+    only the corrected copy does not.
     """
     mistakes = find_mistakes_in_each(readings, model, stand_u, nominal_scale_factors)
     setting_rad, digit = stand_u.get("setting_error", 0.0), digit_of(readings)
@@ -181,9 +181,9 @@ def _held_out(prepared: Prepared, naming: Naming, setting_rad: float) -> tuple[_
 
 
 def _unconfirmed(prepared: Prepared, naming: Naming, gap: Gap) -> list[FoundEffect]:
-    """Return weak finds beside a stronger one that held-out readings do not confirm.
+    """Return weak finds that held-out readings do not confirm, if there is a stronger find as well.
 
-    Odds beyond the threshold by more than chance need no held-out readings.
+    A find whose odds are far beyond the threshold needs no confirmation by held-out readings.
     """
     if gap.shrinks is not False or len(naming.found) < 2:
         return []
@@ -201,8 +201,9 @@ def _unconfirmed(prepared: Prepared, naming: Naming, gap: Gap) -> list[FoundEffe
 class _Estimated:
     """The joint estimate of coefficients and named effects.
 
-    `sized` has the effects in the shapes found. `fitted` also has their possible parts with other shapes
-    (`in_part`), of which `left_open` goes into a model file.
+    `noise` is the noise about the model with the effects. `sized` are the estimates with the effects in the
+    shapes found. `fitted` are the estimates that also include `in_part`, the possible parts of the effects with
+    other shapes. `left_open` are those of these parts that go into a model file.
     """
 
     effects: tuple[NamedEffect, ...]
@@ -231,9 +232,9 @@ def _estimated(prepared: Prepared, naming: Naming) -> _Estimated:
 def _form(
     prepared: Prepared, naming: Naming, estimated: _Estimated, gap: Gap, setting_rad: float
 ) -> FreeForm | None:
-    """Return the form of unnamed finds, or of a form tied with a name; None where names suffice.
+    """Return the formulas of unnamed finds, or of an unnamed find tied with a name; None if names suffice.
 
-    A pattern without a formula is described by the terms of the dictionary that explain it.
+    A find without a formula is described by the terms of the dictionary that explain it.
     """
     linear, whitened, data = prepared.linear, prepared.whitened, prepared.data
     candidates = whitened.candidates
@@ -261,9 +262,9 @@ def _form(
 def verdict_of(effects: Sequence[NamedEffect], findings: Sequence[NoiseFinding | str], gap: Gap) -> Verdict:
     """Return the verdict on readings without mistakes: the first of these that applies.
 
-    "unknown": `findings` (noise larger than stated, or readings far off), or an effect that is not in the
-    catalogue. "confounded": an effect has ties, or held-out readings do not confirm the effects. "named":
-    effects were found. "agrees": nothing was.
+    "unknown": there are `findings` (noise larger than stated, or readings far off), or an effect is not in the
+    catalogue. "confounded": an effect has ties, or held-out readings do not confirm the effects. "named": effects
+    were found. "agrees": nothing was found.
     """
     if findings or any(not e.in_catalogue for e in effects):
         return "unknown"
@@ -332,7 +333,10 @@ def _tie_names(candidates: Candidates, found: FoundEffect) -> tuple[str, ...]:
 
 
 def _odds(candidates: Candidates, found: FoundEffect) -> tuple[FamilyOdds, ...]:
-    """Return the odds instead of a find by the names of results: unnamed forms summed, then from 1 % or tied."""
+    """Return the odds of the families that may replace a find, by the names in results.
+
+    The odds of all unnamed forms are summed. Families below 1 % are left out unless they are ties.
+    """
     whole: dict[str, float] = {}
     for one in found.odds:
         called = name_of(candidates, one.name)
@@ -359,7 +363,7 @@ def _in_words(variant: Variant) -> str:
 def values_of(applied: tuple[AppliedEffect, ...]) -> Iterator[EffectValue]:
     """Yield each parameter of an effect with its u, in the units of the catalogue.
 
-    `applied` has an entry for each set of mountings; with several, the values state their mountings.
+    `applied` has an entry for each set of mountings. If there are several, each value states its mountings.
     """
     for one in applied:
         mounts = "+".join(one.installations) if len(applied) > 1 else ""
@@ -381,8 +385,9 @@ def values_of(applied: tuple[AppliedEffect, ...]) -> Iterator[EffectValue]:
 class Rival:
     """A family that may be present in place of an effect found.
 
-    `evidence` is ln of its Bayes factor, and `tied` says whether it is a tie of the effect. `shift` (12 for
-    each block,) is the change of the coefficients if it is in the model instead, in units of their u.
+    `evidence` is ln of the family's Bayes factor. `tied` says whether the family is a tie of the effect. `shift`
+    (12 × blocks,) are the changes of the coefficients, in units of their u, if the family replaces the effect in
+    the model.
     """
 
     family: str
@@ -403,7 +408,7 @@ class Rival:
 def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
     """Return, for each effect found, the most plausible families in its place, the best first.
 
-    They are the first `LISTED` ones by evidence, and in any case the effect itself and its ties.
+    They are the `LISTED` families with the largest evidence, and in any case the effect itself and its ties.
     """
     naming = diagnosis.naming
     if not naming.found:
@@ -437,9 +442,9 @@ def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
 class FullDiagnosis:
     """The result of the command `bench diagnose` for one set of readings.
 
-    `ranking` has, for each effect found, the families that may be present in its place. `skipped_rows` names
-    the rows of the source that could not be read. `shown` has the simulations of the (first) block; with
-    several blocks, `blocks` has those of all.
+    `ranking` has, for each effect found, the families that may be present in its place. `skipped_rows` names the
+    rows of the source that could not be read. `shown` has the simulations of the first block. If there are
+    several blocks, `blocks` has the simulations of all.
     """
 
     source: str
@@ -486,9 +491,10 @@ def diagnose_fully(
     """Diagnose the readings of a bench, simulate them, rank the rivals, and propose the next measurement.
 
     Nothing is written. `g_m_s2` is the local gravity. `source` is the name of the readings; `simulated` says
-    whether simulated instruments gave them. `known` are mistakes already corrected in them. `stated` says
-    whether it is certain that they are of this `bench`; if not, the properties of its meters and head exclude
-    no effects. `nominal` (blocks, 3) replaces the scale factors of the bench file. Raises as `diagnose` does.
+    whether simulated instruments gave them. `known` are mistakes that are already corrected in the readings.
+    `stated` says whether the readings are certainly from this `bench`; if not, the properties of its meters and
+    head exclude no effects. `nominal` (blocks, 3) replaces the scale factors of the bench file. Raises as
+    `diagnose` does.
     """
     stand_u = {name: spread.u for name, spread in bench.stand_distributions().items()}
     sheet = np.array(bench.unit_under_test.scale_factors.values) if nominal is None else nominal
@@ -518,7 +524,7 @@ def diagnose_fully(
 def _shown(
     diagnosis: Diagnosis, model: ForwardModel, stand_u: Mapping[str, float], g_m_s2: float
 ) -> Iterator[ModelComparison]:
-    """Yield simulation beside bench for each block, with what was found that is of it."""
+    """Yield, for each block, the simulations with the effects that were found in it."""
     readings = diagnosis.mistakes.corrected
     if readings.block is None:
         yield show(readings, model, diagnosis.applied, stand_u, g_m_s2, diagnosis.in_part)

@@ -43,9 +43,10 @@ class NoiseSize:
 class Posterior:
     """Joint estimates of all unknowns, `mean`, with their `covariance`.
 
-    The order is: the changes of the 12 coefficients of each block from the first guess, in their units; the
-    unknowns of the columns `LinearSystem.random`, in prior standard deviations; the amplitudes of the m
-    columns of the effects found, in plausible sizes. `effects` is m.
+    The unknowns are, in this order: the changes of the 12 coefficients of each block from the first guess, each
+    in the unit of the coefficient; the amplitudes of the columns `LinearSystem.random`, each as a multiple of
+    its prior standard deviation; the amplitudes of the m columns of the effects found, each as a multiple of its
+    plausible size. `effects` is m.
     """
 
     mean: Floats
@@ -54,12 +55,12 @@ class Posterior:
 
     @property
     def amplitudes(self) -> Floats:
-        """The amplitudes (m,) of the effects' columns, in plausible sizes."""
+        """The amplitudes (m,) of the effects' columns, each as a multiple of its plausible size."""
         return self.mean[len(self.mean) - self.effects :]
 
     @property
     def amplitude_covariance(self) -> Floats:
-        """The covariance matrix (m, m) of the amplitudes, in plausible sizes."""
+        """The covariance matrix (m, m) of `amplitudes`."""
         first = len(self.mean) - self.effects
         return self.covariance[first:, first:]
 
@@ -98,8 +99,8 @@ def noise_size(whitened: Whitened, data: Data, known: tuple[int, ...]) -> NoiseS
 def posterior(linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mask | None = None) -> Posterior:
     """Return the estimates from the rows in the mask `rows` (None: all), for a known noise.
 
-    `effects` (N, m) are the columns of the effects. The prior of their amplitudes is normal, with a standard
-    deviation of `KNOWN_SIZE` plausible sizes.
+    `effects` (N, m) are the columns of the effects. The prior of each amplitude is normal, with a standard
+    deviation of `KNOWN_SIZE` times the plausible size.
     """
     extra = effects.shape[1]
     normal, right = _normal(linear, effects, noise, rows)
@@ -111,9 +112,9 @@ def posterior(linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mas
 def fit_found(linear: LinearSystem, candidates: Candidates, naming: Naming, noise: NoiseSize) -> Posterior:
     """Return the estimates with all effects found, averaged over the prior sizes of the effects.
 
-    The readings may not determine an effect completely, for example its division between mountings. The prior
-    then sets the uncertainty; each of its sizes (`evidence.SIZES`) is weighted by its posterior probability.
-    Mean and covariance are those of this mixture.
+    The readings may not determine an effect completely, for example how it is divided between mountings. The
+    uncertainty then follows from the prior, of which each size (`evidence.SIZES`) is weighted by its posterior
+    probability. Mean and covariance are those of this mixture.
     """
     columns = candidates.columns[:, list(naming.columns)]
     extra = columns.shape[1]
@@ -140,8 +141,7 @@ def fit_found(linear: LinearSystem, candidates: Candidates, naming: Naming, nois
 def _of_any_size(precision: Floats, right: Floats, parts: Sequence[slice]) -> tuple[Floats, Floats]:
     """Return mean (m,) and covariance (m, m) of the amplitudes, averaged over the prior sizes of each part.
 
-    `precision` (m, m) and `right` (m,) are the normal matrix and right side of the amplitudes without a
-    prior.
+    `precision` (m, m) is the normal matrix of the amplitudes without a prior; `right` (m,), the right-hand side.
     """
     log_weights, means, spreads = zip(
         *(
@@ -159,7 +159,8 @@ def _of_any_size(precision: Floats, right: Floats, parts: Sequence[slice]) -> tu
 def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -> list[tuple[int, ...]]:
     """Return the size indices to average for each part; of many parts the least sure `MOST_EFFECTS` have all.
 
-    The others have the likeliest alone.
+    A size index is an index into `SIZES`. If there are many parts, only the `MOST_EFFECTS` parts whose size is
+    least certain have all; each other part has the likeliest.
     """
     every = tuple(range(len(SIZES)))
     if len(parts) <= MOST_EFFECTS:
@@ -191,7 +192,7 @@ def _of_sizes(
 def _normal(
     linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mask | None = None
 ) -> tuple[Floats, Floats]:
-    """Return normal matrix and right side, without a prior for the effects' columns (N, m)."""
+    """Return the normal matrix and the right-hand side, without a prior for the effects' columns (N, m)."""
     mine = slice(None) if rows is None else rows
     columns = np.column_stack([linear.design(effects), linear.response])[mine]
     white = whiten_rows(linear, noise, columns, rows)
@@ -235,8 +236,9 @@ def predicted_error(
 ) -> tuple[Floats, float]:
     """Return measured minus predicted, (n,), in n rows that the fit did not use, and their chi-square.
 
-    `rows` is the mask (N,) of these rows; `fitted` are the estimates from the others, with the effects'
-    columns `effects` (N, m). The covariance in the chi-square is that of the noise and of the estimates.
+    `rows` is the mask (N,) of these rows. `fitted` are the estimates from the other rows with the effects'
+    columns `effects` (N, m). The chi-square is computed with the covariance of the noise plus that of the
+    estimates.
     """
     design = linear.design(effects)[rows]
     error = linear.response[rows] - design @ fitted.mean
@@ -280,7 +282,7 @@ FAR_BETTER: Final = 0.25
 class KnownTogether:
     """The sum or difference of a parameter's values in two channels or mountings, with its u.
 
-    `of` are the two places in words. `value` and `u` are in `unit`, that of the catalogue.
+    `of` are the two channels or mountings in words. `value` and `u` are in `unit`, the unit of the catalogue.
     """
 
     parameter: str
@@ -296,9 +298,9 @@ def known_together(
 ) -> tuple[KnownTogether, ...]:
     """Return the sums and differences of two values that are far better known than either value.
 
-    `value` (p,) and `covariance` (p, p) belong to the p columns of `variant`, in plausible sizes. An example
-    is the third mounting angle of both installations: verification points determine the sum, and nothing
-    determines the difference, which is a rotation of the block's axes.
+    `value` (p,) and `covariance` (p, p) are those of the amplitudes of the p columns of `variant`, as multiples
+    of the plausible sizes. An example is the third mounting angle of both installations: verification points
+    determine the sum, and nothing determines the difference, which is a rotation of the block's axes.
     """
     kinds = [candidates.kinds[column] for column in variant.columns]
     parameters = {parameter.name: parameter for parameter in CATALOGUE[variant.family].parameters}
@@ -336,8 +338,9 @@ def applied_of(
 ) -> tuple[AppliedEffect, ...]:
     """Return an effect with its estimated values in SI, one entry for each set of mountings.
 
-    `value` (p,) and `u` (p,) belong to the p columns of `variant`, in plausible sizes. `either_of` are the
-    names of the effect and its ties. `effect` is by default that of the catalogue.
+    `value` (p,) and `u` (p,) are those of the amplitudes of the p columns of `variant`, as multiples of the
+    plausible sizes. `either_of` are the names of the effect and its ties. `effect` is by default the effect of
+    the catalogue.
     """
     effect = effect or CATALOGUE[variant.family]
     channels = tuple(CHANNELS[c] for c in variant.channels)
@@ -365,7 +368,7 @@ PART: Final = 0.5
 BEYOND: Final = 2.0
 """Factor by which other shapes extend beyond the ends of a grid of time constants, lags or widths."""
 WIDE: Final = 1.5
-"""Neighbours of a grid whose ratio exceeds this have another shape between them."""
+"""If the ratio of two neighbours in a grid exceeds this, another shape is put between them."""
 
 Shape = tuple[tuple[str, float], ...]
 
@@ -373,8 +376,9 @@ Shape = tuple[tuple[str, float], ...]
 def other_shapes(effect: Effect, found: Shape) -> Iterator[Shape]:
     """Yield other shapes that the effect, or a part of it, may have in truth.
 
-    They are the values of the catalogue's grid, those between them and just beyond its ends, for one shape
-    parameter at a time; the others remain as `found`. A shape parameter that is a plain number stays.
+    One shape parameter at a time has the values of the catalogue's grid, values between them, and values just
+    beyond the ends of the grid; the other shape parameters remain as `found`. A shape parameter without a unit is
+    not changed.
     """
     for place, (name, value) in enumerate(found):
         parameter = next(p for p in effect.parameters if p.name == name)
@@ -536,15 +540,16 @@ def left_open(
 
 
 def _follows(covariance: Floats, own: Floats, places: Floats) -> Floats:
-    """Return the regression of the amplitudes found on the other sizes, shape (own, others)."""
+    """Return the regression coefficients (own, others) of the amplitudes found on the other sizes."""
     of_others = covariance[np.ix_(places, places)]
     return np.asarray(np.linalg.lstsq(of_others, covariance[np.ix_(places, own)], rcond=NEGLIGIBLE)[0].T)
 
 
 def _directions(covariance: Floats, shown: Floats) -> Floats:
-    """Return a square root (m, k) of a covariance, its columns sorted by their effect on the readings.
+    """Return a square root (m, k) of a covariance; its columns are sorted by how much they change the readings.
 
-    `shown` (N, m) is the change of the readings by a unit of each size, in units of noise.
+    `shown` (N, m) is the change of the readings, in units of noise, by a unit of each size. A column that changes
+    them negligibly is left out.
     """
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -553,7 +558,7 @@ def _directions(covariance: Floats, shown: Floats) -> Floats:
 
 
 def _applied(rest: Sequence[OpenSize], sizes: Floats) -> Iterator[AppliedEffect]:
-    """Yield the other shapes with these sizes, in prior standard deviations of each."""
+    """Yield the effects of other shapes with these sizes, each a multiple of its prior standard deviation."""
     by_effect: dict[int, tuple[AppliedEffect, dict[str, Floats]]] = {}
     for piece, size in zip(rest, sizes, strict=True):
         _, values = by_effect.setdefault(id(piece.applied), (piece.applied, {}))

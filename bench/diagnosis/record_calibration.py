@@ -24,9 +24,9 @@ from bench.readings.table import REFERENCE, REFERENCE_SD_V, REFERENCE_V, Reading
 from bench.stats.repeats import Repeats, compare_repeats
 
 LEVELS: Final = 0.01
-"""A reference that changes by more than this part of its largest value tells gain from offset."""
+"""A reference that changes by more than this fraction of its largest value determines both gain and offset."""
 ZERO_V: Final = 1e-3
-"""At a single level below this, V, the record gives the offset alone."""
+"""If the reference has a single level below this, V, the record determines the offset only."""
 
 
 @dataclass(frozen=True)
@@ -65,9 +65,10 @@ class ChannelCalibration:
 class RecordCalibration:
     """The calibration of all c channels of a record of n means.
 
-    `level_v` is the mean of the reference, `known_v` (n, c) the voltages of the effects given, already
-    subtracted. `not_observable` says which of gain and offset the record does not determine. `repeats`
-    compares parts of the record, each calibrated by itself, with their u; None if the record is too short.
+    `level_v` is the mean of the reference. `known_v` (n, c) are the voltages of the effects given, which are
+    already subtracted. `not_observable` says which of gain and offset the record does not determine. `repeats`
+    compares the scatter of calibrations of parts of the record with their u; it is None if the record is too
+    short.
     """
 
     record: Record
@@ -79,7 +80,7 @@ class RecordCalibration:
     repeats: Repeats | None = None
 
     def residual_of(self, readings: Readings) -> Floats:
-        """Return what gain, offset and given effects leave of each of m readings, V, shape (m, c).
+        """Return the signals of m readings minus gain × reference, offset and given effects, V, shape (m, c).
 
         The drift is not subtracted.
         """
@@ -128,7 +129,7 @@ def _levels_apart(record: Record) -> bool:
 
 
 def _parts(record: Record, several_levels: bool) -> Repeats | None:
-    """Return equal parts of a record compared as repeats; None if it is short, or a part lacks its levels."""
+    """Return a comparison of equal parts of a record; None if it is too short, or if a part lacks its levels."""
     if len(record) < FOLDS * LEAST:
         return None
     parts = [_part(record, rows) for rows in np.array_split(np.arange(len(record)), FOLDS)]
@@ -154,7 +155,8 @@ def _channels(
 ) -> tuple[ChannelCalibration, ...]:
     """Return the calibration of each channel.
 
-    `errors` (e, n, c) are one u of errors common to all readings, `again` the effects (n, c) to estimate again.
+    `errors` (e, n, c) has, for each of e errors common to all readings, the voltages for an error of one u.
+    `again` are the voltages (n, c) of the effects to estimate again.
     """
     trials, level = NoiseTrials.of(record), float(record.reference_v.mean())
     reference = [record.reference_v - level] if several_levels else []
@@ -177,7 +179,7 @@ def _channels(
 def _channel(
     record: Record, channel: str, level: float, mean: Floats, spread: Floats, noise: Noise, left: Floats
 ) -> ChannelCalibration:
-    """Return gain, offset and drift from the deviation at the mean level, the slope in time, and gain less 1."""
+    """Return gain, offset and drift from the deviation at the mean level, the slope in time, and gain - 1."""
     several, has_gain = len(mean) > 2, len(mean) > 2 or abs(level) >= ZERO_V
     per_hour = 2.0 / float(record.time_h[-1])
     if several:
@@ -203,9 +205,10 @@ def _channel(
 def averaged(trials: NoiseTrials, design: Floats, targets: Floats) -> tuple[Floats, Floats, Noise]:
     """Return least-squares estimates (p, d) of p columns in d targets, their covariance, and the noise.
 
-    `design` (n, p) has the columns, the trend first, `targets` (n, d) the targets. The estimates are averaged
-    over the trial noises, weighted by their likelihood for the first target. The covariance (p, p) is that of
-    the first target, including the variation between the trial noises. The noise is the most probable one.
+    `design` (n, p) has the columns, the two of the trend first; `targets` (n, d) has a target in each column. The
+    estimates are averaged over the trial noises, weighted by their likelihood for the first target. The
+    covariance (p, p) is that of the estimates for the first target, and includes their variation between the
+    trial noises. The noise returned is the most probable one.
     """
     count = design.shape[1]
     products = trials.products(design[:, trials.trend.shape[1] :], np.zeros((len(design), 0)), targets[:, :1])
@@ -236,7 +239,7 @@ def _scatter(readings: Readings, record: Record) -> tuple[Floats, tuple[str, ...
 
 
 def _one_u(record: Record, applied: AppliedEffect) -> Floats:
-    """Return what one standard uncertainty of an effect's size adds, V, shape (n, c)."""
+    """Return the voltages (n, c), V, that an effect adds if its size is one standard uncertainty."""
     values = applied.complete_values()
     return record.added(AppliedEffect(applied.effect, {**values, **applied.u}, applied.channels))
 

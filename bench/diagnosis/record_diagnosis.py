@@ -28,12 +28,12 @@ from bench.readings.table import REFERENCE, Readings
 class RecordDiagnosis:
     """The result of the diagnosis of a record at a known input.
 
-    `where` has, for each channel, what is left after zero and drift are subtracted. `fits` has the estimates
-    of each channel with the effects found. `gap` is measured on excursions (of temperature or rail voltage)
-    held out in turn. `rivals` compares, on the same excursions, the kinds of shape of an effect: at once,
-    with a lag, with hysteresis. `far` has a sentence for each mean that jumps away from the model, the
-    farthest first. `noises` has the noise of the mean of the channels, then of their differences
-    (`RecordWork.helmert`). `hidden` are the effects that the record cannot show.
+    `where` describes, for each channel, the residuals after zero and drift are subtracted. `fits` has the
+    estimates of each channel from the model with the effects found. `gap` is measured on excursions (of
+    temperature or rail voltage) held out in turn. `rivals` compares, on the same excursions, the kinds of shape
+    of an effect: without delay, with a lag, with hysteresis. `far` has a sentence for each mean that is far from
+    the model, the farthest first. `noises` has the noise of the mean of the channels, then the noise of each
+    difference between channels (`RecordWork.helmert`). `hidden` are the effects that the record cannot show.
     """
 
     source: str
@@ -54,7 +54,7 @@ class RecordDiagnosis:
     def white_v(self) -> float:
         """Standard deviation of the white noise of the average over all channels, V.
 
-        It is that in one mean of the record.
+        The value is for one mean of consecutive readings of the record.
         """
         return self.noises[0].white / float(np.sqrt(len(self.record.channels)))
 
@@ -70,7 +70,7 @@ class RecordDiagnosis:
 
     @property
     def models(self) -> tuple[tuple[AppliedEffect, ...], ...]:
-        """The effects found, as the only entry, for a model file."""
+        """The effects found, for a model file: a tuple whose only entry is the tuple of these effects."""
         return (self.applied,)
 
     @property
@@ -115,7 +115,7 @@ def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -
 
 
 def _places(record: Record) -> Iterator[ResidualPattern]:
-    """Yield what each channel leaves beside zero and drift, with the p-value of it by white noise alone."""
+    """Yield the residuals of each channel after zero and drift, with their p-value if the noise is white."""
     for channel, left in zip(record.channels, record.beside_trend.T, strict=True):
         white = np.mean(np.diff(left) ** 2) / 2.0
         freedom = len(left) - record.trend.shape[1]
@@ -124,7 +124,7 @@ def _places(record: Record) -> Iterator[ResidualPattern]:
 
 
 def _far(work: RecordWork, courses: Sequence[Variant], noises: Sequence[Noise]) -> Iterator[str]:
-    """Yield the means that lie `FAR` from what model and earlier readings say, the farthest first."""
+    """Yield a sentence for each mean `FAR` from its prediction by model and earlier readings, farthest first."""
     found = []
     for part, noise in enumerate(noises):
         mean, _, _ = work.fitted(part, courses, noise)
@@ -141,7 +141,7 @@ def _far(work: RecordWork, courses: Sequence[Variant], noises: Sequence[Noise]) 
 
 
 def _unnamed(find: FoundEffect, why: str, limit: Threshold) -> NamedEffect:
-    """Return an unnamed effect in place of a find that readings held out do not confirm."""
+    """Return an unnamed effect to report in place of a find that held-out readings do not confirm."""
     p = limit.p(find.total)
     words = f"{UNNAMED_WORDS[SLOW_IN_TIME]}: {find.variant.family} would explain it, but {why}"
     return NamedEffect(SLOW_IN_TIME, (), (), (), (), (), p, p, None, words, odds=find.odds)

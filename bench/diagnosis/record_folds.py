@@ -33,9 +33,9 @@ class Rival:
 
 
 SWING: Final = 0.15
-"""An excursion is where what is followed is further from its level at rest than this part of its range."""
+"""In an excursion, what an effect follows is farther from its rest level than this fraction of its range."""
 PLATEAU: Final = 0.1
-"""Part of the range that counts as one level; evenly spread, as large a part of the record would be at it."""
+"""Fraction of the range that counts as one level; an evenly spread quantity is there this fraction of the time."""
 
 
 def measure_record_gap(work: RecordWork, finds: Sequence[FoundEffect]) -> tuple[Gap, tuple[Rival, ...]]:
@@ -71,7 +71,9 @@ def why_unconfirmed(gap: Gap) -> dict[str, str]:
 
 
 def _excursions(work: RecordWork, course: Variant) -> Iterator[tuple[str, Mask]]:
-    """Yield what is held out in turn: the excursions of what an effect follows, or runs of means for time."""
+    """Yield what is held out in turn: excursions of the quantity an effect follows, or, for time, blocks of
+    means.
+    """
     record, conditions = work.record, work.record.conditions
     match FOLLOWS[course.family]:
         case "meter":
@@ -96,7 +98,7 @@ def _excursions(work: RecordWork, course: Variant) -> Iterator[tuple[str, Mask]]
 
 
 def _rest(driver: Floats) -> float:
-    """Return the level from which excursions count: the commonest one, or the median where none is common."""
+    """Return the level from which excursions count: the most frequent one, or the median if none is frequent."""
     ordered = np.sort(driver)
     last = np.searchsorted(ordered, ordered + PLATEAU * np.ptp(driver), side="right")
     inside = last - np.arange(len(ordered))
@@ -112,10 +114,11 @@ def _predicted(
     rows: Mask,
     noises: Sequence[Noise],
 ) -> HeldOut:
-    """Predict the rows held out, by the shape that the rest finds likeliest; without `shapes` by the others alone.
+    """Predict the `rows` held out, with the likeliest of the `shapes` given the other rows, or without any shape.
 
-    Errors are those beside a straight line in the rows, as the level after an excursion is that of slow noise.
-    The chi-square is that of all rows less that of the rest: the prediction's, with all that was estimated.
+    A straight line in the rows is subtracted from the errors, as slow noise sets the level after an excursion.
+    The chi-square of all rows less that of the other rows is the chi-square of the prediction, with all
+    uncertainties.
     """
     rest = np.flatnonzero(~rows)
     lower = [linalg.cholesky(noise.covariance[np.ix_(rest, rest)], lower=True) for noise in noises]

@@ -33,21 +33,21 @@ from bench.readings.table import REFERENCE, REFERENCE_V, Readings
 # --- the record ---------------------------------------------------------------------------------------
 
 BINS: Final = 300
-"""Largest number of means of a record; slow effects need no more."""
+"""Largest number of means that a record is reduced to; slow effects need no more."""
 LEAST: Final = 30
-"""Fewest means that separate noise from effects."""
+"""Least number of means from which noise and effects can be separated."""
 OF_MEDIAN: Final = 1.0 / float(special.ndtri(0.75))
-"""Standard deviation of a normal distribution over its median absolute deviation."""
+"""The standard deviation of a normal distribution divided by its median absolute deviation."""
 
 
 @dataclass(frozen=True)
 class Record:
     """A record at a known input, as n means of consecutive readings in c channels.
 
-    `channels` are the indices of the channels. `reference_v` (n,) is the input, and `deviation_v` (n, c) the
-    signal minus the input, both in V. `scale` (n,) is the relative noise of each mean, from the scatter of
-    its readings. `conditions` has the mean times, temperatures and rail voltages. `used` (m,) marks which of
-    the m readings of the table the means contain.
+    `channels` are the indices of the channels. `reference_v` (n,) is the input, V; `deviation_v` (n, c) is the
+    signal minus the input, V. `scale` (n,) is the relative noise of each mean, from the scatter of its readings.
+    `conditions` has the times, temperatures and rail voltages of the means. `used` (m,) is True for those of the
+    m readings of the table that the means contain.
     """
 
     source: str
@@ -70,7 +70,7 @@ class Record:
 
     @property
     def trend(self) -> Floats:
-        """The two columns that every model contains, (n, 2): a constant, and a line in time from -1 to 1."""
+        """The two columns (n, 2) that every model contains: a constant, and a line in time from -1 to 1."""
         time_h = self.time_h
         return np.column_stack([np.ones(len(self)), 2.0 * time_h / time_h[-1] - 1.0])
 
@@ -145,7 +145,7 @@ def make_record(readings: Readings) -> Record:
 
 
 def _settled(means: Floats) -> int:
-    """Return the number of first means (n, c) that are left out, at most a tenth of them."""
+    """Return how many of the `means` (n, c) at the beginning are left out, at most a tenth of all."""
     steps = np.abs(np.diff(means, axis=0))
     jumps = np.any(steps > FAR * OF_MEDIAN * np.median(steps, axis=0), axis=1)
     early = np.flatnonzero(jumps[: len(means) // 10])
@@ -176,7 +176,8 @@ def _checked(readings: Readings) -> tuple[Floats, Floats, list[int]]:
 def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Floats, Mask]:
     """Return the means of groups of rows without those `FAR` from their median, the scatter, and the rows used.
 
-    The means and the standard deviations of the rows, by their median deviation, are (n, c).
+    Rows that are `FAR` from the median of their group are left out. The means are (n, c); the scatter (n, c) is
+    the standard deviation of a group's rows, from their median deviation; the rows used are a mask.
     """
     middle = np.array([np.median(deviation[rows], axis=0) for rows in groups])
     off = [np.abs(deviation[rows] - at) for rows, at in zip(groups, middle, strict=True)]
@@ -192,13 +193,14 @@ def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Fl
 
 
 SMOOTHED: Final = 41
-"""Means over which the size of the noise is smoothed."""
+"""Number of means over which the size of the noise is smoothed."""
 
 
 def _relative(spread: Floats) -> Floats:
     """Return the relative size (n,) of the noise from the scatter (n, c) of the readings in each mean.
 
-    The noise counts as even where its size varies by less than `LARGER`; it varies by the square of this at most.
+    If its size varies by less than the factor `LARGER`, the noise counts as even; it varies by at most `LARGER`
+    squared.
     """
     middle = np.median(spread, axis=0)
     if np.any(middle == 0.0):
@@ -209,7 +211,7 @@ def _relative(spread: Floats) -> Floats:
 
 
 def _rails(readings: Readings) -> Iterator[Floats]:
-    """Yield the voltages (m,) of the rails less their nominal, or less their median where none is given."""
+    """Yield the voltage (m,) of each rail minus its nominal value, or minus its median if none is given."""
     above = readings.conditions().supply_v
     for number, rail in enumerate(rails_of(readings.extra)):
         voltage = numbers(readings.extra[voltage_column(rail)])
@@ -220,11 +222,11 @@ def _rails(readings: Readings) -> Iterator[Floats]:
 # --- noise --------------------------------------------------------------------------------------------
 
 RATIOS: Final = (0.0, *np.geomspace(1e-2, 1e5, 11).tolist())
-"""Mean variance of the slow noise over that of the white noise of a mean."""
+"""Trial ratios of the mean variance of the slow noise to the variance of the white noise of a mean."""
 FLICKER: Final = 10
-"""Number of exponentially correlated noises, evenly spaced in ln of their time, that add up to flicker."""
+"""Number of exponentially correlated noises, with correlation times of constant ratio, that add up to flicker."""
 CORRELATED: Final = (0.005, 0.02, 0.06)
-"""Correlation times of the exponentially correlated noises, in lengths of the record."""
+"""Correlation times of the exponentially correlated noises, as fractions of the length of the record."""
 
 
 def slow_kernels(time_h: Floats) -> Iterator[Floats]:
@@ -246,8 +248,9 @@ def slow_kernels(time_h: Floats) -> Iterator[Floats]:
 class Noise:
     """White noise plus slow noise of one kind, over n means.
 
-    `variance` is that of the white noise, V²; the slow noise has `ratio` times this variance on average.
-    `slow` (n,) are the eigenvalues and `vectors` (n, n) the eigenvectors of its normalised covariance.
+    `variance` is the variance of the white noise, V²; the slow noise has `ratio` times this variance on average.
+    `slow` (n,) are the eigenvalues of the slow noise's covariance for a mean variance of 1; `vectors` (n, n), its
+    eigenvectors.
     """
 
     slow: Floats
@@ -283,8 +286,8 @@ class Noise:
 class NoiseTrials:
     """The trial noises of a record: kinds of slow noise, each with several ratios to the white noise.
 
-    `slow` has the eigenvalues and eigenvectors of each kind. `trend` (n, 2) is `Record.trend`, divided by the
-    relative noise of each mean.
+    `slow` has, for each kind, the eigenvalues (n,) and eigenvectors (n, n) of its covariance. `trend` (n, 2) is
+    `Record.trend` divided by the relative noise of each mean.
     """
 
     slow: tuple[tuple[Floats, Floats], ...]
@@ -309,8 +312,7 @@ class NoiseTrials:
     def products(self, known: Floats, columns: Floats, targets: Floats) -> Products:
         """Return the scalar products of h columns and d targets for each trial noise.
 
-        `columns` is (n, h), `targets` is (n, d); the trend and the columns `known` (n, m) are projected out
-        of both.
+        `columns` (n, h) and `targets` (n, d) have the trend and the columns `known` (n, m) projected out.
         """
         fixed, h = self.trend.shape[1] + known.shape[1], columns.shape[1]
         each = []
@@ -329,8 +331,8 @@ class NoiseTrials:
 class Products:
     """Scalar products of h whitened columns and d targets, for each of s trial noises.
 
-    `square` (s, h) are the squared lengths of the columns, `product` (s, h, d) the products of columns and
-    targets, and `left` (s, d) the squared lengths of the targets. `log_det` (s,) is the part of ln of the
+    `square` (s, h) are the squared lengths of the columns; `product` (s, h, d), the scalar products of columns
+    and targets; `left` (s, d), the squared lengths of the targets. `log_det` (s,) is the part of ln of the
     restricted likelihood that does not depend on the data.
     """
 
@@ -355,9 +357,9 @@ class Products:
     def gain(self, plausible: Floats) -> Floats:
         """Return ln of the Bayes factor of adding each column to the model, for each target, shape (h, d).
 
-        `plausible` (h,) is the plausible size of each column. The prior of its amplitude is normal about
-        zero, with a standard deviation of each of `SIZES` times this. Both models are averaged over the trial
-        noises.
+        `plausible` (h,) is the plausible size of each column. The prior of a column's amplitude is an average of
+        normal distributions about zero, with standard deviations of `SIZES` times the plausible size. Both models
+        are averaged over the trial noises.
         """
         prior = [(size * plausible[:, None]) ** 2 for size in SIZES]
         total = np.full(self.product.shape[1:], -np.inf)
@@ -377,8 +379,8 @@ class Products:
 def solved(columns: Floats, targets: Floats) -> tuple[Floats, Floats, float]:
     """Return the least-squares estimates of whitened columns in targets, their covariance, and chi-square.
 
-    `columns` is (n, m), `targets` is (n, …). The estimates are (m, …), their covariance (m, m) for noise of
-    variance 1; chi-square is the sum of squares that is left.
+    `columns` are (n, m), and `targets` (n, …). The estimates are (m, …); their covariance (m, m) is for noise of
+    variance 1. Chi-square is the sum of squares of the residuals.
     """
     spread = np.asarray(np.linalg.pinv(columns.T @ columns, hermitian=True), dtype=np.float64)
     mean = spread @ columns.T @ targets
@@ -395,7 +397,7 @@ FOLLOWS: Final[Mapping[str, str]] = {
     "voltmeter_warm_up": "time",
     MOVE: "time",
 }
-"""The effects that a record at a known input can show beside its zero and drift, and what each follows."""
+"""The effects that a record at a known input can show besides zero and drift, with the quantity each follows."""
 
 
 def make_courses(record: Record) -> Candidates:
@@ -420,7 +422,7 @@ def _shapes(record: Record, effect: Effect) -> list[Shape]:
 
 
 def shape_of(effect: Effect, values: Mapping[str, Any]) -> Shape:
-    """Return name and SI value of an effect's shape parameters, without those that are zero by default and here."""
+    """Return the name and SI value of each shape parameter, except those that are zero here and by default."""
     return tuple(
         (p.name, float(values[p.name]))
         for p in effect.parameters
@@ -431,8 +433,8 @@ def shape_of(effect: Effect, values: Mapping[str, Any]) -> Shape:
 def courses_of(record: Record, forms: Iterable[tuple[Effect, Shape]]) -> Candidates:
     """Return effects, each in one shape, as candidates.
 
-    A column (n,) is the voltage that the effect adds at its plausible size, divided by the relative noise of
-    each mean. An effect with a size for each channel has an equal column for each channel of the record. A form
+    A column (n,) is the voltage that the effect adds at its plausible size, divided by the relative noise of each
+    mean. An effect that has a size for each channel has the same column for each channel of the record. A form
     that a zero and a drift describe as well is left out.
     """
     columns, scale, variants = [np.zeros((len(record), 0))], [], []

@@ -21,15 +21,15 @@ from bench.diagnosis.record_model import Noise, NoiseTrials, Record, courses_of,
 from bench.diagnosis.result import NamedEffect
 
 NULLS: Final = 200
-"""Simulated data sets behind a threshold: fewer than for runs, as each is scored with more noises."""
+"""Number of data sets simulated for a threshold: fewer than for runs, as each is scored with more noises."""
 
 
 @dataclass(frozen=True)
 class ChannelFit:
     """Zero (V) and drift (V/h) of a channel with their u, estimated together with the effects found.
 
-    `before_v` (n,) are the residuals with zero and drift only, `residual_v` (n,) those with the effects as
-    well, V.
+    `before_v` (n,) are the residuals of a fit of zero and drift only, V; `residual_v` (n,), the residuals of a
+    fit that includes the effects, V.
     """
 
     channel: str
@@ -45,8 +45,8 @@ class ChannelFit:
 class RecordWork:
     """A record, the courses that may explain it, and its trial noises.
 
-    All is evaluated in components: the mean of the c channels, and their differences (`helmert`). n is the
-    number of means of the record.
+    The c channels are evaluated as c components: their mean, and their differences (`helmert`). The record has n
+    means.
     """
 
     record: Record
@@ -63,7 +63,7 @@ class RecordWork:
         return [variant for variant in self.candidates.variants if variant.family == family]
 
     def of_channels(self, variant: Variant) -> bool:
-        """Return whether each channel has a size of its own; otherwise the size is common to all."""
+        """Return whether each channel has its own size of the effect; otherwise one size is common to all."""
         return self.candidates.kinds[variant.columns[0]].channel is not None
 
     def less(self, added_v: Floats) -> RecordWork:
@@ -100,7 +100,7 @@ class RecordWork:
         return np.asarray(self.candidates.columns[:, [course.columns[0] for course in mine]] * scale)
 
     def design(self, courses: Sequence[Variant], part: int) -> Floats:
-        """Return the columns of trend and courses in the component `part`, then its signal, (n, 3 + m)."""
+        """Return, for the component `part`, the columns of trend, m courses and signal as one array (n, 3 + m)."""
         return np.column_stack([self.trials.trend, self.columns(courses, part), self.signal[:, part]])
 
     def noises(self, courses: Sequence[Variant]) -> list[Noise]:
@@ -116,7 +116,7 @@ class RecordWork:
         ]
 
     def log_odds(self, found: Sequence[Variant], targets: Sequence[Floats]) -> tuple[Floats, Floats]:
-        """Return ln of the Bayes factor of each variant (h, d), and of the posterior odds of each family.
+        """Return ln of the Bayes factor of each of h variants (h, d), and ln of the posterior odds of each family.
 
         `found` is in the model already. `targets` has, for each component, d data sets as columns (n, d).
         """
@@ -163,7 +163,8 @@ class RecordWork:
     def fitted(self, part: int, courses: Sequence[Variant], noise: Noise) -> tuple[Floats, Floats, float]:
         """Return the least-squares estimates of trend and courses in the component `part`, for a known noise.
 
-        They are the estimates (2 + m,), their covariance (2 + m, 2 + m), and the chi-square that is left.
+        Three values are returned: the estimates (2 + m,), their covariance (2 + m, 2 + m), and the chi-square of
+        the residuals.
         """
         white = noise.whiten(self.design(courses, part))
         return solved(white[:, :-1], white[:, -1])
@@ -171,11 +172,11 @@ class RecordWork:
     def sizes(
         self, courses: Sequence[Variant], number: int = 0, shapes: Sequence[Variant] = ()
     ) -> tuple[Floats, Floats]:
-        """Return the size and its u, in plausible sizes, of the course with the index `number`.
+        """Return the size of the course with the index `number`, and its u, as multiples of the plausible size.
 
-        Both have an entry for each channel, or one if the size is common. All `courses` are in the model. The
-        result is averaged over `shapes`, courses of the same effect, weighted by their likelihood; by default
-        the course itself is the only one.
+        Both have an entry for each channel, or one entry if the size is common. All `courses` are in the model.
+        The result is averaged over the `shapes`, weighted by their likelihood. These are courses of the same
+        effect; by default the only one is the course itself.
         """
         noises, course = self.noises(courses), courses[number]
         parts = self.parts if self.of_channels(course) else range(1)
@@ -197,7 +198,7 @@ class RecordWork:
     def named(self, finds: Sequence[FoundEffect], limit: Threshold) -> tuple[NamedEffect, ...]:
         """Return the effects found as results with their values; `limit` is the threshold of the search.
 
-        A channel whose size is no more than noise is not said to have the effect.
+        If the size in a channel is no more than noise, the result does not list this channel.
         """
         shown, sizes, known = [], [np.zeros(0)], [np.zeros(0)]
         for number, one in enumerate(finds):

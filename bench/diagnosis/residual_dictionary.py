@@ -20,11 +20,11 @@ SIZE_NAMES: Final = ("A", "B")
 FASTEST: Final = 6
 """Largest number of half waves over a run that describe a slow change in time."""
 MOST_WAVES: Final = 200
-"""Largest number of half waves over a run; beyond it the waves of a run of usual length are aliases."""
+"""Largest number of half waves over a run; faster waves are aliases of slower ones in a run of usual length."""
 MIDDLES: Final = (0.3, 0.4, 0.5, 0.6, 0.7)
-"""Parts of a run at which a parabola in time has its vertex."""
+"""Fractions of a run at which a parabola in time may have its vertex."""
 CREEPS_MIN: Final = (1, 4, 16)
-"""Times from which what creeps grows with the logarithm of the time, min."""
+"""Times, min, after which a creep grows with the logarithm of the time."""
 LEVELS: Final = (-0.8, -0.6, -0.4, -0.2, -0.05, 0.05, 0.2, 0.4, 0.6, 0.8)
 """Specific forces, g, at which a step is tried."""
 
@@ -33,8 +33,8 @@ LEVELS: Final = (-0.8, -0.6, -0.4, -0.2, -0.05, 0.05, 0.2, 0.4, 0.6, 0.8)
 class TermUnit:
     """The unit in which the size of a term is stated, and its plausible size.
 
-    `text` is the unit, `si` its value in SI. `plausible` is the plausible size in SI; `plausible_per_k` is
-    that of a term in proportion to temperature, SI per kelvin.
+    `text` is the unit, and `si` its value in SI. `plausible` is the plausible size of a term in SI;
+    `plausible_per_k`, the plausible size of a term in proportion to temperature, SI per kelvin.
     """
 
     text: str
@@ -55,12 +55,12 @@ GAIN: Final = TermUnit("ppm", 1e-6, 25e-6)
 
 @dataclass(frozen=True)
 class TimeCourse:
-    """A course over the readings of a run that an unnamed effect may follow, of order 1.
+    """A course over the readings of a run that an unnamed effect may follow; its values are of order 1.
 
-    `expressions` are its formulas; each gets a size of its own. `constants` are parameters of these formulas
-    with a single value. `of_temperature`: the course is in kelvin. `of_angle`: it is a function of the head
-    angle. `long`: it is also tried in the scale factor and in the voltage, not only in bias and angles.
-    `narrow`: it acts at one angle, in one mounting, as a step, or as a fast wave, and is therefore not tried
+    `expressions` are its formulas, each with its own size. `constants` are parameters of these formulas that have
+    a single value. `of_temperature` means that the course is in kelvin; `of_angle`, that it is a function of the
+    head angle; `long`, that it is also tried in the scale factor and in the voltage, not only in bias and angles;
+    `narrow`, that it acts at one angle, in one mounting, as a step, or as a fast wave, and is therefore not tried
     in the angles of the stand. `where` says in words at which angle, time, pass or mounting it acts.
     """
 
@@ -78,10 +78,10 @@ class TimeCourse:
 class DictionaryTerm:
     """A term of the dictionary: formulas that may be added at one stage of the model.
 
-    `family` describes it in words. `expressions` are its formulas; each gets a size of its own, in `unit`. At
-    the stage of the stand it adds to the angle named `adds_to`. `course` is the course over the readings that
-    it is made of, None for a power or product of force or voltage. `of_force`: the course changes the scale
-    factor, not the bias.
+    `family` describes the term in words. `expressions` are its formulas, each with its own size in `unit`. At the
+    stage of the stand, the term is added to the angle named `adds_to`. `course` is the course over the readings
+    from which the term is made, or None for a power or product of force or voltage. `of_force` means that the
+    course changes the scale factor, not the bias.
     """
 
     family: str
@@ -101,7 +101,7 @@ class DictionaryTerm:
     def effect(self, name: str, *, per_channel: bool) -> FormulaEffect:
         """Return the term as an effect with this name.
 
-        If `per_channel`, each channel has sizes of its own; otherwise they are common to all.
+        If `per_channel`, each channel has its own sizes; otherwise the sizes are common to all channels.
         """
         sizes = SIZE_NAMES[: len(self.expressions)]
         unit = self.unit
@@ -175,7 +175,7 @@ def _columns(
 
 
 def _course(linear: LinearSystem, text: str, constants: tuple[Parameter, ...]) -> Floats:
-    """Return a course over the readings (n,), as a formula of the head's angle sees it."""
+    """Return the values (n,) of a course, computed from its formula as an effect of the head angle would be."""
     own = tuple(p for p in constants if p.name in names_in(text))
     term = DictionaryTerm("", Stage.HEAD_ANGLE, (text,), ANGLE, constants=own)
     applied = AppliedEffect(term.effect("course", per_channel=False), {SIZE_NAMES[0]: np.ones(())})
@@ -252,7 +252,7 @@ def _of_voltmeters(courses: Sequence[TimeCourse]) -> Iterator[DictionaryTerm]:
 
 
 def _constant(name: str, unit: str, si: float, value: float) -> Parameter:
-    """Return a shape that has one value, SI."""
+    """Return a shape parameter with a single value, SI."""
     return Parameter(name, unit, si, value, per_channel=False, grid=(value,), default=value)
 
 

@@ -22,7 +22,7 @@ from bench.model.effects import AppliedEffect
 from bench.model.effects.formula import FormulaEffect
 
 UNNAMED_FORM: Final = "unnamed_form"
-"""What stands in `cannot_tell_from` of an effect that an unnamed form describes as well."""
+"""Entry in `cannot_tell_from` of an effect that an unnamed form describes as well."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,8 @@ UNNAMED: Final = "unnamed_"
 class FormTerm:
     """A term of the dictionary that was found, with its sizes and their u.
 
-    `could_also_be` are families that describe the readings as well. `rho` is its size in units of the noise,
-    and `p` its p-value, not corrected for the number of terms tried.
+    `could_also_be` are families that describe the readings as well. `rho` is the size of the term in units of the
+    noise. `p` is the p-value of the term, not corrected for the number of terms tried.
     """
 
     applied: AppliedEffect
@@ -90,9 +90,9 @@ class FormTerm:
 class FreeForm:
     """A description, by terms of the dictionary, of what the catalogue does not explain.
 
-    `gap` is measured on held-out readings, with and without the terms. `dark` is the scatter that exceeds
-    that of repeats, and `scatter` the place where it is largest (None: nowhere in particular). `instead_of`
-    are named effects that explain the same: either they or the terms are present.
+    `gap` is measured on held-out readings, with and without the terms. `dark` is the scatter in excess of the
+    noise of repeats; `scatter` is the place where the scatter is largest, or None if it is the same everywhere.
+    `instead_of` are named effects that explain the same readings: either they or the terms are present.
     """
 
     terms: tuple[FormTerm, ...]
@@ -127,8 +127,8 @@ def describe(
 ) -> FreeForm:
     """Return the description of what the catalogue does not explain, from the terms among the effects found.
 
-    `noise` is the noise with all effects found in the model, `gap` their gap on held-out readings, and
-    `repeats` the noise of repeats.
+    `noise` is the noise about the model with all effects found; `gap`, the gap of these effects on held-out
+    readings; `repeats`, the noise of repeats.
     """
     columns = candidates.columns[:, list(naming.columns)]
     scatter = larger_scatter(linear, residuals(linear, columns, noise))

@@ -42,9 +42,9 @@ class Registration:
     """The settings of a diagnosis that are fixed before the readings are scored, with their hash.
 
     They are the priors, the threshold, the limits of a tie, the sets of readings to hold out, and the least
-    decrease of the gap. `sha256` covers them all, the catalogue, and the weights of prior sizes.
-    `held_out_else` are the sets that are held out if those of `held_out` cannot be. `pair_margin` is not used
-    and always None.
+    decrease of the gap. `sha256` is a hash of them all, of the catalogue, and of the weights of prior sizes. If
+    the sets `held_out` cannot be held out, the sets `held_out_else` are. `pair_margin` is not used and always
+    None.
     """
 
     sha256: str
@@ -125,7 +125,7 @@ UNNAMED_WORDS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class EffectValue:
-    """An estimated parameter of an effect; `value` and `u` are in `unit`, that of the catalogue.
+    """An estimated parameter of an effect; `value` and `u` are in `unit`, the unit of the catalogue.
 
     `u` is None for a shape parameter, which is chosen from a grid and not estimated. `channel` is empty if
     the parameter is common to all channels; `installations` is empty if the effect has only one set of
@@ -144,14 +144,14 @@ class EffectValue:
 class NamedEffect:
     """An effect that was found, with its estimated parameters.
 
-    `cannot_tell_from` are its ties: names of effects that explain the readings as well; `odds` are the
-    posterior probabilities of all names. `plainer_than` are larger effects of the same subsystem that contain
-    this one. `rho` is the size of the parameters in units of their uncertainty (`Posterior.significance`),
-    None if none was estimated. `p` is the p-value for this effect alone; `p_all_looks` is corrected for all
-    effects tried. `applied` has an entry for each set of mountings with its own values; it is empty if the
-    effect is not in the catalogue. `together` are sums or differences of values that are far better known
-    than the values. `aliases` are other numbers of periods per turn of the head that look the same at the
-    angles measured.
+    `cannot_tell_from` are its ties, that is, the names of effects that explain the readings as well; `odds` are
+    the posterior probabilities of all names. `plainer_than` are effects of the same subsystem that include this
+    one as a special case. `rho` is the size of the parameters in units of their uncertainty
+    (`Posterior.significance`), None if no parameter was estimated. `p` is the p-value for this effect alone;
+    `p_all_looks`, the p-value corrected for all effects tried. `applied` has an entry for each set of mountings
+    with its own values; it is empty if the effect is not in the catalogue. `together` are sums or differences of
+    values that are known far better than the values themselves. `aliases` are other numbers of periods per turn
+    of the head that are indistinguishable at the angles measured.
     """
 
     name: str
@@ -181,7 +181,7 @@ class NamedEffect:
 
     @property
     def shape_held(self) -> bool:
-        """Whether the u of the parameters assumes that the shape found is the true one."""
+        """Whether the u of the parameters assumes that the shape found is the true shape."""
         return any(one.u is None for one in self.parameters)
 
 
@@ -189,22 +189,23 @@ class NamedEffect:
 class Diagnosis:
     """The complete result of the diagnosis of one set of readings.
 
-    `verdict` is "mistake" if there are mistakes; `of_copy` is then the verdict on the corrected copy,
-    otherwise the same. `far` are readings far from the model, `where` the patterns of the residuals. `p_left`
-    is the p-value of the lack-of-fit test: the noise about the model with all effects found, against that of
-    repeats.
+    `verdict` is "mistake" if there are mistakes; `of_copy` is then the verdict on the corrected copy, and
+    otherwise equal to `verdict`. `far` are readings far from the model; `where` are the patterns of the
+    residuals. `p_left` is the p-value of the lack-of-fit test, which compares the noise about the model with all
+    effects found with the noise of repeats.
 
-    `hidden` maps each effect that these readings could never show to the parts of it that they do not show,
-    none if it is all of it. `absent` maps each effect that the bench cannot have to the reason.
-    `unseen_per_turn` are the numbers of periods per turn at which a head error has no influence at the angles
-    measured. `detectable` maps each effect to the size, in plausible sizes, that is found in half of all
-    runs; `smallest` has such sizes for effects with several parameters.
+    `hidden` maps each effect that these readings could not show, at least in part, to the parts that they do not
+    show; an empty tuple means the whole effect. `absent` maps each effect that the bench cannot have to the
+    reason. `unseen_per_turn` are the numbers of periods per turn of head errors that do not change the readings
+    at the angles measured. `detectable` maps each effect to the size that is found in half of all runs, as a
+    multiple of the plausible size; `smallest` has such sizes for effects with several parameters.
 
-    `in_part` are the parts of the effects that may be present with other shapes; the u of the coefficients
-    includes them. `left_open` are those parts that the readings leave uncertain, for a model file. `findings`
-    are noise larger than stated, `noise_kinds` departures from normal noise of one size. `form` describes
-    what has no name. `whitened` and `data` are the candidates and the scalar products in which the effects
-    were found; plots and reports use these, `linear`, `candidates`, `naming`, `fitted` and `noise`.
+    `in_part` are parts of the effects that may be present with other shapes; the u of the coefficients includes
+    them. `left_open` are those of these parts that the readings leave uncertain, for a model file. `findings`
+    state where noise is larger than stated; `noise_kinds`, where it departs from normal noise of one size. `form`
+    describes finds without a name. `whitened` are the whitened candidates, and `data` the scalar products, with
+    which the effects were found. Plots and reports use them, and also `linear`, `candidates`, `naming`, `fitted`
+    and `noise`.
     """
 
     verdict: Verdict
@@ -274,7 +275,7 @@ def _of_temperature(effect: Effect) -> bool:
 def assumed(linear: LinearSystem) -> Iterator[str]:
     """Yield a sentence for each assumption that the diagnosis made, and for each effect not searched.
 
-    Reasons are effects that failed to load, an orientation that contradicts the bench file, readings without
+    The reasons are effects that failed to load, an orientation that contradicts the bench file, readings without
     times or temperatures, and signals that are not in volts.
     """
     readings = linear.readings

@@ -39,11 +39,11 @@ class ModulusPoint:
 class Simulation:
     """A model fitted to readings, and the bench simulated with it at the same angles, times and temperatures.
 
-    `calibration` has the estimates. `test` compares the readings with the simulation without noise.
-    `repeated` is the calibration of one simulation with noise (seed `SEED`). `effects` are those of the model
-    with the values and u estimated here. `points` are the errors at the verification points. They are
-    independent of the fit unless `joined`: some effect shows at no other readings, so that the fit includes
-    them.
+    `calibration` has the estimates. `test` compares the readings with a simulation without noise. `repeated` is
+    the calibration of one simulation with noise (seed `SEED`). `effects` are the effects of the model with the
+    values and u estimated here. `points` are the errors at the verification points, which are independent of the
+    fit. If `joined`, some effect shows at no other readings, and the fit therefore includes the verification
+    points.
     """
 
     model: ForwardModel
@@ -67,7 +67,9 @@ class Simulation:
 
 @dataclass(frozen=True)
 class CoefficientChange:
-    """A coefficient and its u by the model before, and by the model after the diagnosis."""
+    """A coefficient and its u: `before` and `u_before` with the given model, `after` and `u_after` with the
+    effects found.
+    """
 
     before: float
     u_before: float
@@ -113,9 +115,9 @@ def show(
 ) -> ModelComparison:
     """Return simulations of the bench with the model, and with the effects `added` to it.
 
-    `readings` are corrected for mistakes. `stand_u` is that of `diagnose`, `g_m_s2` the local gravity. The
-    added effects were found in these readings, and are therefore estimated again without their earlier u.
-    `in_part` are possible parts of other shapes, which keep their prior u. Raises `CalibrationError` if the
+    `readings` are corrected for mistakes. `stand_u` is as in `diagnose`; `g_m_s2` is the local gravity. The added
+    effects were found in these readings, and are therefore estimated again without their earlier u. `in_part` are
+    possible parts of the effects with other shapes; these keep their prior u. Raises `CalibrationError` if the
     readings do not determine the coefficients.
     """
     stand = {name: u for name, u in stand_u.items() if name != "setting_error"}
@@ -140,9 +142,9 @@ def label(applied: AppliedEffect) -> str:
 def contradicted(stated: Sequence[AppliedEffect], estimated: Sequence[AppliedEffect]) -> Iterator[str]:
     """Yield a sentence for each value of a model that the readings contradict at the level `HARDLY_EVER`.
 
-    `stated` are the effects of the model with their u, `estimated` the same effects after they were estimated
-    again with these readings. The difference of a value is compared with the root of the difference of the
-    two variances.
+    `stated` are the effects of the model with their u; `estimated` are the same effects, estimated again with
+    these readings. The difference of the two values is compared with the root of the difference of their
+    variances.
     """
     for one, now in zip(stated, estimated, strict=True):
         for parameter in one.effect.parameters:
@@ -215,7 +217,7 @@ def _modulus_rows(readings: Readings, chosen: NDArray[np.bool_]) -> FreeRows:
 
 
 def _hardly_told(problem: Problem, fit: gls.Fit) -> bool:
-    """Whether the settings leave a parameter that nobody stated about as uncertain as it was."""
+    """Whether some parameter without a stated value is about as uncertain after the fit as before."""
     u = np.sqrt(np.diag(fit.covariance))[FIXED + len(problem.stand) :]
     return any(
         own > MOSTLY * unknown.prior_u and not unknown.stated
@@ -244,7 +246,7 @@ def _noisy(bench: ForwardModel, problem: Problem, fit: gls.Fit, stand: Floats) -
 
 
 def _test(problem: Problem, fit: gls.Fit, left: Floats) -> LackOfFit:
-    """Compare what the simulation leaves of the readings (n, 3) with the scatter of their repeats."""
+    """Compare `left` (n, 3), readings minus simulation, with the scatter of repeats."""
     slope = problem.slope(fit.block, fit.others)
     pulls = (fit.others - problem.prior_mean) / problem.prior_u
     misfit = float(np.sum(whiten(left[:, :, None], slope, fit.noise) ** 2) + np.sum(pulls**2))
@@ -256,7 +258,7 @@ def _test(problem: Problem, fit: gls.Fit, left: Floats) -> LackOfFit:
 
 
 def _points(readings: Readings, problem: Problem, fit: gls.Fit) -> tuple[ModulusPoint, ...]:
-    """Return |a| - 1 at the verification points by a model with effects, u from all that was estimated."""
+    """Return |a| - 1 at the verification points, computed with the effects; its u covers all that was estimated."""
     chosen = readings.installation == VERIFICATION
     rows = readings.select(chosen)
     if not len(rows):

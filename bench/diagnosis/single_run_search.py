@@ -45,10 +45,10 @@ from bench.readings.table import Readings
 class Prepared:
     """Readings prepared for the search: linear system, whitened candidates, and threshold.
 
-    `repeats` is the noise from repeats, `data` the scalar products of the residuals with the columns of the
-    candidates, and `limit` the threshold. `bend` (N,) is the nonlinear part of the effects found, already
-    subtracted from the response. `log_odds` is ln of the prior odds of the noise hypotheses accepted, less
-    the cost of their parameters; `chosen` maps the kind of each to its words.
+    `repeats` is the noise from repeats; `data`, the scalar products of the residuals with the columns of the
+    candidates; `limit`, the threshold. `bend` (N,) is the nonlinear part of the effects found, which is already
+    subtracted from the response. `log_odds` is ln of the prior odds of the noise hypotheses accepted, less the
+    cost of their parameters. `chosen` maps the kind of each of these hypotheses to its words.
     """
 
     linear: LinearSystem
@@ -64,8 +64,8 @@ class Prepared:
     def log_evidence(self, naming: Naming) -> float:
         """Return ln of the evidence of this noise, with as many effects as `naming` has, up to a constant.
 
-        Each effect is averaged over all families by their priors, so that the noise does not depend on their
-        names.
+        The evidence of each effect is averaged over all families, so that the choice of noise does not depend on
+        the names.
         """
         total = Search.beside(self.whitened, ()).log_evidence(self.data) + log_null(self.whitened.grid)
         known: list[int] = []
@@ -76,14 +76,15 @@ class Prepared:
 
 
 Reconsider = Callable[[Prepared, LinearSystem, float], tuple[Prepared, Naming]]
-"""Searches a system with another noise, at most so large, about the finds of what is prepared."""
+"""Searches a system with another noise, of at most the size given, starting from the finds of prepared readings."""
 
 
 def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple[Prepared, Naming]:
     """Return the readings with the noise hypothesis of the largest evidence, and the effects found with it.
 
-    `again` searches a system with another noise. Without a better hypothesis, `prepared` and `naming` are
-    returned unchanged; also if repeats share a rounding error, because they do not show their noise then.
+    `again` searches a system with another noise. If no hypothesis is better, `prepared` and `naming` are returned
+    unchanged. They are also returned if repeats share a rounding error, because repeats then do not show the
+    noise.
     """
     if prepared.whitened.grid.known:
         return prepared, naming
@@ -121,8 +122,8 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
 def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSystem:
     """Return `linear` with the kind of noise of `prepared`, a system of the same readings.
 
-    The two may differ in their models. For several blocks only the noise by channel and run is taken over, as
-    their rows are in another order.
+    The two systems may differ in their models. With several blocks, whose rows are in another order, `linear`
+    gets only the noise by channel and by run.
     """
     linear = replace(linear, by_channel=prepared.by_channel, by_run=prepared.by_run)
     if prepared.readings.block is not None:
@@ -141,9 +142,9 @@ def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSyste
 class SearchTask:
     """What every search needs besides the readings.
 
-    `stand` has the standard uncertainties of the stand angles (`STAND_ANGLES`) by name, rad; `setting_rad` is
-    that of a setting of the head. `resolution` is the step of the last digit of the signals. Effects named in
-    `absent` are not searched.
+    `stand` has the standard uncertainties of the stand angles (`STAND_ANGLES`) by name, rad; `setting_rad` is the
+    standard uncertainty of a setting of the head. `resolution` is the step of the last digit of the signals.
+    Effects named in `absent` are not searched.
     """
 
     model: ForwardModel
@@ -193,9 +194,10 @@ def search_run(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]:
 
 
 def _beside_shapes(task: SearchTask, prepared: Prepared, naming: Naming) -> Naming:
-    """Drop what is found no more where the largest effect may have parts with other shapes.
+    """Drop the finds that are no longer found if the largest effect may have parts with other shapes.
 
-    Between two shapes of the catalogue's grid a large effect leaves a remainder that others would explain.
+    If its shape is between two shapes of the catalogue's grid, a large effect leaves residuals that others would
+    explain.
     """
     largest = max(naming.found, key=lambda found: found.size, default=None)
     if largest is None or len(naming.found) < 2 or not largest.variant.named:
@@ -240,7 +242,7 @@ def _prepared(task: SearchTask, linear: LinearSystem) -> Prepared:
 
 
 def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepared | None:
-    """Return the readings linearised about the finds; None where they are linear enough already."""
+    """Return the readings linearised about the finds; None if they are linear enough already."""
     linear, candidates = prepared.linear, prepared.candidates
     noise = noise_size(prepared.whitened, prepared.data, naming.columns)
     fitted = fit_found(linear, candidates, naming, noise)

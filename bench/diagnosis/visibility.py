@@ -26,8 +26,8 @@ BEYOND_BELIEF: Final = 30.0
 def detectable(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, float]:
     """Return, for each effect of the catalogue, the size that the search finds in half of all runs.
 
-    It is in plausible sizes, for the form of the effect that shows best; infinite if no size is ever found.
-    `ratio` is the index of the noise ratio.
+    The size is a multiple of the plausible size, for the form of the effect that shows best; it is infinite if no
+    size is ever found. `ratio` is the index of the noise ratio.
     """
     variants = whitened.candidates.variants
     square = dict.fromkeys(CATALOGUE, 0.0)
@@ -43,8 +43,8 @@ def detectable(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str
 def half_power(whitened: Whitened, threshold: Threshold) -> float:
     """Return the signal-to-noise ratio rho at which half of all runs find an effect of one parameter.
 
-    At this rho, ln of the evidence equals the threshold. It is about rho^2/2 minus a cost for the number of
-    parameters, forms and families.
+    At this rho, ln of the evidence equals the threshold. This logarithm is about rho^2/2 minus a cost for the
+    number of parameters, forms and families.
     """
     looks = np.log(len(whitened.candidates.families)) + 1.5
     return float(np.sqrt(2.0 * max(threshold.value + looks + 2.0, 1.0)))
@@ -54,8 +54,8 @@ def half_power(whitened: Whitened, threshold: Threshold) -> float:
 class Smallest:
     """The size of several parameters of one unit, in any proportions, that is found in half of all runs.
 
-    `size` is the root of the sum of their squares, in `unit`. `part` says that this is true of some
-    proportions only; in the others no credible size is found.
+    `size` is the root of the sum of the parameters' squares, in `unit`. If `part`, it holds for some proportions
+    only, and in the other proportions no credible size is found.
     """
 
     parameters: tuple[str, ...]
@@ -67,9 +67,9 @@ class Smallest:
 def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, tuple[Smallest, ...]]:
     """Return, for each effect with several parameters of size, the size found in half of all runs.
 
-    There is one entry for each unit. It is for the channel, mounting and shape that show best, and among the
-    proportions of the parameters (such as the phase of a wave) for those that show worst. `ratio` is the
-    index of the noise ratio.
+    There is an entry for each unit of the parameters. It is for the channel, mounting and shape that show best,
+    and for the proportions of the parameters (such as the phase of a wave) that show worst. `ratio` is the index
+    of the noise ratio.
     """
     half = half_power(whitened, threshold)
     candidates = whitened.candidates
@@ -109,10 +109,11 @@ def _smallest_of(gram: Floats, own: Sequence[Parameter], half: float) -> Smalles
 def hidden(
     whitened: Whitened, threshold: Threshold, ratio: int, sizes: Mapping[str, float]
 ) -> dict[str, tuple[str, ...]]:
-    """Return the effects of the catalogue that these readings could never show, or not in part.
+    """Return the effects of the catalogue that these readings could not show, wholly or in part.
 
-    Each name has the parts that they do not show; none if it is the whole effect. A part is one phase of a
-    wave. `sizes` are those of `detectable`, `ratio` is the index of the noise ratio.
+    Each name is mapped to the parts that the readings do not show, or to an empty tuple if they do not show the
+    effect at all. A part is one phase of a wave. `sizes` are the result of `detectable`; `ratio` is the index of
+    the noise ratio.
     """
     candidates = whitened.candidates
     seen = np.sqrt(np.maximum(whitened.square[ratio], 0.0)) * BEYOND_BELIEF / half_power(whitened, threshold)
@@ -181,8 +182,7 @@ def forms_everywhere(family: str, mounts: tuple[str, ...] = ()) -> tuple[Form, .
 class ReadingDesign:
     """Readings, measured or planned, in which two explanations are compared.
 
-    `others` are effects in the model besides the explanations compared; their sizes are free, with a wide
-    prior.
+    `others` are effects in the model besides the explanations compared; their sizes have a wide prior.
     """
 
     def __init__(self, linear: LinearSystem, noise: NoiseSize, others: Sequence[Form] = ()) -> None:
@@ -210,7 +210,9 @@ class ReadingDesign:
         self._make_free([*self._known, *new])
 
     def _make_free(self, known: list[Floats]) -> None:
-        """Project out the coefficients, and within their priors the stand's angles and the `known` columns."""
+        """Project out the coefficients, and, as far as their priors allow, the stand angles and the `known`
+        columns.
+        """
         self._known = known
         self._seen: dict[EffectPart, Floats] = {}
         rows = self.linear.with_random(*known)
@@ -243,7 +245,7 @@ class ReadingDesign:
     def divergence(self, found: Sequence[AppliedEffect], rivals: Sequence[Form]) -> float:
         """Return the divergence D of an effect with the values found from the rival form most similar to it.
 
-        D is the expected value of ln of the odds of the effect against that form, if the effect is true.
+        D is the expected value of ln of the odds of the effect against that form, if the effect is the true one.
         """
         total = np.sum([self.linear.effect_column(applied) for applied in found], axis=0)
         one = self._left(total[:, None])[:, 0]

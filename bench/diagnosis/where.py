@@ -48,7 +48,7 @@ class ResidualPattern:
 
 
 Look = tuple[str, str, str, Floats]
-"""Channel, installation and pattern in words, and the columns (N, 1 or 2) of the pattern."""
+"""A tuple of the channel, the installation, the pattern in words, and the columns (N, 1 or 2) of the pattern."""
 
 
 def find_places(
@@ -164,8 +164,8 @@ def _over_run(linear: LinearSystem, own: Mask) -> Iterator[tuple[str, Floats]]:
 class FarReading:
     """A reading that is far from its prediction by a model fitted without it.
 
-    `size_u` is the distance in standard uncertainties. `channel` is x, y, z, "modulus", or "setting" for an
-    error along the direction of a setting error. `p` is the probability that noise moves any reading that
+    `size_u` is the distance in standard uncertainties. `channel` is x, y, z, "modulus", or "setting" for an error
+    in the direction of a setting error. `p` is the probability that noise moves at least one of all readings that
     far.
     """
 
@@ -223,14 +223,14 @@ def far_readings(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tup
 _CHANNEL: Final = (*CHANNELS, "modulus")
 
 MOST_PER_TURN: Final = 72
-"""Orders looked at: 72 a turn is a mark every 5 degrees."""
+"""Largest number of periods per turn that is considered; 72 periods correspond to a mark every 5 degrees."""
 
 
 def looking_like(angle_rad: Floats, order: int) -> tuple[int, ...]:
     """Return the numbers of periods per turn that look like `order` periods per turn at the angles (n,).
 
-    Order 0 is a constant: the coefficients take up a wave that looks like it at these angles. Angles that
-    differ by less than 0.1 deg, or by whole turns, count as one.
+    Order 0 is a constant: a wave that looks like a constant at these angles is absorbed by the coefficients.
+    Angles that differ by less than 0.1 deg, or by whole turns, count as one.
     """
     tenths = np.round(np.degrees(angle_rad[np.isfinite(angle_rad)]) * 10.0) % 3600.0
     angles = np.radians(np.unique(tenths) / 10.0)
@@ -249,14 +249,14 @@ def order_of(applied: AppliedEffect) -> int | None:
 
 
 def _waves(angle_rad: Floats, order: int) -> Floats:
-    """Return cosine and sine of a number of periods a turn, (n, 2); for none a constant, (n, 1)."""
+    """Return cosine and sine (n, 2) of a number of periods per turn, or a constant (n, 1) if it is 0."""
     if order == 0:
         return np.ones((len(angle_rad), 1))
     return np.stack([np.cos(order * angle_rad), np.sin(order * angle_rad)], axis=1)
 
 
 def _left(waves: Floats, own: Floats) -> float:
-    """Return the largest fraction of a wave's square that the other waves leave."""
+    """Return the largest fraction of the square of any of the `waves` that the `own` waves leave unexplained."""
     size = np.maximum(np.sum(waves**2, axis=0), 1e-12 * len(waves))
     fitted = own @ np.linalg.lstsq(own, waves, rcond=INSEPARABLE)[0]
     return float(np.max(np.sum((waves - fitted) ** 2, axis=0) / size, initial=0.0))

@@ -44,10 +44,10 @@ YEAR: Final = np.timedelta64(31_557_600, "s")
 class Capability:
     """The calibration and measurement capability of a laboratory, for twelve coefficients: arrays are (12,).
 
-    `stated` is the quantile `quantile` of the stated u, `stated_most` its upper 95 % limit. `spreads` (12 items)
-    has the scatter of repeated calibrations in excess of the stated u, the difference between benches and the drift
-    of units. `below` counts the calibrations with a stated U below the capability: their certificates must state
-    the capability.
+    `stated` is the quantile `quantile` of the stated u; `stated_most` is the upper 95 % limit of this quantile.
+    `spreads` (12 items) has the scatter of repeated calibrations in excess of the stated u, the difference
+    between benches and the drift of units. `below` counts the calibrations with a stated U below the capability:
+    their certificates must state the capability.
     """
 
     quantile: float

@@ -136,8 +136,9 @@ def _of_block(terms: Floats | None, size: int) -> Floats:
 
 @dataclass(frozen=True)
 class Changes:
-    """The changes of a later calibration relative to the first in m numbers: `difference`, `u` and `en`, (m,) each.
+    """The changes of a later calibration relative to the first, in m numbers.
 
+    `difference` (m,) are the changes, `u` (m,) their standard uncertainties, and `en` (m,) their E_n numbers.
     `p_all_looks` (m,) are two-sided p-values after Holm's correction for all numbers and calibrations compared.
     `chi2` with m degrees of freedom and its `p` test all numbers jointly.
     """
@@ -160,8 +161,8 @@ class Changes:
 class DriftLines:
     """Straight lines fitted to all coefficients over time by generalised least squares.
 
-    `per_year` (12,) are the slopes with standard uncertainties `u`; `p_all_looks` (12,) their p-values after Holm's
-    correction. `chi2` with `dof` degrees of freedom and its `p` test the residuals.
+    `per_year` (12,) are the slopes, `u` (12,) their standard uncertainties, and `p_all_looks` (12,) their
+    p-values after Holm's correction. `chi2` with `dof` degrees of freedom and its `p` test the residuals.
     """
 
     per_year: Floats
@@ -299,7 +300,7 @@ def _require_regular(snapshot: Snapshot) -> None:
 
 
 def _constant(snapshots: Sequence[Snapshot]) -> float:
-    """Return the p-value of the hypothesis that all calibrations have one common vector."""
+    """Return the p-value of the hypothesis that all calibrations have the same true coefficients."""
     weights = [np.linalg.inv(snapshot.covariance) for snapshot in snapshots]
     mean = np.linalg.solve(sum(weights), sum(w @ s.vector for w, s in zip(weights, snapshots, strict=True)))
     chi2 = sum(chi_square(s.vector - mean, s.covariance) for s in snapshots)

@@ -153,11 +153,12 @@ LEAST_SPAN_YEARS = 7.0 / 365.25
 class CheckRun:
     """A calibration of the check block: `value` (12,), and `covariance` (12, 12) of errors that vary by run.
 
-    `noise` (12,) is the part of u due to reading noise. `s` is the short-term standard deviation of a reading, with
-    `s_dof` degrees of freedom. Runs with the same `design` (plan) have equal covariances, except by chance.
-    `meters` are the identities of the voltmeters; `of_meters` (12, 12) is the covariance due to their limits, which
-    counts if they were replaced. `lasting` (12, 12) is the covariance of all other errors that do not vary from run
-    to run. `names` are those of the values, if they are neither the twelve nor the nine.
+    `noise` (12,) is the part of u due to reading noise. `s` is the short-term standard deviation of a reading,
+    with `s_dof` degrees of freedom. Runs with the same `design` (plan) have equal covariances, except by chance.
+    `meters` are the identities of the voltmeters; `of_meters` (12, 12) is the covariance due to their limits,
+    which counts if they were replaced. `lasting` (12, 12) is the covariance of all other errors that do not vary
+    from run to run. `names` are the names of the values if these are neither the twelve coefficients nor the nine
+    intrinsic numbers.
     """
 
     name: str
@@ -239,10 +240,10 @@ class Verdict:
 class ControlChart:
     """The control chart: `baseline` runs, or a `reference` in place of them, and the `later` runs judged.
 
-    `shewhart` and `ewma` have a row for each later run. The EWMA skips a run that T² rejects; the row of such a run
-    is NaN. `alone` (m,) is the p-value of each baseline run in comparison with the others, None for too few runs.
-    `verdicts` holds the verdict on each later run, in order. `known` is the drift of the block since `begun` (POSIX
-    time, s), None if unknown.
+    `shewhart` and `ewma` have a row for each later run. The EWMA skips a run that T² rejects; the row of such a
+    run is NaN. `alone` (m,) is the p-value of each baseline run compared with the other runs; it is None if there
+    are too few. `verdicts` holds the verdict on each later run, in order. `known` is the drift of the block since
+    `begun` (POSIX time, s), None if unknown.
     """
 
     design: ChartDesign

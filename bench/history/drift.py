@@ -84,13 +84,13 @@ class UnitDrift:
 
 @dataclass(frozen=True)
 class States:
-    """The filtered state at the last calibration, by coefficient, for m pairs of scatter and walk variances: (12,
-    m, …).
+    """The filtered state at the last calibration, (12, m, …), for 12 coefficients and m pairs of variances.
 
-    `weight` sums to 1 over m. `between` and `walk` are variances (`walk` per year). `line` (12, m, 2) is level and
-    rate, with `covariance` (12, m, 2, 2). `walked` (12, m) and `columns` (12, m, 2) are the filtered walk of the
-    values and of the two columns of the line; `left` (12, m) is the variance of the walk. `last_year` is the time
-    of the last calibration since the first.
+    A pair is a variance of scatter, `between`, and a variance of a random walk per year, `walk`; `weight` sums to
+    1 over the pairs. `line` (12, m, 2) is level and rate; `covariance` (12, m, 2, 2) is their covariance.
+    `walked` (12, m) and `columns` (12, m, 2) are the filtered walk of the values and of the two columns of the
+    line; `left` (12, m) is the variance of the walk. `last_year` is the time of the last calibration since the
+    first.
     """
 
     last_year: float
@@ -343,8 +343,8 @@ class Due:
     """The due date of a block's next calibration, with its `basis` ("drift" or "interval") and the reason `why`.
 
     `predicted_g` is the expanded error expected on that day, and `now_g` on the day of the last calibration, in
-    local g; both are None if the basis is the interval. `count` is the number of calibrations, `last` the time of
-    the last one.
+    local g; both are None if the basis is the interval. `count` is the number of calibrations; `last` is the time
+    of the last calibration.
     """
 
     date: np.datetime64

@@ -29,7 +29,9 @@ METHODS: Final = (WEIGHTED_MEAN, MANDEL_PAULE, DERSIMONIAN_LAIRD)
 
 @dataclass(frozen=True)
 class Participants:
-    """Values `y` (n,) with their covariance (n, n), of units `unit` (n,) on benches `bench` (n,), by index."""
+    """Values `y` (n,) with their covariance (n, n); `unit` (n,) and `bench` (n,) are the indices of unit and
+    bench.
+    """
 
     y: Floats
     covariance: Floats
@@ -76,10 +78,11 @@ def _left(V: Floats, X: Floats) -> Floats:
 class Equivalence:
     """The reference value of each unit and the degree of equivalence of each bench, for one coefficient.
 
-    `reference` (U,) has the standard uncertainties `u_reference`. `degree` (B,) are the degrees of equivalence d
-    with `covariance` (B, B). `dark` is the dark uncertainty of benches (1 σ). The variance of d includes the dark
-    uncertainty of all benches except the bench of d itself, whose stated u is kept. `chi2` with `dof` tests the
-    stated uncertainties; `map` (B, n) is the matrix that maps `y` to d.
+    `reference` (U,) are the reference values, and `u_reference` (U,) their standard uncertainties. `degree` (B,)
+    are the degrees of equivalence d, and `covariance` (B, B) is their covariance. `dark` is the dark uncertainty
+    of benches (1 σ). The variance of d includes the dark uncertainty of all benches except the bench of d itself,
+    whose stated u is kept. `chi2` with `dof` tests the stated uncertainties; `map` (B, n) is the matrix that maps
+    `y` to d.
     """
 
     method: str

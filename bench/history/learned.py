@@ -214,11 +214,11 @@ _PPM, _MICROVOLT = 1e-6, 1e-6
 class MeterRun:
     """A calibration of a unit, reduced to the quantities that its voltmeters affect.
 
-    `meters` are the meters' identities by channel; `day` is the time in days from any origin. `values` (6,) are the
-    logarithms of the lengths of the rows of K (in V/g), then the biases in g. `covariance` (6, 6) contains the
-    errors that vary from run to run, without those of the meters. `block` (6, q) are the errors that the block
-    causes in all its runs, one u per column. `drift` (3, 2) is the standard uncertainty of the change of gain (1)
-    and zero (V) within `per_days`, by channel.
+    `meters` are the meters' identities by channel; `day` is the time in days from any origin. `values` (6,) are
+    the logarithms of the lengths of the rows of K (in V/g), then the biases in g. `covariance` (6, 6) contains
+    the errors that vary from run to run, without those of the meters. `block` (6, q) are the errors that the
+    block causes in all its runs, one u per column. `drift` (3, 2) is, for each channel, the standard uncertainty
+    of the change of the relative gain and of the zero in V within `per_days`.
     """
 
     name: str
@@ -400,8 +400,8 @@ def _moved(runs: Sequence[MeterRun], day: float, quantity: int) -> Floats:
 class _Design:
     """The design of the meter comparison: N readings, one of each channel in each run.
 
-    `cell` (N,) is the index of the pair of unit and channel, `meter_of` (N,) that of the meter. Only meters with
-    the same `group` (M,) can be compared.
+    `cell` (N,) is the index of the pair of unit and channel; `meter_of` (N,) is the index of the meter. Only
+    meters with the same `group` (M,) can be compared.
     """
 
     meters: tuple[str, ...]

@@ -42,8 +42,8 @@ MOST_CHANGE: Final = 5.0
 class Beliefs:
     """Prior beliefs: the precision (m,) of the means, in units of their stated u, and beliefs about variances.
 
-    `centre` (k,) and `spread` (k,) are mean and standard deviation of a variance that keeps its prior; NaN for a
-    variance that is estimated from the runs.
+    `centre` (k,) and `spread` (k,) are the mean and the standard deviation of each variance that keeps its prior;
+    they are NaN for a variance that is estimated from the runs.
     """
 
     precision: Floats

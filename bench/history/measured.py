@@ -24,7 +24,7 @@ LEAST_OWN: Final = 1e-3
 
 @dataclass(frozen=True)
 class ComparedCalibrations:
-    """A table of n calibrations: labels `unit`, `kind` (unit type) and `bench`, and times `when`, (n,) each.
+    """A table of n calibrations: the `unit` (n,) of each, its type `kind` (n,), `bench` (n,) and time `when` (n,).
 
     `vector` (n, 12) has scale factors in `signal`/g with g = `STANDARD_GRAVITY` and biases in `signal`;
     `covariance` (n, 12, 12) is as stated. `meters` (n, 12) is the part of u that recurs in every calibration with

@@ -39,9 +39,10 @@ LEAST_REPEATS: Final = 10
 class Prior:
     """The prior of an unmeasured unit of type `kind`: `mean` (12,) and `covariance` (12, 12).
 
-    Both are in `signal` per standard g. `between` (12,) is the standard deviation between units, `mean_u` (12,) the
-    standard uncertainty of the mean, `dof` the degrees of freedom, and `shrunk` the fraction by which correlations
-    were reduced. `units` and `benches` count the units and benches from which the prior was computed.
+    Both are in `signal` per standard g. `between` (12,) is the standard deviation between units; `mean_u` (12,),
+    the standard uncertainty of the mean; `dof`, the degrees of freedom; `shrunk`, the fraction by which
+    correlations were reduced. `units` and `benches` count the units and benches from which the prior was
+    computed.
     """
 
     kind: str

@@ -131,10 +131,10 @@ def _walk(conditions: Conditions) -> Floats:
 class RunSums:
     """Runs as arrays of equal shape: `gram` (runs, w, w) of W = (B, H, y), with zeros for columns that a run lacks.
 
-    B has c columns for stand angles and drift, H has `waves` columns for harmonics of the head. `random` (runs, c)
-    is the index of the variance of each column of B, `mean` (runs, c) that of its mean; -1 means none. `chi2`
-    (runs,) with `dof` (runs,) is y^T P y less the scatter of repeats, where P projects out the run's own
-    coefficients, but not B and H.
+    B has c columns for stand angles and drift, H has `waves` columns for harmonics of the head. `random` (runs,
+    c) is the index of the variance of each column of B; `mean` (runs, c) is the index of the mean of each column;
+    -1 means that there is none. `chi2` (runs,) with `dof` (runs,) is y^T P y less the scatter of repeats, where P
+    projects out the run's own coefficients, but not B and H.
     """
 
     names: tuple[str, ...]

@@ -277,7 +277,7 @@ SEGMENTS: Final = 8
 
 @dataclass(frozen=True)
 class Spectrum:
-    """The one-sided power spectral density of the channels, `density` (m, c) in unit²/Hz, at frequencies (m,), Hz.
+    """The one-sided power spectral density `density` (m, c) of c channels, unit²/Hz, at m frequencies, Hz.
 
     White noise of the Allan term N has the density 2 N². `segments` is the number of segments averaged.
     """

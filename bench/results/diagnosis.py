@@ -515,16 +515,24 @@ def _consequence(shown: ModelComparison, out: Console) -> None:
         out.print(f"  less certain with it: {', '.join(wider)}")
 
 
+SIDE_BY_SIDE: Final = 4
+"""Blocks in a table: their values fit on a line."""
+
+
 def _blocks(full: FullDiagnosis, out: Console) -> None:
     """Print the coefficients of each block with u, and the p-value of its comparison with the simulation."""
     changed = any(block.after is not None for block in full.blocks)
     out.print(f"Coefficients of each block{', with what was found' if changed else ''}; in brackets u:")
-    rows = table("block", *(f">{name}" for name in full.blocks[0].coefficients), ">p")
-    for number, block in enumerate(full.blocks, start=1):
-        values = [concise(one.after, one.u_after) for one in block.coefficients.values()]
-        p = typeset(words.p_in_column(block.last.test.p, 2)) if block.last.tested else "–"
-        rows.add_row(f"{number}: {words.mountings_of(block)}", *values, p)
-    out.print(rows)
+    numbered = list(enumerate(full.blocks, start=1))
+    for first in range(0, len(numbered), SIDE_BY_SIDE):
+        shown = numbered[first : first + SIDE_BY_SIDE]
+        rows = table("", *(f">{number}: {words.mountings_of(block)}" for number, block in shown))
+        for name in full.blocks[0].coefficients:
+            values = [block.coefficients[name] for _, block in shown]
+            rows.add_row(name, *(concise(one.after, one.u_after) for one in values))
+        tests = [block.last for _, block in shown]
+        rows.add_row("p", *(typeset(words.p_in_column(of.test.p, 2)) if of.tested else "–" for of in tests))
+        out.print(rows)
     out.print("p: of the simulated bench against the readings of the block, by the scatter of their repeats")
 
 

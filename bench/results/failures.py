@@ -22,7 +22,7 @@ class NotedRemedy(ResultModel):
 
 
 class Failure(ResultModel):
-    """A failure in the record of a run."""
+    """A failure that the record of a run states."""
 
     number: str
     run: str

@@ -109,7 +109,7 @@ class ValidationResult(ResultModel):
 
     @property
     def failed(self) -> list[ValidationCheck]:
-        """The failed checks, without changes that somebody may still accept."""
+        """The failed checks, except those that report a change, which a person may still accept."""
         return [one for one in self.checks if not one.passed and not one.change]
 
     @property

@@ -369,7 +369,7 @@ class Supposition:
 
 @dataclass(frozen=True)
 class OtherPose:
-    """The supposition that the block sat in installation `label`, the head at the angle read plus `off_rad`."""
+    """The supposition of another pose: installation `label`, at the recorded head angle plus `off_rad`."""
 
     supposed: Supposition
     label: str
@@ -447,8 +447,7 @@ def head_elsewhere(
     """Return the suppositions that the head was at another angle than recorded.
 
     `last_rad` is the angle of the previous point on the same mounting, `next_rad` that of the next point.
-    `pivot_rad` is the angle of the last point that fitted, from which the head may have been turned the wrong
-    way.
+    `pivot_rad` is the angle of the last point that fitted; from there the head may have turned the wrong way.
     """
     found: list[OtherPose] = []
 
@@ -505,10 +504,10 @@ AS_IT_IS, ABSENT = SHIFTS, SHIFTS + 1
 class Sighting:
     """A reading as the early warning keeps it.
 
-    `new_mount` says that the block was mounted just before it. `loosened` (12,) are the variances by which the
-    coefficients may have changed since the previous reading. `taken` means that the model has learnt from the
-    reading; `poorly_known`, that the model was too uncertain to reveal a mistake in it; `struck`, that it is known
-    to be wrong or was repeated.
+    `new_mount` says that the block was mounted just before the reading. `loosened` (12,) are the variances by
+    which the coefficients may have changed since the previous reading. `taken` means that the model has learnt
+    from the reading; `poorly_known`, that the model was too uncertain to reveal a mistake in it; `struck`, that
+    it is known to be wrong or was repeated.
 
     `poses` are, in this order: the recorded pose, the pose with the head's sense reversed, the poses in each other
     installation or orientation, and the poses at each other setting of the head. `sat_before` is the installation
@@ -588,10 +587,11 @@ class Member:
 
 @dataclass(frozen=True)
 class ReplayedReadings:
-    """The result of a replay of all n readings for m members (supposed mistakes).
+    """The result of replaying all n readings for each of m members, that is, under each of m supposed mistakes.
 
-    `state` is the members' final state, `cost` (m,) the cost of all readings; `before` is the cost for member 0
-    without the last reading. `taken` (n, m) says which readings each member learnt from.
+    `state` is each member's expectation after the last reading. `cost` (m,) is each member's cost (-2 ln
+    likelihood) of all readings; `before` is the cost of member 0 without the last one. `taken` (n, m) says which
+    readings updated each member's expectation.
     """
 
     state: Expectation

@@ -89,7 +89,10 @@ class RunControl:
 
     @classmethod
     def from_json(cls, line: Mapping[str, Any]) -> RunControl:
-        """Return the wish in a line. Raises `KeyError`, `TypeError` or `ValueError` if the line holds none."""
+        """Return the wish that a parsed line of the file states.
+
+        Raises `KeyError`, `TypeError` or `ValueError` if the line states none.
+        """
         return cls(Wish(line["wish"]), str(line.get("reason", "")), who=WishAuthor.from_json(line))
 
 

@@ -98,7 +98,7 @@ class NewRun:
 def new_run(request: RunRequest) -> NewRun:
     """Check a procedure against a bench and return the run to begin.
 
-    Raises `FileMistakes` and `Refused` with all mistakes found.
+    Raises `FileMistakes` or `Refused`, with all mistakes found.
     """
     dry_run, unit = request.dry_run, request.unit
     operator, person = operator_of(request.operator, request.laboratory, needed=not dry_run)

@@ -167,7 +167,7 @@ class Centre:
 class JudgedDeviations:
     """Deviations from the centre (…, n, p) with their `u`, `z` = deviation/u and its p-value `p`.
 
-    `t2` (…, n) is the joint statistic T² of all coefficients, `p_joint` its p-value.
+    `t2` (…, n) is the joint statistic T² of all coefficients; `p_joint` (…, n) is its p-value.
     """
 
     deviation: Floats
@@ -332,9 +332,9 @@ ALIKE_P = 0.01
 
 @dataclass(frozen=True)
 class ShortTerm:
-    """Short-term standard deviations `s` (n,) with `dof`, and the baseline's `pooled` one with `pooled_dof`.
+    """Short-term standard deviations `s` (n,) with `dof`, and that of the baseline, `pooled`, with `pooled_dof`.
 
-    `f` is the square of `s` over `pooled`, `p` its p-value (one-sided F test).
+    `f` is the square of the ratio of `s` to `pooled`; `p` is the p-value of `f` (one-sided F test).
     """
 
     s: Floats
@@ -371,10 +371,10 @@ class Components:
 
     `noise` is the part from reading noise (level 1). `stated` is the u of one run from all errors that differ
     between runs, `scatter` the standard deviation between runs, with `runs` - 1 degrees of freedom. `f` is the
-    squared ratio of `scatter` to `stated`, `p` its one-sided p-value. `between` is the standard deviation between
-    runs beyond `stated`, `between_most` its upper limit (95 %). `birge2` is the squared ratio for all
-    coefficients together, with `birge_dof` and two-sided p-value `birge_p`. `alike_p` is the p-value of the
-    hypothesis that one factor on the stated u suits all directions.
+    squared ratio of `scatter` to `stated`; `p` is the one-sided p-value of `f`. `between` is the standard
+    deviation between runs in excess of `stated`; `between_most` is its upper 95 % limit. `birge2` is the squared
+    ratio for all coefficients together, with `birge_dof` and two-sided p-value `birge_p`. `alike_p` is the
+    p-value of the hypothesis that one factor on the stated u suits all directions.
     """
 
     runs: int

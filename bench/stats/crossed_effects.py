@@ -113,10 +113,11 @@ class Crossing:
 class MixedModelEquations:
     """The solved mixed model equations for groups and benches at given `sizes`, with the units eliminated.
 
-    `w` (n,) are weights, `W` (U,) their sums over units, `s` (U,) the terms subtracted by eliminating a unit.
-    `lower` (T + B, T + B) is the Cholesky factor of the equations for T groups and B benches; each bench's column
-    is multiplied by the size of benches. `solution` (T + B,) are the means of groups, then the bench effects
-    divided by their size. `likelihood` is the restricted log likelihood, up to a constant.
+    `w` (n,) are weights; `W` (U,) is the sum of the weights of each unit; `s` (U,) is the term that the
+    elimination of each unit subtracts. `lower` (T + B, T + B) is the Cholesky factor of the equations for T
+    groups and B benches; each bench's column is multiplied by the size of benches. `solution` (T + B,) are the
+    means of groups, then the bench effects divided by their size. `likelihood` is the restricted log likelihood,
+    up to a constant.
     """
 
     crossing: Crossing

@@ -47,7 +47,8 @@ class Ratio(NamedTuple):
 class Term:
     """A term that widens u, for each of c kinds of quantity.
 
-    `size` (c,) is its standard deviation, for `scale` the factor on u. `u` (g, r, c) is the widened uncertainty.
+    `size` (c,) is the standard deviation of the term or, for the term "scale", the factor on u. `u` (g, r, c) is
+    the widened uncertainty.
     """
 
     name: TermName

@@ -57,7 +57,9 @@ class AcutrolHead(MotorisedHead):
     # --- the head -----------------------------------------------------------------------------------
 
     def open(self) -> Identity:
-        """Connect, take the lockout and cycle the interlock; the table is then powered but does not move.
+        """Connect, switch the controller's lockout on, then open, reset and close the interlock.
+
+        The table is then powered but does not move.
 
         The controller has no identity query: the format of its replies identifies it.
         Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.

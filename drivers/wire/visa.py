@@ -469,7 +469,7 @@ class ProvedSession:
         return self._session.query(command, timeout_s, pattern, expected, lines)
 
     def urgent(self, command: str, pattern: str, expected: str) -> str:
-        """Send a command at once, even to an instrument not yet verified, and return its reply; for a stop."""
+        """Send a command at once, even to an instrument not yet verified, and return its reply. Stops use it."""
         return self._session.query(command, pattern=pattern, expected=expected)
 
     def write(self, command: str) -> None:

@@ -13,6 +13,7 @@ import bench as program
 from bench.config.model_file import load_model
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.pipeline import MistakesAlone
+from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import write_csv
 from bench.services.bodies import body_of
 from bench.services.diagnosis import MistakesResult
@@ -264,7 +265,9 @@ def test_of_several_blocks_all_are_told(bench):
     out = printed(bench("diagnose", "first.csv", "second.csv", "--together", "--json", "d.json"))
     found = result_of("d.json")
     table = out[out.index("Coefficients of each block") :].splitlines()
-    assert [line.split(":")[0] for line in table[2:4]] == ["1", "2"]
+    assert ["1:" in table[1], "2:" in table[1]] == [True, True]
+    assert [line.split()[0] for line in table[2:15]] == [*COEFFICIENTS, "p"]
+    assert all(len(line.split()) == 3 for line in table[2:15])
     assert len(found["blocks"]) == 2
     page = Path(found["report"]).read_text(encoding="utf-8")
     for number in (1, 2):

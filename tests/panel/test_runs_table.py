@@ -40,10 +40,13 @@ def names(reply):
 
 def test_each_run_has_its_state_and_how_to_go_on(runs):
     rows = {row.name: row for row in RunsTable(RunsFolder(runs)).rows()}
-    assert (rows["finished"].state, rows["finished"].to_go_on) == ("finished", "bench resume finished")
+    assert (rows["finished"].state, rows["finished"].to_go_on) == (
+        "finished",
+        f"bench resume {runs / 'finished'}",
+    )
     (runs / "finished" / "report.html").touch()
     assert run_summary(Run(runs / "finished")).to_go_on == ""
-    assert rows["interrupted"].to_go_on == "bench resume interrupted"
+    assert rows["interrupted"].to_go_on == f"bench resume {runs / 'interrupted'}"
     text = Browser(runs, "anna").get("/").text
     assert ">resume</a>" in text
     assert "2 of 2 runs" in text

@@ -52,7 +52,8 @@ MAGNITUDES_G: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 class MeasuredAcceleration:
     """Uncertainty of measured accelerations `force` (d, 3), g.
 
-    `by_source` holds the covariance (d, 3, 3) from each source in g², `dof` the degrees of freedom of each.
+    `by_source` maps each source to its part of the covariance (d, 3, 3), g²; `dof` maps it to its degrees of
+    freedom.
     """
 
     force: Floats
@@ -115,9 +116,11 @@ def measured(
 def _of_reading(
     contribution: Contribution, budget: Budget, force: Floats, *, same_voltmeters: bool
 ) -> tuple[Floats, Floats]:
-    """Return a source's errors of one reading, V, as two arrays (d, 3, q).
+    """Return the errors, V, that a source causes in one reading of each of d accelerations: two arrays (d, 3, q).
 
-    The first is for the draws that already acted in the calibration, the second for new draws.
+    Each array has q independent components of one standard deviation. Those of the first are common to reading
+    and calibration, so that errors of the coefficients may cancel them; those of the second are of the reading
+    alone.
     """
     source, block = contribution.source, budget.setup.block
     per_channel = np.eye(3)[None]

@@ -54,11 +54,11 @@ class Size:
 
 
 def size_of(quantity: Quantity, meter: VoltmeterForm, day: datetime.date | None) -> Size:
-    """Return the uncertainty of a meter's gain (1) or zero (V) on its range, on the day of the readings.
+    """Return the uncertainty of a meter's relative gain, or of its zero in V, on the day of the readings.
 
-    With a certificate u² = (U / k)² + a² / 3, where a is the drift since the calibration: the certified drift per
-    year times the years, or else the maker's limits for that time. Without a certificate the maker's 90-day limits
-    apply. Source: JCGM 100:2008, 4.3.3, 4.3.7, (G.2b).
+    With a certificate, u² = (U / k)² + a² / 3. Here a is the drift since the calibration: the certified drift
+    per year times the years, or else the maker's limits for that time. Without a certificate, the maker's 90-day
+    limits apply. Source: JCGM 100:2008, 4.3.3, 4.3.7, (G.2b).
     """
     found = _certified(quantity, meter)
     if meter.certificate is None or found is None:
@@ -82,7 +82,7 @@ def size_of(quantity: Quantity, meter: VoltmeterForm, day: datetime.date | None)
 
 
 def may_move(quantity: Quantity, meter: VoltmeterForm) -> float:
-    """Return the standard uncertainty of the drift of a meter's gain (1) or zero (V) within 90 days."""
+    """Return the standard uncertainty of the drift within 90 days of a meter's relative gain, or zero in V."""
     found = _certified(quantity, meter)
     drift = _limit(quantity, meter, 0.0) if found is None or found.drift is None else found.drift * DAYS_90
     return drift / math.sqrt(3.0)

@@ -95,8 +95,8 @@ def drawn(distribution: Distribution, shape: tuple[int, ...], rng: np.random.Gen
 class Distributed(HasCovariance):
     """Statistics of Monte Carlo outputs: `mean` (m,), `u` (m,), `covariance` (m, m).
 
-    `symmetric` (m, 2) are the ends of the probabilistically symmetric coverage intervals for `probability`,
-    `shortest` (m, 2) the ends of the shortest coverage intervals.
+    `symmetric` (m, 2) are the ends of the probabilistically symmetric coverage intervals for `probability`;
+    `shortest` (m, 2) are the ends of the shortest coverage intervals.
     """
 
     mean: Floats
@@ -142,8 +142,9 @@ def numerical_tolerance(u: float, digits: int = 2) -> float:
 class Validation:
     """Validation of linear propagation by Monte Carlo, with one row for each of m outputs.
 
-    `low`, `high` (m,) are the absolute differences of the interval ends, `tolerance` (m,) is delta, `ratio`
-    (m,) is u by Monte Carlo divided by u by linear propagation.
+    `low` (m,) and `high` (m,) are the absolute differences of the lower and of the upper interval ends.
+    `tolerance` (m,) is delta of JCGM 101:2008. `ratio` (m,) is u by Monte Carlo divided by u by linear
+    propagation.
     """
 
     low: Floats

@@ -306,7 +306,7 @@ class UnknownVoltmeter(VoltmeterForm):
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """The signals; if the section states `inputs`, in the order of their channel numbers."""
+        """The signals, in the order of their channel numbers if the section states `inputs`, else as stated."""
         if isinstance(self.inputs, dict):
             return tuple(sorted(self.inputs, key=lambda signal: _number(self.inputs[signal])))
         return self.stated_channels

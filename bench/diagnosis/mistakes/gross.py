@@ -1,4 +1,4 @@
-"""Gross mistakes of wiring and procedure: other meanings of the whole record, scored by their evidence."""
+"""Gross mistakes of wiring and procedure: other meanings of the record (maps), scored by their evidence."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ largest above six degrees, a block that contradicts its data sheet would pass as
 ODDS: Final = 1e6
 """Least odds, divided by the number of looks, of a mistake, whatever the errors of the bench."""
 SHEET_U: Final = (0.10, 0.05, 0.5)
-"""Prior 1 sigma of the coefficients about a data sheet: scale factor and cross-axis terms in g/g, bias in g."""
+"""Prior 1 sigma of the coefficients about a data sheet: scale factor, g/g; cross-axis term, g/g; bias, g."""
 
 
 def sheet_u(scale: Floats) -> Floats:
     """Return the prior standard deviations of the coefficients about those of a data sheet, (4, 3).
 
-    Column i belongs to channel i: three elements of row i of K, then the bias, in the unit of the signal (per
-    g). `scale` (3,) are the scale factors of the data sheet.
+    Column i belongs to channel i: the three elements of row i of K, in the unit of the signal per g, then the
+    bias, in the unit of the signal. `scale` (3,) are the scale factors of the data sheet.
     """
     own, cross, bias = SHEET_U
     return np.asarray(np.vstack([np.where(np.eye(3) == 1, own, cross), np.full(3, bias)]) * scale)
@@ -47,7 +47,7 @@ def sheet_u(scale: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class GrossMistake:
-    """The supposed mistake that explains the readings best, and those that explain them as well (`equal`).
+    """The supposed mistake that explains the readings best, and others that explain them equally well (`equal`).
 
     `p` is an upper limit of its p-value: the number of suppositions tried divided by the odds of this one.
     Chance gives odds of B or more with a probability of at most 1/B.
@@ -62,8 +62,8 @@ class GrossMistake:
 class GrossFit:
     """A block fitted to readings as they were recorded.
 
-    `misfit` is the chi-square of the readings. `sheet` (3,) is, for each channel, the chi-square of its
-    coefficients about those of the data sheet.
+    `misfit` is the chi-square of the readings. `sheet` (3,) is the chi-square of each channel's coefficients
+    about the coefficients of the data sheet.
     """
 
     block: Block
@@ -75,8 +75,8 @@ class GrossFit:
 class GrossSearch:
     """A search for gross mistakes in tables of readings of one bench.
 
-    `nominal` (3,) are the scale factors of the data sheet with their signs, in the unit of the signal per g,
-    or None. `stand_rad` is the standard deviation of the angle between block and vertical that the limits of
+    `nominal` (3,) are the scale factors of the data sheet with their signs, in the unit of the signal per g; None
+    if unknown. `stand_rad` is the standard deviation of the angle between block and vertical that the limits of
     the bench permit, in rad; it is also the error of the specific force in g.
     """
 
@@ -106,7 +106,7 @@ class GrossSearch:
         return min(better, key=lambda one: (len(one.equal), -after[one]), default=found)
 
     def _with_second(self, first: GrossMistake, readings: Readings, table: OrientedRows) -> float:
-        """Return ln of the evidence of a mistake with the likeliest second one."""
+        """Return ln of the evidence of a mistake together with the likeliest second mistake."""
         copy = OrientedRows.of(first.supposition.correct(readings, table))
         scores = self._log_evidence(copy, [nothing(copy), *suppositions(copy)], table, copy.every)
         return float(np.max(scores)) + first.supposition.log_jacobian
@@ -114,9 +114,10 @@ class GrossSearch:
     def _likeliest(
         self, table: OrientedRows, maps: Sequence[Reinterpretation], kept: Mask
     ) -> GrossMistake | None:
-        """Return the likeliest map of the rows `kept` (n,), the others being lost.
+        """Return the likeliest map, given only the rows in the mask `kept` (n,).
 
-        Where a loss is likelier than any map, its rows are left out, and maps elsewhere are compared again.
+        If the supposition that some rows are useless is likelier than any map, these rows are left out as well,
+        and the maps of other rows are compared again.
         """
         losses = [one for one in losses_of(table) if (kept & ~one.scope.mask).any()]
         maps = [one for one in maps if not one.scope.mask[~kept].any()]
@@ -140,9 +141,9 @@ class GrossSearch:
         return None
 
     def _best(self, table: OrientedRows, supposed: Sequence[Reinterpretation], odds: Floats) -> int:
-        """Return the likeliest supposition; another unit must bring its channels to their data sheet.
+        """Return the index of the likeliest supposition. A changed unit must bring its channels to the data sheet.
 
-        The odds of any other are set to nothing.
+        If it does not, ln of its odds is set to minus infinity.
         """
         while True:
             best = int(np.argmax(odds))
@@ -169,7 +170,7 @@ class GrossSearch:
     def fit(self, table: OrientedRows, rows: Mask) -> GrossFit:
         """Return the block fitted to the rows in the mask (n,) of a table as recorded.
 
-        Errors have the smallest of the sizes that the search considers; the data sheet is the prior.
+        The errors have the smallest size that the search considers; the data sheet is the prior.
         """
         mean, u = self._prior(table)
         columns, signal = self._columns(table, nothing(table))[rows], table.signal[rows]
@@ -184,7 +185,7 @@ class GrossSearch:
         return GrossFit(block, float(misfit), np.sum(((found - mean) / u) ** 2, axis=0))
 
     def _may_be_wrong(self, table: OrientedRows, kept: Mask, enough: float) -> bool:
-        """Return whether a map that explains all `kept` rows would have ln odds of `enough`."""
+        """Return whether ln of the odds of a map that explains all `kept` rows would reach `enough`."""
         fit = self.fit(table, kept)
         return bool(fit.misfit + np.sum(fit.sheet) > 2.0 * enough)
 
@@ -193,14 +194,14 @@ class GrossSearch:
         return max(ERRORS_G[0], self.stand_rad)
 
     def _scale(self, table: OrientedRows) -> Floats:
-        """Size of a channel's signals for 1 g, (3,)."""
+        """The size (3,) of each channel's signal for 1 g."""
         if self.nominal is not None:
             return np.abs(self.nominal)
         spread = np.ptp(np.percentile(table.signal, [5, 95], axis=0), axis=0) / 2
         return np.asarray(np.maximum(spread, max(1e-3 * float(spread.max()), 1e-300)))
 
     def _prior(self, table: OrientedRows) -> tuple[Floats, Floats]:
-        """Prior means and 1 sigma of (K_ix, K_iy, K_iz, U0_i), (4, 3), unit of the signal."""
+        """The prior means (4, 3) and sigmas (4, 3) of K_ix, K_iy, K_iz, U0_i of channel i, unit of the signal."""
         mean = np.zeros((4, 3))
         if self.nominal is not None:
             mean[:3] = np.diag(self.nominal)
@@ -211,7 +212,7 @@ class GrossSearch:
         )
 
     def _columns(self, table: OrientedRows, supposed: Reinterpretation) -> Floats:
-        """Specific forces and a one for the bias, (n, 4)."""
+        """The specific force of each reading, and 1 for the bias, (n, 4)."""
         angle = table.angle_rad if supposed.angle_rad is None else supposed.angle_rad
         label = table.label if supposed.label is None else supposed.label
         force = specific_force_on_platform(angle, np.zeros((len(angle), len(STAND_ANGLES))))
@@ -225,8 +226,8 @@ class GrossSearch:
     ) -> Floats:
         """Return ln of the probability density (H,) of the `kept` signals under each map, up to a constant.
 
-        Coefficients and errors are integrated out, with priors for a table `like` this one. A reading without
-        signals has a density of one per g.
+        Coefficients and errors are integrated out; their priors are those for the table `like`. A reading without
+        signals has a density of 1 per g.
         """
         unit = float(np.max(self._scale(like)))
         mean, u = (of / unit for of in self._prior(like))
@@ -252,13 +253,13 @@ def p_of(log_odds: float, log_looks: float) -> float:
 
 
 Products = dict[int, tuple[int, Floats]]
-"""Number of rows, of variance reading^2 + m position^2, and their X^T X (7, 7), by the number m of repeats."""
+"""By the number m of repeats: the number of rows, of variance reading^2 + m position^2, and their X^T X (7, 7)."""
 
 
 def _products(table: OrientedRows, supposed: Reinterpretation, columns: Floats, kept: Mask) -> Products:
-    """Return the products of the `kept` rows of columns (n, 7): of means of a position's repeats, and of the rest.
+    """Return the products of the `kept` rows of `columns` (n, 7), for means over repeats and for the rest.
 
-    The rest has m = 0. To a degree it is the same position.
+    The rest are the deviations from these means, for which m = 0. Angles that agree to 1 degree are one position.
     """
     label = table.label if supposed.label is None else supposed.label
     angle = table.angle_rad if supposed.angle_rad is None else supposed.angle_rad
@@ -279,9 +280,10 @@ def _products(table: OrientedRows, supposed: Reinterpretation, columns: Floats, 
 
 
 def _integrated(supposed: Sequence[Products], mean: Floats, u: Floats, errors_g: Floats) -> Floats:
-    """Return ln of the evidence of H maps, (H,), averaged for each channel over errors of readings and positions.
+    """Return ln of the evidence (H,) of H maps, averaged for each channel over the sizes of the errors.
 
-    With errors common to the channels, a factor on one that hardly moves would be paid by the others.
+    These are the errors of readings and of positions. Each channel has its own sizes; with common sizes, the other
+    channels would favour a wrong factor on a channel that hardly moves.
     """
     of_reading, of_position = (
         np.repeat(errors_g**2, len(errors_g) + 1),

@@ -25,7 +25,7 @@ from bench.diagnosis.residual_dictionary import shapes
 from bench.model import CATALOGUE, STAND_ANGLES, AppliedEffect, Block
 
 WIDE: Final = 1e5
-"""Prior 1 sigma of what is left free, in units of the noise: wider than any signal."""
+"""Prior 1 sigma of free values, in units of the noise: wider than any signal."""
 ERRORS: Final = (20.0, 1e3, 5e4)
 """Prior 1 sigma of the errors of a wrong reading, in units of the noise, equally probable."""
 NEAR_DEG: Final = 3.0
@@ -36,10 +36,10 @@ NEAR_DEG: Final = 3.0
 class ProjectedReadings:
     """The whitened readings of a table at one noise ratio, with all that is known projected out.
 
-    `white` has the noise of a reading and the setting error. `basis` (3n, k) spans the directions projected
-    out: those of the model and of the known changes. `pull` (3n,) is what is left of the n readings, and
-    `square` its squared length. `log_det` is the part of ln of the evidence that does not depend on the
-    readings.
+    `white` has the noise of a reading and the setting error. `basis` (3n, k) spans the directions that are
+    projected out, which are those of the model and of the known changes. `pull` (3n,) are the residuals of the n
+    readings; `square` is the squared length of `pull`. `log_det` is the part of ln of the evidence that does not
+    depend on the readings.
     """
 
     table: Table
@@ -63,7 +63,8 @@ class ProjectedReadings:
     def of_group(self, columns: Floats) -> float:
         """Return ln of the Bayes factor for a change described by `columns` (n, 3, p) against no change.
 
-        The columns are in units of the noise; the prior of their p sizes is normal, averaged over `SIZES`.
+        The columns are in units of the noise. The prior of their p amplitudes is normal, with a standard
+        deviation that is averaged over `SIZES`.
         """
         inside = self.table.whiten(self.table.unit * columns, self.white)
         known = self.basis.T @ inside
@@ -72,7 +73,7 @@ class ProjectedReadings:
         return float(self._factors(np.maximum(values, 0.0)[None], along[None], SIZES)[0])
 
     def of_readings(self) -> Floats:
-        """Return ln of the Bayes factor for arbitrary errors in all channels of each reading, (n,)."""
+        """Return, for each reading, ln of the Bayes factor (n,) of arbitrary errors in all its channels."""
         values, vectors = np.linalg.eigh(self.blocks)
         along = np.einsum("nij,ni->nj", vectors, self.pulls) ** 2
         return self._factors(np.maximum(values, 0.0), along, ERRORS)
@@ -88,7 +89,7 @@ class ProjectedReadings:
 
     @cached_property
     def _ways(self) -> Floats:
-        """Whitened unit errors of x, y and z in each reading, (n, 3, 3)."""
+        """The whitened unit errors of the channels x, y and z of each reading, (n, 3, 3)."""
         n = len(self.table.left)
         unit = np.broadcast_to(np.eye(3), (n, 3, 3)) * self.table.unit
         return np.asarray(whiten(unit, self.table.slope, self.white))
@@ -97,8 +98,8 @@ class ProjectedReadings:
     def blocks(self) -> Floats:
         """The information matrix of the errors of the three channels of each reading, (n, 3, 3).
 
-        It is the inverse covariance of these errors as all other readings determine them, in units of the
-        noise.
+        It is the inverse covariance of these errors, in units of the noise, if they are estimated with all other
+        readings.
         """
         own = self.basis.reshape(len(self.table.left), 3, -1)
         seen = np.swapaxes(self._ways, 1, 2) @ own
@@ -114,10 +115,10 @@ class ProjectedReadings:
 class Table:
     """n readings minus the prediction for a first guess of the block, `left` (n, 3), linearised there.
 
-    `slope` (n, 3) is the derivative of the signals by the head angle, per rad. `coefficients` (n, 3, 12) are
-    the derivatives by the coefficients. `stand` (n, 3, p) are those by the p other unknowns of the `problem`,
-    times their prior standard deviations. `unit` is the noise of a reading, from the median of the residuals.
-    All are in the unit of the signal.
+    `slope` (n, 3) are the derivatives of the signals by the head angle, per rad; `coefficients` (n, 3, 12), by
+    the coefficients; `stand` (n, 3, p), by the p other unknowns of the `problem`, times their prior standard
+    deviations. `unit` is the noise of a reading, from the median of the residuals. All are in the unit of the
+    signal.
     """
 
     problem: Problem
@@ -142,7 +143,7 @@ class Table:
         return replace(table, unit=max(table._usual(), floor))
 
     def _usual(self) -> float:
-        """Return the noise from the median residual beside free values of the points."""
+        """Return the noise of a reading, from the median residual after free values of the `points` are fitted."""
         unit = max(float(np.median(np.abs(self.left))), self.unit)
         for _ in range(2):
             table = replace(self, unit=unit)
@@ -155,7 +156,7 @@ class Table:
         return unit
 
     def chi2(self, noise_of: ProjectedReadings) -> float:
-        """Return the chi-square of the readings given the model, with the noise that `noise_of` shows."""
+        """Return the chi-square of the readings about the model, with the noise and noise ratio of `noise_of`."""
         size = noise_of.noise
         table = replace(self, unit=size)
         return table.seen(noise_of.white.setting_rad * self.typical_slope / noise_of.table.unit).square
@@ -202,8 +203,8 @@ class Table:
     ) -> ProjectedReadings:
         """Return the readings at one noise ratio, with the model and further columns (n, 3, p) projected out.
 
-        The columns `known` are in units of the noise, with a wide prior; `more` are in the unit of the
-        signal, with standard normal priors of their sizes.
+        The columns `known` are in units of the noise, and their amplitudes have a wide prior. The columns `more`
+        are in the unit of the signal, and their amplitudes have standard normal priors.
         """
         white = Noise(self.unit, ratio * self.unit / self.typical_slope, np.inf, "grid")
         wide = self.coefficients * (WIDE * self.unit / np.max(np.abs(self.coefficients)))
@@ -220,7 +221,7 @@ class Table:
 
     @cached_property
     def points(self) -> Floats:
-        """A free value for each channel at each angle that a mounting repeats: indicator columns (n, 3, p).
+        """Indicator columns (n, 3, p): a free value of each channel at each angle that a mounting repeats.
 
         A reading within `NEAR_DEG` of the median angle of its repeats counts as one of them, so that a wrong
         setting stays with its repeats.
@@ -286,13 +287,13 @@ def _hysteresis(problem: Problem, block: Block) -> Iterator[Floats]:
 
 
 def per_channel(columns: Floats | Mask) -> Floats:
-    """Return k courses (n, k) as columns (n, 3, 3k) that act in one channel each."""
+    """Return k courses (n, k) as columns (n, 3, 3k), each of which is one course in one channel."""
     each = np.einsum("nk,ij->nikj", columns.astype(np.float64), np.eye(3))
     return np.asarray(each.reshape(len(columns), 3, -1))
 
 
 def scaled(signal: Floats, by: Floats | Mask) -> Floats:
-    """Return columns (n, 3, 3) that change the gain of one channel each: its signal times the course `by`.
+    """Return columns (n, 3, 3) for changes of gain: each is the signal of one channel times the course `by`.
 
     `signal` is (n, 3), `by` is (n,).
     """

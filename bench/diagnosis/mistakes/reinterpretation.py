@@ -23,15 +23,15 @@ from bench.readings.table import REFERENCE, SHORTED, Readings
 
 SAME_STOP: Final = np.radians(0.5)
 TENS: Final = (3, -3, 1, -1, 2, -2, 6, -6)
-"""Powers of ten by which signals in another unit, range or decimal point are too large."""
+"""Powers of ten by which signals are too large if unit, range or decimal point is wrong."""
 
 
 @dataclass(frozen=True)
 class OrientedRows:
     """The n readings of a table that were taken in an orientation.
 
-    `rows` (n,) are their indices in the table, `mount` (n,) the indices of their mountings in `mounts`, and
-    `label` (n,) their installations. `signal` (n, 3) is in `unit`.
+    `rows` (n,) are the indices of the readings in the table; `mount` (n,) are the indices of their mountings in
+    `mounts`; `label` (n,) are their installations. `signal` (n, 3) is in `unit`.
     """
 
     rows: Ints
@@ -77,8 +77,8 @@ class OrientedRows:
 class Scope:
     """The part of a run to which a supposition applies: the rows in `mask` (n,).
 
-    `mounts` are its mountings and `pass_number` its pass; without mountings it is in all of them, without a
-    pass number in all passes.
+    `mounts` are the mountings of this part, or empty for all mountings; `pass_number` is its pass, or None for
+    all passes.
     """
 
     mask: Mask
@@ -101,13 +101,13 @@ class Scope:
 
 @dataclass(frozen=True)
 class Reinterpretation:
-    """A supposed mistake in the record of n readings; a field with its default value keeps what was recorded.
+    """A supposed mistake in the record of n readings. A field with its default value leaves the record as it is.
 
-    `label` (n,) and `angle_rad` (n,) are the true installations and head angles. `source` (n,) is, for each
-    reading, the index of the reading that was recorded with its signals, -1 if there is none. `turns` has the
-    rotation matrix (3, 3) by which the block was mounted otherwise, for each installation concerned. `matrix`
-    (3, 3) converts the signals as recorded to the true signals in the unit of the file; it acts in `scope`
-    only. `words` is a sentence for people.
+    `label` (n,) and `angle_rad` (n,) are the true installations and head angles. `source` (n,): the true signals
+    of reading i were recorded with reading `source[i]`, or not at all if that is -1. `turns` maps each
+    installation that was mounted in another orientation to the rotation matrix (3, 3) from the stated to the true
+    block axes. `matrix` (3, 3) converts the signals as recorded to the true signals in the unit of the file; it
+    acts in `scope` only. `words` is a sentence for people.
     """
 
     name: str
@@ -163,8 +163,8 @@ class Reinterpretation:
         """Return a corrected copy of the table `readings`, the oriented readings of which are `table`.
 
         If the supposition applies to the whole run, wires and the sense of the head are also corrected in
-        verification points and free positions. The sign of a reference voltage is known and not changed.
-        Readings without signals of their own are omitted.
+        verification points and free positions. The sign of a reference voltage is known and not changed. Readings
+        whose true signals were not recorded are omitted.
         """
         signal, spread, samples = readings.signal.copy(), readings.signal_sd.copy(), readings.samples.copy()
         angle, target = readings.angle_rad.copy(), readings.target_rad.copy()
@@ -207,7 +207,7 @@ class Reinterpretation:
     def _also_scaled(self, readings: Readings, table: OrientedRows) -> Ints:
         """Return the verification and free rows that were in the same wrong unit as a part of a run.
 
-        They are those whose modulus is nearer to the usual one with the factor than without.
+        With the factor, their modulus is nearer to the usual modulus than without.
         """
         if not self.scales or self.scope.whole:
             return np.zeros(0, dtype=np.int64)
@@ -347,7 +347,7 @@ def _shifted(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
 
 
 def _rows_aside(runs: Ints, mask: Mask, step: int) -> Ints:
-    """Return for each row the index of the row `step` later in the same run of rows, -1 if there is none."""
+    """Return, for each row, the index of the row `step` later in its run of rows, -1 if there is none."""
     source = np.arange(len(runs))
     for run in np.unique(runs[mask]):
         places = np.flatnonzero((runs == run) & mask)
@@ -361,7 +361,7 @@ def _rows_aside(runs: Ints, mask: Mask, step: int) -> Ints:
 
 
 def _stop_rad(table: OrientedRows, mask: Mask) -> Floats | None:
-    """Return the signed angle from stop to stop in each row's pass (n,), rad, where all stops are equally wide."""
+    """Return each row's signed angle (n,) between stops in its pass, rad; None unless all are equally wide."""
     stops = np.zeros(len(table))
     widths: list[float] = []
     for mount, number in dict.fromkeys(zip(table.mount[mask], table.pass_number[mask], strict=True)):

@@ -30,15 +30,15 @@ from bench.readings.corrected import MistakeName
 from bench.readings.table import Readings
 
 MOST: Final = 12
-"""Most searches of a table and its copies."""
+"""Largest number of searches of a table and its copies."""
 
 
 @dataclass(frozen=True)
 class Evidence:
     """The misfit of all readings before and after a mistake is corrected.
 
-    It is the root mean square of the deviations from model and data sheet, in units of the noise; noise alone
-    gives 1.
+    The misfit is the root mean square of the deviations from model and data sheet, in units of the noise; noise
+    alone gives 1.
     """
 
     before: float
@@ -128,7 +128,7 @@ def find_mistakes(
 
 @dataclass(frozen=True)
 class _Search:
-    """The model, the stand, and the data sheet, with a search of each kind; each yields mistakes and copies."""
+    """The model, the stand and the data sheet, with a method for each kind of search."""
 
     model: ForwardModel
     stand_u: Mapping[str, float]
@@ -155,7 +155,7 @@ class _Search:
         return [(_unit_mistake(unit, p), copy)]
 
     def map(self, readings: Readings) -> list[tuple[Mistake, Readings]]:
-        """Return the most probable other meaning of the record, and the corrected copy; empty if none."""
+        """Return the most probable other meaning of the record with the corrected copy; empty if there is none."""
         gross = self.gross.find(readings)
         if gross is None:
             return []
@@ -193,7 +193,7 @@ class _Search:
     def with_evidence(self, found: Sequence[Mistake], copies: Sequence[Readings]) -> tuple[Mistake, ...]:
         """Return the mistakes, each with the misfit before and after its correction (`Evidence`).
 
-        `copies` are the record, then the copy after each correction.
+        `copies` has the record first, then the copy after each correction.
         """
         if not found:
             return ()

@@ -31,20 +31,20 @@ t of 4 degrees of freedom, with a scale a fifth too small for its tails, exceeds
 paper's length. An outlier of 20 times the noise still exceeds it if the noise is estimated 15 % too large.
 """
 SLIP_PART: Final = 0.01
-"""Relative uncertainty of the shift by a wrong setting, because effects outside the model change it a little."""
+"""Relative uncertainty of the shift by a wrong setting: effects that the model lacks change it a little."""
 MOST: Final = 1 / 8
-"""Largest part of the readings that may be single mistakes."""
+"""Largest fraction of the readings that may be single mistakes."""
 
 
 @dataclass(frozen=True)
 class WrongReadings:
     """A mistake in one reading, or in all readings of a pass.
 
-    `rows` are the indices of these readings among the oriented ones. `off_rad` is the true head angle minus
-    the recorded one, None if the readings are useless. `ties` are the names of mistakes or effects that may
-    explain these readings as well. `p` is the number of hypotheses tried divided by the odds of this one
-    against no mistake. For a single reading, `shift` (3,) is the error of its signals in their unit, and
-    `sigma` the largest error in standard deviations of the noise; for a pass, `shift` is empty.
+    `rows` are the indices of these readings among the oriented ones. `off_rad` is the true head angle minus the
+    recorded one, None if the readings are useless. `ties` are the names of mistakes or effects that may explain
+    these readings as well. `p` is the number of hypotheses tried divided by the odds of this mistake against no
+    mistake. For a single reading, `shift` (3,) is the error of its signals in their unit, and `sigma` is the
+    largest of the three errors in standard deviations of the noise. For a pass, `shift` is empty.
     """
 
     name: MistakeName
@@ -81,7 +81,7 @@ class TermSearch:
         return self._without(np.zeros(len(self.signal), dtype=bool))
 
     def _without(self, rows: Mask) -> Table:
-        """Return the table about a block that is fitted to the other rows."""
+        """Return the table linearised about a block that is fitted to all other rows."""
         return Table.of(self.problem, self.fit(~rows), self.signal, self.floor)
 
     def find(self, significance: float) -> list[WrongReadings]:
@@ -150,7 +150,7 @@ class TermSearch:
 
 @dataclass(frozen=True)
 class _Beside:
-    """The readings beside known columns at each ratio of the noise sizes, with ln of the ratios' odds."""
+    """`seen`: the readings at each noise ratio, known columns projected out; `weight` (ratios,): ln of its odds."""
 
     seen: tuple[ProjectedReadings, ...]
     weight: Floats
@@ -166,7 +166,7 @@ class _Beside:
         return self.weight[:, None] + [one.of_readings() for one in self.seen]
 
     def of_readings(self) -> Floats:
-        """Return ln of the odds of an error of each reading, divided by the number of readings, (n,)."""
+        """Return, for each reading, ln of the odds (n,) that it has an error; the odds are divided by n."""
         return np.asarray(logsumexp(self._of_readings, axis=0) - np.log(self._of_readings.shape[1]))
 
     def likeliest(self, row: int) -> ProjectedReadings:
@@ -187,7 +187,7 @@ def _error(n: int, row: int) -> Floats:
 
 
 def _moved(table: Table, off_rad: Floats | float) -> Floats:
-    """Return the change of the signals (n, 3) if the angles were off."""
+    """Return the change of the signals (n, 3) if the head angles are changed by `off_rad` (n,)."""
     problem = table.problem
     moved = replace(problem.conditions, angle_rad=problem.conditions.angle_rad + off_rad)
     there = replace(problem, conditions=moved).predict(table.block, problem.prior_mean)
@@ -195,10 +195,10 @@ def _moved(table: Table, off_rad: Floats | float) -> Floats:
 
 
 def _slips(table: Table) -> list[tuple[Floats, Floats]]:
-    """Return for each kind of wrong setting the error of the angle (n,), rad, and of the signals (n, 3).
+    """Return, for each kind of wrong setting, the errors of the angles (n,), rad, and of the signals (n, 3).
 
-    The kinds are slips of the scale, an angle counted backwards, and the stop before or after in the pass. Further
-    off than `NEAR_DEG`, nothing is known to be a repeat of a slip.
+    The kinds are slips of the scale that are smaller than `NEAR_DEG`, an angle counted backwards, and the stop
+    before or after in the pass. With larger slips, repeats could no longer be recognised.
     """
     angle, turn = table.problem.conditions.angle_rad, table.turn
     sizes = [slip for slip in SLIPS_RAD.values() if slip < np.radians(NEAR_DEG)]
@@ -257,9 +257,9 @@ def _outlier(shift: Floats, precision: Floats) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class _Pass:
-    """The readings about a block that was fitted without a pass, at the likeliest ratio of the noise sizes.
+    """The readings about a block that was fitted to all but one pass, at the likeliest noise ratio `ratio`.
 
-    `rows` (n,) are those of the pass.
+    `rows` (n,) is the mask of the readings of this pass.
     """
 
     table: Table
@@ -273,7 +273,8 @@ class _Pass:
         return cls(table, rows, max(RATIOS, key=lambda ratio: table.seen(ratio, [free]).log_evidence))
 
     def seen(self, columns: Floats, beyond: Floats | float = 0.0) -> ProjectedReadings:
-        """Return the readings with changes of the pass in the model: `columns` (n, 3, p), sizes N(0, 1).
+        """Return the readings with the changes `columns` (n, 3, p) of the pass in the model, with amplitudes N(0,
+        1).
 
         `beyond` (n, 3) is added to the predicted signals of the pass.
         """
@@ -288,7 +289,7 @@ class _Pass:
 
     @property
     def another_block(self) -> Floats:
-        """Changes (n, 3, 12) of the signals by each coefficient, one tolerance of the data sheet each."""
+        """The change (n, 3, 12) of the signals if each coefficient changes by its tolerance in the data sheet."""
         columns = np.column_stack([self.table.force, np.ones(len(self.rows))])
         size = sheet_u(np.linalg.norm(self.table.block.K, axis=1))
         each = np.einsum("na,ai,ij->niaj", columns, size, np.eye(3))
@@ -342,8 +343,8 @@ def _of_effects(one: _Pass) -> Iterator[tuple[str, float]]:
 def _bent(one: _Pass, columns: Floats, unit: float) -> Floats:
     """Return the nonlinear part (n, 3) of the signals' change by a rotation of the block.
 
-    The first three of `columns` are the derivatives by the rotation, in a `unit` of rad; its size is fitted to the
-    pass.
+    The first three of `columns` are the derivatives by the rotation, in a `unit` of rad. The size of the rotation
+    is fitted to the pass.
     """
     force, K = one.table.force, one.table.block.K
     bent = np.zeros_like(one.table.left)

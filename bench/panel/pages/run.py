@@ -126,7 +126,7 @@ async def _as_long_as_signed_in(
 
 
 async def check_answer(request: Request) -> Response:
-    """Send the problem with an answer being typed, and its interpretation; nothing is stored."""
+    """Send what is wrong with the answer typed so far, and how the program understands it; nothing is stored."""
     found = run_of(request)
     asked = await panel_of(request).followers.prompt(found.folder)
     text = request.query_params.get("text", "")
@@ -134,7 +134,7 @@ async def check_answer(request: Request) -> Response:
 
 
 def checked(asked: AskedPrompt | None, prompt_id: str, text: str) -> dict[str, str]:
-    """Return the `problem` with an answer (empty if it is acceptable) and its interpretation, `understood`.
+    """Return what is wrong with an answer, `problem` (empty if acceptable), and how it is `understood`.
 
     Raises `Refusal` (409) if the question is no longer open.
     """
