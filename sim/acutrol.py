@@ -64,7 +64,7 @@ class AcutrolTable(PlainDialect):
         return f"{_PREFIX}{answer}".encode("ascii")
 
     def power_cycle(self) -> None:
-        """Switch off and on, or press the emergency stop: the interlock opens and the table stops."""
+        """Open the interlock and stop the table, as both a power cycle and the emergency stop do."""
         self._world.stop_head()
         self._interlock, self._mode = "open", "off"
         self._demand_deg = dict.fromkeys(self._demand_deg, 0.0)

@@ -208,9 +208,9 @@ class LocalScatter:
 
 
 def larger_scatter(linear: LinearSystem, left: Floats) -> LocalScatter | None:
-    """Return the place where the residuals `left` (N,) scatter most significantly more than elsewhere.
+    """Return the place where the residuals `left` (N,) scatter more than elsewhere; None if there is none.
 
-    None if there is no such place.
+    Of several such places, it is the one with the smallest p-value.
     """
     return min((one for one, _ in _larger(linear, left)), key=lambda one: one.p, default=None)
 

@@ -212,13 +212,14 @@ _PPM, _MICROVOLT = 1e-6, 1e-6
 
 @dataclass(frozen=True)
 class MeterRun:
-    """A calibration of a unit, reduced to the quantities that its voltmeters affect.
+    """A calibration of one block (its name is `unit`), reduced to the quantities that its voltmeters affect.
 
     `meters` are the meters' identities by channel; `day` is the time in days from any origin. `values` (6,) are
     the logarithms of the lengths of the rows of K (in V/g), then the biases in g. `covariance` (6, 6) contains
-    the errors that vary from run to run, without those of the meters. `block` (6, q) are the errors that the
-    block causes in all its runs, one u per column. `drift` (3, 2) is, for each channel, the standard uncertainty
-    of the change of the relative gain and of the zero in V within `per_days`.
+    the errors that vary from run to run, without those of the meters. Each column of `block` (6, q) is the effect
+    on the values if one error of the block is one u large; such an error is the same in all runs of the block.
+    `drift` (3, 2) is, for each channel, the standard uncertainty of the change of the relative gain and of the
+    zero in V within `per_days`.
     """
 
     name: str

@@ -270,7 +270,10 @@ def as_event(name: str, data: Any) -> bytes:
 
 
 def as_live(value: bytes) -> bytes:
-    """Return a server-sent event with the live value from the run's program; {} if it is missing or damaged."""
+    """Return a server-sent event with the live value from the run's program.
+
+    The data of the event are {} if the value is missing or damaged.
+    """
     try:
         told = from_text(value) if value else {}
     except ValueError:

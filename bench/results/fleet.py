@@ -60,7 +60,7 @@ def _number(value: float | None) -> float:
 
 
 class SizePart(LimitedPart):
-    """A standard deviation between units, benches or calibrations, in the signal's unit (per g)."""
+    """A standard deviation between blocks, benches or calibrations: per g for a scale factor, else a signal."""
 
     u: Real = Field(description="standard uncertainty of the value; null at zero")
     p_all_looks: Real = Field(

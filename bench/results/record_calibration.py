@@ -190,7 +190,7 @@ def render_record_calibration(
     *,
     simulated: bool,
 ) -> str:
-    """Return the report; `noise` is the stability of the residuals, or why there is none."""
+    """Return the report; `noise` is the stability analysis of the residuals, or a sentence why it is missing."""
     fits = [
         (one.channel, found.known_v[:, i] + one.residual_v, one.residual_v)
         for i, one in enumerate(found.channels)

@@ -82,7 +82,10 @@ def result_of(found: RecordDiagnosis, files: Files = NO_FILES, **made_from: Any)
 
 
 def _gap_part(gap: Gap) -> GapPart:
-    """Return the part on the gap; a record has no scale factor that would turn volts into g."""
+    """Return the part on the gap of held-out readings.
+
+    Its values in µg are null, because a record has no scale factor that would convert volts to g.
+    """
     in_g = dict.fromkeys(("before_rms_ug", "after_rms_ug"))
     part = gap_part(gap)
     held_out = [fold.model_copy(update=in_g) for fold in part.held_out]

@@ -129,9 +129,10 @@ class TermSearch:
         return sorted(told, key=lambda m: -m.sigma)
 
     def _of_pass(self, rows: Mask) -> WrongReadings | None:
-        """Return the likeliest mistake of a pass, the rows (n,); None if effects or chance are likelier.
+        """Return the likeliest mistake in the pass of the rows in the mask `rows` (n,).
 
-        Each description of the pass adds columns with normal priors to the signals of its rows.
+        None if effects or chance are likelier. Each hypothesis on the pass is a set of columns that change the
+        signals of its rows, with normal priors of their sizes.
         """
         one = _Pass.of(self._without(rows), rows)
         nothing, effects = one.evidence(), list(_of_effects(one))

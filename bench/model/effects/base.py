@@ -230,7 +230,7 @@ class AppliedEffect:
     """An effect with parameter values, as stated in a bench file or a model file.
 
     `values` and their standard uncertainties `u`, where known, are in SI: shape (3,) for a per-channel parameter,
-    else (). An omitted size is zero, an omitted shape its default. `installations` are the mountings
+    else (). A parameter without a value has its default, zero for a size. `installations` are the mountings
     (`str(Mounting)`: "2", in series 3 "2/3") or passes (`pass_label`: "2 pass 1") in which the effect acts; empty
     means all. `either_of` lists the names of effects that the readings cannot distinguish, this effect included; it
     is empty if they can.
