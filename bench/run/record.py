@@ -6,7 +6,6 @@ each line that resuming and evaluation need are kept in memory.
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import shutil
@@ -21,7 +20,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final, overload
 
 from bench.base.computing import uncollected
-from bench.base.files import open_regular, read_json, read_regular
+from bench.base.files import DISK_FULL, open_regular, read_json, read_regular
 from bench.base.text import in_json
 from bench.config.procedure.plan import Plan, Read, Turn
 from bench.readings.reading import Reading
@@ -270,8 +269,6 @@ WITH_THE_NEXT: Final = frozenset(
     {EventType.STEP_STARTED, EventType.ASKED, EventType.ANSWERED, EventType.ANSWER_REFUSED}
 )
 """Events that are not forced to disk at once; they are flushed together with the next event."""
-
-_FULL: Final = frozenset({errno.ENOSPC, errno.EDQUOT})
 
 Shield = Callable[[], AbstractContextManager[None]]
 
@@ -522,7 +519,7 @@ def _write_durably(path: Path, content: bytes) -> None:
 
 
 def _cannot_write(folder: Path, error: OSError) -> RecordError:
-    remedy = "free disk space, or " if error.errno in _FULL else ""
+    remedy = "free disk space, or " if error.errno in DISK_FULL else ""
     return RecordError(
         f"{folder}: cannot be written ({error.strerror or error}); what was recorded is kept; "
         f"{remedy}choose another folder with --runs"

@@ -22,7 +22,7 @@ from bench.services.bench_selection import SUFFIX, BenchTaken, bench_of, is_told
 from bench.services.calibration import CalibrationResult, calibration_of, report_page
 from bench.services.errors import Refused, refusing
 from bench.services.requests import records as asked
-from bench.services.requests.shared import runs_folder
+from bench.services.requests.shared import name_to_type, runs_folder
 from bench.services.source import Request, Source, load_sources
 from bench.services.verification import NOTHING_ASKED, VerificationResult
 from drivers.clock import utc_now
@@ -84,7 +84,8 @@ def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
     """
     kept = f"all readings are kept in {run.folder}"
     again = (
-        f"stopped before the results were ready; {kept}, and 'bench resume {run.name}' computes the results"
+        f"stopped before the results were ready; {kept}, and 'bench resume {name_to_type(run.folder)}' computes "
+        "the results"
     )
     try:
         interrupts.release(again)
@@ -100,7 +101,7 @@ def conclude(run: Run) -> Conclusion:
     written.
     """
     (source,) = load_sources(Request([str(run.folder)], run.folder.parent))
-    again = f"free disk space, then 'bench resume {run.name}' computes its results"
+    again = f"free disk space, then 'bench resume {name_to_type(run.folder)}' computes its results"
     with refusing(f"the run is finished and kept; {again}"):
         found = {**_evaluated(source), **charted(run)}
         made = [name for name in _MADE if (run.folder / name).is_file()]

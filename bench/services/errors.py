@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import errno
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
 from bench.base.computing import missing
+from bench.base.files import DISK_FULL
 from bench.base.numbers import read_number
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def sentence(error: Exception) -> str:
     if expected(error):
         return missing(error) or str(error)
     if isinstance(error, OSError):
-        remedy = "; free disk space, then repeat the command" if error.errno == errno.ENOSPC else ""
+        remedy = "; free disk space, then repeat the command" if error.errno in DISK_FULL else ""
         return f"{error.filename or 'a file'}: {error.strerror or error}{remedy}"
     return f"stopped by an error of the program ({kind_and_words(error)})"
 
