@@ -108,7 +108,7 @@ def measured(
             shared, apart = _of_reading(contribution, budget, force, same_voltmeters=same_voltmeters)
         if not shared.any() and of_coefficients.shape[1] > len(of_coefficients):
             # twelve components have the same covariance as the many of single readings
-            of_coefficients = np.linalg.qr(of_coefficients.T, mode="r").T
+            of_coefficients = np.asarray(np.linalg.qr(of_coefficients.T, mode="r")).T
         parts = inverse @ np.concatenate([shared - design @ of_coefficients, apart], axis=2)
         by_source[contribution.source.name] = parts @ np.swapaxes(parts, 1, 2)
         dof[contribution.source.name] = contribution.source.dof
