@@ -17,7 +17,7 @@ from bench.diagnosis.evidence import KNOWN_SIZE, LOG_SIZE_WEIGHTS, SIZES, Data, 
 from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER, NEGLIGIBLE, OFTEN, UNSEEN
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.naming import MOST_EFFECTS, Naming, Scored
-from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Parameter
+from bench.model.effects import CATALOGUE, AppliedEffect, Effect
 from bench.model.effects.base import InPart, in_part
 from bench.model.effects.voltmeter import NORMAL_V
 
@@ -373,29 +373,22 @@ WIDE: Final = 1.5
 Shape = tuple[tuple[str, float], ...]
 
 
-def tried_values(parameter: Parameter) -> list[float]:
-    """Return the values of a shape parameter's grid, values between them, and values just beyond its ends.
-
-    A parameter without a unit, such as an order, has nothing between its values.
-    """
-    if parameter.unit == "1":
-        return list(parameter.grid)
-    grid = sorted(one for one in parameter.grid if one > 0.0)
-    zero = [0.0] if 0.0 in parameter.grid else []
-    whole = [grid[0] / BEYOND, *grid, grid[-1] * BEYOND]
-    between = [float(np.sqrt(a * b)) for a, b in pairwise(whole) if b > WIDE * a]
-    return [*zero, *sorted([*whole, *between])]
-
-
 def other_shapes(effect: Effect, found: Shape) -> Iterator[Shape]:
     """Yield other shapes that the effect, or a part of it, may have in truth.
 
-    One shape parameter at a time has its `tried_values`; the other shape parameters remain as `found`. A shape
-    parameter without a unit is not changed.
+    One shape parameter at a time has the values of the catalogue's grid, values between them, and values just
+    beyond the ends of the grid; the other shape parameters remain as `found`. A shape parameter without a unit is
+    not changed.
     """
     for place, (name, value) in enumerate(found):
         parameter = next(p for p in effect.parameters if p.name == name)
-        for one in () if parameter.unit == "1" else tried_values(parameter):
+        if parameter.unit == "1":
+            continue  # an order is one or the other: there is nothing between
+        grid = sorted(one for one in parameter.grid if one > 0.0)
+        zero = [0.0] if 0.0 in parameter.grid else []
+        whole = [grid[0] / BEYOND, *grid, grid[-1] * BEYOND]
+        between = [np.sqrt(a * b) for a, b in pairwise(whole) if b > WIDE * a]
+        for one in (*zero, *sorted([*whole, *map(float, between)])):
             if one != value:
                 yield (*found[:place], (name, one), *found[place + 1 :])
 

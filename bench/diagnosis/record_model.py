@@ -23,7 +23,7 @@ from bench.diagnosis.candidates import Candidates, Column, Variant
 from bench.diagnosis.evidence import LOG_SIZE_WEIGHTS, SIZES
 from bench.diagnosis.levels import FAR, NEGLIGIBLE, OFTEN
 from bench.diagnosis.noise_kinds import LARGER
-from bench.diagnosis.posterior import Shape, tried_values
+from bench.diagnosis.posterior import BEYOND, Shape
 from bench.model.conditions import Conditions
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Seen
 from bench.model.geometry import Block
@@ -440,15 +440,18 @@ def make_courses(record: Record) -> Candidates:
 
 
 def _shapes(record: Record, effect: Effect) -> list[Shape]:
-    """Return the shapes of an effect to try: each shape parameter by itself, the others at their default."""
+    """Return the shapes of an effect to try: each shape parameter by itself, the others at their default.
+
+    A parameter has the values of the catalogue's grid and one `BEYOND` its end, unless it is a number without a
+    unit.
+    """
     if effect.name == MOVE:
         time_s = record.conditions.elapsed_s
         return [(("at", float(at)),) for at in (time_s[2:-2] + time_s[1:-3]) / 2.0]
-    default = {p.name: p.default for p in effect.parameters if p.is_shape}
-    shapes = [
-        default,
-        *({**default, p.name: v} for p in effect.parameters if p.is_shape for v in tried_values(p)),
-    ]
+    of_shape = [p for p in effect.parameters if p.is_shape]
+    default = {p.name: p.default for p in of_shape}
+    shapes = [default, *({**default, p.name: v} for p in of_shape for v in p.grid)]
+    shapes += [{**default, p.name: BEYOND * p.grid[-1]} for p in of_shape if p.unit != "1"]
     return list(dict.fromkeys(shape_of(effect, shape) for shape in shapes))
 
 

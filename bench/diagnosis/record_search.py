@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from scipy import linalg, special
@@ -19,7 +19,7 @@ from bench.diagnosis.pipeline import effects_of
 from bench.diagnosis.posterior import Posterior
 from bench.diagnosis.record_model import MOVE, Noise, NoiseTrials, Record, courses_of, solved
 from bench.diagnosis.result import NamedEffect
-from bench.model.effects import CATALOGUE, Parameter
+from bench.model.effects import CATALOGUE
 
 NULLS: Final = 200
 """Number of data sets simulated for a threshold: fewer than for runs, as each is scored with more noises."""
@@ -31,14 +31,6 @@ ZOOMS: Final = 8
 """Most times that these values are drawn closer together, each time by a factor of up to 20."""
 FAINT: Final = 9.0
 """A value is likely if ln of its likelihood is at most this below the largest: 4.2 u of a normal distribution."""
-
-
-class ShapeValue(NamedTuple):
-    """The value of a shape parameter and its u, SI."""
-
-    parameter: Parameter
-    value: float
-    u: float
 
 
 @dataclass(frozen=True)
@@ -195,49 +187,53 @@ class RecordWork:
         scored = self._scored(courses, number, self._columns(self.candidates, [courses[number]]))
         return self._averaged(courses[number], *scored)
 
-    def shaped(self, courses: Sequence[Variant], number: int) -> tuple[Floats, Floats, ShapeValue | None]:
-        """Return the same as `sizes`, averaged over the shapes of the effect, and the value of its shape parameter.
+    def shaped(self, courses: Sequence[Variant], number: int) -> tuple[Variant, float | None, Floats, Floats]:
+        """Return the course `number` with its mean shape, the u of the shape (SI), its size, and u of the size.
 
-        The shapes are weighted by their likelihood. Those with the parameter of the course `number` are so close
-        together that the likelihood between them is known. The other courses keep their shapes.
+        The sizes are as in `sizes`, but averaged over the shapes of the effect, weighted by their likelihood. The
+        shapes with the parameter of the course are so close together that the likelihood between them is known.
+        The u of a shape is None if its parameter has no values between those tried. The other courses keep their
+        shapes.
         """
         course = courses[number]
-        parameter = next(
-            (p for p in CATALOGUE[course.family].parameters if p.name in dict(course.shape)), None
-        )
+        names = dict(course.shape)
+        parameter = next((p for p in CATALOGUE[course.family].parameters if p.name in names), None)
         family = self.shapes_of(course.family)
         if parameter is None or parameter.unit == "1":
             scored = self._scored(courses, number, self._columns(self.candidates, family))
-            return *self._averaged(course, *scored), None
-        own = [one for one in family if parameter.name in dict(one.shape)]
-        rest = self._columns(self.candidates, [one for one in family if one not in own])
-        tried = sorted(dict(one.shape)[parameter.name] for one in own)
-        values, columns = self._along(courses, number, tried)
-        log, size, variance = self._scored(courses, number, np.column_stack([columns, rest]))
+            return course, None, *self._averaged(course, *scored)
+        own = sorted((one for one in family if parameter.name in dict(one.shape)), key=lambda one: one.shape)
+        tried = [one.shape[0][1] for one in own]
+        if course.family == MOVE:
+            values, columns = np.array(tried), self._columns(self.candidates, own)
+        else:
+            values, columns = self._along(courses, number, tried)
+        others = self._columns(self.candidates, [one for one in family if one not in own])
+        log, size, variance = self._scored(courses, number, np.column_stack([columns, others]))
         count = len(values)
         weight = special.softmax(log[:count])
         value = float(weight @ values)
         u = float(np.sqrt(weight @ ((values - value) ** 2 + np.gradient(values) ** 2 / 12.0)))
+        # each value counts as the part of the interval between two tried values that it stands for
         log[:count] += np.log(np.gradient(np.interp(values, tried, np.arange(len(tried)))))
-        return *self._averaged(course, log, size, variance), ShapeValue(parameter, value, u)
+        shaped = replace(course, shape=((parameter.name, value),))
+        return shaped, u, *self._averaged(course, log, size, variance)
 
     def _along(
         self, courses: Sequence[Variant], number: int, tried: Sequence[float]
     ) -> tuple[Floats, Floats]:
         """Return likely values (h,) of the shape parameter of the course `number`, and their columns (n, h).
 
-        They lie among the values `tried`, so close together that the likelihood between them is known.
+        They are between the values `tried`, so close together that the likelihood between them is known.
         """
         course, places = courses[number], np.arange(len(tried))
-        ((name, _),), effect = course.shape, CATALOGUE[course.family]
-        if effect.name == MOVE:
-            ordered = sorted(self.shapes_of(MOVE), key=lambda one: one.shape)
-            return np.array(tried), self._columns(self.candidates, ordered)
+        ((name, _),) = course.shape
         low, high = 0.0, float(places[-1])
         for _ in range(ZOOMS):
             fine = np.interp(np.linspace(low, high, FINE), places, tried)
-            made = courses_of(self.record, [(effect, ((name, value),)) for value in fine.tolist()])
-            values = np.array([dict(one.shape)[name] for one in made.variants])
+            shapes = [(CATALOGUE[course.family], ((name, value),)) for value in fine.tolist()]
+            made = courses_of(self.record, shapes)
+            values = np.array([one.shape[0][1] for one in made.variants])
             columns = self._columns(made, made.variants)
             log = self._scored(courses, number, columns)[0]
             inside = np.flatnonzero(log > log.max() - FAINT)
@@ -284,26 +280,23 @@ class RecordWork:
 
         If the size in a channel is no more than noise, the result does not list this channel.
         """
-        shown, shapes, sizes, known = [], [], [np.zeros(0)], [np.zeros(0)]
+        shown, u_of_shapes, sizes, known = [], [], [np.zeros(0)], [np.zeros(0)]
         for number, one in enumerate(finds):
-            variant = one.variant
-            size, u, shape = self.shaped([f.variant for f in finds], number)
-            if shape is not None:
-                variant = replace(variant, shape=((shape.parameter.name, shape.value),))
+            variant, u_shape, size, u = self.shaped([f.variant for f in finds], number)
             seen = special.chdtrc(1, (size / u) ** 2) < OFTEN
             if self.of_channels(variant) and seen.any():
                 columns, channels = (tuple(compress(of, seen)) for of in (variant.columns, variant.channels))
                 variant = replace(variant, columns=columns, channels=channels)
                 size, u = size[seen], u[seen]
             shown.append(replace(one, variant=variant))
-            shapes.append(shape)
+            u_of_shapes.append(u_shape)
             sizes.append(size)
             known.append(u)
         fitted = Posterior(
             np.concatenate(sizes), np.diag(np.concatenate(known) ** 2), len(np.concatenate(sizes))
         )
         effects = effects_of(self.candidates, Naming(tuple(shown), 0.0), fitted, limit, np.zeros(0))
-        return tuple(_with_u(effect, shape) for effect, shape in zip(effects, shapes, strict=True))
+        return tuple(_with_u(effect, u) for effect, u in zip(effects, u_of_shapes, strict=True))
 
     def fits(self, courses: Sequence[Variant], noises: Sequence[Noise]) -> Iterator[ChannelFit]:
         """Yield zero, drift and residuals of each channel, with the courses in the model.
@@ -324,10 +317,10 @@ class RecordWork:
             yield ChannelFit(CHANNELS[channel], zero, u_zero, drift, u_drift, before, residual_v[number])
 
 
-def _with_u(effect: NamedEffect, shape: ShapeValue | None) -> NamedEffect:
-    """Return the effect with the u of its shape parameter, if it has a shape."""
-    if shape is None:
+def _with_u(effect: NamedEffect, u: float | None) -> NamedEffect:
+    """Return the effect with the u of its shape parameter, SI."""
+    if u is None:
         return effect
-    u = shape.u / shape.parameter.si_per_unit
-    values = (replace(v, u=u) if v.parameter == shape.parameter.name else v for v in effect.parameters)
+    in_si = {p.name: p.si_per_unit for p in CATALOGUE[effect.name].parameters if p.is_shape}
+    values = (replace(v, u=u / in_si[v.parameter]) if v.parameter in in_si else v for v in effect.parameters)
     return replace(effect, parameters=tuple(values))
