@@ -34,6 +34,9 @@ SETTLED_S: Final = 3.0
 SETTLED_G: Final = 3e-5
 """Signals that move less within `SETTLED_S` have settled, g: a tenth of the paper's verification limit."""
 
+QUIET_G: Final = 3e-4
+"""A scatter above this is motion, g: the noise of quick samples on the 10 V range is a third of it."""
+
 TELLING_ARCSEC: Final = 60.0
 """The deviation is shown if its U (k = 2) is below this, a usual graduation of a manual head."""
 
@@ -126,7 +129,7 @@ class LiveSignals:
         clock: Clock | None = None,
     ) -> None:
         self._file, self._plan, self._watcher, self._show = folder / LIVE, plan, watcher, show
-        self._settled_v = SETTLED_G * scale_v_g
+        self._settled_v, self._quiet_v = SETTLED_G * scale_v_g, QUIET_G * scale_v_g
         self._clock = clock or SystemClock()
         self._bench: LightlyRead | None = None
         self._step = 0
@@ -194,9 +197,16 @@ class LiveSignals:
         return LiveValue(prompt, utc_now().isoformat(), signals, off, expanded, self._has_settled())
 
     def _has_settled(self) -> bool:
+        """Compare the means of both halves of the window; quick samples are too noisy to compare one by one."""
         values = np.array([signals for _, signals in self._recent])
-        long_enough = self._recent[-1][0] - self._recent[0][0] >= SETTLED_S
-        return long_enough and bool(np.all(np.ptp(values, axis=0) <= self._settled_v))
+        half = len(values) // 2
+        if self._recent[-1][0] - self._recent[0][0] < SETTLED_S or half < 2:
+            return False
+        # successive differences: neither a slow motion nor a drift counts as noise (von Neumann)
+        noise = np.sqrt(np.mean(np.square(np.diff(values, axis=0)), axis=0) / 2.0)
+        moved = np.abs(values[-half:].mean(axis=0) - values[:half].mean(axis=0))
+        resolved = np.maximum(self._settled_v, 4.0 * noise * math.sqrt(2.0 / half))
+        return bool(np.all((noise <= self._quiet_v) & (moved <= resolved)))
 
     def _expectation(self, action: Mapping[str, Any]) -> ExpectedSignals | None:
         """Return the signals expected at the angle that the question commands; None for another question."""
