@@ -197,16 +197,19 @@ class LiveSignals:
         return LiveValue(prompt, utc_now().isoformat(), signals, off, expanded, self._has_settled())
 
     def _has_settled(self) -> bool:
-        """Compare the means of both halves of the window; quick samples are too noisy to compare one by one."""
+        """Fit a line to the window: quick samples are too noisy to compare one by one."""
+        times = np.array([time for time, _ in self._recent])
         values = np.array([signals for _, signals in self._recent])
-        half = len(values) // 2
-        if self._recent[-1][0] - self._recent[0][0] < SETTLED_S or half < 2:
+        if times[-1] - times[0] < SETTLED_S or len(times) < 4:
             return False
-        # successive differences: neither a slow motion nor a drift counts as noise (von Neumann)
-        noise = np.sqrt(np.mean(np.square(np.diff(values, axis=0)), axis=0) / 2.0)
-        moved = np.abs(values[-half:].mean(axis=0) - values[:half].mean(axis=0))
-        resolved = np.maximum(self._settled_v, 4.0 * noise * math.sqrt(2.0 / half))
-        return bool(np.all((noise <= self._quiet_v) & (moved <= resolved)))
+        from_middle = times - times.mean()
+        spread = math.sqrt(from_middle @ from_middle)
+        slope = from_middle @ values / spread**2
+        # the median of successive differences: a motion, steady or at an end, hardly counts as noise
+        noise = np.median(np.abs(np.diff(values, axis=0)), axis=0) / (0.6745 * math.sqrt(2.0))
+        # noise alone passes 5 standard deviations, estimated from few samples, in 1 % of the windows
+        limit = np.maximum(self._settled_v / SETTLED_S, 5.0 * noise / spread)
+        return bool(np.all((noise <= self._quiet_v) & (np.abs(slope) <= limit)))
 
     def _expectation(self, action: Mapping[str, Any]) -> ExpectedSignals | None:
         """Return the signals expected at the angle that the question commands; None for another question."""

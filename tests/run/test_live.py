@@ -199,7 +199,7 @@ def test_noise_of_a_head_at_rest_is_no_motion_and_hides_none(tmp_path):
         for _ in range(200):
             signals.look()
     rest = sum(line.endswith("settled") for line in lines[12:200])
-    # Student's t of 7 beyond 4 in 3 channels: 1.6 % of the looks; of 17 windows apart, 3 such have p = 0.002
+    # 1 % of the windows are beyond the limit by noise; of 17 windows apart, 3 such have p < 0.001
     assert rest >= 188 - 2 * 11
     assert not any(line.endswith("settled") for line in lines[200:])
 
