@@ -127,9 +127,9 @@ UNNAMED_WORDS: Mapping[str, str] = {
 class EffectValue:
     """An estimated parameter of an effect; `value` and `u` are in `unit`, the unit of the catalogue.
 
-    `u` is None for a shape parameter, which is chosen from a grid and not estimated. `channel` is empty if
-    the parameter is common to all channels; `installations` is empty if the effect has only one set of
-    values.
+    `u` is None for a shape parameter of a run, which is chosen from a grid; records estimate theirs. `channel`
+    is empty if the parameter is common to all channels; `installations` is empty if the effect has only one set
+    of values.
     """
 
     parameter: str
