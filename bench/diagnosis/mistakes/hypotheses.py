@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 from scipy import special
-from scipy.special import logsumexp
 
 from bench.base.arrays import Floats, Ints, Mask
 from bench.calibration.design import FIXED, Problem
