@@ -223,8 +223,6 @@ def _rails(readings: Readings) -> Iterator[Floats]:
 
 RATIOS: Final = (0.0, *np.geomspace(1e-2, 1e5, 11).tolist())
 """Trial ratios of the mean variance of the slow noise to the variance of the white noise of a mean."""
-FLICKER: Final = 10
-"""Number of exponentially correlated noises, with correlation times of constant ratio, that add up to flicker."""
 CORRELATED: Final = (0.005, 0.02, 0.06)
 """Correlation times of the exponentially correlated noises, as fractions of the length of the record."""
 
@@ -232,13 +230,14 @@ CORRELATED: Final = (0.005, 0.02, 0.06)
 def slow_kernels(time_h: Floats) -> Iterator[Floats]:
     """Yield a covariance matrix (n, n) for each kind of slow noise, of mean variance 1.
 
-    They are a random walk, flicker noise, and several noises of exponential correlation. `time_h` (n,) are
-    the times, h.
+    They are a random walk, flicker noise, and several noises of exponential correlation. Flicker noise is the
+    integral of the latter over ln of the correlation time, from the mean step of time to the length of the record.
+    `time_h` (n,) are the times, h.
     """
     length = float(time_h[-1])
     apart = np.abs(time_h[:, None] - time_h)
-    times = np.geomspace(length / len(time_h), length, FLICKER)
-    flicker = np.sum([np.exp(-apart / time) for time in times], axis=0)
+    share = np.maximum(apart / length, NEGLIGIBLE)
+    flicker = special.exp1(share) - special.exp1(share * len(time_h))
     short = [np.exp(-apart / (part * length)) for part in CORRELATED]
     for kernel in (np.minimum.outer(time_h, time_h), flicker, *short):
         yield kernel / np.mean(np.diag(kernel))

@@ -23,7 +23,7 @@ from bench.diagnosis import (
 from bench.diagnosis.candidates import Candidates, in_volts
 from bench.diagnosis.evidence import Data, Whitened
 from bench.diagnosis.gap import Gap, folds_of, thirds_of
-from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER, MOSTLY
+from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER, MOSTLY, OFTEN
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.mistakes.search import MistakeSearch
 from bench.diagnosis.naming import FamilyOdds, Naming
@@ -84,8 +84,8 @@ def register(linear: LinearSystem, limit: evidence.Threshold) -> Registration:
         threshold=round(limit.value, 9),
         false_alarms=limit.probability,
         tie_leak=naming.ALIAS,
-        alone_from=naming.ALONE,
-        tie_holds=naming.SET,
+        alone_from=1.0 - OFTEN,
+        tie_holds=1.0 - BY_CHANCE,
         tie_absurd=naming.ABSURD,
         prior_of_kinds=candidates.KIND_PRIOR,
         most_effects=naming.MOST_EFFECTS,
