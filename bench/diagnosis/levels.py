@@ -31,6 +31,8 @@ ALIKE: Final = 1e-3
 """Two signatures count as the same if one leaves at most this fraction of the other's square unexplained."""
 INSEPARABLE: Final = 1e-6
 """Fraction of a square, or of the largest singular value, that readings cannot distinguish from 0."""
+BEYOND_BELIEF: Final = 60.0
+"""No effect has this many plausible sizes: what would need them is no alias, and what only then shows is hidden."""
 STEPS: Final = 8
 """Most rounds of a repeated linearisation, fit or correction; nearly all have settled by then."""
 LISTED: Final = 8

@@ -20,7 +20,7 @@ from bench.diagnosis.evidence import (
     Threshold,
     Whitened,
 )
-from bench.diagnosis.levels import BY_CHANCE, INSEPARABLE, OFTEN
+from bench.diagnosis.levels import BEYOND_BELIEF, BY_CHANCE, INSEPARABLE, OFTEN
 from bench.model.effects import CATALOGUE
 
 MOST_EFFECTS: Final = 5
@@ -29,8 +29,6 @@ ALIAS: Final = 1.0
 """An effect is an alias of another, whatever the priors, if it leaves at most this much of its signature, in
 noise units. This is worth `ALIAS`**2 / 2 in ln of the odds; no other noise or measurement is preferred for less.
 """
-ABSURD: Final = 60.0
-"""A candidate is no alias if its amplitude would have to exceed this many plausible sizes."""
 
 
 @dataclass(frozen=True)
@@ -116,11 +114,9 @@ class Scored:
             kept.clear()
             kept["data"] = data
         key = tuple(sorted(known))
-        scored = kept.pop(key, None) or cls._beside(whitened, data, key)
-        kept[key] = scored
-        if len(kept) > MOST_KEPT:
-            del kept[list(kept)[1]]
-        return scored
+        if key not in kept:
+            kept[key] = cls._beside(whitened, data, key)
+        return kept[key]
 
     @classmethod
     def _beside(cls, whitened: Whitened, data: Data, key: tuple[int, ...]) -> Scored:
@@ -195,9 +191,6 @@ class Scored:
 
 Among = Callable[[str], bool]
 """A function that returns whether a family may be found."""
-
-MOST_KEPT: Final = 24
-"""Largest number of models whose scores are cached, for the data set that was scored last."""
 
 
 def name(
@@ -330,7 +323,7 @@ def holding(odds: Sequence[FamilyOdds]) -> list[str]:
     return chosen
 
 
-def _aliases(scored: Scored, variant: Variant, enough: float, most: float = ABSURD) -> dict[str, int]:
+def _aliases(scored: Scored, variant: Variant, enough: float, most: float = BEYOND_BELIEF) -> dict[str, int]:
     """Return each effect that explains `enough` of a signature, with the least number of parameters it needs.
 
     An effect that would have to exceed `most` plausible sizes is left out.

@@ -5,22 +5,19 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from bench.base.arrays import Floats
 from bench.diagnosis.candidates import ROUND, Candidates, Variant, plausible_columns
 from bench.diagnosis.evidence import KNOWN_SIZE, Search, Threshold, Whitened
-from bench.diagnosis.levels import INSEPARABLE, NEGLIGIBLE
+from bench.diagnosis.levels import BEYOND_BELIEF, INSEPARABLE, NEGLIGIBLE
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.noise_grid import make_whitener
 from bench.diagnosis.posterior import NoiseSize
 from bench.model.effects import CATALOGUE, AppliedEffect, Parameter
 from bench.readings.table import VERIFICATION
-
-BEYOND_BELIEF: Final = 30.0
-"""An effect that must exceed this many plausible sizes to be found counts as hidden."""
 
 
 def detectable(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, float]:
