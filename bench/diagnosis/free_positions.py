@@ -39,8 +39,8 @@ from bench.diagnosis.free_records import (
     make_system,
     place_of,
 )
-from bench.diagnosis.gap import LEAST_FREEDOM, measure_gap
-from bench.diagnosis.levels import BY_CHANCE, FOLDS, HARDLY_EVER, LISTED
+from bench.diagnosis.gap import measure_gap
+from bench.diagnosis.levels import BY_CHANCE, FOLDS, HARDLY_EVER, LEAST_FREEDOM, LISTED
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.naming import Naming, name
 from bench.diagnosis.noise_grid import NoiseGrid, make_noise_grid

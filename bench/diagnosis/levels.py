@@ -12,6 +12,8 @@ HARDLY_EVER: Final = 1e-4
 """Level where a conclusion would change the record or overrule the noise of the bench file."""
 FOLDS: Final = 5
 """Number of parts into which readings are split if neither passes nor visits divide them."""
+LEAST_FREEDOM: Final = 3
+"""Least number of readings, or of repeated settings, beyond what is fitted to them that shows their scatter."""
 FEW: Final = 1 / 8
 """Largest fraction of readings, or of runs, that may be exceptions: more of them are the rule."""
 MOSTLY: Final = 0.5

@@ -26,7 +26,7 @@ from bench.diagnosis.levels import NEGLIGIBLE, OFTEN
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.naming import ALIAS
 from bench.diagnosis.result import Diagnosis
-from bench.diagnosis.visibility import ReadingDesign, form_of, forms_everywhere, forms_of
+from bench.diagnosis.visibility import ReadingDesign, form_of, forms_everywhere, forms_of, half_power
 from bench.model.conditions import Conditions
 from bench.model.effects import CATALOGUE
 from bench.model.forward import ForwardModel
@@ -140,12 +140,6 @@ MENU: Final = (
 
 SEPARATED: Final = 8.0
 """Least divergence D of two explanations that count as separated; it corresponds to four standard deviations."""
-
-SHOWN: Final = 2.5
-"""An effect shows if its plausible size is at least this many units of noise: then twice this size is found.
-
-It counts as hidden if it is found only beyond twice as many plausible sizes.
-"""
 
 
 @dataclass(frozen=True)
@@ -385,18 +379,23 @@ class _Bill:
     # --- what is hidden -----------------------------------------------------------------------------
 
     def showing(self) -> Proposal | None:
-        """Return the shortest of the procedures that show the most hidden effects; None if none shows any."""
+        """Return the shortest of the procedures that show the most hidden effects; None if none shows any.
+
+        An effect counts as hidden, too, if its plausible size is below the noise. A procedure shows it if half of
+        all runs then find it at twice its plausible size.
+        """
         diagnosis = self._diagnosis
+        half = half_power(diagnosis.whitened, diagnosis.registered.threshold)
         known = {applied.effect.name for applied in diagnosis.linear.model.effects}
         blind = [
             name
             for name, size in diagnosis.detectable.items()
-            if name in CATALOGUE.keys() - known and (name in diagnosis.hidden or size > 2.0 * SHOWN)
+            if name in CATALOGUE.keys() - known and (name in diagnosis.hidden or size > half)
         ]
         bills = []
         for path, plan in tracked(list(self.plans.items()), "what to measure next"):
             design = ReadingDesign(self._linear(plan), diagnosis.noise, self._forms)
-            shown = [n for n in blind if design.visible(forms_everywhere(n)) >= SHOWN]
+            shown = [n for n in blind if design.visible(forms_everywhere(n)) >= half / 2.0]
             if shown:
                 bills.append((path, self._minutes(plan), tuple(shown)))
         if not bills:

@@ -13,7 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from bench.base.arrays import Floats, Ints, Mask
-from bench.diagnosis.levels import MOSTLY, NEGLIGIBLE
+from bench.diagnosis.levels import LEAST_FREEDOM, MOSTLY, NEGLIGIBLE
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.readings.table import Readings
 
@@ -339,10 +339,6 @@ class GramProducts:
 
 
 # --- the noise, from repeats ----------------------------------------------------------------------
-
-
-LEAST_FREEDOM: Final = 6
-"""Least number of settings beyond the saturated description from which repeats determine the noise."""
 
 
 @dataclass(frozen=True)

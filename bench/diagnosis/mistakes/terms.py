@@ -17,7 +17,7 @@ from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.calibration.design import Problem
 from bench.diagnosis.evidence import SIZES
 from bench.diagnosis.levels import FEW, HARDLY_EVER, OFTEN
-from bench.diagnosis.mistakes.gross import ODDS, SHEET_U, p_of, sheet_u
+from bench.diagnosis.mistakes.gross import SHEET_U, p_of, sheet_u
 from bench.diagnosis.mistakes.hypotheses import NEAR_DEG, ProjectedReadings, Table
 from bench.diagnosis.noise_grid import RATIOS
 from bench.model import CATALOGUE, Block
@@ -139,7 +139,7 @@ class TermSearch:
         others = float(logsumexp([nothing, *(log_effect for _, log_effect in effects)]))
         log_looks = float(np.log(len(np.unique(one.table.turn)) * len(mistakes)))
         odds = log_mistake - nothing
-        if log_mistake <= others or odds - log_looks <= np.log(ODDS):
+        if log_mistake <= others or odds - log_looks <= -np.log(HARDLY_EVER):
             return None
         tied = np.logaddexp(log_mistake, others) + np.log(OFTEN)
         ties = dict.fromkeys(name for name, log_effect in effects if log_effect > tied)
