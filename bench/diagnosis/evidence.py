@@ -351,7 +351,10 @@ NULLS: Final = 1000
 """Simulated data sets for a threshold: `OFTEN` of them, 50, determine the tail to 14 %."""
 SEED: Final = 20260
 FALSE_ALARMS: Final = 0.006
-"""Probability of a false alarm: the search finds an effect although none is missing."""
+"""Probability of a false alarm: the search finds an effect although none is missing.
+
+It is below `BY_CHANCE`, as the choice of the noise adds a few alarms.
+"""
 
 
 @dataclass(frozen=True)

@@ -407,7 +407,7 @@ def _phase(readings: Readings) -> Floats:
 
 
 ALONE: Final = FALSE_ALARMS / 3
-"""Probability of a false alarm in the searches of single runs, all runs together."""
+"""Probability of a false alarm in the searches of single runs, all together: most effects are in all runs."""
 TOGETHER: Final = FALSE_ALARMS - ALONE
 """Probability of a false alarm in the joint search."""
 

@@ -24,7 +24,7 @@ from bench.diagnosis.levels import BEYOND_BELIEF, BY_CHANCE, INSEPARABLE, OFTEN
 from bench.model.effects import CATALOGUE
 
 MOST_EFFECTS: Final = 5
-"""Largest number of effects that one search finds."""
+"""Largest number of effects that one search finds: one run can hardly confirm more."""
 ALIAS: Final = 1.0
 """An effect is an alias of another, whatever the priors, if it leaves at most this much of its signature, in
 noise units. This is worth `ALIAS`**2 / 2 in ln of the odds; no other noise or measurement is preferred for less.

@@ -38,9 +38,9 @@ from bench.stats.repeats_likelihood import believed_sizes
 LOG_PRIOR: Final = dict.fromkeys(("channels", "runs", "place", "tails", "slow"), math.log(0.1))
 """ln of the prior odds of each kind of noise against ordinary noise, which is normal and has one size."""
 TAIL_DOF: Final = 4.0
-"""Degrees of freedom of the t distribution of heavy tails."""
+"""Degrees of freedom of the t distribution of heavy tails: clearly not normal, and of finite variance."""
 WAVES: Final = 16
-"""Half waves over a run that slow noise has at most."""
+"""Half waves over a run that slow noise has at most: faster ones resemble the noise of single readings."""
 SIZES: Final = tuple(np.geomspace(0.05, 20.0, 61))
 """Sizes of slow noise: root mean squares in units of the noise of a reading, all equally probable a priori."""
 
