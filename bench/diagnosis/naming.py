@@ -114,9 +114,8 @@ class Scored:
             kept.clear()
             kept["data"] = data
         key = tuple(sorted(known))
-        if key not in kept:
-            kept[key] = cls._beside(whitened, data, key)
-        return kept[key]
+        scored = kept[key] = kept.get(key) or cls._beside(whitened, data, key)
+        return scored
 
     @classmethod
     def _beside(cls, whitened: Whitened, data: Data, key: tuple[int, ...]) -> Scored:
