@@ -35,7 +35,7 @@ from bench.readings.table import REFERENCE, REFERENCE_V, Readings
 BINS: Final = 300
 """Largest number of means that a record is reduced to; slow effects need no more."""
 LEAST: Final = 30
-"""Least number of means from which noise and effects can be separated."""
+"""Least number of means from which noise and effects can be separated: they give the noise to 13 %."""
 OF_MEDIAN: Final = 1.0 / float(special.ndtri(0.75))
 """The standard deviation of a normal distribution divided by its median absolute deviation."""
 
@@ -193,7 +193,7 @@ def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Fl
 
 
 SMOOTHED: Final = 41
-"""Number of means over which the size of the noise is smoothed."""
+"""Means over which the size of the noise is smoothed: an odd number, a seventh of a full record (`BINS`)."""
 
 
 def _relative(spread: Floats) -> Floats:
@@ -222,23 +222,28 @@ def _rails(readings: Readings) -> Iterator[Floats]:
 # --- noise --------------------------------------------------------------------------------------------
 
 RATIOS: Final = (0.0, *np.geomspace(1e-2, 1e5, 11).tolist())
-"""Trial ratios of the mean variance of the slow noise to the variance of the white noise of a mean."""
-FLICKER: Final = 10
-"""Number of exponentially correlated noises, with correlation times of constant ratio, that add up to flicker."""
+"""Trial ratios of the mean variance of the slow noise to the variance of the white noise of a mean.
+
+They are a factor of five apart.
+"""
 CORRELATED: Final = (0.005, 0.02, 0.06)
-"""Correlation times of the exponentially correlated noises, as fractions of the length of the record."""
+"""Correlation times of the exponentially correlated noises, as fractions of the length of the record.
+
+They are a factor of about three apart; flicker noise has the longer ones.
+"""
 
 
 def slow_kernels(time_h: Floats) -> Iterator[Floats]:
     """Yield a covariance matrix (n, n) for each kind of slow noise, of mean variance 1.
 
-    They are a random walk, flicker noise, and several noises of exponential correlation. `time_h` (n,) are
-    the times, h.
+    They are a random walk, flicker noise, and several noises of exponential correlation. Flicker noise is the
+    integral of the latter over ln of the correlation time, from the mean step of time to the length of the record.
+    `time_h` (n,) are the times, h.
     """
     length = float(time_h[-1])
     apart = np.abs(time_h[:, None] - time_h)
-    times = np.geomspace(length / len(time_h), length, FLICKER)
-    flicker = np.sum([np.exp(-apart / time) for time in times], axis=0)
+    share = np.maximum(apart / length, NEGLIGIBLE)
+    flicker = special.exp1(share) - special.exp1(share * len(time_h))
     short = [np.exp(-apart / (part * length)) for part in CORRELATED]
     for kernel in (np.minimum.outer(time_h, time_h), flicker, *short):
         yield kernel / np.mean(np.diag(kernel))

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats, Ints, Mask
-from bench.diagnosis.levels import BY_CHANCE
+from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER
 from bench.diagnosis.mistakes.reinterpretation import (
     OrientedRows,
     Reinterpretation,
@@ -29,8 +29,6 @@ ERRORS_G: Final[tuple[float, ...]] = tuple(np.geomspace(5e-4, 0.1, 10).tolist())
 The smallest is 100 arcsec, or a large effect of the block; it is larger for a bench with wider limits. With a
 largest above six degrees, a block that contradicts its data sheet would pass as tilted.
 """
-ODDS: Final = 1e6
-"""Least odds, divided by the number of looks, of a mistake, whatever the errors of the bench."""
 SHEET_U: Final = (0.10, 0.05, 0.5)
 """Prior 1 sigma of the coefficients about a data sheet: scale factor, g/g; cross-axis term, g/g; bias, g."""
 
@@ -87,7 +85,7 @@ class GrossSearch:
     def find(self, readings: Readings) -> GrossMistake | None:
         """Return the most probable mistake; None if its odds are too small.
 
-        The odds must exceed `ODDS` times the number of suppositions tried. Each supposition also competes
+        The odds must exceed the number of suppositions tried over `HARDLY_EVER`. Each supposition also competes
         with the assumption that a reading, pass or mounting is useless. If the corrected readings are still
         far off, there may be two mistakes that hide each other. The search is then repeated without each
         mounting in turn, and the mistake is returned after which a second one explains the most.
@@ -243,7 +241,7 @@ class GrossSearch:
 
 
 def _enough(maps: Sequence[Reinterpretation]) -> float:
-    return math.log(ODDS * max(len(maps), 1))
+    return math.log(max(len(maps), 1) / HARDLY_EVER)
 
 
 def p_of(log_odds: float, log_looks: float) -> float:
