@@ -2,12 +2,12 @@
 
 python -m benchmarks.translations
 
-Texts are the arguments of `message` in Python, the arguments of `_` in scripts and in expressions of templates, the
-words of page templates, and titles, descriptions and reasons of the shipped procedures and bench files. A name that a
-page takes from a record or a file is an entry of a catalogue with the reference `names-shown`. `make lint` fails if
-one lacks a translation, if a translation has other blanks or elements than its text, if a catalogue has an
-unused text, if a word of the certificate lacks a language, or if the text of a `Refusal` or a `Prompt` is not
-marked.
+Texts are the arguments of `message` in Python, the arguments of `_` in scripts and in expressions of
+templates, the words of page templates, and titles, descriptions and reasons of the shipped procedures and bench
+files. A name that a page takes from a record or a file is an entry of a catalogue with the reference
+`names-shown`. `make lint` fails if one lacks a translation, if a translation has other blanks or elements than
+its text, if a catalogue has an unused text, if a word of the certificate lacks a language, or if the text of a
+`Refusal` or a `Prompt` is not marked.
 """
 
 from __future__ import annotations
