@@ -49,14 +49,6 @@ class DirectionPart(ResultModel):
     members: dict[str, float]
 
 
-class RemedyPart(ResultModel):
-    """A further measurement, and the combinations of coefficients and stand errors that it would determine."""
-
-    text: str
-    determines: int = Field(description="how many combinations more it determines")
-    cost_s: float
-
-
 class ObservabilityPart(ResultModel):
     """The coefficients and stand errors that the readings determine, and those they do not."""
 
@@ -65,7 +57,7 @@ class ObservabilityPart(ResultModel):
     determined: list[str]
     undetermined: list[str]
     directions: list[DirectionPart]
-    remedies: list[RemedyPart] = Field(description="those that determine more, the cheapest first")
+    remedies: list[Remedy] = Field(description="those that determine more, the cheapest first")
 
 
 class UntilPart(ResultModel):

@@ -10,7 +10,6 @@ import numpy as np
 from pydantic import Field
 from rich.console import Console
 
-from bench.base.arrays import CHANNELS
 from bench.base.numbers import concise, quantity, typeset
 from bench.base.result_model import Real, ResultModel, Vector
 from bench.base.tables import print_notes, table
@@ -32,13 +31,12 @@ from bench.results.diagnosis_parts import (
     FormPart,
     GapPart,
     NoisePart,
-    OfChannels,
     form_part,
     gap_part,
     mistake_part,
 )
 from bench.results.diagnosis_words import Files
-from bench.results.parts import BenchPart, CorrectionPart
+from bench.results.parts import BenchPart, ChannelsPart, CorrectionPart, by_channel
 from bench.results.residuals import ResidualsPart, compared_residuals
 
 if TYPE_CHECKING:
@@ -240,7 +238,7 @@ def found_result(found: Diagnosis) -> FoundResult:
             reading=found.noise.reading,
             setting_arcsec=found.noise.setting_arcsec,
             dof=found.noise.freedom,
-            channels=OfChannels(**dict(zip(CHANNELS, found.noise_by_channel.tolist(), strict=True))),
+            channels=ChannelsPart(**by_channel(found.noise_by_channel)),
             kinds=list(found.noise_kinds),
             findings=[FindingPart.model_validate(one) for one in found.findings],
         ),

@@ -12,13 +12,14 @@ from bench.base.arrays import rms
 from bench.base.result_model import Real, ResultModel
 from bench.diagnosis.gap import FLOOR, UNDETERMINED, Fold, Gap
 from bench.diagnosis.mistakes.search import Mistake
+from bench.diagnosis.naming import FamilyOdds
 from bench.diagnosis.noise_kinds import LocalScatter, NoiseKind
 from bench.diagnosis.pipeline import values_of
 from bench.diagnosis.posterior import KnownTogether
 from bench.diagnosis.residual_model import FormTerm, FreeForm
 from bench.diagnosis.result import Verdict
 from bench.results.diagnosis_words import Files
-from bench.results.parts import BenchPart, CorrectionPart
+from bench.results.parts import BenchPart, ChannelsPart, CorrectionPart
 
 VerdictOfCopy = Literal["agrees", "named", "confounded", "unknown"]
 
@@ -60,13 +61,6 @@ class MistakePlace(ResultModel):
     misfit_after: Real
 
 
-class OddsPart(ResultModel):
-    """A possible name of an effect found, with its posterior probability."""
-
-    name: str
-    probability: float
-
-
 class FoundPart(ResultModel):
     """The members that mistakes and effects share."""
 
@@ -89,7 +83,7 @@ class FoundPart(ResultModel):
         default=None, description="posterior probability of the name; null for a mistake, which has none"
     )
     words: str = Field(description="the sentence on it")
-    odds: list[OddsPart] = Field(
+    odds: list[FamilyOdds] = Field(
         default=[],
         description="the names that may stand in this place, the most probable first; `unnamed_form` is any form "
         "without a name",
@@ -236,14 +230,6 @@ class AloneResult(ResultModel):
         return cls.from_object(found, **{**written, **of_source, **others})
 
 
-class OfChannels(ResultModel):
-    """A number for each channel."""
-
-    x: float
-    y: float
-    z: float
-
-
 class FindingPart(ResultModel):
     """A noise that is larger than stated."""
 
@@ -266,7 +252,7 @@ class NoisePart(ResultModel):
     reading: float = Field(description="of a reading, unit of the signal")
     setting_arcsec: float
     dof: int
-    channels: OfChannels = Field(
+    channels: ChannelsPart = Field(
         description="of a reading of each channel; the root of their mean square is reading"
     )
     kinds: list[NoiseKind] = Field(

@@ -114,16 +114,6 @@ class EffectOfBench(ResultModel):
     shown: bool
 
 
-class ApartPart(ResultModel):
-    """A bench or unit whose effect is significant."""
-
-    name: str
-    coefficient: str
-    effect: float = Field(description="from the mean of its set of benches, or of its type")
-    u: float
-    p_all_looks: float = Field(description="of all effects looked at (Holm)")
-
-
 class EffectsResult(FleetResult):
     """The variance components of the coefficients (units, benches, excess), and the significant effects."""
 
@@ -138,8 +128,8 @@ class EffectsResult(FleetResult):
     benches_effects: dict[str, dict[str, EffectOfBench] | None] = Field(
         description="by bench and coefficient; null for a bench that shares no unit with another"
     )
-    benches_apart: list[ApartPart] = Field(description="benches that stand out")
-    units_apart: list[ApartPart] = Field(description="units that stand out of their type")
+    benches_apart: list[bench_or_block.OutlyingEffect] = Field(description="benches that stand out")
+    units_apart: list[bench_or_block.OutlyingEffect] = Field(description="units that stand out of their type")
     answer: str = Field(description="a sentence")
 
 

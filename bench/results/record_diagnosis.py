@@ -15,6 +15,7 @@ from bench.base.tables import print_notes
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.levels import LISTED_IN_SENTENCE
 from bench.diagnosis.record_diagnosis import RecordDiagnosis
+from bench.diagnosis.record_folds import Rival
 from bench.diagnosis.record_search import ChannelFit
 from bench.results import diagnosis_words as words
 from bench.results.diagnosis import print_effect, print_files
@@ -25,16 +26,6 @@ from bench.results.plots import BLUE, VERMILION, legend_of, svg_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-class RivalPart(ResultModel):
-    """A kind of shape that an effect may have, and how well it predicts held-out excursions from the other
-    readings.
-    """
-
-    what: str = Field(description="at once, lag or hysteresis")
-    held_out_rms_v: float
-    chi2: float
 
 
 class ChannelPart(ResultModel):
@@ -61,7 +52,7 @@ class RecordDiagnoseResult(AloneResult):
     """A diagnosis of a record at a known input (rows R alone)."""
 
     effects: list[EffectPart]
-    rivals: list[RivalPart] = Field(
+    rivals: list[Rival] = Field(
         description="kinds of shape of an effect of the meter's temperature, compared"
     )
     channels: list[ChannelPart]

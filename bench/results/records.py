@@ -11,6 +11,8 @@ from rich.console import Console
 
 from bench.base.result_model import ResultModel
 from bench.base.tables import table
+from bench.readings.columns import Rail
+from bench.readings.reading import Outlier
 from bench.results.parts import RecordPart, UnitPart
 from bench.results.tables import page
 from bench.run.commission.session import Finding
@@ -178,23 +180,6 @@ def _print_events(run: Run, out: Console) -> None:
 Three = Field(min_length=3, max_length=3)
 
 
-class OutlierPart(ResultModel):
-    """The sample that an outlier test identified."""
-
-    sample: int = Field(description="from 1")
-    value: float
-    sigma: float = Field(description="its distance from the mean in standard deviations")
-    critical: float = Field(description="the critical one")
-
-
-class RailPart(ResultModel):
-    """The voltage and current that the supply measured at a rail of the block."""
-
-    voltage_v: float
-    nominal_v: float
-    current_a: float
-
-
 class ReadingPart(ResultModel):
     """The measured values of a reading step."""
 
@@ -220,12 +205,10 @@ class ReadingPart(ResultModel):
     samples: dict[str, list[float]] = Field(description="each sample by channel")
     drift: list[float | None] = Three
     drift_p: list[float | None] = Three
-    outlier: list[OutlierPart | None]
+    outlier: list[Outlier | None]
     reference_v: float | None
     scan_order: str | None
-    rails: dict[str, RailPart] = Field(
-        {}, description="by name, where the bench file says how the block is fed"
-    )
+    rails: dict[str, Rail] = Field({}, description="by name, where the bench file says how the block is fed")
 
 
 class NowPart(ResultModel):

@@ -13,7 +13,7 @@ from rich.table import Table
 from bench.base.languages import message
 from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
-from bench.calibration.conformity import NON_BINARY, SIMPLE, DecisionRule, Statement
+from bench.calibration.conformity import NON_BINARY, SIMPLE, DecisionRule, Population, Statement
 from bench.calibration.verification import Verification
 from bench.results.parts import BenchPart, CorrectionPart
 
@@ -42,19 +42,12 @@ class PointPart(ResultModel):
     )
 
 
-class PopulationPart(ResultModel):
-    """The stated distribution of Δg over many blocks, in g."""
-
-    mean: float
-    standard_deviation: float
-
-
 class GlobalRiskPart(ResultModel):
     """The global risks of the decision rule for a population of blocks, at the point with the largest U."""
 
     false_accept: float = Field(description="part of all blocks that is accepted without conforming")
     false_reject: float = Field(description="part of all blocks that is not accepted and conforms")
-    population: PopulationPart
+    population: Population = Field(description="stated distribution of Δg over many blocks, g")
 
 
 class VerdictPart(ResultModel):
