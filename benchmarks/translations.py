@@ -158,7 +158,7 @@ def all_entries() -> dict[Entry, list[str]]:
                     found.setdefault(entry, []).append(str(file.relative_to(ROOT)))
     for language in LANGUAGES.keys() - {ENGLISH}:
         for one in catalogue(language):
-            if (NAMES_SHOWN, None) in one.locations:
+            if any(file == NAMES_SHOWN for file, _ in one.locations):
                 found.setdefault(_entry(one), []).append(NAMES_SHOWN)
     with_plural = {(one.english, one.context) for one in found if one.plural}
     return {

@@ -16,7 +16,6 @@ from bench.base.text import one_line
 from bench.calibration.intrinsic import intrinsic, intrinsic_unit
 from bench.calibration.result import Derived, inverse, misalignments
 from bench.model.geometry import COEFFICIENTS, Block
-from bench.results.parts import UnitPart
 
 SIMULATED = "SIMULATED: found on simulated instruments, of no real block"
 CONVENTION = "K_ij = (-1)^n K_ii alpha_ji, n = 2 where j follows i in x -> y -> z -> x, else 1"
@@ -81,11 +80,18 @@ class CheckPart(ResultModel):
     python: list[str] = Field(description="three lines of Python that test the file named as their argument")
 
 
+class BlockPart(ResultModel):
+    """The type and serial number of the block, if they are stated."""
+
+    type: str
+    serial: str
+
+
 class CoefficientsResult(ResultModel):
     """The data of a calibration for a navigation computer; for several sources, a list of these."""
 
     source: str = Field(description="the run, readings file or result")
-    unit_under_test: UnitPart | None
+    unit_under_test: BlockPart | None
     made_at: str | None = Field(description="when the run was begun, ISO 8601")
     bench: dict[str, str] | None = Field(description="the bench file, as in the result of `bench calibrate`")
     certificates: list[str] = Field(description="the certificates of the instruments, in words")

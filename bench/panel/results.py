@@ -14,7 +14,7 @@ from bench.base.languages import message
 from bench.base.numbers import rounded, scale_for, uncertainty
 from bench.panel.access import Refusal
 from bench.panel.folder import read_page
-from bench.run.folder import Run
+from bench.run.folder import Run, statement_in
 
 CALIBRATE: Final = "calibrate.json"
 VERIFY: Final = "verify.json"
@@ -206,14 +206,11 @@ def _point(one: Mapping[str, Any], size: float, limit: float, rule: str) -> Poin
 
 
 def _statement(told: Mapping[str, Any], rule: str) -> str:
-    """Return the statement of conformity under a decision rule; for an old result without one, "pass" or "fail"."""
+    """Return the statement of conformity under a decision rule."""
     from bench.calibration.conformity import Statement  # takes long to import
     from bench.calibration.verification import by_rule
 
-    passed = bool(told["passed"])
-    return str(
-        by_rule(Statement(told.get("statement") or ("pass" if passed else "fail")), rule, passed=passed)
-    )
+    return str(by_rule(Statement(statement_in(told)), rule, passed=bool(told["passed"])))
 
 
 def _expanded(one: Mapping[str, Any]) -> float:
