@@ -231,7 +231,7 @@ def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
     unit = str(told["unit"])
     if "channels" in told:  # of a record at a known input
         rows = [
-            CoefficientRow(f"{called} {channel}", *_shown(one[key]), of)
+            CoefficientRow(f"{called} {channel}", *_value_and_uncertainty(one[key]), of)
             for channel, one in told["channels"].items()
             for key, called, of in (("gain", "gain", "V/V"), ("offset_v", "offset", "V"))
             if one[key] is not None
@@ -263,7 +263,7 @@ def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
     )
 
 
-def _shown(of: Mapping[str, Any]) -> tuple[str, str]:
+def _value_and_uncertainty(of: Mapping[str, Any]) -> tuple[str, str]:
     value, expanded = float(of["value"]), float(of["U"])
     return rounded(value, expanded), uncertainty(expanded)
 

@@ -388,11 +388,11 @@ def render_commissioning(result: Mapping[str, Any]) -> str:
         word=word,
         troubles=[one for one in findings if one["state"] not in ("works", "skipped")],
         skipped=[one for one in findings if one["state"] == "skipped"],
-        rows=[(one, [_shown(figure) for figure in one["figures"]]) for one in findings],
+        rows=[(one, [_figure_in_words(figure) for figure in one["figures"]]) for one in findings],
     )
 
 
-def _shown(figure: Mapping[str, Any]) -> str:
+def _figure_in_words(figure: Mapping[str, Any]) -> str:
     held = f" ({figure['expected']})" if figure["expected"] else ""
     return f"{figure['what']} {figure['value']:.4g} {figure['unit']}{held}"
 
