@@ -102,7 +102,7 @@ class DifferentVerdict(_Different):
     largest_change_of: str | None
 
     def cells(self) -> list[str]:
-        """Return the cells of its table row after the verdicts."""
+        """Return the table cells after the verdicts: stored Δg, new Δg, and the largest change."""
         sizes = (self.worst_delta_g_stored, self.worst_delta_g)
         change = self.largest_change_in_u
         went = "" if change is None else f"{change:.2g} u in {self.largest_change_of}" if change else "none"
@@ -116,7 +116,7 @@ class DifferentNames(_Different):
     names: str
 
     def cells(self) -> list[str]:
-        """Return the cells of its table row after the verdicts."""
+        """Return the table cells after the verdicts: the stored and the new names."""
         return [self.names_stored, self.names]
 
 

@@ -108,7 +108,7 @@ class DuePart(ResultModel):
 
 
 class UnitDue(DuePart):
-    """The date on which a unit is due for calibration, with the unit's name."""
+    """The date on which a unit is due for calibration."""
 
     unit: str = Field(description="type and serial number")
 

@@ -110,7 +110,7 @@ def _value(of: Estimate | None) -> ValuePart | None:
 
 
 def headline(found: RecordCalibration) -> str:
-    """Return a sentence on the record."""
+    """Return a line with the length of the record, its voltage, and the meaning of the values."""
     record = found.record
     return (
         f"record at a known input: {len(record)} means over {record.time_h[-1]:.1f} h at {found.level_v:.6g} V, "

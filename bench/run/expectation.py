@@ -189,7 +189,7 @@ class Expectation:
         self.covariance[:, index, index] += variance
 
     def predict(self, pose: ExpectedPose) -> Floats:
-        """Return the signals expected at a pose, V, shape (m, 3)."""
+        """Return the signals (m, 3) expected in m poses, V."""
         angles = self.mean[:, COEFFICIENT_COUNT:, None]
         force = pose.force[..., None] + pose.slopes[..., :SETTING] @ angles
         return (self.scale_factors @ force)[..., 0] + self.mean[:, 9:12] + pose.addition

@@ -262,7 +262,7 @@ class UnitPower:
             self._looked_s = self.clock.now_s()
 
     def watch_while_asked(self, *persons: Person | None) -> None:
-        """Check the rails also while these persons are being asked, unless a person must read the supply."""
+        """Check the rails also during questions to `persons`, unless a person must read the supply."""
         if self.supply.asks_person:
             return
         for person in persons:

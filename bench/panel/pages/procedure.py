@@ -127,7 +127,7 @@ def _begun(name: str, start: str, new_name: str) -> TableState:
 
 
 async def sent(request: Request) -> Response:
-    """Carry out the action of the pressed button: show, write, take the text, copy or remove a step."""
+    """Carry out the action of the pressed button: show, write, use the text, copy or remove a step."""
     person, given = await acting(request, Role.OPERATOR, most=MOST_FIELDS)
     return await run_in_threadpool(_sent, request, person, given)
 
