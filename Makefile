@@ -22,9 +22,10 @@ test-quick: $(STAMP)
 	$(PYTEST) -m "not slow and not browser"
 
 # After a change of the diagnosis: simulates anew what the tests' designs need, which each `make test` would do else.
-thresholds: $(STAMP)
+thresholds: $(VENV)/.driving
 	rm -f tests/data/thresholds.json
 	BENCH_KEEP_THRESHOLDS=1 $(PYTEST)
+	BENCH_KEEP_THRESHOLDS=1 $(PYTEST) -m browser tests/browser
 
 # The panel in the system's Chromium; without one it says so, and fails.
 test-browser: $(VENV)/.driving

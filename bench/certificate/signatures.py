@@ -347,9 +347,17 @@ def _check_cover(file: bytes, signature: Any) -> None:
 
 def _written_anew(content: bytes) -> bytes:
     """Return the DER value at the start of padded bytes, encoded again by the rules of DER."""
+    from asn1crypto.algos import DigestAlgorithm
     from asn1crypto.cms import ContentInfo
 
-    return bytes(ContentInfo.load(content, strict=False).dump(force=True))
+    value = ContentInfo.load(content, strict=False)
+    for signer in value["content"]["signer_infos"]:
+        for attribute in signer["signed_attrs"]:
+            if attribute["type"].native == "signing_certificate_v2":
+                for one in attribute["values"][0]["certs"]:
+                    # asn1crypto would encode its own default value thousands of times, but not one that was read
+                    one.children[0] = DigestAlgorithm.load(one["hash_algorithm"].dump())
+    return bytes(value.dump(force=True))
 
 
 def _check_wrapping(data: Any, signer: Any) -> None:

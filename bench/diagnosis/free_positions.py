@@ -39,8 +39,8 @@ from bench.diagnosis.free_records import (
     make_system,
     place_of,
 )
-from bench.diagnosis.gap import LEAST_FREEDOM, measure_gap
-from bench.diagnosis.levels import BY_CHANCE, FOLDS, HARDLY_EVER, LISTED
+from bench.diagnosis.gap import measure_gap
+from bench.diagnosis.levels import BY_CHANCE, FOLDS, HARDLY_EVER, LEAST_FREEDOM, LISTED
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.naming import Naming, name
 from bench.diagnosis.noise_grid import NoiseGrid, make_noise_grid
@@ -160,8 +160,6 @@ FINE_G: Final = 10e-6
 """Noise of a sensor, g, for which the plausible sizes of the catalogue hold. With more noise they are
 proportionally larger.
 """
-ZERO_OF_NOISE: Final = 3.0
-"""Plausible change of a zero or a scale factor between records, in units of a position's noise."""
 COMMON: Final = "common to the sensors"
 
 
@@ -199,7 +197,7 @@ def _add_unnamed(rows: FreeRows, collector: Collector, unit: float) -> None:
         own: list[tuple[int, ...]] = []
         common: list[tuple[int, ...]] = []
         for channel in range(3):
-            each = [ZERO_OF_NOISE * unit * rows.change(coefficients, sensor, channel) for sensor in several]
+            each = [unit * rows.change(coefficients, sensor, channel) for sensor in several]
             for columns, places in ((each, own), ([sum(each)] if len(each) > 1 else [], common)):
                 by_record = [np.asarray(one * (rows.record == r)) for one in columns for r in records]
                 kind = Column(family, channel)

@@ -20,7 +20,7 @@ from bench.base.languages import message
 from bench.diagnosis.candidates import Candidates, replace_columns
 from bench.diagnosis.evidence import Data, Threshold, Whitened
 from bench.diagnosis.levels import BY_CHANCE as BY_CHANCE  # noqa: PLC0414 - also taken from here
-from bench.diagnosis.levels import INSEPARABLE, MOSTLY, OFTEN
+from bench.diagnosis.levels import INSEPARABLE, LEAST_FREEDOM, MOSTLY, OFTEN
 from bench.diagnosis.linear import MODULUS, LinearSystem, Rows
 from bench.diagnosis.naming import ALIAS, Naming, name
 from bench.diagnosis.noise_grid import RATIOS, coupled, make_noise_grid, make_whitener
@@ -211,8 +211,6 @@ def part_closed(before: float, after: float) -> float | None:
     return (before - after) / (before - FLOOR) if before > FLOOR else None
 
 
-LEAST_FREEDOM: Final = 3
-"""Least number of readings in excess of the coefficients that gives a usable estimate of the scatter."""
 HELD_OUT: Final = message("readings held out in turn")
 
 

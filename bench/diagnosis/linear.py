@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from bench.base.arrays import Floats, Ints, Mask
 from bench.calibration.calibrate import first_guess
 from bench.calibration.design import FIXED, STEP_RAD, Problem, coefficient_columns, make_problem
-from bench.diagnosis.levels import FAR
+from bench.diagnosis.levels import FAR, ONE_DIRECTION
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect, Stage
 from bench.model.effects.base import Seen, rows_of
@@ -22,14 +22,8 @@ from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block, Installation, specific_force_on_platform
 from bench.readings.table import FREE, REFERENCE, SHORTED, VERIFICATION, Readings
 
-ONE_MOUNTING: Final = 0.01
-"""Largest root mean square residual, in rad, of directions that belong to one mounting.
-
-A smaller rotation from the stated orientation changes no signature. A larger one is reported and used if it
-exceeds the limits of the stand.
-"""
 LEAST_APART: Final = 0.05
-"""Least second singular value of the directions, per point, that determines an orientation."""
+"""Least second singular value of the directions, per point, that fixes an orientation: a spread of 13° (rms)."""
 
 
 @dataclass(frozen=True)
@@ -74,13 +68,13 @@ def orientation_of(
     if sizes[1] < LEAST_APART * len(rows):
         return None
     turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-    if np.sqrt(np.mean(np.sum((seen - platform @ turn.T) ** 2, axis=1))) > ONE_MOUNTING:
+    if np.sqrt(np.mean(np.sum((seen - platform @ turn.T) ** 2, axis=1))) > ONE_DIRECTION:
         return None
     stated = model.installations[VERIFICATION].block_from_platform
     rotation = Rotation.from_matrix(turn @ stated.T).as_rotvec()
     off = float(np.linalg.norm(rotation))
     limits = float(np.linalg.norm([stand_u.get(name, 0.0) for name in STAND_ANGLES]))
-    return Orientation(turn, off, rotation / max(off, 1e-300), off > max(ONE_MOUNTING, FAR * limits))
+    return Orientation(turn, off, rotation / max(off, 1e-300), off > max(ONE_DIRECTION, FAR * limits))
 
 
 def as_measured(model: ForwardModel, orientation: Orientation | None) -> ForwardModel:

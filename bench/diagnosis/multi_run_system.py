@@ -28,7 +28,7 @@ from bench.diagnosis.candidates import (
     make_candidates,
 )
 from bench.diagnosis.evidence import FALSE_ALARMS, Data, Threshold, Whitened
-from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER
+from bench.diagnosis.levels import BY_CHANCE, FEW, HARDLY_EVER
 from bench.diagnosis.linear import LinearSystem, Rows, make_linear
 from bench.diagnosis.mistakes.search import Mistake, MistakeSearch, find_mistakes
 from bench.diagnosis.naming import FoundEffect, Naming, Scored, name
@@ -407,7 +407,7 @@ def _phase(readings: Readings) -> Floats:
 
 
 ALONE: Final = FALSE_ALARMS / 3
-"""Probability of a false alarm in the searches of single runs, all runs together."""
+"""Probability of a false alarm in the searches of single runs, all together: most effects are in all runs."""
 TOGETHER: Final = FALSE_ALARMS - ALONE
 """Probability of a false alarm in the joint search."""
 
@@ -426,10 +426,6 @@ class _Run:
     def whitened(self) -> Whitened:
         """Return the whitened candidates; products are computed on demand, as few runs need them."""
         return Whitened.of(self.grid, self.candidates, few_known=True)
-
-
-COMMON: Final = 5
-"""If more than one in this many runs has finds of its own, these do not count as effects of single runs."""
 
 
 def search_runs(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]:
@@ -478,7 +474,7 @@ def _name_in_all_and_each(
     of_one = task.cache.threshold(runs[0].linear, runs[0].whitened(), task.setting_rad).at(ALONE / many)
     at_first = _look_in_each(whitened.candidates, runs, np.zeros(len(linear)), of_one)
     grown, alone = at_first
-    if alone and len({one.variant.mounts for one in alone}) <= max(1, many // COMMON):
+    if alone and len({one.variant.mounts for one in alone}) <= max(1, FEW * many):
         whitened.forget()
         whitened = Whitened.of(whitened.grid, grown)
         data = whitened.reduce(response)

@@ -20,21 +20,15 @@ from bench.diagnosis.evidence import (
     Threshold,
     Whitened,
 )
-from bench.diagnosis.levels import INSEPARABLE
+from bench.diagnosis.levels import BEYOND_BELIEF, BY_CHANCE, INSEPARABLE, OFTEN
 from bench.model.effects import CATALOGUE
 
 MOST_EFFECTS: Final = 5
-"""Largest number of effects that one search finds."""
-ALONE: Final = 0.95
-"""Posterior probability from which a find has a single name."""
-SET: Final = 0.99
-"""Least sum of the posterior probabilities of a find's name and its ties."""
+"""Largest number of effects that one search finds: one run can hardly confirm more."""
 ALIAS: Final = 1.0
 """An effect is an alias of another, whatever the priors, if it leaves at most this much of its signature, in
-noise units.
+noise units. This is worth `ALIAS`**2 / 2 in ln of the odds; no other noise or measurement is preferred for less.
 """
-ABSURD: Final = 60.0
-"""A candidate is no alias if its amplitude would have to exceed this many plausible sizes."""
 
 
 @dataclass(frozen=True)
@@ -120,10 +114,7 @@ class Scored:
             kept.clear()
             kept["data"] = data
         key = tuple(sorted(known))
-        scored = kept.pop(key, None) or cls._beside(whitened, data, key)
-        kept[key] = scored
-        if len(kept) > MOST_KEPT:
-            del kept[list(kept)[1]]
+        scored = kept[key] = kept.get(key) or cls._beside(whitened, data, key)
         return scored
 
     @classmethod
@@ -174,7 +165,7 @@ class Scored:
         best = max(evidence, key=lambda i: evidence[i])
         by_pass = family in CATALOGUE and CATALOGUE[family].per_pass
         share = np.exp(np.array(list(evidence.values())) - evidence[best])
-        rivals = [i for i, part in zip(evidence, share, strict=True) if part > (1.0 - ALONE) * share.sum()]
+        rivals = [i for i, part in zip(evidence, share, strict=True) if part > OFTEN * share.sum()]
         if not by_pass and any(variants[i].mounts != variants[best].mounts for i in rivals):
             # which mounting has it cannot be told: each gets a value of its own, with the u that this deserves
             best = max(rivals, key=lambda i: (len(variants[i].columns), evidence[i]))
@@ -199,9 +190,6 @@ class Scored:
 
 Among = Callable[[str], bool]
 """A function that returns whether a family may be found."""
-
-MOST_KEPT: Final = 24
-"""Largest number of models whose scores are cached, for the data set that was scored last."""
 
 
 def name(
@@ -320,21 +308,21 @@ def ranked_odds(log_odds: Mapping[str, float]) -> list[FamilyOdds]:
 def holding(odds: Sequence[FamilyOdds]) -> list[str]:
     """Return the names of the most probable families that cannot be told apart.
 
-    If the first probability reaches `ALONE`, this is the first name only; otherwise it is as many of the first
-    names as reach `SET` together. `odds` are sorted, the most probable first.
+    If the first name is wrong with a probability of at most `OFTEN`, it is the only one; otherwise they are as many
+    as leave at most `BY_CHANCE` to all others. `odds` are sorted, the most probable first.
     """
-    if odds[0].probability >= ALONE:
+    if odds[0].probability >= 1.0 - OFTEN:
         return [odds[0].name]
     held, chosen = 0.0, []
     for one in odds:
         chosen.append(one.name)
         held += one.probability
-        if held >= SET:
+        if held >= 1.0 - BY_CHANCE:
             break
     return chosen
 
 
-def _aliases(scored: Scored, variant: Variant, enough: float, most: float = ABSURD) -> dict[str, int]:
+def _aliases(scored: Scored, variant: Variant, enough: float, most: float = BEYOND_BELIEF) -> dict[str, int]:
     """Return each effect that explains `enough` of a signature, with the least number of parameters it needs.
 
     An effect that would have to exceed `most` plausible sizes is left out.

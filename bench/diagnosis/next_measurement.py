@@ -22,11 +22,11 @@ from bench.config.procedure.check import check
 from bench.config.procedure.load import Procedure, load_procedure
 from bench.config.procedure.plan import Plan, Read, SelectInput, SetTemperature
 from bench.config.shipped import PROCEDURES, shipped_folder
-from bench.diagnosis.levels import LEAST_GAIN, NEGLIGIBLE
+from bench.diagnosis.levels import NEGLIGIBLE, OFTEN
 from bench.diagnosis.linear import LinearSystem, make_linear
-from bench.diagnosis.naming import ALIAS, ALONE
+from bench.diagnosis.naming import ALIAS
 from bench.diagnosis.result import Diagnosis
-from bench.diagnosis.visibility import ReadingDesign, form_of, forms_everywhere, forms_of
+from bench.diagnosis.visibility import ReadingDesign, form_of, forms_everywhere, forms_of, half_power
 from bench.model.conditions import Conditions
 from bench.model.effects import CATALOGUE
 from bench.model.forward import ForwardModel
@@ -141,12 +141,6 @@ MENU: Final = (
 SEPARATED: Final = 8.0
 """Least divergence D of two explanations that count as separated; it corresponds to four standard deviations."""
 
-SHOWN: Final = 2.5
-"""An effect shows if its plausible size is at least this many units of noise: then twice this size is found.
-
-It counts as hidden if it is found only beyond twice as many plausible sizes.
-"""
-
 
 @dataclass(frozen=True)
 class Separation:
@@ -172,7 +166,7 @@ class Separation:
 class Chance:
     """The prospects of a procedure: its duration, and the probability that it settles every tie (`answers`).
 
-    `hours` is the duration. A tie is settled if one of its names reaches a posterior probability of `ALONE`.
+    `hours` is the duration. A tie is settled if one of its names reaches a posterior probability of 1 - `OFTEN`.
     """
 
     procedure: str
@@ -181,7 +175,7 @@ class Chance:
 
 
 def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) -> float:
-    """Return the probability that further readings give one name of a tie a posterior of at least `ALONE`.
+    """Return the probability that further readings give one name of a tie a posterior of at least 1 - `OFTEN`.
 
     `first` is the name of the effect found; the other names are its rivals. `odds` maps each name, `first`
     included, to its present posterior probability. `gained` maps each rival to the increase of its divergence D
@@ -191,7 +185,7 @@ def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) 
     and variance 2 D. If there are several rivals, the one that is hardest to separate from the true name decides.
     The divergence between two rivals is not considered.
     """
-    enough = math.log(ALONE / (1.0 - ALONE))
+    enough = math.log((1.0 - OFTEN) / OFTEN)
 
     def reached(one: str, other: str, d: float) -> float:
         if d == -math.inf:
@@ -334,7 +328,7 @@ class _Bill:
             after = self._divergences(plan)
             chances.append(Chance(path.stem, self._minutes(plan) / 60.0, self._answers(before, after)))
             pairs = [Separation(*pair, before[pair], after[pair]) for pair in before]
-            helped = tuple(s for s in pairs if s.after - s.before >= LEAST_GAIN)
+            helped = tuple(s for s in pairs if s.after - s.before >= ALIAS**2 / 2.0)
             if helped:
                 bills.append((path, self._minutes(plan), helped))
         if not bills:
@@ -385,18 +379,23 @@ class _Bill:
     # --- what is hidden -----------------------------------------------------------------------------
 
     def showing(self) -> Proposal | None:
-        """Return the shortest of the procedures that show the most hidden effects; None if none shows any."""
+        """Return the shortest of the procedures that show the most hidden effects; None if none shows any.
+
+        An effect counts as hidden, too, if its plausible size is below the noise. A procedure shows it if half of
+        all runs then find it at twice its plausible size.
+        """
         diagnosis = self._diagnosis
+        half = half_power(diagnosis.whitened, diagnosis.registered.threshold)
         known = {applied.effect.name for applied in diagnosis.linear.model.effects}
         blind = [
             name
             for name, size in diagnosis.detectable.items()
-            if name in CATALOGUE.keys() - known and (name in diagnosis.hidden or size > 2.0 * SHOWN)
+            if name in CATALOGUE.keys() - known and (name in diagnosis.hidden or size > half)
         ]
         bills = []
         for path, plan in tracked(list(self.plans.items()), "what to measure next"):
             design = ReadingDesign(self._linear(plan), diagnosis.noise, self._forms)
-            shown = [n for n in blind if design.visible(forms_everywhere(n)) >= SHOWN]
+            shown = [n for n in blind if design.visible(forms_everywhere(n)) >= half / 2.0]
             if shown:
                 bills.append((path, self._minutes(plan), tuple(shown)))
         if not bills:

@@ -13,7 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from bench.base.arrays import Floats, Ints, Mask
-from bench.diagnosis.levels import NEGLIGIBLE
+from bench.diagnosis.levels import LEAST_FREEDOM, MOSTLY, NEGLIGIBLE
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.readings.table import Readings
 
@@ -39,13 +39,6 @@ reading.
 
 RATIO_SPREAD: Final = 1.0
 """Prior standard deviation of ln gamma about the bench file's value, which is known to a factor of three."""
-
-LOCAL: Final = 0.5
-"""Largest fraction of the rows that a random column joins in one block; a wider column is fitted.
-
-With several runs, the limit is the share of one run: a column that all runs share would join all rows in a dense
-block.
-"""
 
 
 @dataclass(frozen=True)
@@ -193,8 +186,11 @@ def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whi
 
 
 def _wide(linear: LinearSystem) -> Mask:
-    """Return the mask (q,) of the columns of `random` that are nonzero in too many rows (`LOCAL`)."""
-    most = min(LOCAL, 1.0 / len(np.unique(linear.readings.run))) * len(linear)
+    """Return the mask (q,) of the columns of `random` that are nonzero in most rows, or in more than one run has.
+
+    Such a column is fitted: as a covariance, it would join all these rows in one dense block.
+    """
+    most = min(MOSTLY, 1.0 / len(np.unique(linear.readings.run))) * len(linear)
     return np.asarray(np.count_nonzero(linear.random, axis=0) > most)
 
 
@@ -345,10 +341,6 @@ class GramProducts:
 # --- the noise, from repeats ----------------------------------------------------------------------
 
 
-LEAST_FREEDOM: Final = 6
-"""Least number of settings beyond the saturated description from which repeats determine the noise."""
-
-
 @dataclass(frozen=True)
 class Repeats:
     """The noise of a reading, estimated from repeated settings of the head.
@@ -446,9 +438,13 @@ def _saturated(angle_deg: Floats, passes: Ints) -> Floats:
     return np.column_stack([cells, of_pass, of_pass * np.cos(angle), of_pass * np.sin(angle), rank])
 
 
-HARDLY_ANY: Final = 0.1
-"""Rounding error that repeats share is neglected below this fraction of the noise."""
+SAME_SIZE: Final = 0.1
+"""Fraction of the noise that is neglected: a difference of two sizes, or a rounding error of repeats.
+
+In quadrature, it adds 0.5 %.
+"""
 TERMS: Final = 30
+"""Terms of the series for a shared rounding error: without any noise, 30 give its size to 1 %."""
 
 
 def digit_of(readings: Readings) -> float:
@@ -473,7 +469,7 @@ def is_rounded(digit: float, sigma: float) -> bool:
 
     The noise is then fixed at `sigma`, as the residuals no longer show it.
     """
-    return repeated(digit, sigma) > HARDLY_ANY * sigma
+    return repeated(digit, sigma) > SAME_SIZE * sigma
 
 
 def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSystem:

@@ -20,9 +20,10 @@ from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints, Mask, rms
 from bench.base.languages import message
 from bench.base.numbers import quantity
 from bench.diagnosis.evidence import KNOWN_SIZE
-from bench.diagnosis.levels import HARDLY_EVER
+from bench.diagnosis.levels import HARDLY_EVER, STEPS
 from bench.diagnosis.linear import LinearSystem, RunSizes
 from bench.diagnosis.noise_grid import (
+    SAME_SIZE,
     NoiseGrid,
     Whitener,
     cells_of,
@@ -37,11 +38,9 @@ from bench.stats.repeats_likelihood import believed_sizes
 LOG_PRIOR: Final = dict.fromkeys(("channels", "runs", "place", "tails", "slow"), math.log(0.1))
 """ln of the prior odds of each kind of noise against ordinary noise, which is normal and has one size."""
 TAIL_DOF: Final = 4.0
-"""Degrees of freedom of the t distribution of heavy tails."""
-ROUNDS: Final = 8
-"""Rounds of the fit with heavy tails, after which the bound no longer changes."""
+"""Degrees of freedom of the t distribution of heavy tails: clearly not normal, and of finite variance."""
 WAVES: Final = 16
-"""Half waves over a run that slow noise has at most."""
+"""Half waves over a run that slow noise has at most: faster ones resemble the noise of single readings."""
 SIZES: Final = tuple(np.geomspace(0.05, 20.0, 61))
 """Sizes of slow noise: root mean squares in units of the noise of a reading, all equally probable a priori."""
 
@@ -107,10 +106,6 @@ def residuals(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Floats
 # --- channels, runs and places with noise of their own -----------------------------------------------
 
 
-SAME_SIZE: Final = 0.1
-"""Largest relative difference of two sizes of noise that count as the same."""
-
-
 def _by_channel(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
     residual, free = _fit(linear, effects, noise)
     oriented = linear.setting >= 0
@@ -148,7 +143,7 @@ def _by_run(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator
     run = linear.readings.run[linear.rows.reading]
     system, variance = linear, np.ones(int(run.max()) + 1)
     sizes = variance
-    for _ in range(ROUNDS):
+    for _ in range(STEPS):
         residual, free = _fit(system, effects, noise)
         white = whiten_rows(system, noise, residual[:, None])[:, 0]
         freedom = np.bincount(run, free).astype(np.float64)
@@ -253,7 +248,7 @@ def _with_tails(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Nois
     relative2 = linear.relative**2
     weight: Floats = np.ones(len(linear))
     scale, of_mean, square = noise.reading, weight, weight
-    for _ in range(ROUNDS):
+    for _ in range(STEPS):
         white = make_whitener(replace(beside, by_row=1.0 / np.sqrt(weight)), scale, noise.setting_rad)
         variance = relative2 / weight
         left = variance * white.weigh(linear.response)

@@ -25,7 +25,7 @@ from bench.diagnosis.gap import Gap, measure_gap, near_ratios
 from bench.diagnosis.levels import BY_CHANCE, LISTED, LISTED_IN_SENTENCE
 from bench.diagnosis.mistakes.search import Mistake, MistakesLeaveTooLittle
 from bench.diagnosis.multi_run_system import find_mistakes_in_each, search_runs, with_blocks
-from bench.diagnosis.naming import SET, FamilyOdds, FoundEffect, Naming, Scored, name, same_signature
+from bench.diagnosis.naming import FamilyOdds, FoundEffect, Naming, Scored, name, same_signature
 from bench.diagnosis.next_measurement import Proposal, propose
 from bench.diagnosis.noise_grid import RATIOS, digit_of
 from bench.diagnosis.noise_kinds import NoiseFinding, noise_findings, noise_kinds
@@ -343,7 +343,7 @@ def _odds(candidates: Candidates, found: FoundEffect) -> tuple[FamilyOdds, ...]:
         whole[called] = whole.get(called, 0.0) + one.probability
     tied = _tie_names(candidates, found)
     ranked = sorted(whole.items(), key=lambda item: -item[1])
-    return tuple(FamilyOdds(called, p) for called, p in ranked if p >= 1.0 - SET or called in tied)
+    return tuple(FamilyOdds(called, p) for called, p in ranked if p >= BY_CHANCE or called in tied)
 
 
 def _in_words(variant: Variant) -> str:

@@ -32,10 +32,11 @@ class Rival:
     chi2: float
 
 
-SWING: Final = 0.15
-"""In an excursion, what an effect follows is farther from its rest level than this fraction of its range."""
-PLATEAU: Final = 0.1
-"""Fraction of the range that counts as one level; an evenly spread quantity is there this fraction of the time."""
+PLATEAU: Final = 0.15
+"""Fraction of the range that counts as one level; an evenly spread quantity is there this fraction of the time.
+
+In an excursion, what an effect follows is farther than this from its rest level.
+"""
 
 
 def measure_record_gap(work: RecordWork, finds: Sequence[FoundEffect]) -> tuple[Gap, tuple[Rival, ...]]:
@@ -86,7 +87,7 @@ def _excursions(work: RecordWork, course: Variant) -> Iterator[tuple[str, Mask]]
                 yield f"every other {FOLDS} means, from the {which}", turn == number
             return
     from_rest = driver - _rest(driver)
-    side = np.where(np.abs(from_rest) > SWING * np.ptp(driver), np.sign(from_rest), 0.0)
+    side = np.where(np.abs(from_rest) > PLATEAU * np.ptp(driver), np.sign(from_rest), 0.0)
     turns = np.flatnonzero(np.diff(side)) + 1
     bounds: list[int] = [0, *turns.tolist(), len(side)]
     for start, end in pairwise(bounds):

@@ -21,9 +21,9 @@ from bench.base.arrays import HOUR, MINUTE, Floats, Ints, Mask, least_squares
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.candidates import Candidates, Column, Variant
 from bench.diagnosis.evidence import LOG_SIZE_WEIGHTS, SIZES
-from bench.diagnosis.levels import FAR, NEGLIGIBLE
+from bench.diagnosis.levels import FAR, NEGLIGIBLE, OFTEN
 from bench.diagnosis.noise_kinds import LARGER
-from bench.diagnosis.posterior import Shape
+from bench.diagnosis.posterior import BEYOND, Shape
 from bench.model.conditions import Conditions
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Seen
 from bench.model.geometry import Block
@@ -35,7 +35,7 @@ from bench.readings.table import REFERENCE, REFERENCE_V, Readings
 BINS: Final = 300
 """Largest number of means that a record is reduced to; slow effects need no more."""
 LEAST: Final = 30
-"""Least number of means from which noise and effects can be separated."""
+"""Least number of means from which noise and effects can be separated: they give the noise to 13 %."""
 OF_MEDIAN: Final = 1.0 / float(special.ndtri(0.75))
 """The standard deviation of a normal distribution divided by its median absolute deviation."""
 
@@ -193,7 +193,7 @@ def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Fl
 
 
 SMOOTHED: Final = 41
-"""Number of means over which the size of the noise is smoothed."""
+"""Means over which the size of the noise is smoothed: an odd number, a seventh of a full record (`BINS`)."""
 
 
 def _relative(spread: Floats) -> Floats:
@@ -222,23 +222,28 @@ def _rails(readings: Readings) -> Iterator[Floats]:
 # --- noise --------------------------------------------------------------------------------------------
 
 RATIOS: Final = (0.0, *np.geomspace(1e-2, 1e5, 11).tolist())
-"""Trial ratios of the mean variance of the slow noise to the variance of the white noise of a mean."""
-FLICKER: Final = 10
-"""Number of exponentially correlated noises, with correlation times of constant ratio, that add up to flicker."""
+"""Trial ratios of the mean variance of the slow noise to the variance of the white noise of a mean.
+
+They are a factor of five apart.
+"""
 CORRELATED: Final = (0.005, 0.02, 0.06)
-"""Correlation times of the exponentially correlated noises, as fractions of the length of the record."""
+"""Correlation times of the exponentially correlated noises, as fractions of the length of the record.
+
+They are a factor of about three apart; flicker noise has the longer ones.
+"""
 
 
 def slow_kernels(time_h: Floats) -> Iterator[Floats]:
     """Yield a covariance matrix (n, n) for each kind of slow noise, of mean variance 1.
 
-    They are a random walk, flicker noise, and several noises of exponential correlation. `time_h` (n,) are
-    the times, h.
+    They are a random walk, flicker noise, and several noises of exponential correlation. Flicker noise is the
+    integral of the latter over ln of the correlation time, from the mean step of time to the length of the record.
+    `time_h` (n,) are the times, h.
     """
     length = float(time_h[-1])
     apart = np.abs(time_h[:, None] - time_h)
-    times = np.geomspace(length / len(time_h), length, FLICKER)
-    flicker = np.sum([np.exp(-apart / time) for time in times], axis=0)
+    share = np.maximum(apart / length, NEGLIGIBLE)
+    flicker = special.exp1(share) - special.exp1(share * len(time_h))
     short = [np.exp(-apart / (part * length)) for part in CORRELATED]
     for kernel in (np.minimum.outer(time_h, time_h), flicker, *short):
         yield kernel / np.mean(np.diag(kernel))
@@ -349,6 +354,27 @@ class Products:
         return np.asarray(self.log_det[:, None] - 0.5 * self.freedom * np.log(self.left))
 
     @property
+    def sizes(self) -> tuple[Floats, Floats, Floats]:
+        """The size of each column in the first target, if the model has this column in addition.
+
+        Three arrays (h,) are returned: ln of the restricted likelihood, the size, and its variance. They are
+        averages over the trial noises of one kind. If the record does not show which kind of slow noise it has,
+        that with the largest u is used: u then holds for each of them.
+        """
+        product, square, freedom = self.product[:, :, 0], np.maximum(self.square, 1e-300), self.freedom - 1
+        size = product / square
+        left = self.left[:, :1] - size * product
+        log = self.log_det[:, None] - 0.5 * (np.log(square) + freedom * np.log(left))
+        variance = left / (freedom * square)
+        slow = [id(noise.slow) for noise in self.noises]
+        kinds = [np.equal(slow, one) for one in dict.fromkeys(slow)]
+        of_kind = np.array([special.logsumexp(log[kind]) for kind in kinds])
+        likely = np.flatnonzero(of_kind > of_kind.max() + np.log(OFTEN))
+        variances = [_mean(*(of[kinds[k]].ravel() for of in (log, size, variance)))[1] for k in likely]
+        kind = kinds[likely[int(np.argmax(variances))]]
+        return np.asarray(special.logsumexp(log[kind], axis=0)), *_mean(log[kind], size[kind], variance[kind])
+
+    @property
     def noise(self) -> Noise:
         """The trial noise that is most probable for the first target, with its variance."""
         best = int(np.argmax(self.likelihood[:, 0]))
@@ -374,6 +400,13 @@ class Products:
                 log = weight + log_det - 0.5 * (np.log1p(known) + self.freedom * np.log(rest))
                 np.logaddexp(total, log, out=total)
         return np.asarray(total - special.logsumexp(self.likelihood, axis=0))
+
+
+def _mean(log: Floats, size: Floats, variance: Floats) -> tuple[Floats, Floats]:
+    """Return the mean of sizes over the first axis, weighted by the likelihoods exp(`log`), and its variance."""
+    weight = special.softmax(log, axis=0)
+    mean = np.sum(weight * size, axis=0)
+    return mean, np.asarray(np.sum(weight * (variance + (size - mean) ** 2), axis=0))
 
 
 def solved(columns: Floats, targets: Floats) -> tuple[Floats, Floats, float]:
@@ -412,12 +445,18 @@ def make_courses(record: Record) -> Candidates:
 
 
 def _shapes(record: Record, effect: Effect) -> list[Shape]:
-    """Return the shapes of an effect to try: each shape parameter by itself, the others at their default."""
+    """Return the shapes of an effect to try: each shape parameter by itself, the others at their default.
+
+    A parameter has the values of the catalogue's grid and one `BEYOND` its end, unless it is a number without a
+    unit.
+    """
     if effect.name == MOVE:
         time_s = record.conditions.elapsed_s
         return [(("at", float(at)),) for at in (time_s[2:-2] + time_s[1:-3]) / 2.0]
-    default = {p.name: p.default for p in effect.parameters if p.is_shape}
-    shapes = [default, *({**default, p.name: v} for p in effect.parameters if p.is_shape for v in p.grid)]
+    of_shape = [p for p in effect.parameters if p.is_shape]
+    default = {p.name: p.default for p in of_shape}
+    shapes = [default, *({**default, p.name: v} for p in of_shape for v in p.grid)]
+    shapes += [{**default, p.name: BEYOND * p.grid[-1]} for p in of_shape if p.unit != "1"]
     return list(dict.fromkeys(shape_of(effect, shape) for shape in shapes))
 
 

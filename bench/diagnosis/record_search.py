@@ -17,11 +17,20 @@ from bench.diagnosis.levels import OFTEN
 from bench.diagnosis.naming import MOST_EFFECTS, FoundEffect, Naming, holding, ranked_odds
 from bench.diagnosis.pipeline import effects_of
 from bench.diagnosis.posterior import Posterior
-from bench.diagnosis.record_model import Noise, NoiseTrials, Record, courses_of, solved
+from bench.diagnosis.record_model import MOVE, Noise, NoiseTrials, Record, courses_of, solved
 from bench.diagnosis.result import NamedEffect
+from bench.model.effects import CATALOGUE
 
 NULLS: Final = 200
 """Number of data sets simulated for a threshold: fewer than for runs, as each is scored with more noises."""
+
+
+FINE: Final = 41
+"""Number of values of a shape parameter over which its effect is averaged, all in the likely range."""
+ZOOMS: Final = 8
+"""Most times that these values are drawn closer together, each time by a factor of up to 20."""
+FAINT: Final = 9.0
+"""A value is likely if ln of its likelihood is at most this below the largest: 4.2 u of a normal distribution."""
 
 
 @dataclass(frozen=True)
@@ -169,28 +178,99 @@ class RecordWork:
         white = noise.whiten(self.design(courses, part))
         return solved(white[:, :-1], white[:, -1])
 
-    def sizes(
-        self, courses: Sequence[Variant], number: int = 0, shapes: Sequence[Variant] = ()
-    ) -> tuple[Floats, Floats]:
+    def sizes(self, courses: Sequence[Variant], number: int = 0) -> tuple[Floats, Floats]:
         """Return the size of the course with the index `number`, and its u, as multiples of the plausible size.
 
         Both have an entry for each channel, or one entry if the size is common. All `courses` are in the model.
-        The result is averaged over the `shapes`, weighted by their likelihood. These are courses of the same
-        effect; by default the only one is the course itself.
+        The course keeps its shape.
         """
-        noises, course = self.noises(courses), courses[number]
-        parts = self.parts if self.of_channels(course) else range(1)
-        means, variances, chi2 = [], [], []
-        for shape in shapes or [course]:
-            mine = [*courses[:number], shape, *courses[number + 1 :]]
-            estimates = [self.fitted(k, mine, noises[k]) for k in parts]
-            at = [2 + [c for c in mine if self.of_channels(c) or k == 0].index(shape) for k in parts]
-            means.append([e[0][i] for e, i in zip(estimates, at, strict=True)])
-            variances.append([e[1][i, i] for e, i in zip(estimates, at, strict=True)])
-            chi2.append(sum(e[2] for e in estimates))
-        weight = special.softmax(-0.5 * np.array(chi2))
-        mean = weight @ np.array(means)
-        variance = weight @ (np.array(variances) + (np.array(means) - mean) ** 2)
+        scored = self._scored(courses, number, self._columns(self.candidates, [courses[number]]))
+        return self._averaged(courses[number], *scored)
+
+    def shaped(self, courses: Sequence[Variant], number: int) -> tuple[Variant, float | None, Floats, Floats]:
+        """Return the course `number` with its mean shape, the u of the shape (SI), its size, and u of the size.
+
+        The sizes are as in `sizes`, but averaged over the shapes of the effect, weighted by their likelihood. The
+        shapes with the parameter of the course are so close together that the likelihood between them is known.
+        The u of a shape is None if its parameter has no values between those tried. The other courses keep their
+        shapes.
+        """
+        course = courses[number]
+        names = dict(course.shape)
+        parameter = next((p for p in CATALOGUE[course.family].parameters if p.name in names), None)
+        family = self.shapes_of(course.family)
+        if parameter is None or parameter.unit == "1":
+            scored = self._scored(courses, number, self._columns(self.candidates, family))
+            return course, None, *self._averaged(course, *scored)
+        own = sorted((one for one in family if parameter.name in dict(one.shape)), key=lambda one: one.shape)
+        tried = [one.shape[0][1] for one in own]
+        if course.family == MOVE:
+            values, columns = np.array(tried), self._columns(self.candidates, own)
+        else:
+            values, columns = self._along(courses, number, tried)
+        others = self._columns(self.candidates, [one for one in family if one not in own])
+        log, size, variance = self._scored(courses, number, np.column_stack([columns, others]))
+        count = len(values)
+        weight = special.softmax(log[:count])
+        value = float(weight @ values)
+        u = float(np.sqrt(weight @ ((values - value) ** 2 + np.gradient(values) ** 2 / 12.0)))
+        # each value counts as the part of the interval between two tried values that it stands for
+        log[:count] += np.log(np.gradient(np.interp(values, tried, np.arange(len(tried)))))
+        shaped = replace(course, shape=((parameter.name, value),))
+        return shaped, u, *self._averaged(course, log, size, variance)
+
+    def _along(
+        self, courses: Sequence[Variant], number: int, tried: Sequence[float]
+    ) -> tuple[Floats, Floats]:
+        """Return likely values (h,) of the shape parameter of the course `number`, and their columns (n, h).
+
+        They are between the values `tried`, so close together that the likelihood between them is known.
+        """
+        course, places = courses[number], np.arange(len(tried))
+        ((name, _),) = course.shape
+        low, high = 0.0, float(places[-1])
+        for _ in range(ZOOMS):
+            fine = np.interp(np.linspace(low, high, FINE), places, tried)
+            shapes = [(CATALOGUE[course.family], ((name, value),)) for value in fine.tolist()]
+            made = courses_of(self.record, shapes)
+            values = np.array([one.shape[0][1] for one in made.variants])
+            columns = self._columns(made, made.variants)
+            log = self._scored(courses, number, columns)[0]
+            inside = np.flatnonzero(log > log.max() - FAINT)
+            if len(inside) > FINE / 2:
+                break
+            ends = values[[max(inside[0] - 1, 0), min(inside[-1] + 1, len(values) - 1)]]
+            low, high = np.interp(ends, tried, places)
+        return values, columns
+
+    @staticmethod
+    def _columns(of: Candidates, variants: Sequence[Variant]) -> Floats:
+        return of.columns[:, [one.columns[0] for one in variants]]
+
+    def _scored(
+        self, courses: Sequence[Variant], number: int, columns: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return ln of the likelihood (h,) of each of `columns` (n, h) in place of the course `number`.
+
+        Its size and the variance of this size follow, both with a row for each component, (parts, h).
+        """
+        course, others = courses[number], [*courses[:number], *courses[number + 1 :]]
+        own = self.of_channels(course)
+        columns = columns if own else columns * len(self.parts) ** 0.5
+        each = [
+            self.trials.products(self.columns(others, k), columns, self.signal[:, k : k + 1]).sizes
+            for k in (self.parts if own else range(1))
+        ]
+        log, size, variance = (np.array(of) for of in zip(*each, strict=True))
+        return log.sum(axis=0), size, variance
+
+    def _averaged(
+        self, course: Variant, log: Floats, size: Floats, variance: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return size and u of a course in each channel, as an average over forms with the likelihoods `log`."""
+        weight = special.softmax(log)
+        mean = size @ weight
+        variance = (variance + (size - mean[:, None]) ** 2) @ weight
         if not self.of_channels(course):
             return mean, np.sqrt(variance)
         return self.helmert.T @ mean, np.sqrt(self.helmert.T**2 @ variance)
@@ -200,22 +280,23 @@ class RecordWork:
 
         If the size in a channel is no more than noise, the result does not list this channel.
         """
-        shown, sizes, known = [], [np.zeros(0)], [np.zeros(0)]
+        shown, u_of_shapes, sizes, known = [], [], [np.zeros(0)], [np.zeros(0)]
         for number, one in enumerate(finds):
-            variant = one.variant
-            size, u = self.sizes([f.variant for f in finds], number, self.shapes_of(variant.family))
+            variant, u_shape, size, u = self.shaped([f.variant for f in finds], number)
             seen = special.chdtrc(1, (size / u) ** 2) < OFTEN
             if self.of_channels(variant) and seen.any():
                 columns, channels = (tuple(compress(of, seen)) for of in (variant.columns, variant.channels))
                 variant = replace(variant, columns=columns, channels=channels)
                 size, u = size[seen], u[seen]
             shown.append(replace(one, variant=variant))
+            u_of_shapes.append(u_shape)
             sizes.append(size)
             known.append(u)
         fitted = Posterior(
             np.concatenate(sizes), np.diag(np.concatenate(known) ** 2), len(np.concatenate(sizes))
         )
-        return effects_of(self.candidates, Naming(tuple(shown), 0.0), fitted, limit, np.zeros(0))
+        effects = effects_of(self.candidates, Naming(tuple(shown), 0.0), fitted, limit, np.zeros(0))
+        return tuple(_with_u(effect, u) for effect, u in zip(effects, u_of_shapes, strict=True))
 
     def fits(self, courses: Sequence[Variant], noises: Sequence[Noise]) -> Iterator[ChannelFit]:
         """Yield zero, drift and residuals of each channel, with the courses in the model.
@@ -234,3 +315,12 @@ class RecordWork:
             (zero, drift), (u_zero, u_drift) = values[number].tolist(), u[number].tolist()
             before = self.record.beside_trend[:, number]
             yield ChannelFit(CHANNELS[channel], zero, u_zero, drift, u_drift, before, residual_v[number])
+
+
+def _with_u(effect: NamedEffect, u: float | None) -> NamedEffect:
+    """Return the effect with the u of its shape parameter, SI."""
+    if u is None:
+        return effect
+    in_si = {p.name: p.si_per_unit for p in CATALOGUE[effect.name].parameters if p.is_shape}
+    values = (replace(v, u=u / in_si[v.parameter]) if v.parameter in in_si else v for v in effect.parameters)
+    return replace(effect, parameters=tuple(values))

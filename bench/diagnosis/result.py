@@ -18,12 +18,11 @@ from bench.diagnosis import (
     gap,
     naming,
     noise_grid,
-    visibility,
 )
 from bench.diagnosis.candidates import Candidates, in_volts
 from bench.diagnosis.evidence import Data, Whitened
 from bench.diagnosis.gap import Gap, folds_of, thirds_of
-from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER, MOSTLY
+from bench.diagnosis.levels import BEYOND_BELIEF, BY_CHANCE, HARDLY_EVER, MOSTLY, OFTEN
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.mistakes.search import MistakeSearch
 from bench.diagnosis.naming import FamilyOdds, Naming
@@ -84,12 +83,12 @@ def register(linear: LinearSystem, limit: evidence.Threshold) -> Registration:
         threshold=round(limit.value, 9),
         false_alarms=limit.probability,
         tie_leak=naming.ALIAS,
-        alone_from=naming.ALONE,
-        tie_holds=naming.SET,
-        tie_absurd=naming.ABSURD,
+        alone_from=1.0 - OFTEN,
+        tie_holds=1.0 - BY_CHANCE,
+        tie_absurd=BEYOND_BELIEF,
         prior_of_kinds=candidates.KIND_PRIOR,
         most_effects=naming.MOST_EFFECTS,
-        hidden_beyond=visibility.BEYOND_BELIEF,
+        hidden_beyond=BEYOND_BELIEF,
         significance_where=BY_CHANCE,
         gap_least_fall=gap.LEAST_FALL,
         gap_least_closed=MOSTLY,
@@ -127,9 +126,9 @@ UNNAMED_WORDS: Mapping[str, str] = {
 class EffectValue:
     """An estimated parameter of an effect; `value` and `u` are in `unit`, the unit of the catalogue.
 
-    `u` is None for a shape parameter, which is chosen from a grid and not estimated. `channel` is empty if
-    the parameter is common to all channels; `installations` is empty if the effect has only one set of
-    values.
+    `u` is None for a shape parameter of a run, which is chosen from a grid; records estimate theirs. `channel`
+    is empty if the parameter is common to all channels; `installations` is empty if the effect has only one set
+    of values.
     """
 
     parameter: str

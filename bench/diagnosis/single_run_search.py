@@ -19,9 +19,9 @@ from bench.diagnosis.candidates import (
     without_copies,
 )
 from bench.diagnosis.evidence import Data, Search, Threshold, ThresholdCache, Whitened
-from bench.diagnosis.levels import BY_CHANCE, LEAST_GAIN, STEPS, UNSEEN
+from bench.diagnosis.levels import BY_CHANCE, STEPS, UNSEEN
 from bench.diagnosis.linear import LinearSystem, make_linear
-from bench.diagnosis.naming import MOST_EFFECTS, Naming, Scored, name
+from bench.diagnosis.naming import ALIAS, MOST_EFFECTS, Naming, Scored, name
 from bench.diagnosis.noise_grid import (
     Repeats,
     grid_with_rounding,
@@ -113,7 +113,7 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
             )
             tried.append((searched.log_evidence(named), searched, named))
         better = max(tried, key=lambda state: state[0], default=None)
-        if better is None or better[0] <= score + LEAST_GAIN:
+        if better is None or better[0] <= score + ALIAS**2 / 2.0:
             return prepared, naming
         score, prepared, naming = better
     return prepared, naming

@@ -5,22 +5,19 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from bench.base.arrays import Floats
 from bench.diagnosis.candidates import ROUND, Candidates, Variant, plausible_columns
 from bench.diagnosis.evidence import KNOWN_SIZE, Search, Threshold, Whitened
-from bench.diagnosis.levels import INSEPARABLE, NEGLIGIBLE
+from bench.diagnosis.levels import BEYOND_BELIEF, INSEPARABLE, NEGLIGIBLE
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.noise_grid import make_whitener
 from bench.diagnosis.posterior import NoiseSize
 from bench.model.effects import CATALOGUE, AppliedEffect, Parameter
 from bench.readings.table import VERIFICATION
-
-BEYOND_BELIEF: Final = 30.0
-"""An effect that must exceed this many plausible sizes to be found counts as hidden."""
 
 
 def detectable(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, float]:
@@ -36,18 +33,18 @@ def detectable(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str
         for number, seen in zip(group.members.tolist(), largest.tolist(), strict=True):
             if variants[number].named:
                 square[variants[number].family] = max(square[variants[number].family], seen)
-    half = half_power(whitened, threshold)
+    half = half_power(whitened, threshold.value)
     return {name: half / seen**0.5 if seen > NEGLIGIBLE else float("inf") for name, seen in square.items()}
 
 
-def half_power(whitened: Whitened, threshold: Threshold) -> float:
+def half_power(whitened: Whitened, threshold: float) -> float:
     """Return the signal-to-noise ratio rho at which half of all runs find an effect of one parameter.
 
-    At this rho, ln of the evidence equals the threshold. This logarithm is about rho^2/2 minus a cost for the
+    At this rho, ln of the evidence equals the `threshold`. This logarithm is about rho^2/2 minus a cost for the
     number of parameters, forms and families.
     """
     looks = np.log(len(whitened.candidates.families)) + 1.5
-    return float(np.sqrt(2.0 * max(threshold.value + looks + 2.0, 1.0)))
+    return float(np.sqrt(2.0 * max(threshold + looks + 2.0, 1.0)))
 
 
 @dataclass(frozen=True)
@@ -71,7 +68,7 @@ def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, 
     and for the proportions of the parameters (such as the phase of a wave) that show worst. `ratio` is the index
     of the noise ratio.
     """
-    half = half_power(whitened, threshold)
+    half = half_power(whitened, threshold.value)
     candidates = whitened.candidates
     found: dict[str, dict[str, Smallest]] = {}
     for variant in candidates.variants:
@@ -116,7 +113,11 @@ def hidden(
     the noise ratio.
     """
     candidates = whitened.candidates
-    seen = np.sqrt(np.maximum(whitened.square[ratio], 0.0)) * BEYOND_BELIEF / half_power(whitened, threshold)
+    seen = (
+        np.sqrt(np.maximum(whitened.square[ratio], 0.0))
+        * BEYOND_BELIEF
+        / half_power(whitened, threshold.value)
+    )
     best: dict[tuple[str, str, str], float] = {}
     for variant in candidates.variants:
         shape = ", ".join(f"{name} {value:g}" for name, value in variant.shape)

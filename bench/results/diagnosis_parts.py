@@ -25,7 +25,7 @@ VerdictOfCopy = Literal["agrees", "named", "confounded", "unknown"]
 
 
 class ValuePart(ResultModel):
-    """A parameter with its standard uncertainty; a shape parameter, which is chosen from a grid, has no u."""
+    """A parameter with its standard uncertainty; a shape parameter that is chosen from a grid has no u."""
 
     value: float
     u: float = 0.0

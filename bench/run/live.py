@@ -34,6 +34,9 @@ SETTLED_S: Final = 3.0
 SETTLED_G: Final = 3e-5
 """Signals that move less within `SETTLED_S` have settled, g: a tenth of the paper's verification limit."""
 
+QUIET_G: Final = 3e-4
+"""A scatter above this is motion, g: the noise of quick samples on the 10 V range is a third of it."""
+
 TELLING_ARCSEC: Final = 60.0
 """The deviation is shown if its U (k = 2) is below this, a usual graduation of a manual head."""
 
@@ -126,7 +129,7 @@ class LiveSignals:
         clock: Clock | None = None,
     ) -> None:
         self._file, self._plan, self._watcher, self._show = folder / LIVE, plan, watcher, show
-        self._settled_v = SETTLED_G * scale_v_g
+        self._settled_v, self._quiet_v = SETTLED_G * scale_v_g, QUIET_G * scale_v_g
         self._clock = clock or SystemClock()
         self._bench: LightlyRead | None = None
         self._step = 0
@@ -194,9 +197,19 @@ class LiveSignals:
         return LiveValue(prompt, utc_now().isoformat(), signals, off, expanded, self._has_settled())
 
     def _has_settled(self) -> bool:
+        """Fit a line to the window: quick samples are too noisy to compare one by one."""
+        times = np.array([time for time, _ in self._recent])
         values = np.array([signals for _, signals in self._recent])
-        long_enough = self._recent[-1][0] - self._recent[0][0] >= SETTLED_S
-        return long_enough and bool(np.all(np.ptp(values, axis=0) <= self._settled_v))
+        if times[-1] - times[0] < SETTLED_S or len(times) < 4:
+            return False
+        from_middle = times - times.mean()
+        spread = math.sqrt(from_middle @ from_middle)
+        slope = from_middle @ values / spread**2
+        # the median of successive differences: a motion, steady or at an end, hardly counts as noise
+        noise = np.median(np.abs(np.diff(values, axis=0)), axis=0) / (0.6745 * math.sqrt(2.0))
+        # noise alone passes 5 standard deviations, estimated from few samples, in 1 % of the windows
+        limit = np.maximum(self._settled_v / SETTLED_S, 5.0 * noise / spread)
+        return bool(np.all((noise <= self._quiet_v) & (np.abs(slope) <= limit)))
 
     def _expectation(self, action: Mapping[str, Any]) -> ExpectedSignals | None:
         """Return the signals expected at the angle that the question commands; None for another question."""

@@ -2,6 +2,7 @@
 
     python -m benchmarks.real_records            # tables of verdicts, names, sizes, gap, twins, and of repeats
     python -m benchmarks.real_records --page     # the same into docs/real-records.md; five minutes
+    python -m benchmarks.real_records --seeds 20 # how many twins of each record have its names; three minutes
 
 The truth is what the publishers state (`truth.yaml`). It was sealed with the records by hash (`sealed.json`) before
 the first run. A twin is a simulation with the times and temperatures of a record and with the effects found in it:
@@ -13,6 +14,7 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -135,6 +137,24 @@ def rows() -> Iterator[Row]:
             yield Row(case, found, twin, before, after)
 
 
+def twins(seeds: int) -> Iterator[str]:
+    """Yield, for each record with effects, how many of its twins have the same names, and names of others."""
+    with tempfile.TemporaryDirectory() as folder:
+        for case in cases():
+            if case.free or not (found := diagnose_record(readings := case.readings(Path(folder)))).applied:
+                continue
+            each = [_names(diagnose_record(twin_of(readings, found, seed))) for seed in range(1, seeds + 1)]
+            counts = Counter(each)
+            same = counts.pop(_names(found), 0)
+            others = "".join(f"; {count} {' + '.join(names) or 'none'}" for names, count in counts.items())
+            yield f"{case.title}: {same} of {seeds}{others}"
+
+
+def _names(found: RecordDiagnosis) -> tuple[str, ...]:
+    """Return the possible names of each effect, in an order that does not depend on the evidence."""
+    return tuple(sorted(" or ".join(sorted((one.name, *one.cannot_tell_from))) for one in found.effects))
+
+
 def verdicts(found: Sequence[Row]) -> str:
     """Return the table of verdicts in Markdown, with the counts below."""
     headings = [
@@ -189,8 +209,14 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--page", action="store_true", help="write docs/real-records.md")
+    parser.add_argument(
+        "--seeds", type=int, default=0, help="print only the names of this many twins of each"
+    )
     arguments = parser.parse_args()
     require_sealed()
+    if arguments.seeds:
+        print(*twins(arguments.seeds), sep="\n")
+        return
     found = list(rows())
     made = {"records": verdicts(found), "repeats": repeats(found)}
     if not arguments.page:

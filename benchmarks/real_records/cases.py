@@ -83,11 +83,11 @@ def require_sealed() -> None:
         raise SystemExit("benchmarks/real_records: truth or records are not those that were sealed")
 
 
-def twin_of(readings: Readings, found: RecordDiagnosis) -> Readings:
+def twin_of(readings: Readings, found: RecordDiagnosis, seed: int = SEED) -> Readings:
     """Return simulated readings at the same times, with the signal of the effects found and noise of the fitted
     size. Before the first mean of the record, the effects continue as straight lines.
     """
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(seed)
     record = make_record(readings)
     noise = np.column_stack([one.drawn(rng, 1)[:, 0] for one in found.noises])
     noise = noise @ RecordWork.of(record).helmert * record.scale[:, None]

@@ -14,7 +14,7 @@ from docs.generators.markdown import code, table
 
 NAMED: Final = (
     "candidates.KIND_PRIOR", "candidates.RARE", "evidence.SIZES", "evidence.LOG_SIZE_WEIGHTS",
-    "evidence.KNOWN_SIZE", "evidence.NULLS", "evidence.TAIL", "noise_grid.RATIOS", "noise_grid.RATIO_SPREAD",
+    "evidence.KNOWN_SIZE", "evidence.NULLS", "noise_grid.RATIOS", "noise_grid.RATIO_SPREAD",
     "noise_kinds.LOG_PRIOR", "noise_kinds.TAIL_DOF", "posterior.PART",
 )  # fmt: skip
 

@@ -68,13 +68,16 @@ def test_a_reference_follows_its_swept_supply_and_not_the_room(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("tau_min", [15, 30, 60, 90])
 def test_self_heating_after_switching_on_is_named_with_its_size(tau_min, tmp_path):
+    """Size and time constant within 3.3 u: 99.9 % of an honest u, for each of eight numbers."""
     readings = read_csv(switched_on(tmp_path, 3200 + tau_min, 20e-6, tau_min), ())
     found = diagnose_record(readings)
     (heating,) = found.effects
     assert (found.verdict, heating.name) == ("named", "voltmeter_warm_up")
     size, tau = heating.parameters
-    # 80 min is the longest that is searched
-    assert (size.value, tau.value) == pytest.approx((20.0, min(tau_min, 80)), rel=0.25)
+    assert abs(size.value - 20.0) < 3.3 * size.u
+    assert abs(tau.value - tau_min) < 3.3 * tau.u
+    assert size.u < 4.0
+    assert tau.u < 0.25 * tau_min
     strongest = diagnose_record(twin_of(readings, found)).effects[0]
     assert strongest.name == heating.name
     assert strongest.parameters[0].value == pytest.approx(size.value, rel=0.25)
@@ -97,7 +100,7 @@ def test_a_twin_of_the_record_gives_the_same_name_and_its_size(of_twin):
     assert {thermal.name, *thermal.cannot_tell_from} == THERMAL
     size, lag = thermal.parameters
     assert abs(size.value - 0.74) < 3 * size.u
-    assert lag.value in {90, 105}
+    assert abs(lag.value - 95) < 3 * lag.u
 
 
 @pytest.mark.slow

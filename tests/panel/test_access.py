@@ -14,12 +14,6 @@ from tests.support.panel_client import HOME, OWN, Browser, TestClient, stranger
 
 
 @pytest.fixture
-def runs(tmp_path):
-    (tmp_path / "runs").mkdir()
-    return tmp_path / "runs"
-
-
-@pytest.fixture
 def client(runs):
     return stranger(runs)
 

@@ -24,16 +24,6 @@ SHIPPED = shipped_files(CONFIG)
 LAN = "TCPIP0::192.0.2.99::5025::SOCKET"
 
 
-@pytest.fixture
-def runs(tmp_path, monkeypatch):
-    folder = tmp_path / "work"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    monkeypatch.delenv("BENCH_FILE", raising=False)
-    (tmp_path / "runs").mkdir()
-    return tmp_path / "runs"
-
-
 def hashed(page):
     return re.search(r'name="sha256" value="([0-9a-f]*)"', page)[1]
 
@@ -141,7 +131,7 @@ def test_mistakes_stand_at_their_fields():
 # --- pages ------------------------------------------------------------------------------------------
 
 
-def test_operators_and_supervisors_alone_may_see_and_write(runs):
+def test_operators_and_supervisors_alone_may_see_and_write(runs, anna):
     assert stranger(runs).get("/bench").status_code == 303
     eve = Browser(runs, "eve", Role.VIEWER)
     assert [
@@ -150,7 +140,6 @@ def test_operators_and_supervisors_alone_may_see_and_write(runs):
     assert new(eve).status_code == 403
     assert eve.post("/bench/test", file="mine").status_code == 403
     assert "/bench" not in eve.get("/").text
-    anna = Browser(runs, "anna")
     reply = anna.client.post(
         "/bench/form", data={"start": "bench-lan", "new_name": "mine", "do": "write"}, headers=OWN
     )
@@ -159,8 +148,7 @@ def test_operators_and_supervisors_alone_may_see_and_write(runs):
     assert new(Browser(runs, "cora", Role.SUPERVISOR)).status_code == 303
 
 
-def test_a_new_bench_is_written_with_what_was_typed_and_is_listed(runs):
-    anna = Browser(runs, "anna")
+def test_a_new_bench_is_written_with_what_was_typed_and_is_listed(anna):
     assert "bench-lan" in anna.get("/bench").text
     page = anna.get("/bench/form?start=bench-lan&name=mine").text
     assert '<input id="name" name="name" value="mine"' in page
@@ -184,8 +172,7 @@ def test_names_that_are_none_or_taken_are_refused_at_the_field(runs, name):
     assert list(Path().iterdir()) == []
 
 
-def test_nothing_is_read_or_written_outside_the_working_folder(runs, tmp_path):
-    anna = Browser(runs, "anna")
+def test_nothing_is_read_or_written_outside_the_working_folder(anna, tmp_path):
     outside = tmp_path / "outside.yaml"
     outside.write_text(SHIPPED["bench-lan"].read_text("utf-8"))
     Path("linked.yaml").symlink_to(outside)
@@ -217,8 +204,7 @@ def test_control_characters_are_refused(runs):
         assert new(Browser(runs, f"anna{ord(text[0])}"), description=text).status_code == 400
 
 
-def test_a_file_changed_meanwhile_is_not_written_over_until_the_difference_was_shown(runs):
-    anna = Browser(runs, "anna")
+def test_a_file_changed_meanwhile_is_not_written_over_until_the_difference_was_shown(anna):
     new(anna)
     shown = hashed(anna.get("/bench/form?file=mine").text)
     path = Path("config/mine.yaml")
@@ -233,10 +219,9 @@ def test_a_file_changed_meanwhile_is_not_written_over_until_the_difference_was_s
     assert load_bench(path).description == "other"
 
 
-def test_a_file_of_a_hand_keeps_its_ends_of_lines_and_what_the_form_does_not_know(runs):
+def test_a_file_of_a_hand_keeps_its_ends_of_lines_and_what_the_form_does_not_know(anna):
     text = SHIPPED["bench-lan"].read_text("utf-8") + '\ncheck_block: {serial: "7"}   # ours\n'
     Path("mine.yaml").write_bytes(text.replace("\n", "\r\n").encode())
-    anna = Browser(runs, "anna")
     sha = hashed(anna.get("/bench/form?file=mine.yaml").text)
     assert (
         anna.post("/bench/form", file="mine.yaml", sha256=sha, do="write", description="d").status_code == 303
@@ -246,9 +231,8 @@ def test_a_file_of_a_hand_keeps_its_ends_of_lines_and_what_the_form_does_not_kno
     assert content.count(b"\n") == content.count(b"\r\n")
 
 
-def test_a_file_that_is_no_yaml_is_told_so(runs):
+def test_a_file_that_is_no_yaml_is_told_so(anna):
     Path("bad.yaml").write_text("instruments: [\n")
-    anna = Browser(runs, "anna")
     assert "1 mistake" in anna.get("/bench").text
     reply = anna.get("/bench/form?file=bad.yaml")
     assert (reply.status_code, "not YAML" in reply.text) == (409, True)
@@ -267,11 +251,12 @@ def started(monkeypatch):
     return calls
 
 
-def test_finding_addresses_nothing_and_what_is_found_is_given_to_an_instrument(runs, started, monkeypatch):
+def test_finding_addresses_nothing_and_what_is_found_is_given_to_an_instrument(
+    runs, anna, started, monkeypatch
+):
     offer = Offer((LAN,), (SerialPort("ASRL/dev/ttyS0::INSTR", "/dev/ttyS0", ""),), ("USB was not searched",))
     monkeypatch.setattr("bench.services.search.discover", lambda: offer)
     monkeypatch.setattr("bench.services.search.MessageSession", None)
-    anna = Browser(runs, "anna")
     form = {"file": "", "start": "bench-gpib", "new_name": "mine", "sha256": "", "description": "kept"}
     page = anna.post("/bench/form", do=OFFERS, **form).text
     assert "data-searching" in page
@@ -289,9 +274,8 @@ def test_finding_addresses_nothing_and_what_is_found_is_given_to_an_instrument(r
     assert [m.resource for m in load_bench(Path("config/mine.yaml")).instruments.voltmeters][1] == LAN
 
 
-def test_an_identified_meter_brings_its_driver(runs):
+def test_an_identified_meter_brings_its_driver(runs, anna):
     search = Search(runs / ".panel" / "search")
-    anna = Browser(runs, "anna")
     search.path.mkdir(parents=True)
     told = FoundResource(
         LAN, identity="K 34461A", serial="1", driver="keysight-34461a", interface="lan", shows="+1 V"
@@ -331,8 +315,7 @@ def test_a_resource_that_does_not_answer_is_one_with_its_failure(runs):
     assert "refused the connection" in told.resources[0]["failure"]
 
 
-def test_the_results_of_a_test_stand_at_the_instruments(runs, started):
-    anna = Browser(runs, "anna")
+def test_the_results_of_a_test_stand_at_the_instruments(runs, anna, started):
     new(anna)
     assert anna.post("/bench/test", file="mine").status_code == 303
     search = Search(runs / ".panel" / "search")

@@ -45,11 +45,6 @@ def alive(one):
     record.close()
 
 
-@pytest.fixture
-def anna(runs):
-    return Browser(runs, "anna")
-
-
 def lines(file):
     return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
 

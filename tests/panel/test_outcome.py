@@ -19,18 +19,6 @@ from tests.support.panel_client import Browser
 RECORDS = ROOT / "tests" / "data" / "records"
 
 
-@pytest.fixture
-def runs(tmp_path):
-    (tmp_path / "runs").mkdir()
-    return tmp_path / "runs"
-
-
-@pytest.fixture
-def judged(runs, dry_run_of_paper):
-    shutil.copytree(dry_run_of_paper, runs / "run")
-    return runs / "run"
-
-
 def change(file, **told):
     file.write_text(json.dumps({**json.loads(file.read_text("utf-8")), **told}), "utf-8")
 

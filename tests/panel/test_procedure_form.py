@@ -27,21 +27,6 @@ SHIPPED = shipped_files(PROCEDURES)
 TURN = "steps[2].installation.steps[2].repeat.steps[1].turn"
 
 
-@pytest.fixture
-def runs(tmp_path, monkeypatch):
-    folder = tmp_path / "work"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    monkeypatch.delenv("BENCH_FILE", raising=False)
-    (tmp_path / "runs").mkdir()
-    return tmp_path / "runs"
-
-
-@pytest.fixture
-def anna(runs):
-    return Browser(runs, "anna")
-
-
 def table(text):
     data = read_yaml(text).data
     groups = [*sections_of(data), *(row.group for row in rows_of(data))]

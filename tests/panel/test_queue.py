@@ -22,14 +22,6 @@ UNITS = {"procedure": "quick", "bench": "paper-stand", "do": "add"}
 
 
 @pytest.fixture
-def runs(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("BENCH_FILE", raising=False)
-    (tmp_path / "runs").mkdir()
-    return tmp_path / "runs"
-
-
-@pytest.fixture
 def checks(monkeypatch):
     """The checks that were started instead of processes."""
     calls = []
@@ -61,8 +53,7 @@ def found_possible(anna, reply):
     return wish
 
 
-def test_units_stand_in_order_are_moved_and_removed_and_survive_a_restart(runs):
-    anna = Browser(runs, "anna")
+def test_units_stand_in_order_are_moved_and_removed_and_survive_a_restart(runs, anna):
     items = added(anna, "17-042", "", " 17-043 ", "17-044")
     assert units(anna) == ["17-042", "17-043", "17-044"]
     for item, do, order in [
@@ -93,8 +84,7 @@ def test_two_people_who_add_at_once_lose_nothing(runs):
     "sent",
     [{"procedure": "../x"}, {"bench": ""}, {"units": "a\x1b[2J"}, {"units": "x" * 101}, {"do": "else"}],
 )
-def test_what_cannot_be_queued_is_refused(runs, sent):
-    anna = Browser(runs, "anna")
+def test_what_cannot_be_queued_is_refused(anna, sent):
     assert anna.post("/queue", **{**UNITS, "units": "1", **sent}).status_code == 400
     assert units(anna) == []
 
@@ -137,8 +127,7 @@ def test_a_person_begins_each_unit_and_nobody_begins_it_twice(runs, checks, monk
     assert queue_of(anna).item(item.id).run == ""
 
 
-def test_a_start_that_fails_leaves_the_unit_to_be_begun(runs, checks, monkeypatch):
-    anna = Browser(runs, "anna")
+def test_a_start_that_fails_leaves_the_unit_to_be_begun(anna, checks, monkeypatch):
     (item,) = added(anna, "17-042")
     wish = found_possible(anna, act(anna, item, "begin"))
 
@@ -151,9 +140,8 @@ def test_a_start_that_fails_leaves_the_unit_to_be_begun(runs, checks, monkeypatc
     assert act(anna, item, "begin").headers["location"] == f"/start/{wish.id}"
 
 
-def test_a_finished_unit_is_done_and_the_verdict_offers_the_next(runs, dry_run_of_paper):
+def test_a_finished_unit_is_done_and_the_verdict_offers_the_next(runs, anna, dry_run_of_paper):
     shutil.copytree(dry_run_of_paper, runs / "one")
-    anna = Browser(runs, "anna")
     (item, later) = added(anna, "17-042", "17-043")
     queue_of(anna).change(item.id, run="one")
     assert act(anna, item, "put back").status_code == 409
@@ -168,8 +156,7 @@ def test_a_finished_unit_is_done_and_the_verdict_offers_the_next(runs, dry_run_o
 @pytest.mark.parametrize(
     "text", ["{", "[1]", '[{"id": "x"}]', '[{"unit": 7}]', '{"a": 1}', '["\\ud800"]', "\x00\xff"]
 )
-def test_a_damaged_file_says_what_to_do_and_is_put_aside_not_lost(runs, text):
-    anna = Browser(runs, "anna")
+def test_a_damaged_file_says_what_to_do_and_is_put_aside_not_lost(runs, anna, text):
     added(anna, "17-042")
     file = runs / STATE / ITEMS
     file.write_bytes(text.encode("latin-1"))
@@ -228,8 +215,7 @@ def test_expired_and_due_certificates_are_in_view(runs, tmp_path):
     assert "any more" in bench_today("gone", [], None).notes[0]
 
 
-def test_a_stranger_is_sent_to_sign_in(runs):
-    anna = Browser(runs, "anna")
+def test_a_stranger_is_sent_to_sign_in(runs, anna):
     Access(runs / STATE).revoke("anna")
     assert anna.get("/queue").headers["location"].startswith("/sign-in")
 

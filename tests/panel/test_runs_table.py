@@ -92,9 +92,8 @@ def test_a_damaged_run_is_a_row_with_the_reason(runs):
     assert Browser(runs, "anna").get("/").status_code == 200
 
 
-def test_the_page_of_a_damaged_run_says_what_to_do(runs):
+def test_the_page_of_a_damaged_run_says_what_to_do(runs, anna):
     (runs / "finished" / "events.jsonl").write_text("rubbish\n")
-    anna = Browser(runs, "anna")
     reply = anna.get("/runs/finished/")
     assert reply.status_code == 409
     assert "The record of" in reply.text

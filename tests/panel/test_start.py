@@ -31,14 +31,6 @@ CHOSEN = {"procedure": "quick", "bench": "paper-stand"}
 
 
 @pytest.fixture
-def runs(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("BENCH_FILE", raising=False)
-    (tmp_path / "runs").mkdir()
-    return tmp_path / "runs"
-
-
-@pytest.fixture
 def started(monkeypatch):
     """What was started instead of processes."""
     calls = []
@@ -85,8 +77,7 @@ def test_what_cannot_be_wished_is_refused_and_nothing_started(runs, started, sen
     assert started == []
 
 
-def test_the_form_asks_for_fields_of_the_request_and_the_same_request_is_run(runs, started):
-    anna = Browser(runs, "anna")
+def test_the_form_asks_for_fields_of_the_request_and_the_same_request_is_run(anna, started):
     page = anna.get("/start").text
     assert '<input type="radio" name="procedure" value="paper" required>' in page
     for field in map(form_field, FORM[1:]):
@@ -108,8 +99,7 @@ def test_a_viewer_starts_nothing(runs, started):
     assert started == []
 
 
-def test_what_check_finds_stands_on_the_page(runs, started):
-    anna = Browser(runs, "anna")
+def test_what_check_finds_stands_on_the_page(anna, started):
     wish = begun(anna, unit="17-042")
     page = anna.get(f"/start/{wish.id}").text
     assert "data-waiting" in page
@@ -125,9 +115,8 @@ def test_what_check_finds_stands_on_the_page(runs, started):
     assert "Start on the bench" in page
 
 
-def test_files_with_mistakes_are_told_with_all_of_them(runs, started):
+def test_files_with_mistakes_are_told_with_all_of_them(anna, started):
     Path("bad.yaml").write_text("name: bad\ninstruments: {}\n")
-    anna = Browser(runs, "anna")
     wish = begun(anna, bench="bad.yaml")
     wish.tell(trying.checked(wish.wanted(), wish.path))
     page = anna.get(f"/start/{wish.id}").text
@@ -137,8 +126,7 @@ def test_files_with_mistakes_are_told_with_all_of_them(runs, started):
 
 
 @pytest.mark.parametrize("tried", [2, None, -9])
-def test_what_failed_in_the_dry_run_is_not_started(runs, started, tried):
-    anna = Browser(runs, "anna")
+def test_what_failed_in_the_dry_run_is_not_started(anna, started, tried):
     wish = begun(anna)
     check = {"problems": [], "dry_run_refuses": [], "hints": [], "procedure": "q", "bench": "b", "steps": 1,
              "operator_actions": 1, "expected_s": 1.0, "longest_s": 1.0}  # fmt: skip
@@ -147,11 +135,10 @@ def test_what_failed_in_the_dry_run_is_not_started(runs, started, tried):
     assert anna.post(f"/start/{wish.id}/go").status_code == 409
 
 
-def test_what_was_changed_since_it_was_checked_is_not_started(runs, started):
+def test_what_was_changed_since_it_was_checked_is_not_started(anna, started):
     Path("procedures").mkdir()
     quick = Path("procedures/quick.yaml")
     quick.write_bytes(choices("procedures")["quick"].read_bytes())
-    anna = Browser(runs, "anna")
     wish = begun(anna)
     wish.tell(trying.checked(wish.wanted(), wish.path))
     found = wish.found()
@@ -218,8 +205,7 @@ def test_a_process_that_ends_before_it_begins_says_why(tmp_path):
         wait_until(lambda: False, started)
 
 
-def test_a_damaged_wish_is_one_to_begin_again(runs, started):
-    anna = Browser(runs, "anna")
+def test_a_damaged_wish_is_one_to_begin_again(anna, started):
     wish = begun(anna)
     (wish.path / "found.json").write_text("[]")
     assert anna.get(f"/start/{wish.id}").status_code == 404

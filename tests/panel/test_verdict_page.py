@@ -25,17 +25,6 @@ def runs(tmp_path):
     return tmp_path / "runs"
 
 
-@pytest.fixture
-def judged(runs, dry_run_of_paper):
-    shutil.copytree(dry_run_of_paper, runs / "run")
-    return runs / "run"
-
-
-@pytest.fixture
-def anna(runs):
-    return Browser(runs, "anna")
-
-
 def words(reply):
     return " ".join(re.sub(r"<[^>]*>", " ", reply.text).split())
 

@@ -140,7 +140,9 @@ def test_a_mistake_in_the_readings_is_shown_with_its_correction(cache, tmp_path)
     )
     full = program.diagnose(tmp_path / "r.csv", write=True)
     page = text_of((tmp_path / "diagnose" / "r.html").read_text(encoding="utf-8"))
-    assert full.diagnosis.verdict == "mistake"
+    assert (full.diagnosis.verdict, full.files.model) == ("mistake", None)
+    # what follows the mistake is of the corrected copy
+    assert full.to_dict()["simulation"]["before"]["p"] > 0.01
     assert "swapped_channels , channel x, z" in page
     assert "the misfit of all readings goes from" in page
 

@@ -177,6 +177,33 @@ def test_signals_are_moving_until_they_have_rested_for_three_seconds(looking, tm
     assert not (tmp_path / LIVE).exists()
 
 
+class Noisy:
+    """Meters whose quick samples scatter by 100 µV on a head that turns at a steady rate."""
+
+    voltmeters = ()
+
+    def __init__(self, rate_v, seed):
+        self.rate_v, self.random, self.looked = rate_v, np.random.default_rng(seed), 0
+
+    def glance(self):
+        self.looked += 1
+        return tuple(self.rate_v * self.looked + self.random.normal(0.0, 1e-4, 3))
+
+
+def test_noise_of_a_head_at_rest_is_no_motion_and_hides_none(tmp_path):
+    lines = []
+    signals = LiveSignals(tmp_path, Plan(), None, 2.0, lines.append, Clock())
+    for rate_v in (0.0, 1e-4):  # the second: 12″ a second
+        signals.attach(Noisy(rate_v, seed=5))
+        signals.begin(prompt())
+        for _ in range(200):
+            signals.look()
+    rest = sum(line.endswith("settled") for line in lines[12:200])
+    # 1 % of the windows are beyond the limit by noise; of 17 windows apart, 3 such have p < 0.001
+    assert rest >= 188 - 2 * 11
+    assert not any(line.endswith("settled") for line in lines[200:])
+
+
 def test_an_overload_is_said_and_looked_past(looking):
     signals, bench, lines = looking
     bench.fails = BadReading("voltmeter.x", "overload", "check the input")

@@ -42,7 +42,8 @@ def keep(folder: Path) -> None:
     if not os.environ.get(ASKED):
         if new := {file.stem for file in folder.glob("*.json")} - kept().keys():
             warnings.warn(
-                f"{len(new)} thresholds had to be simulated; 'make thresholds' keeps them", stacklevel=1
+                f"thresholds had to be simulated: {', '.join(sorted(new))}; 'make thresholds' keeps them",
+                stacklevel=1,
             )
         return
     with FileLock(str(KEPT.with_suffix(".lock"))):

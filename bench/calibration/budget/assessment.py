@@ -102,12 +102,14 @@ def measured(
     design = coefficient_columns(force)
     by_source, dof = {}, {}
     for contribution in budget.contributions:
-        errors = -(design @ contribution.parts)
-        apart = np.zeros((len(force), 3, 0))
+        of_coefficients = contribution.parts
+        shared, apart = np.zeros((1, 3, 1)), np.zeros((len(force), 3, 0))
         if reading:
             shared, apart = _of_reading(contribution, budget, force, same_voltmeters=same_voltmeters)
-            errors = errors + shared
-        parts = inverse @ np.concatenate([errors, apart], axis=2)
+        if not shared.any() and of_coefficients.shape[1] > len(of_coefficients):
+            # twelve components have the same covariance as the many of single readings
+            of_coefficients = np.asarray(np.linalg.qr(of_coefficients.T, mode="r")).T
+        parts = inverse @ np.concatenate([shared - design @ of_coefficients, apart], axis=2)
         by_source[contribution.source.name] = parts @ np.swapaxes(parts, 1, 2)
         dof[contribution.source.name] = contribution.source.dof
     return MeasuredAcceleration(force, by_source, dof)

@@ -10,8 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import Floats, Mask
-from bench.diagnosis.levels import BY_CHANCE
+from bench.base.arrays import Floats, Ints, Mask
+from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER
 from bench.diagnosis.mistakes.reinterpretation import (
     OrientedRows,
     Reinterpretation,
@@ -29,8 +29,6 @@ ERRORS_G: Final[tuple[float, ...]] = tuple(np.geomspace(5e-4, 0.1, 10).tolist())
 The smallest is 100 arcsec, or a large effect of the block; it is larger for a bench with wider limits. With a
 largest above six degrees, a block that contradicts its data sheet would pass as tilted.
 """
-ODDS: Final = 1e6
-"""Least odds, divided by the number of looks, of a mistake, whatever the errors of the bench."""
 SHEET_U: Final = (0.10, 0.05, 0.5)
 """Prior 1 sigma of the coefficients about a data sheet: scale factor, g/g; cross-axis term, g/g; bias, g."""
 
@@ -87,7 +85,7 @@ class GrossSearch:
     def find(self, readings: Readings) -> GrossMistake | None:
         """Return the most probable mistake; None if its odds are too small.
 
-        The odds must exceed `ODDS` times the number of suppositions tried. Each supposition also competes
+        The odds must exceed the number of suppositions tried over `HARDLY_EVER`. Each supposition also competes
         with the assumption that a reading, pass or mounting is useless. If the corrected readings are still
         far off, there may be two mistakes that hide each other. The search is then repeated without each
         mounting in turn, and the mistake is returned after which a second one explains the most.
@@ -232,16 +230,18 @@ class GrossSearch:
         unit = float(np.max(self._scale(like)))
         mean, u = (of / unit for of in self._prior(like))
         errors_g = np.maximum(ERRORS_G, self._smallest_g)
-        plain, products = self._columns(table, nothing(table)), []
+        as_recorded, products = nothing(table), []
+        plain, there = self._columns(table, as_recorded), _positions(table, as_recorded, kept)
         for one in supposed:
             columns = self._columns(table, one) if one.turns or one.moves else plain
-            products.append(_products(table, one, np.hstack([columns, one.signal(table) / unit]), kept))
+            positions = _positions(table, one, kept) if one.moves or one.source is not None else there
+            products.append(_products(np.hstack([columns, one.signal(table) / unit]), *positions))
         jacobians = np.array([one.log_jacobian for one in supposed])
         return _integrated(products, mean, u, errors_g) + jacobians if supposed else jacobians
 
 
 def _enough(maps: Sequence[Reinterpretation]) -> float:
-    return math.log(ODDS * max(len(maps), 1))
+    return math.log(max(len(maps), 1) / HARDLY_EVER)
 
 
 def p_of(log_odds: float, log_looks: float) -> float:
@@ -256,24 +256,31 @@ Products = dict[int, tuple[int, Floats]]
 """By the number m of repeats: the number of rows, of variance reading^2 + m position^2, and their X^T X (7, 7)."""
 
 
-def _products(table: OrientedRows, supposed: Reinterpretation, columns: Floats, kept: Mask) -> Products:
-    """Return the products of the `kept` rows of `columns` (n, 7), for means over repeats and for the rest.
+def _positions(table: OrientedRows, supposed: Reinterpretation, kept: Mask) -> tuple[Mask, Ints]:
+    """Return the mask (n,) of the `kept` rows that have signals, and the number of the position of each of them.
 
-    The rest are the deviations from these means, for which m = 0. Angles that agree to 1 degree are one position.
+    Angles that agree to 1 degree are one position.
     """
     label = table.label if supposed.label is None else supposed.label
     angle = table.angle_rad if supposed.angle_rad is None else supposed.angle_rad
     number = np.unique(label, return_inverse=True)[1].ravel()
     key = (table.mount * 1000 + number) * 1000 + np.round(np.degrees(angle)).astype(np.int64)
     kept = kept if supposed.source is None else kept & (supposed.source >= 0)
-    columns, key = columns[kept], key[kept]
-    group = np.unique(key, return_inverse=True)[1].ravel()
-    repeats = np.bincount(group)
+    return kept, np.unique(key[kept], return_inverse=True)[1].ravel()
+
+
+def _products(columns: Floats, kept: Mask, position: Ints) -> Products:
+    """Return the products of the `kept` rows of `columns` (n, 7), for means over repeats and for the rest.
+
+    `position` has the number of each kept row's position. The rest are the deviations from these means, for which
+    m = 0.
+    """
+    columns, repeats = columns[kept], np.bincount(position)
     mean = np.zeros((len(repeats), columns.shape[1]))
-    np.add.at(mean, group, columns)
+    np.add.at(mean, position, columns)
     mean /= np.sqrt(repeats)[:, None]
     found = {0: (len(columns) - len(repeats), columns.T @ columns - mean.T @ mean)}
-    for m in np.unique(repeats).tolist():
+    for m in sorted(set(repeats.tolist())):
         of = mean[repeats == m]
         found[m] = (len(of), of.T @ of)
     return found
@@ -296,12 +303,15 @@ def _integrated(supposed: Sequence[Products], mean: Floats, u: Floats, errors_g:
     around = np.zeros((3, 1, 1, 7, 5))
     around[..., :4, :4], around[:, 0, 0, :4, 4], around[:, 0, 0, 4:, 4] = np.eye(4), -mean.T, np.eye(3)
     centred = np.swapaxes(around, 3, 4) @ gram @ around
-    whole = np.moveaxis(np.moveaxis(centred, 2, -1) @ (1.0 / variance), -1, 2)
-    whole[..., range(4), range(4)] += u.T[:, None, None] ** -2
+    # (5, 5, 3, H, sizes): many small matrices are eliminated much faster side by side than by LAPACK one by one
+    whole = np.ascontiguousarray(np.moveaxis(centred, (3, 4), (0, 1))) @ (1.0 / variance)
+    whole[range(4), range(4)] += u[:, :, None, None] ** -2
     # rounding, where signals are far too large, or there is none
-    whole[..., 4, 4] += 1e-9 * (1.0 + whole[..., 4, 4])
-    root = np.diagonal(np.linalg.cholesky(whole), axis1=-2, axis2=-1)
-    cost = np.log(root[..., :4] * u.T[:, None, None]).sum(axis=-1) + 0.5 * root[..., 4] ** 2
+    whole[4, 4] += 1e-9 * (1.0 + whole[4, 4])
+    for k in range(4):
+        whole[k + 1 :, k + 1 :] -= whole[k + 1 :, k, None] * (whole[k, k + 1 :] / whole[k, k])
+    pivots = whole[range(5), range(5)]
+    cost = 0.5 * (np.log(pivots[:4] * u[:, :, None, None] ** 2).sum(axis=0) + pivots[4])
     of_channel = -0.5 * (count @ np.log(variance)) - cost
     of_each = np.logaddexp.reduce(of_channel, axis=2) - np.log(of_channel.shape[2])
     return np.asarray(of_each.sum(axis=0))

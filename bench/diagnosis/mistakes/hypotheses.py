@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 from scipy import special
-from scipy.special import logsumexp
 
 from bench.base.arrays import Floats, Ints, Mask
 from bench.calibration.design import FIXED, Problem
@@ -24,12 +23,12 @@ from bench.diagnosis.noise_grid import RATIOS
 from bench.diagnosis.residual_dictionary import shapes
 from bench.model import CATALOGUE, STAND_ANGLES, AppliedEffect, Block
 
-WIDE: Final = 1e5
-"""Prior 1 sigma of free values, in units of the noise: wider than any signal."""
 ERRORS: Final = (20.0, 1e3, 5e4)
-"""Prior 1 sigma of the errors of a wrong reading, in units of the noise, equally probable."""
+"""Prior 1 sigma of the errors of a wrong reading, in units of the noise, from outlier to full range."""
+WIDE: Final = max(ERRORS)
+"""Prior 1 sigma of free values, in units of the noise."""
 NEAR_DEG: Final = 3.0
-"""Largest difference, in degrees, between the angles of repeats."""
+"""Largest difference, in degrees, between the angles of repeats: set by hand, they scatter by less."""
 
 
 @dataclass(frozen=True)
@@ -79,13 +78,12 @@ class ProjectedReadings:
         return self._factors(np.maximum(values, 0.0), along, ERRORS)
 
     def _factors(self, values: Floats, along: Floats, sizes: Sequence[float]) -> Floats:
-        of_size = []
-        for size in sizes:
-            explained = np.sum(along / (values + size**-2), axis=1)
-            rest = np.maximum(1.0 - explained / self.square, 1e-12)
-            cost = 0.5 * np.sum(np.log1p(size**2 * values), axis=1)
-            of_size.append(-cost - 0.5 * self.table.freedom * np.log(rest))
-        return np.asarray(logsumexp(np.stack(of_size), axis=0) - np.log(len(sizes)))
+        squares = np.square(sizes)[:, None, None]
+        explained = np.sum(along / (values + 1.0 / squares), axis=2)
+        rest = np.maximum(1.0 - explained / self.square, 1e-12)
+        cost = 0.5 * np.sum(np.log1p(squares * values), axis=2)
+        of_size = -cost - 0.5 * self.table.freedom * np.log(rest)
+        return np.asarray(np.logaddexp.reduce(of_size, axis=0) - np.log(len(sizes)))
 
     @cached_property
     def _ways(self) -> Floats:

@@ -10,20 +10,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations, product
-from typing import Final
 
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats, Ints, Labels, Mask
-from bench.calibration.mistakes import in_another_unit
-from bench.diagnosis.levels import MOSTLY
+from bench.calibration.mistakes import PREFIX, PREFIXES, in_another_unit
+from bench.diagnosis.levels import MOSTLY, ONE_DIRECTION
 from bench.model import Mounting
 from bench.readings.corrected import EXCHANGED, REVERSED, RIGHT, MistakeName
 from bench.readings.table import REFERENCE, SHORTED, Readings
-
-SAME_STOP: Final = np.radians(0.5)
-TENS: Final = (3, -3, 1, -1, 2, -2, 6, -6)
-"""Powers of ten by which signals are too large if unit, range or decimal point is wrong."""
 
 
 @dataclass(frozen=True)
@@ -280,7 +275,9 @@ def _other_unit(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]
     where = "" if scope.whole else str(scope).replace("in ", " of ", 1)
     # the channels of one voltmeter, of two, or all
     sets = [chosen for size in (3, 1, 2) for chosen in combinations(range(3), size)]
-    for chosen, tens in product(sets, TENS):
+    # one or two unit prefixes, or as many digits by a wrong range or decimal point
+    for chosen, digits, many in product(sets, (round(PREFIX), 1), filter(None, PREFIXES)):
+        tens = digits * many
         factor = np.ones(3)
         factor[list(chosen)] = 10.0**-tens
         said = in_another_unit([CHANNELS[i] for i in chosen], where, table.unit, tens)
@@ -374,7 +371,7 @@ def _stop_rad(table: OrientedRows, mask: Mask) -> Floats | None:
         widths += [*np.abs(steps), float(np.abs(np.median(steps)))]
         if np.ptp(np.sign(steps)):
             return None
-    if not widths or np.ptp(widths) > SAME_STOP or min(widths) < SAME_STOP:
+    if not widths or np.ptp(widths) > ONE_DIRECTION or min(widths) < ONE_DIRECTION:
         return None
     return stops
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from bench.calibration.design import make_problem
 from bench.calibration.gls import noise_floor
 from bench.calibration.mistakes import PREFIX, PREFIXES, WrongUnit, sheet_of, wrong_unit
 from bench.calibration.result import CalibrationError
-from bench.diagnosis.levels import HARDLY_EVER
+from bench.diagnosis.levels import HARDLY_EVER, STEPS
 from bench.diagnosis.mistakes.gross import GrossMistake, GrossSearch
 from bench.diagnosis.mistakes.reinterpretation import OrientedRows
 from bench.diagnosis.mistakes.terms import TermSearch, WrongReadings
@@ -28,9 +27,6 @@ from bench.diagnosis.noise_grid import RATIOS
 from bench.model import STAND_ANGLES, Block, ForwardModel
 from bench.readings.corrected import MistakeName
 from bench.readings.table import Readings
-
-MOST: Final = 12
-"""Largest number of searches of a table and its copies."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +113,7 @@ def find_mistakes(
     search = _Search(model, stand_u, gross, significance)
     found: list[Mistake] = []
     copies = [readings]
-    for _ in range(MOST):
+    for _ in range(STEPS):
         wrong = search.unit(copies[-1]) or search.map(copies[-1]) or search.terms(copies[-1])
         if not wrong:
             break

@@ -16,8 +16,8 @@ from scipy.special import logsumexp
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.calibration.design import Problem
 from bench.diagnosis.evidence import SIZES
-from bench.diagnosis.levels import HARDLY_EVER, OFTEN
-from bench.diagnosis.mistakes.gross import ODDS, SHEET_U, p_of, sheet_u
+from bench.diagnosis.levels import FEW, HARDLY_EVER, OFTEN
+from bench.diagnosis.mistakes.gross import SHEET_U, p_of, sheet_u
 from bench.diagnosis.mistakes.hypotheses import NEAR_DEG, ProjectedReadings, Table
 from bench.diagnosis.noise_grid import RATIOS
 from bench.model import CATALOGUE, Block
@@ -32,8 +32,6 @@ paper's length. An outlier of 20 times the noise still exceeds it if the noise i
 """
 SLIP_PART: Final = 0.01
 """Relative uncertainty of the shift by a wrong setting: effects that the model lacks change it a little."""
-MOST: Final = 1 / 8
-"""Largest fraction of the readings that may be single mistakes."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +112,7 @@ class TermSearch:
                 if wrong is not None:
                     return [wrong]
                 known.append(columns)
-            elif len(rows) < max(MOST * n, 6):
+            elif len(rows) < max(FEW * n, 6):
                 rows.append(best)
             else:
                 return []
@@ -141,7 +139,7 @@ class TermSearch:
         others = float(logsumexp([nothing, *(log_effect for _, log_effect in effects)]))
         log_looks = float(np.log(len(np.unique(one.table.turn)) * len(mistakes)))
         odds = log_mistake - nothing
-        if log_mistake <= others or odds - log_looks <= np.log(ODDS):
+        if log_mistake <= others or odds - log_looks <= -np.log(HARDLY_EVER):
             return None
         tied = np.logaddexp(log_mistake, others) + np.log(OFTEN)
         ties = dict.fromkeys(name for name, log_effect in effects if log_effect > tied)

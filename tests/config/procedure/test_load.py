@@ -1,7 +1,5 @@
 """The procedure language: what it expands to, and all mistakes at once with their files and lines."""
 
-from functools import partial
-
 import pytest
 
 from bench.base.yaml_files import sha256_of_file
@@ -11,17 +9,7 @@ from bench.config.procedure.load import check, load_procedure
 from bench.config.procedure.plan import Ask, Mount, Read, SetTemperature, Turn, Wait
 from bench.config.shipped import find_bench, find_procedure
 from drivers.person import PromptKind
-from tests.support.procedure_texts import load_steps, mistakes_in, reads
-
-
-@pytest.fixture
-def load(tmp_path):
-    return partial(load_steps, tmp_path)
-
-
-@pytest.fixture
-def mistakes(tmp_path):
-    return partial(mistakes_in, tmp_path)
+from tests.support.procedure_texts import reads
 
 
 def test_a_turn_settles_and_reads_unless_it_says_what_to_do(load):

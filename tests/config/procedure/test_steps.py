@@ -1,7 +1,5 @@
 """The procedure language: settling, inputs, temperatures, what becomes of a failure."""
 
-from functools import partial
-
 import pytest
 
 from bench.config.bench_file.file import load_bench
@@ -17,17 +15,6 @@ from bench.config.procedure.plan import (
     Wait,
 )
 from bench.config.shipped import find_bench
-from tests.support.procedure_texts import load_steps, mistakes_in
-
-
-@pytest.fixture
-def load(tmp_path):
-    return partial(load_steps, tmp_path)
-
-
-@pytest.fixture
-def mistakes(tmp_path):
-    return partial(mistakes_in, tmp_path)
 
 
 def test_settling_is_a_time_or_says_when(load):

@@ -8,13 +8,7 @@ from bench.run.commission.course import cables, check_cables
 from bench.run.commission.session import State
 from bench.run.instruments import Instruments
 from drivers.instruments.manual import ManualHead
-from sim.world.clock import VirtualClock
 from tests.support.commission_bench import Head, Says, evening, lost, meters
-
-
-@pytest.fixture
-def clock():
-    return VirtualClock()
 
 
 def tonight(clock, person, name="bench-lan"):
@@ -34,8 +28,7 @@ def test_each_wire_has_a_cable_and_those_behind_an_adapter_share_one(clock):
     assert "adapter" in shared.text
 
 
-def test_a_loss_is_told_and_the_instrument_is_back_after_a_while(clock):
-    person = Says()
+def test_a_loss_is_told_and_the_instrument_is_back_after_a_while(clock, person):
     given = tonight(clock, person)
     x = given.instruments.voltmeters[0]
 
@@ -54,8 +47,7 @@ def test_a_loss_is_told_and_the_instrument_is_back_after_a_while(clock):
     assert others == [State.OTHER, State.WORKS] * 2
 
 
-def test_an_instrument_that_does_not_come_back_is_told(clock):
-    person = Says()
+def test_an_instrument_that_does_not_come_back_is_told(clock, person):
     given = tonight(clock, person)
     x = given.instruments.voltmeters[0]
     person.on_prompt = lambda prompt: x.troubles.extend([lost("voltmeter.x")] * 100)
@@ -64,8 +56,7 @@ def test_an_instrument_that_does_not_come_back_is_told(clock):
     assert "did not respond again" in given.findings[0].said
 
 
-def test_a_loss_that_is_told_late_is_slow(clock):
-    person = Says()
+def test_a_loss_that_is_told_late_is_slow(clock, person):
     given = tonight(clock, person)
     x = given.instruments.voltmeters[0]
     configure, pulled = x.configure, []
@@ -88,8 +79,7 @@ def test_a_loss_that_is_told_late_is_slow(clock):
     )
 
 
-def test_a_driver_that_breaks_on_a_loss_does_not_end_the_evening(clock):
-    person = Says()
+def test_a_driver_that_breaks_on_a_loss_does_not_end_the_evening(clock, person):
     given = tonight(clock, person)
     x = given.instruments.voltmeters[0]
     person.on_prompt = lambda prompt: (
@@ -102,8 +92,7 @@ def test_a_driver_that_breaks_on_a_loss_does_not_end_the_evening(clock):
     assert len(given.findings) == 6
 
 
-def test_heads_with_a_wire_are_looked_at_without_a_move(clock):
-    person = Says()
+def test_heads_with_a_wire_are_looked_at_without_a_move(clock, person):
     head = Head("head", clock, (-0.1, 6.4))
     given = evening(person, clock, Instruments(meters(clock), head))
     check_cables(given)

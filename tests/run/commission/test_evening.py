@@ -24,16 +24,6 @@ from tests.support.commission_bench import Head, Says, evening, lost, meters
 
 
 @pytest.fixture
-def clock() -> VirtualClock:
-    return VirtualClock()
-
-
-@pytest.fixture
-def person() -> Says:
-    return Says()
-
-
-@pytest.fixture
 def tonight(clock: VirtualClock, person: Says) -> CommissioningSession:
     return evening(person, clock, Instruments(meters(clock), Head("head", clock, (-0.1, 6.0))))
 

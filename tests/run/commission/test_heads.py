@@ -11,21 +11,10 @@ from bench.run.instruments import Instruments
 from bench.run.person import OperatorWish, RunControl
 from drivers.instruments.manual import ManualHead
 from drivers.interfaces import InstrumentLost, InstrumentRefused
-from sim.world.clock import VirtualClock
 from tests.support.commission_bench import Head, Says, evening, meters, motorised
 
 LIMITS = (math.radians(-5.0), math.radians(365.0))
 SKIP = OperatorWish(RunControl(Wish.SKIP, "the cables are short"))
-
-
-@pytest.fixture
-def clock():
-    return VirtualClock()
-
-
-@pytest.fixture
-def person():
-    return Says()
 
 
 def tonight(clock, person, **head) -> CommissioningSession:

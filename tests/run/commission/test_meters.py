@@ -16,16 +16,10 @@ from bench.run.commission.meters import (
 )
 from bench.run.commission.session import State
 from bench.run.instruments import Instruments
-from sim.world.clock import VirtualClock
 from tests.support.commission_bench import Head, Says, evening, meters
 
 CHI2_29_AT_0_999 = 58.301
 """Tables of chi-square: 29 degrees of freedom, probability 0.999."""
-
-
-@pytest.fixture
-def clock():
-    return VirtualClock()
 
 
 def tonight(clock, **settings):
