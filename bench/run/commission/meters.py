@@ -301,7 +301,7 @@ def _of_channel(
 
 
 def largest_scatter_v(sigma_v: float, n: int) -> float:
-    """Return the largest standard deviation of `n` samples, V, that chance explains if `sigma_v` is the true one."""
+    """Return the largest standard deviation of `n` samples that chance explains, V; `sigma_v` is the true one."""
     from scipy.stats import chi2
 
     return sigma_v * math.sqrt(float(chi2.isf(SIGNIFICANCE, n - 1)) / (n - 1)) if n > 1 else sigma_v
