@@ -193,7 +193,9 @@ class Gap:
             return ""
         if not self.folds:
             cannot = f"; without {', '.join(self.undetermined)} {UNDETERMINED}" if self.undetermined else ""
-            return message(f"no readings can be held out: one pass, and no verification or free position{cannot}")
+            return message(
+                f"no readings can be held out: one pass, and no verification or free position{cannot}"
+            )
         sizes = message(
             f"reduced chi-square {self.before:.2f} before, {self.after:.2f} after, root mean square "
             f"{1e6 * self.before_rms_g:.3g} µg before, {1e6 * self.after_rms_g:.3g} µg after"

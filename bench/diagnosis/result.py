@@ -289,7 +289,9 @@ def assumed(linear: LinearSystem) -> Iterator[str]:
             )
         )
     if not np.isfinite(readings.temperature_c).any():
-        yield message(f"no temperatures in the readings: {' and '.join(OF_TEMPERATURE)} cannot be searched for")
+        yield message(
+            f"no temperatures in the readings: {' and '.join(OF_TEMPERATURE)} cannot be searched for"
+        )
     if readings.unit != "V":
         names = ", ".join(name for name, effect in CATALOGUE.items() if in_volts(effect))
         yield message(

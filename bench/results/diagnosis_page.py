@@ -452,7 +452,9 @@ def overlay(
     The left column has the signals. The right column has both minus the simulation with the given model; this shows
     what that model lacks, and whether the effects found explain it. `draw_channel` draws a channel into its axes.
     """
-    whose = message("simulated with the effects found") if found else message("simulated with the given model")
+    whose = (
+        message("simulated with the effects found") if found else message("simulated with the given model")
+    )
 
     def draw(figure: Figure) -> None:
         grid: Any = figure.subplots(3, 2, sharex=True, squeeze=False)

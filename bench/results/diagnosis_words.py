@@ -408,7 +408,9 @@ def evidence_of(found: FreeDiagnosis | RecordDiagnosis, gap: str) -> dict[str, s
     told = {"found in": readings_named(found.source)}
     for one in found.effects:
         rho = "" if one.rho is None else f", rho {one.rho:.1f}"
-        told[alike_in_words([one])] = f"p {one.p_all_looks:.2g} corrected for multiple tests{rho}; {odds_in_words(one)}"
+        told[alike_in_words([one])] = (
+            f"p {one.p_all_looks:.2g} corrected for multiple tests{rho}; {odds_in_words(one)}"
+        )
     return told | {"gap": gap, "threshold": f"ln odds {found.threshold:.3f}"}
 
 
@@ -431,9 +433,7 @@ def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
 def why_no_model(diagnosis: AnyDiagnosis) -> str:
     """Return the reason to state after "no model file is written"."""
     if diagnosis.gap.shrinks is False:
-        return message(
-            "because the gap on held-out readings does not shrink: the model would be no better"
-        )
+        return message("because the gap on held-out readings does not shrink: the model would be no better")
     if any(effect.cannot_tell_from for effect in diagnosis.effects):
         return message("because these readings cannot separate the names; --accept-first takes the likeliest")
     return message("because held-out readings do not confirm it; --accept-first writes it anyway")
@@ -543,12 +543,12 @@ def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
     if form.instead_of and form.terms:
         yield message(f"as plausible as {', '.join(dict.fromkeys(form.instead_of))}, but without a name:")
     elif form.instead_of:
-        yield message(
-            "the remaining residuals suggest an effect without a name; it is too small to describe"
-        )
+        yield message("the remaining residuals suggest an effect without a name; it is too small to describe")
     for term in form.terms:
         yield term_in_words(term)
-        also = message(f"; other forms that fit: {'; '.join(term.could_also_be)}") if term.could_also_be else ""
+        also = (
+            message(f"; other forms that fit: {'; '.join(term.could_also_be)}") if term.could_also_be else ""
+        )
         yield message(f"that is {term.family}; ρ = {term.rho:.1f}{also}")
     if form.terms and form.gap.folds:
         closed = (

@@ -227,9 +227,7 @@ def modulus_in_time(found: FreeDiagnosis) -> str:
     found.
     """
     rows = found.rows
-    fits = [("given model", found.before), ("with the effects found", found.after)][
-        : 1 + bool(found.effects)
-    ]
+    fits = [("given model", found.before), ("with the effects found", found.after)][: 1 + bool(found.effects)]
     scale = scale_for(float(np.max(np.abs(found.before.left))), "g")
     time_s = np.concatenate([table.conditions().elapsed_s for table in rows.tables])
     for record in np.unique(rows.record):

@@ -206,7 +206,10 @@ def render(
         told=[line for line in (gap_told(found), rivals_told(found)) if line],
         to_do=list(what_to_do(found, files)),
         figures=[
-            (drawn(course), "Signal minus reference: residuals of zero and drift alone, and with the effects found.")
+            (
+                drawn(course),
+                "Signal minus reference: residuals of zero and drift alone, and with the effects found.",
+            )
         ],
         listed=list(channel_lines(found)),
     )
