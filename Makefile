@@ -77,7 +77,7 @@ $(VENV)/.documented: $(STAMP)
 	PIP_CONSTRAINT=constraints.txt $(VENV)/bin/python -m pip install --quiet --editable '.[docs,browser]'
 	touch $@
 
-# About half an hour on two cores, after which the site has its tables; TRIAL=--short takes a few minutes.
+# About three hours on two cores, after which the site has its tables; a tenth (TRIAL="--page --seed 7 --share 0.1") takes 20 minutes.
 TRIAL ?= --page --seed 7
 blind-trial: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python -m benchmarks.blind_trial $(TRIAL)

@@ -45,7 +45,7 @@ from bench.readings.reading import Reading
 from bench.run.assembly.instruments import operator_of, world_of
 from bench.run.early_warning import watcher_of
 from bench.run.events import Event, EventType, Mounted, result_to_json
-from bench.run.expectation import MOST_TOLD
+from bench.run.expectation import MOST_LISTED
 from bench.run.folder import Run
 from bench.run.person import mount_prompt
 from bench.services.calibration import calibration_of
@@ -101,7 +101,7 @@ def setting(procedure: str, bench: str) -> tuple[Plan, BenchFile]:
 
 def is_right(causes: Sequence[str], mistake: Mistake) -> bool:
     """Whether a cause that the sentence names is the mistake that was made."""
-    return any(phrase in cause for cause in causes[:MOST_TOLD] for phrase in mistake.named)
+    return any(phrase in cause for cause in causes[:MOST_LISTED] for phrase in mistake.named)
 
 
 # --- the watcher alone ------------------------------------------------------------------------------

@@ -2,11 +2,12 @@
 
 python -m benchmarks.translations
 
-Texts are the arguments of `message` in Python, the arguments of `_` in scripts and in expressions of templates, the
-words of page templates, and titles, descriptions and reasons of the shipped procedures and bench files. `make lint`
-fails if one lacks a translation, if a translation has other blanks or elements than its text, if a catalogue has an
-unused text, if a word of the certificate lacks a language, or if the text of a `Refusal` or a `Prompt` is not
-marked.
+Texts are the arguments of `message` in Python, the arguments of `_` in scripts and in expressions of
+templates, the words of page templates, and titles, descriptions and reasons of the shipped procedures and bench
+files. A name that a page takes from a record or a file is an entry of a catalogue with the reference
+`names-shown`. `make lint` fails if one lacks a translation, if a translation has other blanks or elements than
+its text, if a catalogue has an unused text, if a word of the certificate lacks a language, or if the text of a
+`Refusal` or a `Prompt` is not marked.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ CATALOGUES: Final = ROOT / "bench" / "base" / "catalogues"
 EFFECTS: Final = ROOT / "bench" / "model" / "effects"
 """Effects state their texts as attributes: the sentence, and what would show it."""
 WORDS: Final = ROOT / "bench" / "certificate" / "words.yaml"
+NAMES_SHOWN: Final = "names-shown"
+"""Reference of a catalogue's entry for a name that no module states, because it comes from a record or a file."""
 SHIPPED: Final = (ROOT / "procedures", ROOT / "config")
 _SHIPPED_TEXT: Final = re.compile(r"\b(?:title|description|reason): ([^}\n#]+)")
 _IN_SCRIPT: Final = re.compile(r"(?<![\w.$])_\((?=[\"`])")
@@ -153,10 +156,20 @@ def all_entries() -> dict[Entry, list[str]]:
             if file.suffix in {".py", ".j2", ".js", ".yaml"}:
                 for entry in entries_of(file):
                     found.setdefault(entry, []).append(str(file.relative_to(ROOT)))
+    for language in LANGUAGES.keys() - {ENGLISH}:
+        for one in catalogue(language):
+            if any(file == NAMES_SHOWN for file, _ in one.locations):
+                found.setdefault(_entry(one), []).append(NAMES_SHOWN)
     with_plural = {(one.english, one.context) for one in found if one.plural}
     return {
         one: of for one, of in found.items() if one.plural or (one.english, one.context) not in with_plural
     }
+
+
+def catalogue(language: str) -> Catalog:
+    """Return the stored catalogue of a language."""
+    with (CATALOGUES / f"{language}.po").open("rb") as stream:
+        return read_po(stream, locale=language)
 
 
 def problems(told: Catalog, texts: dict[Entry, list[str]], language: str) -> Iterator[str]:
@@ -248,12 +261,10 @@ def main(arguments: list[str]) -> int:
     """Check the catalogues, or with `--write` update them; return 1 if something is missing."""
     texts, told_off = all_entries(), [*problems_of_words(), *all_unmarked()]
     for language in LANGUAGES.keys() - {ENGLISH}:
-        file = CATALOGUES / f"{language}.po"
-        with file.open("rb") as stream:
-            told = read_po(stream, locale=language)
+        told = catalogue(language)
         if "--write" in arguments:
             told = written(told, texts, language)
-            save(file, told)
+            save(CATALOGUES / f"{language}.po", told)
         told_off += problems(told, texts, language)
     print(*told_off, f"{len(texts)} texts, {len(told_off)} problems", sep="\n")
     return 1 if told_off else 0

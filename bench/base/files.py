@@ -207,3 +207,22 @@ def _put_in_place(path: Path, content: bytes) -> None:
         with suppress(OSError):  # a read-only file system refuses this, too
             half.unlink(missing_ok=True)
         raise
+
+
+def write_synced(path: Path, content: bytes) -> None:
+    """Write a file in place and flush it to the disk, so that its content survives a power failure."""
+    with path.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def sync_folder(folder: Path) -> None:
+    """Flush the file names in a folder to the disk on POSIX systems, so that they survive a power failure."""
+    if os.name != "posix":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

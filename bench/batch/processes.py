@@ -70,7 +70,7 @@ class _Pool:
             ready = wait([part for one in self._workers for part in (one.wire, one.process.sentinel)])
             for worker in list(self._workers):
                 if worker.wire in ready or worker.process.sentinel in ready:
-                    yield from self._heard(worker)
+                    yield from self._received_rows(worker)
 
     def end(self) -> None:
         """End all processes, even those that are computing."""
@@ -145,7 +145,7 @@ class _Pool:
 
     # --- hearing ------------------------------------------------------------------------------------
 
-    def _heard(self, worker: _Worker) -> Iterator[Row]:
+    def _received_rows(self, worker: _Worker) -> Iterator[Row]:
         """Yield the rows that a process has sent; if it has died, reassign the runs that it had queued."""
         try:
             while worker.wire.poll():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import glob
-import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +13,7 @@ from typing import Any, Final
 from filelock import FileLock, Timeout
 
 from bench.base.computing import tracked
-from bench.base.files import from_text, read_regular, to_text
+from bench.base.files import from_text, read_regular, sync_folder, to_text, write_synced
 from bench.batch.job import (
     CALIBRATE_FILE,
     COLUMNS,
@@ -27,7 +26,6 @@ from bench.batch.job import (
 )  # fmt: skip
 from bench.run.events import EVENTS, MANIFEST, sha256
 from bench.run.folder import BENCH, EFFECTS, IMPORTED, PLAN
-from bench.services.chain import sync_folder
 from bench.services.errors import Refused
 from drivers.clock import Clock, SystemClock, utc_now
 
@@ -208,7 +206,7 @@ class Store:
                 "differing": job.differing(),
                 "begun": utc_now().isoformat(),
             }
-            _write_synced(self.folder / BATCH, to_text(noted).encode())
+            _put_in_place(self.folder / BATCH, to_text(noted).encode())
         return self._left(job.command, runs)
 
     def _require_same(self, asked: Mapping[str, Any]) -> None:
@@ -296,7 +294,7 @@ class Store:
 
         sink = pyarrow.BufferOutputStream()
         parquet.write_table(table, sink, compression="zstd")
-        _write_synced(file, sink.getvalue())
+        _put_in_place(file, sink.getvalue())
 
 
 def _differences(before: Mapping[str, Any], now: Mapping[str, Any], prefix: str) -> list[str]:
@@ -312,13 +310,10 @@ def _said(value: Any) -> str:
     return ("on" if value else "off") if isinstance(value, bool) else str(value)
 
 
-def _write_synced(file: Path, content: Any) -> None:
+def _put_in_place(file: Path, content: Any) -> None:
     """Write a file under a temporary name, sync it and its folder to the disk, and then rename it."""
     half = file.with_name(file.name + _HALF)
-    with half.open("wb") as written:
-        written.write(content)
-        written.flush()
-        os.fsync(written.fileno())
+    write_synced(half, content)
     half.replace(file)
     sync_folder(file.parent)
 

@@ -22,6 +22,7 @@ from bench.config.formulas import effects_in
 from bench.model import CATALOGUE, Effect
 from bench.model.geometry import COEFFICIENTS
 from bench.run.events import RecordError, read_manifest, sha256
+from bench.run.folder import statement_in
 from bench.services.bodies import body_of
 from bench.services.calibration import CalibrationResult, calibrated, report_page, verification_of
 from bench.services.diagnosis import diagnosis_of
@@ -288,14 +289,10 @@ class VerdictValues:
 
     @classmethod
     def of_file(cls, told: Mapping[str, Any]) -> VerdictValues:
-        """Return the verdict in a result, computed now or read from a file.
-
-        Files of earlier versions contain no statement.
-        """
-        passed = bool(told["passed"])
+        """Return the verdict in a result, computed now or read from a file."""
         points = [(float(point["delta_g"]), float(point["u"])) for point in told["points"]]
         delta_g, u = max(points, key=lambda point: abs(point[0]), default=(None, None))
-        statement = str(told.get("statement", "pass" if passed else "fail"))
+        passed, statement = bool(told["passed"]), statement_in(told)
         return cls(passed, statement, delta_g, u, float(told["limit_g"]), str(told["rule"]))
 
 

@@ -31,7 +31,7 @@ from bench.run.events import (
     sha256,
     state_after_one,
 )
-from bench.run.folder import BENCH, VERIFY, Run
+from bench.run.folder import BENCH, VERIFY, Run, statement_in
 from bench.services.bench_selection import instrument_name
 from bench.services.coefficients import coefficients_of, is_of_record
 from bench.services.errors import Refused
@@ -359,7 +359,7 @@ def _verification(data: Any, run: int, record: RecordSeen) -> dict[str, list[Row
             "angle_deg": _number(point.get("angle_deg")),
             "delta_g": float(point["delta_g"]),
             "u": _number(point.get("u")),
-            "verdict": _statement(point),
+            "verdict": statement_in(point),
         }
         for place, point in enumerate(data["points"])
     ]
@@ -367,7 +367,7 @@ def _verification(data: Any, run: int, record: RecordSeen) -> dict[str, list[Row
     worst = max(sizes, key=abs, default=None)
     whole = {
         "run": run,
-        "verdict": _statement(data),
+        "verdict": statement_in(data),
         "limit_g": _number(data.get("limit_g")),
         "rule": text_of(data.get("rule")),
         "worst_delta_g": worst,
@@ -379,11 +379,6 @@ def _verification(data: Any, run: int, record: RecordSeen) -> dict[str, list[Row
 def _diagnosis(data: Any, run: int, record: RecordSeen) -> dict[str, list[Row]]:
     names = ", ".join(dict.fromkeys(str(effect["name"]) for effect in data["effects"]))
     return {"diagnoses": [{"run": run, "verdict": str(data["verdict"]), "names": names}]}
-
-
-def _statement(data: Any) -> str:
-    """Return the statement of a verdict; for results of earlier versions, which have none, pass or fail."""
-    return str(data.get("statement") or ("pass" if data["passed"] else "fail"))
 
 
 def _bench_of(folder: Path) -> tuple[BenchFile | None, str | None]:

@@ -8,16 +8,15 @@ files or not at all. Only one program at a time has the register open.
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Final
 
-from bench.base.files import read_regular
+from bench.base.files import read_regular, sync_folder, write_synced
 from bench.services import chain
-from bench.services.chain import LINES, MADE_FROM, Chain, Entry, first_head, sync_folder
+from bench.services.chain import LINES, MADE_FROM, Chain, Entry, first_head
 from bench.services.errors import Refused, refusing
 
 __all__ = ["ISSUED", "LINES", "MADE_FROM", "REVOKED", "Entry", "NumberStatus", "Register", "opened"]
@@ -63,7 +62,7 @@ class Register(Chain):
         if entry.number in self.standings:
             raise Refused(f"{entry.number}: this number was issued before; choose another")
         for name, content in contents.items():
-            _write_through(self.folder / (name + _PART), content)
+            write_synced(self.folder / (name + _PART), content)
         sync_folder(self.folder)
         sha = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
         self.append(Entry(entry.kind, entry.number, entry.time, entry.by, {**entry.data, "files": sha}))
@@ -150,10 +149,3 @@ def opened(folder: Path, known: Register | None = None) -> AbstractContextManage
     Raises `Refused` if the register is damaged or not writable, or if another program keeps it open.
     """
     return chain.opened(known or Register(folder))
-
-
-def _write_through(path: Path, content: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())

@@ -121,7 +121,7 @@ def check_xml(document: bytes) -> SignedXml:
     try:
         whole, *_ = xades.XAdESVerifier().verify(root, x509_cert=certificates[0], expect_config=config)
     except Exception as error:  # bad input raises many kinds of exception in the libraries below
-        raise NotIntact(f"the signature is invalid ({_told(error)})") from error
+        raise NotIntact(f"the signature is invalid ({_reason(error)})") from error
     _check_references(whole.signature_xml)
     comments = sum(1 for _ in root.iter(etree.Comment))
     return SignedXml(bytes(whole.signed_data), certificates, when, comments)
@@ -143,7 +143,7 @@ def _read(document: bytes) -> Any:
     try:
         root: Any = etree.fromstring(document, parser())
     except (etree.XMLSyntaxError, ValueError) as error:
-        raise NoCertificate(f"not XML ({_told(error)})") from error
+        raise NoCertificate(f"not XML ({_reason(error)})") from error
     if root.getroottree().docinfo.doctype:
         raise NotIntact("it has a document type (DOCTYPE), which certificates never have")
     if next(root.iter(etree.Entity), None) is not None:
@@ -209,7 +209,7 @@ def _certificates(signature: Any) -> tuple[Certificate, ...]:
     try:
         found = tuple(x509.load_der_x509_certificate(base64.b64decode(one.text or "")) for one in texts)
     except ValueError as error:
-        raise NotIntact(f"a certificate in its signature cannot be read ({_told(error)})") from error
+        raise NotIntact(f"a certificate in its signature cannot be read ({_reason(error)})") from error
     if not found:
         raise NotIntact("its signature names no signer's certificate")
     return found
@@ -227,7 +227,7 @@ def _moment(signature: Any) -> datetime:
     return moment
 
 
-def _told(error: Exception) -> str:
+def _reason(error: Exception) -> str:
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
@@ -324,7 +324,7 @@ def check_pdf(file: bytes) -> SignedPdf:
     except (NotIntact, Refused):
         raise
     except Exception as error:  # bad input raises many kinds of exception in the libraries below
-        raise NotIntact(f"its signature cannot be read ({_told(error)})") from error
+        raise NotIntact(f"its signature cannot be read ({_reason(error)})") from error
 
 
 def _check_cover(file: bytes, signature: Any) -> None:

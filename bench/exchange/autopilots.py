@@ -35,7 +35,7 @@ class Sensor:
         """Return z (n, 3) in m/s^2 for signals (n, 3)."""
         return np.asarray(STANDARD_GRAVITY * signal / self.nominal)
 
-    def told(self) -> list[str]:
+    def comment_lines(self) -> list[str]:
         """Return comment lines that explain how to compute z from the signals."""
         if self.unit == "m/s^2":
             return ["the signals are in m/s^2 and taken as they are: z = U"]
@@ -78,7 +78,7 @@ class Diagonal:
     modulus_g: float
     vector_g: float
 
-    def told(self) -> list[str]:
+    def comment_lines(self) -> list[str]:
         """Return comment lines that say what this form omits, and the largest errors that this causes at 1 g."""
         return [
             "the six cross-axis terms are left out, for this form has a scale and an offset per axis and no more:",
@@ -167,7 +167,7 @@ class Autopilot:
         """Return comment lines on what the form omits, and on values that the autopilot would reject."""
         form = diagonal(sensor_of(result, nominal))
         limits = ((self.offset, form.offset, self.offsets), (self.scale, form.scale, self.scales))
-        return form.told() + [
+        return form.comment_lines() + [
             f"{name.format(axis)} = {value:.4g} is outside {low:g} to {high:g}, which {self.name} allows: "
             "remove more before it, in the electronics or with other scale factors (--nominal)"
             for name, values, (low, high) in limits
@@ -244,7 +244,7 @@ def _head(result: BlockResult, sensor: Sensor, notes: list[str]) -> list[str]:
     scales = ", ".join(f"{part:.2g}" for part in parts)
     lines = [
         *result.head(),
-        *sensor.told(),
+        *sensor.comment_lines(),
         *notes,
         f"U of the offsets: {offsets} m/s^2; of the scales: {scales}, relative",
     ]
@@ -269,7 +269,7 @@ def kalibr_yaml(result: BlockResult, nominal: Floats | None = None) -> str:
     )
     lines = [
         *result.head(),
-        *sensor.told(),
+        *sensor.comment_lines(),
         "z = M C a + b in m/s^2, a the specific force on the block's axes: a = C^T M^-1 (z - b)",
         *kalibr_notes(result, nominal),
         "gyroscopes, noise densities, rostopic and update_rate are not known to this bench: add your own",

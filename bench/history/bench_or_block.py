@@ -129,7 +129,11 @@ class Sizes:
 
 @dataclass(frozen=True)
 class OutlyingEffect:
-    """A unit or bench with an outlying effect on one coefficient."""
+    """A unit or bench with an outlying effect on one coefficient.
+
+    `effect` is the difference from the mean of its set of benches, or of its type. `p_all_looks` is the p-value
+    (Holm) that allows for all effects examined.
+    """
 
     name: str
     coefficient: str

@@ -107,7 +107,7 @@ def read_holding(folder: Path) -> Holding:
         text = _bytes_of(folder / JOURNAL)
     except OSError:
         return Holding()
-    return _told(text)
+    return _holding_in(text)
 
 
 def _bytes_of(path: Path) -> bytes:
@@ -116,7 +116,7 @@ def _bytes_of(path: Path) -> bytes:
         return file.read()
 
 
-def _told(text: bytes) -> Holding:
+def _holding_in(text: bytes) -> Holding:
     found = Holding()
     for line in text.splitlines(keepends=True):
         if not line.endswith(b"\n"):
@@ -145,7 +145,7 @@ def change(
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
         with os.fdopen(descriptor, "r+b", buffering=0) as file:
             text = file.read()
-            before = _told(text)
+            before = _holding_in(text)
             to = _checked(before, word, person, to)
             if len(text) > LARGEST and word in {"ask", "deny"}:
                 raise Refusal(429, message("too many requests; wait a minute"))

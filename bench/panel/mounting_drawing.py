@@ -223,7 +223,8 @@ def _faces(frame: Floats) -> list[tuple[Floats, Floats]]:
 def _way(sheet: Sheet, from_rad: float | None, to_rad: float, direction: int) -> None:
     """Draw the turn to an angle: an arrow about the shaft that arrives in the requested direction.
 
-    It covers at most the last 50°; 24° if the head is beyond the target or close to it, and so must back off first.
+    The arrow covers the last 50° of the turn or less. It covers 24° if the head is close to the target or beyond
+    it, because the head then backs off first.
     """
     span = math.radians(50.0)
     if from_rad is not None:

@@ -278,6 +278,6 @@ def _cell(value: Any) -> Any:
 
 
 def sections_of(run: Run) -> Sequence[str]:
-    """Return the names of the plots for which a run has the files."""
+    """Return the names of the plots whose result file a run has."""
     files = {"residuals": CALIBRATE, "delta-g": VERIFY, "diagnosis": DIAGNOSE}
     return [name for name, file in files.items() if is_plain(run.folder / file)]

@@ -14,7 +14,7 @@ from bench.base.languages import message
 from bench.base.numbers import rounded, scale_for, uncertainty
 from bench.panel.access import Refusal
 from bench.panel.folder import read_page
-from bench.run.folder import Run
+from bench.run.folder import Run, statement_in
 
 CALIBRATE: Final = "calibrate.json"
 VERIFY: Final = "verify.json"
@@ -206,14 +206,11 @@ def _point(one: Mapping[str, Any], size: float, limit: float, rule: str) -> Poin
 
 
 def _statement(told: Mapping[str, Any], rule: str) -> str:
-    """Return the statement of conformity under a decision rule; for an old result without one, "pass" or "fail"."""
+    """Return the statement of conformity under a decision rule."""
     from bench.calibration.conformity import Statement  # takes long to import
     from bench.calibration.verification import by_rule
 
-    passed = bool(told["passed"])
-    return str(
-        by_rule(Statement(told.get("statement") or ("pass" if passed else "fail")), rule, passed=passed)
-    )
+    return str(by_rule(Statement(statement_in(told)), rule, passed=bool(told["passed"])))
 
 
 def _expanded(one: Mapping[str, Any]) -> float:
@@ -234,7 +231,7 @@ def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
     unit = str(told["unit"])
     if "channels" in told:  # of a record at a known input
         rows = [
-            CoefficientRow(f"{called} {channel}", *_shown(one[key]), of)
+            CoefficientRow(f"{called} {channel}", *_value_and_uncertainty(one[key]), of)
             for channel, one in told["channels"].items()
             for key, called, of in (("gain", "gain", "V/V"), ("offset_v", "offset", "V"))
             if one[key] is not None
@@ -266,7 +263,7 @@ def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
     )
 
 
-def _shown(of: Mapping[str, Any]) -> tuple[str, str]:
+def _value_and_uncertainty(of: Mapping[str, Any]) -> tuple[str, str]:
     value, expanded = float(of["value"]), float(of["U"])
     return rounded(value, expanded), uncertainty(expanded)
 

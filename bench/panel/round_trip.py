@@ -206,7 +206,7 @@ def _another_driver(group: Group, values: Values, before: Values) -> bool:
 
 
 def _emptied(tree: Any, before: Values) -> Mapping[str, str]:
-    """Return the paths in the file that `_arrange` removed, each with an empty text."""
+    """Return the texts in `tree` at the paths of `before`, empty for a path that is gone."""
     there = values_of(tree)
     return {name: there.get(name, "") for name in before}
 

@@ -361,10 +361,10 @@ class SharedFollower:
             await asyncio.sleep(LIVE_LOOK_S)
 
     def _wake(self) -> None:
-        """Let the viewers send what has changed."""
+        """Wake the streams to all viewers, which then send the changes."""
         self.version += 1
-        told, self._news = self._news, asyncio.Event()
-        told.set()
+        awaited, self._news = self._news, asyncio.Event()
+        awaited.set()
 
     def _look(self) -> bool:
         """Read new events; return whether there is an update to send."""

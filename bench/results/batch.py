@@ -36,10 +36,10 @@ class ProgramPart(ResultModel):
 class RunsPart(ResultModel):
     """The numbers of runs in the batch."""
 
-    listed: int = Field(description="runs that the patterns or the query find")
-    done: int = Field(description="runs that have a row")
-    failed: int = Field(description="runs whose row is a sentence saying why there is no result")
-    computed: int = Field(description="done and not failed")
+    listed: int = Field(description="number of runs that the patterns or the query match")
+    done: int = Field(description="number of runs that have a row in the table")
+    failed: int = Field(description="number of runs without a result; their row states the reason")
+    computed: int = Field(description="number of runs with a result: `done` minus `failed`")
     simulated: int = Field(description="runs on simulated instruments")
     without_stored_verdict: int = Field(description="computed runs whose folder has no verdict")
 
@@ -47,11 +47,9 @@ class RunsPart(ResultModel):
 class Counted(ResultModel):
     """The numbers of runs whose new result differs from the stored one or equals it."""
 
-    different: int = Field(description="runs of which it would be different")
-    same: int = Field(description="runs of which it stays")
-    unknown: int = Field(
-        description="runs computed with nothing stored to compare with, or nothing found now"
-    )
+    different: int = Field(description="number of runs whose new value differs from the stored one")
+    same: int = Field(description="number of runs whose new value equals the stored one")
+    unknown: int = Field(description="number of computed runs without a stored value or without a new one")
 
 
 class VerdictChange(ResultModel):
@@ -66,7 +64,7 @@ class VerdictChange(ResultModel):
 class VerdictsPart(Counted):
     """The numbers of runs whose new verdict differs from the stored verdict or equals it."""
 
-    changes: list[VerdictChange] = Field(description="how many runs go from which verdict to which")
+    changes: list[VerdictChange] = Field(description="number of runs for each pair of stored and new verdict")
 
 
 class ChangeInU(ResultModel):
@@ -75,8 +73,8 @@ class ChangeInU(ResultModel):
     median: float
     of_95_percent: float
     most: float
-    most_of: str = Field(description="path of that run")
-    most_in: str = Field(description="coefficient")
+    most_of: str = Field(description="path of the run with the largest change")
+    most_in: str = Field(description="the coefficient with the largest change")
 
 
 class RatioPart(ResultModel):
@@ -87,24 +85,24 @@ class RatioPart(ResultModel):
 
 
 class _Different(ResultModel):
-    run: str = Field(description="path")
+    run: str = Field(description="path of the run folder")
     unit_type: str | None
     serial: str | None
     simulated: bool | None
     stored: str = Field(description="verdict in the run's folder")
-    now: str = Field(description="verdict of this batch")
+    now: str = Field(description="verdict computed by this batch")
 
 
 class DifferentVerdict(_Different):
     """A run whose new verdict differs from the stored one."""
 
-    worst_delta_g_stored: float | None = Field(description="g")
-    worst_delta_g: float | None = Field(description="g")
+    worst_delta_g_stored: float | None = Field(description="stored Δg with the largest size, g")
+    worst_delta_g: float | None = Field(description="Δg with the largest size computed by this batch, g")
     largest_change_in_u: float | None
     largest_change_of: str | None
 
     def cells(self) -> list[str]:
-        """Return the cells of its table row after the verdicts."""
+        """Return the table cells after the verdicts: stored Δg, new Δg, and the largest change."""
         sizes = (self.worst_delta_g_stored, self.worst_delta_g)
         change = self.largest_change_in_u
         went = "" if change is None else f"{change:.2g} u in {self.largest_change_of}" if change else "none"
@@ -118,7 +116,7 @@ class DifferentNames(_Different):
     names: str
 
     def cells(self) -> list[str]:
-        """Return the cells of its table row after the verdicts."""
+        """Return the table cells after the verdicts: the stored and the new names."""
         return [self.names_stored, self.names]
 
 
@@ -143,25 +141,26 @@ class BatchResult(ResultModel):
     """The results of many runs computed again: `bench batch … --json`, and `summary.json` in its folder."""
 
     command: Literal["calibrate", "diagnose", "report"]
-    over: list[str] = Field(description="patterns, or words of a query")
+    over: list[str] = Field(description="patterns of run folders, or the words of a query of the catalogue")
     asked: dict[str, Asked] = Field(description="options other than their defaults; files with their SHA-256")
     program: ProgramPart
-    begun: str = Field(description="civil time (ISO 8601)")
+    begun: str = Field(description="civil time at which the batch began (ISO 8601)")
     runs: RunsPart
     verdicts: VerdictsPart
-    names: Counted | None = Field(description="of diagnoses: names of the effects found")
+    names: Counted | None = Field(description="changes in the names of effects; only for `diagnose`")
     fit: Counted | None = Field(
-        description="whether the model fits the readings (p of lack of fit below 0.01)"
+        description="changes in whether the model fits the readings (p of the lack-of-fit test of 0.01 or "
+        "more)"
     )
     change_in_u: ChangeInU | None
-    u_ratio: RatioPart | None = Field(description="of all coefficients of all runs")
+    u_ratio: RatioPart | None = Field(description="new u divided by stored u, over all coefficients and runs")
     different: list[DifferentVerdict | DifferentNames] = Field(
-        description="runs whose verdict (of a diagnosis: or names) would be different, the first "
-        "1000; verdicts.csv has all"
+        description="the first 1000 runs whose verdict differs (for `diagnose`, whose verdict or names "
+        "differ); verdicts.csv lists all"
     )
-    failed: list[FailedRun] = Field(description="the first 1000; failed.csv has all")
+    failed: list[FailedRun] = Field(description="the first 1000 runs without a result; failed.csv lists all")
     measured_with: list[MeasuredWith]
-    files: list[str] = Field(description="tables in the batch's folder")
+    files: list[str] = Field(description="tables written to the batch's folder")
 
     def accepted(self, *, strict: bool = False) -> bool:
         """Return whether no verdict differs and no run failed; `strict` also counts differences in fit or names."""

@@ -67,16 +67,17 @@ class SourcePart(ResultModel):
     """An error source of the bench, and its contribution to the coefficients."""
 
     symbol: str
-    u: float = Field(description="standard uncertainty, SI")
+    u: float = Field(description="standard uncertainty in SI units")
     unit: str
-    shown: str = Field(description="the same in the unit of the bench file")
+    shown: str = Field(description="standard uncertainty in the unit of the bench file")
     limit: float | None
     distribution: str
-    common_to: str = Field(description="what shares one value of it")
+    common_to: str = Field(description="the readings that share one value of this error")
     group: str
     dof: Real
     prior: bool = Field(
-        description="whether the size is a plausible one that nobody stated, marked by a star"
+        description="true if the size is a plausible value that the bench file does not state; marked with a "
+        "star in the text"
     )
     origin: str = Field(description="where the size comes from")
     contribution_u: Twelve
@@ -98,13 +99,14 @@ class VerificationPart(ResultModel):
     limit_g: float
     rule: str
     guard_band: float = Field(
-        description="guard band of the rule over U; where false_acceptance is set, that of a normal distribution "
-        "(accepted_up_to has the exact one)"
+        description="guard band of the rule as a multiple of U; if `false_acceptance` is given, the value for "
+        "a normal distribution (`accepted_up_to` is exact)"
     )
     false_acceptance: float | None = Field(
-        description="probability of false acceptance that sets the guard band of the default rule; else null"
+        description="probability of false acceptance that sets the guard band of the default rule; null for "
+        "other rules"
     )
-    capable: bool | None = Field(description="whether every point is capable; null without points")
+    capable: bool | None = Field(description="whether the bench can verify every point; null without points")
     points: list[DeltaG]
 
     @property
@@ -120,9 +122,9 @@ class OutputPart(ResultModel):
     u: float
     u_linear: float
     ratio: float
-    interval: Vector = Field(description="probabilistically symmetric coverage interval")
+    interval: Vector = Field(description="coverage interval with equal probabilities below and above it")
     shortest: Vector = Field(description="shortest coverage interval")
-    differences: list[float] = Field(description="of the interval ends from the linear ones")
+    differences: list[float] = Field(description="ends of the interval minus those of the linear budget")
     tolerance: float
     validated: bool
 
@@ -135,7 +137,7 @@ class MonteCarloPart(ResultModel):
     digits: int
     covariance: Matrix
     outputs: dict[str, OutputPart]
-    validated: bool = Field(description="whether it confirms the linear budget")
+    validated: bool = Field(description="whether the Monte Carlo simulation confirms the linear budget")
 
 
 class BudgetResult(ResultModel):
@@ -156,9 +158,9 @@ class BudgetResult(ResultModel):
     )
     covariance: Matrix
     correlation: Matrix
-    per_local_g: CovariancePart = Field(description="without the uncertainty of local gravity")
-    groups: dict[str, CovariancePart] = Field(description="errors taken together: stand, scale, block")
-    sources: dict[str, SourcePart] = Field(description="the errors by name")
+    per_local_g: CovariancePart = Field(description="true if it excludes the uncertainty of local gravity")
+    groups: dict[str, CovariancePart] = Field(description="combined contribution of stand, scale and block")
+    sources: dict[str, SourcePart] = Field(description="contribution of each error, by name")
     acceleration: AccelerationPart
     verification: VerificationPart
     monte_carlo: MonteCarloPart | None

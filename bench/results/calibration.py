@@ -58,39 +58,32 @@ class PerMs2Part(ResultModel):
 class WidenedFitPart(FitPart):
     """A test for lack of fit against the repeats, and the factor by which it widens u."""
 
-    birge: float = Field(description="by how much u is widened because the model does not fit; 1: not")
+    birge: float = Field(description="factor on u because the model does not fit; 1 if it does")
 
 
 class NoisePriorPart(ResultModel):
     """The prior of the noise, which is combined with the scatter of the readings."""
 
-    reading_v: float = Field(description="of a reading, unit of the signal, 1 sigma")
+    reading_v: float = Field(description="stated standard deviation of a reading, unit of the signal")
     setting_arcsec: float
     dof: float = Field(
         description="degrees of freedom of the scaled inverse chi-square distribution of each variance"
     )
-    readings_dof: float = Field(description="degrees of freedom that the readings leave")
-    ratio: Real = Field(
-        description="how many times the stated noise the readings scatter; null where they cannot tell"
-    )
-    p: Real = Field(
-        description="two-sided probability of a ratio so far from 1 where the sizes hold; null where they cannot "
-        "tell"
-    )
+    readings_dof: float = Field(description="degrees of freedom of the residuals")
+    ratio: Real = Field(description="scatter of the readings divided by the stated noise; null if unknown")
+    p: Real = Field(description="two-sided p-value of the ratio if the stated noise is true; null if unknown")
     from_: Literal["bench file", "other runs"] = Field(alias="from")
 
 
 class ComponentPart(ResultModel):
     """A variance component of an error that several readings share."""
 
-    what: str = Field(description="what shares it: setting, angle of a setting, visit, pass, drift")
+    what: str = Field(description="shared item: setting, angle of a setting, visit, pass or drift")
     channels: str
-    size: float = Field(description="its standard deviation")
+    size: float = Field(description="standard deviation of the component")
     unit: str
     dof: float
-    p: float = Field(
-        description="probability that chance alone asks for any of them as much (Holm over the kinds)"
-    )
+    p: float = Field(description="p-value of the component, corrected for the number of kinds tested (Holm)")
 
 
 class DriftPart(ResultModel):
@@ -105,23 +98,27 @@ class NoisePart(ChannelsPart):
     """The standard deviations of the noise of a reading, by channel, and of noise that several readings share."""
 
     reading_v: float = Field(
-        description="of a reading, root mean square of the three channels, unit of the signal"
+        description="standard deviation of a reading, unit of the signal: root mean square of the three "
+        "channels"
     )
-    p_equal: Real = Field(description="probability of such a difference where the channels are alike")
-    p_tails: Real = Field(description="probability of such tails in Gaussian noise")
+    p_equal: Real = Field(description="p-value for equal noise in all channels")
+    p_tails: Real = Field(description="p-value for Gaussian noise, by the tails of the residuals")
     shared: list[ComponentPart]
     drift: DriftPart | None
     wander: ChannelsPart | None = Field(
-        description="how far each bias may wander about its mean over the run, rms: as found, or as the readings "
-        "leave open; null where it was not searched for"
+        description="rms wander of each bias about its mean during the run, as found or as the readings "
+        "permit; null if it was not estimated"
     )
-    setting_arcsec: float = Field(description="of a setting of the head")
+    setting_arcsec: float = Field(description="standard deviation of a setting of the head, arcsec")
     setting_limits_arcsec: list[Real] | None = Field(
-        description="between these the setting error lies with about 95 %"
+        description="95 % limits of the standard deviation of a setting, arcsec"
     )
-    dof: Real = Field(description="degrees of freedom of the estimate; null where it was given")
-    source: str = Field(description="where the sizes come from")
-    prior: NoisePriorPart | None = Field(description="null where the readings alone tell the noise")
+    dof: Real = Field(description="degrees of freedom of the estimate; null if the noise was given")
+    source: str = Field(description="where the values come from")
+    prior: NoisePriorPart | None = Field(
+        description="the stated noise that was combined with the scatter of the readings; null if the "
+        "readings alone determine the noise"
+    )
 
 
 class OutlierPart(ResultModel):
@@ -132,11 +129,11 @@ class OutlierPart(ResultModel):
     installation: str
     pass_number: int = Field(alias="pass")
     point: int
-    channel: str = Field(description="x, y, z; `head` for a setting; `modulus` for a free position")
-    size: float = Field(description="how far it is off")
+    channel: str = Field(description="`x`, `y`, `z`, `head` (a setting) or `modulus` (a free position)")
+    size: float = Field(description="estimated error of the signal, in `unit`")
     unit: str
     sigma: float = Field(description="size over its standard uncertainty")
-    weight: float = Field(description="what is left of its weight in the fit")
+    weight: float = Field(description="weight that the signal keeps in the fit, 0 to 1")
 
 
 class FreePositionPart(ResultModel):
@@ -152,7 +149,7 @@ class FreePositionsPart(ResultModel):
     """The free positions used in the fit through |a| = 1 g."""
 
     used: int
-    rms_g: float = Field(description="of |a| − 1 over all of them")
+    rms_g: float = Field(description="root mean square of |a| − 1 g over all free positions")
     rms_g_without_outliers: float
     rows: list[FreePositionPart]
 
@@ -185,16 +182,17 @@ class PriorPart(ResultModel):
     """The prior from other units of the same type (`--prior`), and its effect on the result."""
 
     file: str
-    type: str = Field(description="of the units")
-    units: int = Field(description="units behind it")
-    dof: int = Field(description="its degrees of freedom")
-    used: bool = Field(
-        description="false where it contradicts the readings: the calibration is then as without it"
+    type: str = Field(description="type of the units from which the prior was estimated")
+    units: int = Field(description="number of units from which the prior was estimated")
+    dof: int = Field(description="degrees of freedom of the prior")
+    used: bool = Field(description="false if the prior contradicts the readings and was ignored")
+    chi2: float = Field(description="chi-square of the twelve differences between readings and prior")
+    p: float = Field(description="p-value of this chi-square")
+    pull: dict[str, float] = Field(
+        description="for each coefficient, value from the readings minus prior, divided by the u of the "
+        "difference"
     )
-    chi2: float = Field(description="of readings against prior, for twelve")
-    p: float = Field(description="probability of so much disagreement by chance")
-    pull: dict[str, float] = Field(description="by name: readings less prior, over its u")
-    u_without: dict[str, float] = Field(description="by name: u without the prior")
+    u_without: dict[str, float] = Field(description="for each coefficient, its u without the prior")
 
 
 class CalibrateResult(ResultModel):
@@ -207,69 +205,74 @@ class CalibrateResult(ResultModel):
     estimator: str = Field(description="name of the estimator")
     unit: str = Field(description="unit of the signals")
     g_m_s2: float = Field(description="local gravity, m/s²")
-    per: str = Field(description="coefficients are per this acceleration: local g")
+    per: str = Field(description="unit of acceleration of the coefficients: local g")
     coefficients: dict[str, CoefficientPart] = Field(
         description="the twelve coefficients `Kxx`, `Kxy`, … `Kzz`, `U0x`, `U0y`, `U0z`, in unit/g and unit"
     )
     coefficients_per_ms2: PerMs2Part
     intrinsic: IntrinsicPart | None = Field(
-        default=None, description="what does not depend on the mounting; null where a channel is dead"
+        default=None,
+        description="the nine numbers that do not depend on the mounting; null if a channel is dead",
     )
     joint: dict[str, JointPart] = Field(
-        default={}, description="joint coverage factors of all `twelve` and all `nine`"
+        default={}, description="coverage factors for all `twelve` and all `nine` numbers jointly"
     )
-    order: list[str] = Field(description="the coefficients in the order of `covariance`")
+    order: list[str] = Field(description="names of the coefficients in the order of `covariance`")
     covariance: Matrix = Field(description="combined covariance of the coefficients, 12 × 12, in `order`")
     covariance_readings: Matrix = Field(
-        description="the part that the readings and the stand as it is stated show"
+        description="covariance from the readings and the stated errors of the stand"
     )
     covariance_same_meters: Matrix = Field(
-        description="the combined one without what cancels where the same meters read the block"
+        description="covariance without the errors that cancel if the same meters read the block later"
     )
     block_terms: Matrix = Field(
-        description="what K2 and K3 of the block, each one standard uncertainty large, add to the coefficients: a "
-        "row for each; alike in every calibration of the block"
+        description="change of the coefficients by one standard uncertainty of each of the block's K2 and K3, "
+        "a row for each; the same in every calibration of the block"
     )
     gravity_u: float = Field(
-        description="relative standard uncertainty of local gravity; it is in `coefficients_per_ms2` alone"
+        description="relative standard uncertainty of local gravity; included only in `coefficients_per_ms2`"
     )
-    sources: list[UncertaintySourcePart] = Field(description="the errors in u that no reading shows")
+    sources: list[UncertaintySourcePart] = Field(description="sources of uncertainty that no reading shows")
     stand: dict[str, EstimatePart] = Field(
-        description="what the readings tell of the angles of the stand, by name and installation"
+        description="angles of the stand estimated from the readings, by name and installation"
     )
     effects: dict[str, EstimatePart] = Field(
-        description="parameters of the effects of the model file, where one was given"
+        description="estimated parameters of the effects of the model file; absent without a model file"
     )
     temperature_effects: list[str] = Field(
-        default=[], description="effects of the model by which temperature is taken out of the coefficients"
+        default=[],
+        description="effects of the model that remove the influence of temperature from the coefficients",
     )
     not_observable: list[str] = Field(
-        description="what is assumed because these readings cannot show it, and what it costs if it is wrong"
+        description="assumptions that these readings cannot test, and the error if they are wrong"
     )
     residual: WidenedFitPart
     noise: NoisePart
     readings: ReadingsPart
     model: str = Field(description="name of the forward model")
-    angles: str = Field(description="`read back` or `nominal`")
+    angles: str = Field(description="angles used: `read back` or `nominal`")
     outliers: list[OutlierPart]
     free_positions: FreePositionsPart | None
     triangular: TriangularPart | None
-    source: str = Field(description="run or file")
-    bench: BenchPart | None = Field(default=None, description="none where it was read from a certificate")
-    made_at: str | None = Field(description="when the readings were taken, as far as it is known")
+    source: str = Field(description="run or readings file")
+    bench: BenchPart | None = Field(
+        default=None, description="bench file used; null for a result read from a certificate"
+    )
+    made_at: str | None = Field(description="time of the readings (ISO 8601), if known")
     unit_under_test: UnitPart | None
     simulated: bool = Field(description="whether the instruments were simulated")
-    meters: list[str] = Field(
-        description="what each voltmeter answered, and where; empty where nobody recorded it"
-    )
+    meters: list[str] = Field(description="identity and connection of each voltmeter; empty if not recorded")
     corrections: list[CorrectionPart] = Field(
-        default=[], description="the certificates of the instruments; without any an empty list"
+        default=[], description="certificates of the instruments; empty if there are none"
     )
-    record: RecordPart | None = Field(default=None, description="of a run alone")
-    prior: PriorPart | None = Field(default=None, description="where one was asked for")
-    certificate: CertificateReadPart | None = Field(default=None, description="where it was read from one")
+    record: RecordPart | None = Field(default=None, description="record of the run; absent for a file")
+    prior: PriorPart | None = Field(default=None, description="prior from other units; absent if unused")
+    certificate: CertificateReadPart | None = Field(
+        default=None,
+        description="certificate from which the coefficients were read; absent for a calibration",
+    )
     notes: list[str]
-    skipped_rows: list[str] = Field(description="bad rows that were left out, with the reason")
+    skipped_rows: list[str] = Field(description="invalid rows that were skipped, each with the reason")
 
 
 def calibrate_result(found: Calibration, **made_from: Any) -> CalibrateResult:

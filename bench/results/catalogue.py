@@ -38,18 +38,18 @@ class FolderProblem(ResultModel):
     """A folder with a problem found by the sync."""
 
     path: str = Field(description="the folder")
-    reason: str = Field(description="why it holds no run of the catalogue, or what is wrong with its run")
+    reason: str = Field(description="why the folder is not in the catalogue, or what is wrong with its run")
 
 
 class SyncResult(ResultModel):
     """The result of synchronising the catalogue with the run folders."""
 
-    catalogue: str = Field(description="its file, or its URL without the password")
-    added: int = Field(description="runs that were not there")
-    changed: int = Field(description="runs that were read again")
-    unchanged: int = Field(description="folders as they were")
-    moved: int = Field(description="runs that are in another folder")
-    vanished: int = Field(description="runs whose folder is gone since")
+    catalogue: str = Field(description="file of the catalogue, or its URL without the password")
+    added: int = Field(description="number of new runs")
+    changed: int = Field(description="number of runs whose files changed and were read again")
+    unchanged: int = Field(description="number of folders that did not change")
+    moved: int = Field(description="number of runs that are in another folder than before")
+    vanished: int = Field(description="number of runs whose folder no longer exists")
     problems: list[FolderProblem]
 
     def print_on(self, out: Console) -> None:
@@ -70,9 +70,9 @@ class AskResult(ResultModel):
     query: list[str] = Field(description="the words of the question")
     of: Literal[
         "runs", "coefficients", "units", "benches", "operators", "instruments", "certificates", "issued", "folders"
-    ] = Field(description="what the rows are")  # fmt: skip
-    count: int = Field(description="how many rows")
-    rows: list[Row] = Field(description="a row by column; null where nothing was recorded, times in UTC")
+    ] = Field(description="kind of thing that each row describes")  # fmt: skip
+    count: int = Field(description="number of rows")
+    rows: list[Row] = Field(description="rows as values by column; null if not recorded; times in UTC")
 
     def print_on(self, out: Console) -> None:
         """Print the first rows with the columns that fit a terminal."""
@@ -88,23 +88,27 @@ class AskResult(ResultModel):
 class DuePart(ResultModel):
     """The date on which a unit is due for calibration, and the reason."""
 
-    due: str = Field(description="the day")
+    due: str = Field(description="date on which the next calibration is due")
     basis: Literal["drift", "interval"] = Field(
-        description="from its drift, or from the interval where its history is too short"
+        description="`drift`, or `interval` if the history is too short to determine the drift"
     )
-    why: str = Field(description="a sentence")
-    last: str = Field(description="day of the last calibration")
-    calibrations: int = Field(description="how many it was found from")
-    limit_g: float = Field(description="error allowed, in local g at 1 g in any direction")
+    why: str = Field(description="reason for the date, a sentence")
+    last: str = Field(description="date of the last calibration")
+    calibrations: int = Field(description="number of calibrations from which the date was found")
+    limit_g: float = Field(description="permitted error, local g, for 1 g in any direction")
     error_at_last_g: float | None = Field(
-        description="expanded error expected (k = 2) at the last calibration; null where the interval counts"
+        description="expected expanded error (k = 2) at the last calibration, g; null if the date follows "
+        "from the interval"
     )
-    error_when_due_g: float | None = Field(description="the same on the day")
+    error_when_due_g: float | None = Field(
+        description="expected expanded error (k = 2) on the due date, g; null if the date follows from the "
+        "interval"
+    )
     simulated: bool = Field(description="whether the calibrations are of simulated runs")
 
 
 class UnitDue(DuePart):
-    """The date on which a unit is due for calibration, with the unit's name."""
+    """The date on which a unit is due for calibration."""
 
     unit: str = Field(description="type and serial number")
 
@@ -113,8 +117,8 @@ class InstrumentDue(ResultModel):
     """An instrument whose latest certificate has expired or will soon."""
 
     instrument: str = Field(description="maker, model and serial number")
-    certificate: str = Field(description="its number")
-    valid_until: str = Field(description="the day")
+    certificate: str = Field(description="number of the certificate")
+    valid_until: str = Field(description="last day on which the certificate is valid")
 
 
 class DueResult(ResultModel):
@@ -122,9 +126,11 @@ class DueResult(ResultModel):
 
     query: list[str] = Field(description="the words of the question")
     units: list[UnitDue]
-    not_known: dict[str, str] = Field(description="units of which no date is known, with the reason")
+    not_known: dict[str, str] = Field(description="units without a known due date, with the reason")
     instruments: list[InstrumentDue] = Field(
-        [], description="whose certificate expired or expires within 30 days, or before the day asked for"
+        [],
+        description="instruments whose certificate expired, expires within 30 days, or expires before the "
+        "requested date",
     )
 
     def print_on(self, out: Console) -> None:
@@ -150,19 +156,19 @@ class DueResult(ResultModel):
 class CoefficientThen(ResultModel):
     """A coefficient from one calibration of a unit."""
 
-    value: float = Field(description="in unit/g; a bias in unit")
+    value: float = Field(description="coefficient in unit/g; a bias in unit")
     u: float = Field(description="standard uncertainty")
-    U: float = Field(description="expanded, k = 2")
+    U: float = Field(description="expanded uncertainty, k = 2")
 
 
 class UnitCalibration(ResultModel):
     """One calibration of a unit."""
 
-    path: str = Field(description="folder of the run")
-    created: str = Field(description="when it was begun, UTC")
-    bench: str | None = Field(description="name in the bench file")
-    unit: str = Field(description="of the signals")
-    g_m_s2: float = Field(description="local g of the last calibration: all are stated per this one")
+    path: str = Field(description="run folder")
+    created: str = Field(description="time at which the run began, UTC")
+    bench: str | None = Field(description="name of the bench in its bench file")
+    unit: str = Field(description="unit of the signals")
+    g_m_s2: float = Field(description="local gravity of the last calibration, to which all refer, m/s²")
     coefficients: dict[str, CoefficientThen]
 
 
@@ -171,12 +177,13 @@ class UnitResult(ResultModel):
 
     unit: str = Field(description="type and serial number")
     simulated: bool = Field(
-        description="whether the calibrations compared are of simulated runs: then there are no others"
+        description="true if the compared calibrations are of simulated runs, which is so only if the unit "
+        "has no others"
     )
-    due: DuePart | None = Field(description="when it is due; null where no date is known")
-    why_not_due: str = Field(description="why there is no date; empty where there is one")
-    calibrations: list[UnitCalibration] = Field(description="those compared, oldest first")
-    runs: list[Row] = Field(description="all runs, as of `bench catalogue ask`")
+    due: DuePart | None = Field(description="when the next calibration is due; null if no date is known")
+    why_not_due: str = Field(description="why no date is known; empty if one is known")
+    calibrations: list[UnitCalibration] = Field(description="compared calibrations, oldest first")
+    runs: list[Row] = Field(description="all runs of the unit, as `bench catalogue ask` lists them")
     notes: list[str]
 
     def print_on(self, out: Console) -> None:

@@ -18,11 +18,11 @@ class IssuedRun(ResultModel):
     """The certificate or draft issued for a run, or the reason why there is none."""
 
     run: str
-    number: str | None = Field(description="null for a draft, and where none was issued")
-    files: list[str] = Field(description="the files that were written, or issued before")
-    why: str | None = Field(description="why there is none")
-    issued_before: bool = Field(description="whether the record has a certificate already, which is this one")
-    lacks: list[str] = Field(description="what a draft needs to be issued")
+    number: str | None = Field(description="number of the certificate; null if none was issued")
+    files: list[str] = Field(description="files of the certificate, written now or before")
+    why: str | None = Field(description="why no certificate was issued; empty if one was")
+    issued_before: bool = Field(description="true if this certificate was issued for the record before")
+    lacks: list[str] = Field(description="what is missing from a draft before it can be issued")
 
     def print_on(self, out: Console) -> None:
         """Print the certificate's number and its files."""
@@ -35,7 +35,7 @@ class IssuedRun(ResultModel):
 class CertificateResult(ResultModel):
     """The result of `bench certificate issue`: the outcome for each run."""
 
-    certificates: list[IssuedRun] = Field(description="one for each run, in their order")
+    certificates: list[IssuedRun] = Field(description="one entry for each run, in the given order")
 
 
 State = Literal["issued", "amended", "replaced", "revoked"]
@@ -45,29 +45,29 @@ class RegisteredCertificate(ResultModel):
     """A certificate in the register."""
 
     number: str
-    issued: str = Field(description="civil time")
+    issued: str = Field(description="civil time at which the certificate was issued")
     authorised_by: str
-    unit: str = Field(description="type and serial number")
+    unit: str = Field(description="type and serial number of the block")
     customer: str
     run: str
     simulated: bool
-    signed_by: str | None = Field(description="whom the key's certificate names")
+    signed_by: str | None = Field(description="owner of the signing key, according to the key's certificate")
     state: State
-    by: str = Field(description="number of the certificate in its place, or why it was revoked")
-    files: dict[str, str] = Field(description="SHA-256 by name")
+    by: str = Field(description="number of the replacement, or the reason for revocation")
+    files: dict[str, str] = Field(description="SHA-256 of each file, by name")
     made_again: bool = Field(
         default=False,
-        description="whether its unsigned forms, made again, are byte for byte the same (with --again)",
+        description="whether unsigned files, generated again, are identical; with --again",
     )
 
 
 class RegisterResult(ResultModel):
     """The certificates in a register, and the problems with their files."""
 
-    register_: str = Field(alias="register", description="its folder")
-    head: str = Field(description="SHA-256 of the last line, which proves all lines before it")
+    register_: str = Field(alias="register", description="folder of the register")
+    head: str = Field(description="SHA-256 of the last line, which depends on all lines before it")
     certificates: list[RegisteredCertificate]
-    problems: list[str] = Field(description="files and certificates that are not what was issued")
+    problems: list[str] = Field(description="files and certificates that differ from those issued")
 
     def print_on(self, out: Console) -> None:
         """Print a line for each certificate."""
@@ -76,16 +76,16 @@ class RegisterResult(ResultModel):
             out.print(f"{one.number}  {one.issued[:10]}  {one.unit}  {one.run}  {state}")
 
     def print_head(self, out: Console) -> None:
-        """Print the number of certificates, and the last hash of the intact chain."""
+        """Print the number of certificates, and the hash of the last line, which depends on all lines."""
         out.print(f"{len(self.certificates)} certificates, chain of hashes complete, head {self.head}")
 
 
 class SignerPart(ResultModel):
     """The signer of a certificate."""
 
-    name: str = Field(description="as the signer's certificate says")
+    name: str = Field(description="name in the signer's certificate")
     certificate_sha256: str
-    signed_at: str = Field(description="what the signer's clock said (ISO 8601)")
+    signed_at: str = Field(description="time of signing by the signer's clock (ISO 8601)")
 
 
 class CertifiedCoefficient(ResultModel):
@@ -94,7 +94,7 @@ class CertifiedCoefficient(ResultModel):
     value: float
     U: float
     k: float
-    unit: str = Field(description="as D-SI spells it")
+    unit: str = Field(description="unit in the notation of D-SI")
 
 
 class CertificateSays(ResultModel):
@@ -104,13 +104,13 @@ class CertificateSays(ResultModel):
     laboratory: str
     customer: str
     items: list[str]
-    calibrated: list[str] = Field(description="first and last day")
+    calibrated: list[str] = Field(description="first and last day of the calibration")
     issued: str
     authorised_by: str
-    conformity: str = Field(description="the word of the DCC, empty without a statement")
+    conformity: str = Field(description="statement of conformity in the words of DCC; empty if there is none")
     simulated: bool
     coefficients: dict[str, CertifiedCoefficient]
-    files: list[str] = Field(description="files in the XML")
+    files: list[str] = Field(description="names of the files embedded in the XML")
 
     def print_on(self, out: Console) -> None:
         """Print the certificate's data and coefficients."""
@@ -138,9 +138,9 @@ class RegisterSays(ResultModel):
     """What the laboratory's register states about a certificate."""
 
     folder: str
-    named: bool = Field(description="whether --laboratory named it; else it is beside the file")
+    named: bool = Field(description="whether --laboratory named it; if not, it was beside the file")
     state: Literal["issued", "amended", "replaced", "revoked", "unknown"]
-    by: str = Field(description="number of the certificate in its place, or why it was revoked")
+    by: str = Field(description="number of the replacement, or the reason for revocation")
 
     @property
     def known(self) -> bool:
@@ -165,24 +165,27 @@ class VerifyResult(ResultModel):
 
     file: str
     verdict: str = Field(
-        description="in a line: `intact, signer unknown` without a trust file, `not signed`, `CHANGED`, `NO "
-        "CERTIFICATE`; what the register says follows"
+        description="verdict in one line, such as `intact, signer unknown` (without a trust file), `not "
+        "signed`, `CHANGED` or `NO CERTIFICATE`, and then what the register states"
     )
     intact: bool
     trusted: bool | None = Field(
-        description="whether the trust file vouches for the signer; null without one"
+        description="whether the trust file contains the signer; null without a trust file"
     )
-    why_not_trusted: str | None = Field(description="empty where it is trusted")
-    wrong: list[str] = Field(description="why it is not intact")
-    agreed: list[str] = Field(description="what was compared, and is the same")
+    why_not_trusted: str | None = Field(description="why the signer is not trusted; empty if trusted")
+    wrong: list[str] = Field(description="why the certificate is not intact; empty if it is")
+    agreed: list[str] = Field(description="values that were compared and agree")
     signer: SignerPart
     signed: CertificateSays | None = Field(
-        description="what was signed; null where it is not intact or nobody signed it"
+        description="signed content; null if the certificate is not intact or not signed"
     )
     unsigned: CertificateSays | None = Field(
-        description="what a certificate says that nobody signed; null where it is not intact or is signed"
+        description="content of an unsigned certificate; null if it is not intact or is signed"
     )
-    register_: RegisterSays | None = Field(alias="register", description="null without a register")
+    register_: RegisterSays | None = Field(
+        alias="register",
+        description="what the register states about the certificate; null without a register",
+    )
     not_signed: list[str]
     not_proved: list[str]
 

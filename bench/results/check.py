@@ -44,17 +44,9 @@ class OpenCoefficients(ResultModel):
 class DirectionPart(ResultModel):
     """A linear combination of coefficients and stand errors that the readings leave undetermined."""
 
-    kind: str = Field(description="`turn`: a common turn of the block's axes")
+    kind: str = Field(description="kind of combination; `turn` is a common turn of the block's axes")
     text: str
     members: dict[str, float]
-
-
-class RemedyPart(ResultModel):
-    """A further measurement, and the combinations of coefficients and stand errors that it would determine."""
-
-    text: str
-    determines: int = Field(description="how many combinations more it determines")
-    cost_s: float
 
 
 class ObservabilityPart(ResultModel):
@@ -65,7 +57,7 @@ class ObservabilityPart(ResultModel):
     determined: list[str]
     undetermined: list[str]
     directions: list[DirectionPart]
-    remedies: list[RemedyPart] = Field(description="those that determine more, the cheapest first")
+    remedies: list[Remedy] = Field(description="measurements that determine more, cheapest first")
 
 
 class UntilPart(ResultModel):
@@ -78,7 +70,7 @@ class UntilPart(ResultModel):
     settings: list[float]
     mean_time_s: float
     mean_settings: float
-    reached: float | None = Field(description="part of the runs that reach the goals; null for a time alone")
+    reached: float | None = Field(description="fraction of runs that reach the goals; null without goals")
     whole_time_s: float
     whole_settings: int
 
@@ -90,22 +82,25 @@ class CheckResult(ResultModel):
     bench: str
     plan_hash: str = Field(description="SHA-256 of the plan; a run is resumed only with the same")
     steps: int
-    counts: dict[str, int] = Field(description="by kind of step")
+    counts: dict[str, int] = Field(description="number of steps of each kind")
     operator_actions: int
-    expected_s: float = Field(description="bench time, s")
+    expected_s: float = Field(description="expected duration, s")
     expected_by_kind_s: dict[str, float]
-    expected_by_installation_s: dict[str, float] = Field(description="empty name: before the first mounting")
-    longest_s: float = Field(description="with every repetition that failures allow")
+    expected_by_installation_s: dict[str, float] = Field(
+        description="expected duration by installation, s; the empty name stands for the time before the "
+        "first mounting"
+    )
+    longest_s: float = Field(description="duration with every repetition that failures permit, s")
     disk: DiskPart
     largest_signal_v: float
     not_determined: list[OpenCoefficients] = Field(
-        description="by temperature the coefficients that the readings do not determine"
+        description="for each temperature, the coefficients that the readings do not determine"
     )
     observability: ObservabilityPart | None
-    problems: list[str] = Field(description="mistakes between procedure and bench")
-    dry_run_refuses: list[str] = Field(description="prompts without a default")
-    hints: list[str] = Field(description="what is likely a mistake on a real bench")
-    until: UntilPart | None = Field(default=None, description="with --until: how long such a run takes")
+    problems: list[str] = Field(description="contradictions between procedure and bench")
+    dry_run_refuses: list[str] = Field(description="prompts without a default answer, which stop a dry run")
+    hints: list[str] = Field(description="probable mistakes that do not prevent a run")
+    until: UntilPart | None = Field(default=None, description="predicted duration of a run with this --until")
 
 
 @dataclass(frozen=True)

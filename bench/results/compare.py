@@ -33,8 +33,8 @@ class CalibrationOfBlock(ResultModel):
     """One of the compared calibrations: its source, date and block."""
 
     name: str = Field(description="the result file, run or readings file")
-    made_at: str | None = Field(description="ISO 8601; null where nobody recorded it")
-    block: str | None = Field(description="type and serial number; null where nobody recorded them")
+    made_at: str | None = Field(description="time of the readings (ISO 8601); null if not recorded")
+    block: str | None = Field(description="type and serial number; null if not recorded")
 
 
 class ChangePart(ResultModel):
@@ -43,17 +43,17 @@ class ChangePart(ResultModel):
     difference: float
     u: float = Field(description="standard uncertainty of the difference")
     en: float = Field(description="E_n: the size of the difference over its U (k = 2)")
-    p_all_looks: float = Field(description="chance of as much, adjusted for all looks (Holm)")
+    p_all_looks: float = Field(description="p-value, corrected for the number of comparisons (Holm)")
     changed: bool = Field(description="whether p_all_looks is below 5 %")
 
 
 class NineChangesPart(ResultModel):
     """The changes of the nine intrinsic numbers, which do not depend on the mounting."""
 
-    values: dict[str, ChangePart] = Field(description="by name, in unit/g, degrees and g")
+    values: dict[str, ChangePart] = Field(description="change of each of the nine, in unit/g, degrees or g")
     chi2: float
     dof: int
-    p: float = Field(description="of all nine together")
+    p: float = Field(description="p-value of all nine changes together")
 
 
 class ChangesPart(CalibrationOfBlock):
@@ -61,11 +61,12 @@ class ChangesPart(CalibrationOfBlock):
 
     intrinsic: NineChangesPart
     coefficients: dict[str, ChangePart] = Field(
-        description="of the twelve, which a turn of the block changes too; empty with free positions alone"
+        description="change of each of the twelve, to which a turn of the block contributes; empty for free "
+        "positions alone"
     )
     chi2: Real
     dof: int
-    p: Real = Field(description="of all twelve together")
+    p: Real = Field(description="p-value of all twelve changes together")
 
 
 class RatePart(ResultModel):
@@ -73,7 +74,7 @@ class RatePart(ResultModel):
 
     value: float
     u: float
-    p_all_looks: float = Field(description="chance of as much, adjusted for all looks (Holm)")
+    p_all_looks: float = Field(description="p-value, corrected for the number of rates tested (Holm)")
     shown: bool = Field(description="whether p_all_looks is below 5 %")
 
 
@@ -81,7 +82,7 @@ class LinesPart(ResultModel):
     """Weighted straight lines through each coefficient over time."""
 
     per_year: dict[str, RatePart]
-    chi2: float = Field(description="of what the lines leave")
+    chi2: float = Field(description="chi-square of the residuals from the straight lines")
     dof: int
     p: float
 
@@ -89,27 +90,23 @@ class LinesPart(ResultModel):
 class BenchOfSource(BenchPart):
     """A compared run or readings file, and the bench file with which it was calibrated."""
 
-    source: str = Field(description="which readings")
+    source: str = Field(description="run or readings file for which the bench file was used")
 
 
 class CompareResult(ResultModel):
     """A comparison of calibrations of one block: changes since the first, and drift."""
 
-    first: CalibrationOfBlock = Field(description="the reference")
-    unit: str = Field(description="of the signals")
-    g_m_s2: float = Field(description="the g that scale factors are per")
+    first: CalibrationOfBlock = Field(description="calibration with which the others are compared")
+    unit: str = Field(description="unit of the signals")
+    g_m_s2: float = Field(description="gravity to which the scale factors refer, m/s²")
     compared: list[ChangesPart]
-    p_constant_intrinsic: float = Field(
-        description="that the nine are those of one block that did not change"
-    )
-    p_constant: Real = Field(description="the same of the twelve, on one mounting")
-    drift: LinesPart | None = Field(description="of the twelve, where there are enough dates")
-    drift_intrinsic: LinesPart | None = Field(description="of the nine, where there are enough dates")
-    changed: bool = Field(description="whether the nine together changed: p_constant_intrinsic below 5 %")
+    p_constant_intrinsic: float = Field(description="p-value for no change of the nine")
+    p_constant: Real = Field(description="p-value for no change of the twelve; applies to one mounting")
+    drift: LinesPart | None = Field(description="lines through the twelve; null with too few dates")
+    drift_intrinsic: LinesPart | None = Field(description="lines through the nine; null with too few dates")
+    changed: bool = Field(description="whether the nine changed: `p_constant_intrinsic` is below 5 %")
     notes: list[str]
-    bench: list[BenchOfSource] = Field(
-        description="the bench files that were taken for runs and readings files"
-    )
+    bench: list[BenchOfSource] = Field(description="bench files used for runs and readings files")
 
 
 def compare_result(found: Comparison, bench: Sequence[BenchOfSource]) -> CompareResult:
@@ -266,10 +263,10 @@ def history_figure(comparison: Comparison) -> str:
 class DegreePart(ResultModel):
     """The degree of equivalence of a bench: its deviation from the reference value, with U."""
 
-    d: float = Field(description="bench less reference")
-    u: float = Field(description="of d")
-    U: float = Field(description="of d, k = 2")
-    en: float = Field(description="|d| over U")
+    d: float = Field(description="degree of equivalence: value of the bench minus reference")
+    u: float = Field(description="standard uncertainty of `d`")
+    U: float = Field(description="expanded uncertainty of `d`, k = 2")
+    en: float = Field(description="E_n: |d| divided by U")
 
 
 class PairPart(ResultModel):
@@ -277,9 +274,9 @@ class PairPart(ResultModel):
 
     first: str
     second: str
-    units: int = Field(description="that both measured")
-    difference: float = Field(description="first less second")
-    u: float = Field(description="as stated")
+    units: int = Field(description="number of units that both benches measured")
+    difference: float = Field(description="first bench minus second bench")
+    u: float = Field(description="standard uncertainty of the difference, from the stated uncertainties")
     en: float
 
 
@@ -287,23 +284,23 @@ class EquivalencePart(ResultModel):
     """The comparison of the benches in one coefficient."""
 
     method: Literal["weighted mean", "Mandel-Paule", "DerSimonian-Laird"]
-    dark: Real = Field(description="what benches differ by beyond their stated u, 1 sigma")
-    chi2: float = Field(description="of the stated uncertainties")
+    dark: Real = Field(description="standard deviation between benches beyond their stated u")
+    chi2: float = Field(description="chi-square of the values with their stated uncertainties")
     dof: int
     p: float
     consistent: bool = Field(description="whether p is 5 % or more")
-    birge: float = Field(description="Birge ratio")
-    degrees_of_equivalence: dict[str, DegreePart] = Field(description="by bench")
+    birge: float = Field(description="Birge ratio: observed scatter divided by the expected one")
+    degrees_of_equivalence: dict[str, DegreePart] = Field(description="degree of equivalence of each bench")
     pairs: list[PairPart]
 
 
 class TogetherPart(ResultModel):
     """A joint chi-square test of a difference in all twelve coefficients or all nine intrinsic numbers."""
 
-    chi2: float = Field(description="of the vector of differences with its covariance")
+    chi2: float = Field(description="chi-square of the vector of differences")
     dof: int
     p: float
-    p_all_looks: float = Field(description="after Holm over all benches, or all pairs")
+    p_all_looks: float = Field(description="p-value corrected for the number of benches or pairs (Holm)")
     apart: bool = Field(description="whether p_all_looks is below 5 %")
 
 
@@ -332,22 +329,22 @@ class BeyondPart(ResultModel):
 class NineOfBenches(ResultModel):
     """The comparison of the benches in the nine intrinsic numbers, which do not depend on the mounting."""
 
-    values: dict[str, EquivalencePart] = Field(description="by name, in unit/g, degrees and g")
-    together: AllTogether = Field(description="in all nine at once: this decides")
-    beyond: list[BeyondPart] = Field(description="beyond U (k = 2), the largest E_n first")
+    values: dict[str, EquivalencePart] = Field(description="each of the nine, in unit/g, degrees or g")
+    together: AllTogether = Field(description="comparison of all nine together, which decides")
+    beyond: list[BeyondPart] = Field(description="differences above U (k = 2), largest E_n first")
 
 
 class BenchesResult(FleetResult):
     """A comparison of benches by units that several of them measured."""
 
-    per_g_m_s2: float = Field(description="the g that scale factors are per")
-    benches: list[str] = Field(description="that take part")
-    units: list[str] = Field(description="measured on several of them")
+    per_g_m_s2: float = Field(description="gravity to which the scale factors refer, m/s²")
+    benches: list[str] = Field(description="benches that were compared")
+    units: list[str] = Field(description="units measured on several of the benches")
     alone: list[str] = Field(description="benches that share no unit with another")
     intrinsic: NineOfBenches
-    coefficients: dict[str, EquivalencePart] = Field(description="the twelve, by name")
-    together: AllTogether = Field(description="in all twelve at once, which a turn of the block changes too")
-    apart: list[BeyondPart] = Field(description="of the twelve beyond U (k = 2), the largest E_n first")
+    coefficients: dict[str, EquivalencePart] = Field(description="each of the twelve coefficients")
+    together: AllTogether = Field(description="all twelve together, to which a turn of the block contributes")
+    apart: list[BeyondPart] = Field(description="differences above U (k = 2), largest E_n first")
 
     @property
     def off(self) -> tuple[str, ...]:

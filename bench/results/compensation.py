@@ -58,24 +58,24 @@ class PolynomialPart(ResultModel):
 class DifferencePart(ValuePart):
     """The difference of a coefficient between rising and falling temperature."""
 
-    p_all_looks: float = Field(description="probability by chance alone, for the looks at all twelve")
+    p_all_looks: float = Field(description="p-value corrected for the number of coefficients compared")
 
 
 class HysteresisPart(ResultModel):
     """The thermal hysteresis of the coefficients: rising minus falling at the same temperature."""
 
     rising_minus_falling: dict[str, DifferencePart]
-    p: float = Field(description="that of all twelve together")
+    p: float = Field(description="p-value of all twelve differences together")
 
 
 class PlateauPart(ResultModel):
     """A temperature plateau, with the coefficients estimated from its readings alone."""
 
     temperature_c: float
-    branch: Literal[-1, 0, 1] = Field(description="rising (1), falling (-1), or neither")
+    branch: Literal[-1, 0, 1] = Field(description="1 if the temperature rose, -1 if it fell, 0 if neither")
     readings: int
     coefficients: dict[str, ValuePart] | None = Field(
-        description="null where its readings alone do not determine them"
+        description="coefficients at this temperature; null if its readings alone do not determine them"
     )
 
 
@@ -89,9 +89,9 @@ class ThermalNoisePart(ResultModel):
 class ApproximationPart(ResultModel):
     """The errors that arise because the table is used instead of the polynomials."""
 
-    interpolation_bias_g: float = Field(description="at 0 g")
-    interpolation_per_g: float = Field(description="in addition for each g")
-    single_precision_g: float = Field(description="what single precision adds, up to `up_to_g`")
+    interpolation_bias_g: float = Field(description="error of interpolation at 0 g, g")
+    interpolation_per_g: float = Field(description="additional error for each g of acceleration, g")
+    single_precision_g: float = Field(description="error of single-precision arithmetic up to `up_to_g`, g")
     up_to_g: float
     temperatures_checked: int
 
@@ -123,21 +123,23 @@ class CompensateResult(ResultModel):
     order: list[tuple[str, int]] = Field(description="coefficient and power, in the order of `covariance`")
     covariance: Matrix
     covariance_readings: Matrix = Field(
-        description="the part that the readings and the stand as it is stated show"
+        description="covariance from the readings and the stated errors of the stand"
     )
     uncertainty_sources: list[UncertaintySourcePart] = Field(
-        description="the errors in u that no reading shows, in the terms at the reference temperature"
+        description="sources of uncertainty that the readings do not show, for the terms at the reference "
+        "temperature"
     )
     hysteresis: HysteresisPart | None
     plateaus: list[PlateauPart]
     noise: ThermalNoisePart
     lack_of_fit: FitPart
-    curve: FitPart | None = Field(description="the polynomials against coefficients free at each temperature")
+    curve: FitPart | None = Field(description="test of the polynomials against separate fits by temperature")
     readings: ReadingsPart
     notes: list[str]
     table: TablePart
     check: Matrix = Field(
-        description="check vectors: temperature, °C, three signals, and three accelerations by the table, g"
+        description="check vectors: temperature, °C, three signals, and the three accelerations that the "
+        "table gives, g"
     )
     python: list[str] = Field(description="three lines of Python that test the file named as their argument")
     verification: list[VerdictAtPart]

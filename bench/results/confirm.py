@@ -23,9 +23,9 @@ class ParameterNow(ResultModel):
 
     parameter: str
     channel: str | None
-    value: float = Field(description="the model's")
-    u: float = Field(description="the model's; 0 where it states none")
-    now: float = Field(description="as these readings alone say it")
+    value: float = Field(description="value in the model")
+    u: float = Field(description="standard uncertainty in the model; 0 if it states none")
+    now: float = Field(description="value estimated from the new readings alone")
     u_now: float
     unit: str
 
@@ -35,13 +35,13 @@ class EffectPart(ResultModel):
 
     name: str
     either_of: list[str] = Field(
-        description="names of which nobody could say which it is, where the model has the first of a tie"
+        description="names between which the diagnosis did not decide; the model has the first"
     )
     channels: list[str]
     installations: list[str]
-    verdict: Word | None = Field(description="null where these readings do not show it")
-    p_same: float = Field(description="chance of values so far from the model's")
-    p_none: float = Field(description="chance of values so far from none")
+    verdict: Word | None = Field(description="verdict on it; null if the new readings cannot show it")
+    p_same: float = Field(description="p-value of the hypothesis that the values are those of the model")
+    p_none: float = Field(description="p-value of the hypothesis that the effect is absent")
     parameters: list[ParameterNow]
 
 
@@ -49,21 +49,25 @@ class ConfirmResult(ResultModel):
     """The test of a model on new readings: the misfit (gap) with and without it, and the verdict on each effect."""
 
     closed: Real = Field(
-        description="(before - after)/(before - floor): the part of the gap that the model closes; null where "
-        "nothing is above the floor"
+        description="part of the gap that the model closes: (before - after)/(before - floor); null if "
+        "`before` is not above the floor"
     )
     before: Real = Field(description="reduced chi-square of the new readings without the model's effects")
-    after: Real = Field(description="the same with them, at the model's values")
-    floor: float = Field(description="its expectation when nothing is missing")
-    p_after: Real = Field(description="chance of more than `after`")
-    before_rms_ug: Real = Field(description="root mean square of measured less simulated, µg")
-    after_rms_ug: Real = Field(description="the same with the model's effects, µg")
-    expected_rms_ug: Real = Field(description="what noise alone would leave, µg")
-    before_rms_v: Real = Field(default=None, description="the same in V, of a record at a known input")
+    after: Real = Field(description="reduced chi-square with the model's effects as they are")
+    floor: float = Field(description="expected reduced chi-square if no effect is missing")
+    p_after: Real = Field(description="p-value of `after`")
+    before_rms_ug: Real = Field(description="rms of measured minus predicted without the model's effects, µg")
+    after_rms_ug: Real = Field(description="rms of measured minus predicted with the model's effects, µg")
+    expected_rms_ug: Real = Field(description="root mean square expected from noise alone, µg")
+    before_rms_v: Real = Field(
+        default=None,
+        description="root mean square without the model's effects, V; for a record at a known input",
+    )
     after_rms_v: Real = None
     verdict: Word = Field(
-        description="confirmed where every effect that shows is as it was (p_same of 0.01 or more) and half of "
-        "the gap closes; gone where none is there (p_none of 0.01 or more)"
+        description="`confirmed` if every effect that the readings can show is unchanged (p_same of 0.01 or "
+        "more) and half of the gap closes; `gone` if no effect is present (p_none of 0.01 or "
+        "more)"
     )
     effects: list[EffectPart]
     left: Verdict = Field(description="verdict of a diagnosis of the new readings with the model")

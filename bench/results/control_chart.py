@@ -37,8 +37,8 @@ LAST_ROWS: Final = 12
 class DesignPart(ResultModel):
     """The design of the chart: false alarm rate, weight of the EWMA, and basis of the limits."""
 
-    arl: float = Field(description="mean number of runs between false alarms of the whole")
-    arl_of_each: float = Field(description="the same of each of the three statistics that reject a run")
+    arl: float = Field(description="mean number of runs between false alarms of the whole chart")
+    arl_of_each: float = Field(description="mean number of runs between false alarms of one statistic")
     smoothing: float = Field(description="λ of the EWMA")
     limits_from: Basis
 
@@ -46,19 +46,19 @@ class DesignPart(ResultModel):
 class LimitsPart(ResultModel):
     """The control limits."""
 
-    t2: float = Field(description="of T² of a run")
-    ewma_t2: float = Field(description="of T² of the EWMA")
-    single: float = Field(description="of one coefficient, in u")
-    single_ewma: float = Field(description="of the EWMA of one coefficient, in its u")
+    t2: float = Field(description="limit of T² of a run")
+    ewma_t2: float = Field(description="limit of T² of the EWMA")
+    single: float = Field(description="limit of a single coefficient, in units of its u")
+    single_ewma: float = Field(description="limit of the EWMA of a single coefficient, in units of its u")
 
 
 class ShortTermPart(ResultModel):
     """The scatter of the readings within a run."""
 
-    s: float = Field(description="short-term standard deviation of a reading, in the unit")
+    s: float = Field(description="short-term standard deviation of a reading, in `unit`")
     dof: float
-    f: Real = Field(description="its square over that of the baseline")
-    p: Real = Field(description="chance of more (F test)")
+    f: Real = Field(description="F: square of `s` divided by that of the baseline")
+    p: Real = Field(description="p-value of the F test")
 
 
 class DeviationPart(ResultModel):
@@ -76,11 +76,11 @@ class ChartedRun(ResultModel):
     """A run of the check block after the baseline, with its verdict."""
 
     run: str
-    when: str = Field(description="ISO 8601")
+    when: str = Field(description="time of the run (ISO 8601)")
     accepted: bool
-    reasons: list[str] = Field(description="why it is rejected, a clause each")
+    reasons: list[str] = Field(description="reasons for which the run is rejected")
     t2: float = Field(description="T² of the twelve coefficients")
-    p: float = Field(description="chance of as much")
+    p: float = Field(description="p-value of T²")
     ewma_t2: Real = Field(description="T² of the EWMA; null for a run that T² rejects")
     ewma_p: Real
     short_term: ShortTermPart
@@ -90,13 +90,13 @@ class ChartedRun(ResultModel):
 class VariabilityPart(ResultModel):
     """The variability of a coefficient in the baseline, as standard deviations."""
 
-    noise: float = Field(description="from the noise of readings")
-    stated: float = Field(description="u of one run from everything that changes between runs")
-    scatter: float = Field(description="between runs")
+    noise: float = Field(description="standard deviation between runs due to the noise of readings")
+    stated: float = Field(description="stated u of one run, from all errors that change between runs")
+    scatter: float = Field(description="observed standard deviation between runs")
     f: float = Field(description="(scatter/stated)²")
-    p: float = Field(description="chance of more")
-    between: float = Field(description="the part of the scatter beyond stated u")
-    between_most: float = Field(description="its upper limit of 95 %")
+    p: float = Field(description="p-value of the F test")
+    between: float = Field(description="part of the scatter that exceeds the stated u")
+    between_most: float = Field(description="upper 95 % limit of `between`")
 
 
 class PooledPart(ResultModel):
@@ -111,10 +111,10 @@ class ComponentsPart(ResultModel):
 
     coefficients: dict[str, VariabilityPart]
     runs: int
-    birge: float = Field(description="Birge ratio of all coefficients: scatter over stated u")
+    birge: float = Field(description="Birge ratio of all coefficients: observed scatter divided by stated u")
     birge_dof: int
-    birge_p: float = Field(description="chance of a ratio so far from 1")
-    alike_p: float = Field(description="chance of ratios so different between directions")
+    birge_p: float = Field(description="p-value of the hypothesis that the Birge ratio is 1")
+    alike_p: float = Field(description="p-value for the same ratio in all directions")
     short_term: PooledPart | None
 
 
@@ -123,14 +123,14 @@ class DriftPart(ResultModel):
 
     per_year: float
     u: float
-    p: float = Field(description="chance of as much in any of the twelve")
+    p: float = Field(description="p-value of the hypothesis that none of the twelve drifts")
 
 
 class NineRun(ResultModel):
     """A run of the check block in its nine intrinsic numbers."""
 
-    t2: float = Field(description="T² of all nine")
-    p: float = Field(description="chance of as much")
+    t2: float = Field(description="T² of the nine intrinsic numbers")
+    p: float = Field(description="p-value of T²")
     ewma_t2: Real = Field(description="T² of the EWMA; null for a run that T² rejects")
     ewma_p: Real
     values: dict[str, DeviationPart]
@@ -139,37 +139,40 @@ class NineRun(ResultModel):
 class NineChart(ResultModel):
     """The chart of the nine intrinsic numbers, which do not depend on the mounting; it decides."""
 
-    centre: dict[str, ValuePart] = Field(description="in unit/g, degrees and g")
-    scale: float = Field(description="by how much stated u is multiplied")
-    dof: Real = Field(description="degrees of freedom of that; null where stated u is believed")
+    centre: dict[str, ValuePart] = Field(description="centre lines, in unit/g, degrees and g")
+    scale: float = Field(description="factor on the stated u")
+    dof: Real = Field(description="degrees of freedom of `scale`; null if the stated u is used unchanged")
     limits_from: Basis
     limits: LimitsPart
-    runs: dict[str, NineRun] = Field(description="by name of the run")
+    runs: dict[str, NineRun] = Field(description="statistics of each run, by its name")
     components: ComponentsPart | None
-    drift: dict[str, DriftPart] | None = Field(description="beyond the known drift, in a year")
+    drift: dict[str, DriftPart] | None = Field(description="drift per year beyond the known drift")
 
 
 class ChartResult(ResultModel):
     """The control chart of a check block, and whether its last run is in control."""
 
     block: str
-    unit: str = Field(description="of the signals")
-    g_m_s2: float = Field(description="the g that scale factors are per")
+    unit: str = Field(description="unit of the signals")
+    g_m_s2: float = Field(description="gravity to which the scale factors refer, m/s²")
     simulated: bool
     intrinsic: NineChart
     design: DesignPart
-    baseline: list[str] = Field(description="runs that say what the block is")
-    reference: str | None = Field(description="the result that is used in their place")
-    centre: dict[str, ValuePart] = Field(description="what the block is")
-    scale: float = Field(description="by how much stated u is multiplied")
-    dof: Real = Field(description="degrees of freedom of that; null where stated u is believed")
+    baseline: list[str] = Field(description="runs that define the centre lines")
+    reference: str | None = Field(description="result file used in place of the baseline; null if none")
+    centre: dict[str, ValuePart] = Field(description="centre line of each coefficient")
+    scale: float = Field(description="factor on the stated u")
+    dof: Real = Field(description="degrees of freedom of `scale`; null if the stated u is used unchanged")
     limits: LimitsPart
-    runs: list[ChartedRun] = Field(description="runs after the baseline, the oldest first")
+    runs: list[ChartedRun] = Field(description="runs after the baseline, oldest first")
     components: ComponentsPart | None
     drift: dict[str, DriftPart] | None = Field(
-        description="what accepted runs show beyond the known drift, in a year"
+        description="drift per year of the accepted runs beyond the known drift"
     )
-    baseline_alone_p: list[float] | None = Field(description="chance of each baseline run beside the others")
+    baseline_alone_p: list[float] | None = Field(
+        description="for each baseline run, p-value of the hypothesis that it agrees with the other baseline "
+        "runs"
+    )
     in_control: bool
     last: str | None = Field(description="the run that is judged last")
     notes: list[str]

@@ -10,7 +10,6 @@ import numpy as np
 from pydantic import Field
 from rich.console import Console
 
-from bench.base.arrays import CHANNELS
 from bench.base.numbers import concise, quantity, typeset
 from bench.base.result_model import Real, ResultModel, Vector
 from bench.base.tables import print_notes, table
@@ -32,13 +31,12 @@ from bench.results.diagnosis_parts import (
     FormPart,
     GapPart,
     NoisePart,
-    OfChannels,
     form_part,
     gap_part,
     mistake_part,
 )
 from bench.results.diagnosis_words import Files
-from bench.results.parts import BenchPart, CorrectionPart
+from bench.results.parts import BenchPart, ChannelsPart, CorrectionPart, by_channel
 from bench.results.residuals import ResidualsPart, compared_residuals
 
 if TYPE_CHECKING:
@@ -48,9 +46,9 @@ if TYPE_CHECKING:
 class OrientationPart(ResultModel):
     """The orientation of the block at the verification points, as the signals show it."""
 
-    off_deg: float = Field(description="turn between what the signals say and what the bench file states")
-    axis: Vector = Field(description="about this axis of the block")
-    contradicts_bench_file: bool = Field(description="then the signals are believed")
+    off_deg: float = Field(description="angle between the signals' orientation and the bench file's, deg")
+    axis: Vector = Field(description="axis of this turn, in the axes of the block")
+    contradicts_bench_file: bool = Field(description="if true, the orientation from the signals is used")
 
 
 class ProposalPart(ResultModel):
@@ -59,13 +57,13 @@ class ProposalPart(ResultModel):
     why: str
     procedure: Path = Field(description="path of the procedure that was written")
     minutes: float
-    settles: list[Separation] = Field(description="ties that it would settle")
+    settles: list[Separation] = Field(description="ties of names that it would resolve")
     shows: list[str] = Field(description="hidden effects that it would show")
     left_out: dict[str, str] = Field(description="procedures that this bench cannot carry out, and why")
     chances: list[Chance] = Field(
         default=[],
-        description="for each procedure thought of its hours, and the probability that one name of each tie then "
-        "has a posterior of 0.95",
+        description="for each procedure considered, its duration in hours, and the probability that one name "
+        "of each tie then has a posterior of 0.95",
     )
 
 
@@ -75,8 +73,8 @@ class ModulusPart(ResultModel):
     angle_deg: float
     pass_number: int = Field(alias="pass")
     point: int
-    delta_g: Real = Field(description="g")
-    u: Real = Field(description="g")
+    delta_g: Real = Field(description="error of the modulus, g")
+    u: Real = Field(description="standard uncertainty of the error, g")
 
 
 class SimulationPart(ResultModel):
@@ -84,8 +82,8 @@ class SimulationPart(ResultModel):
 
     chi2: Real
     dof: int | float
-    p: Real = Field(description="of the readings beside the model")
-    rms: Real = Field(description="of what is left")
+    p: Real = Field(description="p-value of the readings under the model")
+    rms: Real = Field(description="root mean square of the residuals")
     rms_of_a_simulated_run: Real
     seed: int
     verification_joined: bool = Field(description="whether the verification points joined the fit")
@@ -110,9 +108,9 @@ class RivalPart(ResultModel):
     """A family of effects that may explain the readings instead of an effect found."""
 
     name: str
-    ln_odds: float = Field(description="ln odds that it is there")
-    tied: bool = Field(description="whether the data cannot tell it from what was found")
-    largest_shift: ShiftPart = Field(description="the coefficient that would change most, were it this one")
+    ln_odds: float = Field(description="ln of the odds that this family is present")
+    tied: bool = Field(description="whether the data cannot distinguish this family from the effect found")
+    largest_shift: ShiftPart = Field(description="coefficient that changes most if it replaces the effect")
 
 
 Coefficients = Annotated[
@@ -129,52 +127,49 @@ class BlockPart(ResultModel):
 
     mountings: list[str]
     coefficients: Coefficients
-    p_before: Real = Field(description="of the block's readings beside the model that was given")
-    p_after: Real = Field(description="with what was found; null where nothing was")
+    p_before: Real = Field(description="p-value of the block's readings under the given model")
+    p_after: Real = Field(description="p-value with the effects found; null if none was found")
 
 
 class FoundResult(ResultModel):
     """The findings of a diagnosis."""
 
-    verdict: Verdict = Field(
-        description="where several apply, the first of mistake, unknown, confounded, named"
-    )
-    where: list[ResidualPattern] = Field(
-        description="patterns of the residuals that stand out, the largest first"
-    )
-    effects: list[EffectPart] = Field(description="in the order in which they were added")
-    hidden: list[str] = Field(description="effects that these readings could never show")
-    hidden_parts: dict[str, list[str]] = Field(description="of some effects, the parts of which that is true")
+    verdict: Verdict = Field(description="the first that applies of mistake, unknown, confounded and named")
+    where: list[ResidualPattern] = Field(description="significant patterns in the residuals, largest first")
+    effects: list[EffectPart] = Field(description="effects found, in the order of their addition")
+    hidden: list[str] = Field(description="effects that these readings cannot show at any size")
+    hidden_parts: dict[str, list[str]] = Field(description="parameters that these readings cannot show")
     absent: dict[str, str] = Field(
-        description="effects that are no candidates, as the bench has nothing that could make them, and why"
+        description="effects that were excluded because this bench cannot have them, and why"
     )
     far: list[FarReading] = Field(
-        description="readings 6 u or more from what the final model says without them, the farthest first; `p` is "
-        "the probability that the noise as fitted gives as much anywhere"
+        description="readings 6 u or more from the prediction by the others in the final model, farthest "
+        "first; `p` is the probability that noise alone gives as much in any reading"
     )
     unseen_per_turn: list[int] = Field(
-        description="how often a turn an error of the head's angle would have to repeat to be the same at all "
+        description="numbers of periods per turn at which an error of the head's angle is the same at all "
         "angles measured"
     )
     verification_orientation: OrientationPart | None = Field(
-        description="how the block stood at the verification points; null where they do not tell it"
+        description="orientation of the block at the verification points; null if unknown"
     )
     gap: GapPart | None = Field(
-        description="reduced chi-square of readings that were not used in the fit; null where nothing was held "
-        "out; null where mistakes leave too little to fit"
+        description="reduced chi-square of readings that were held out of the fit; null if none were held "
+        "out, or if mistakes leave too few readings to fit"
     )
-    noise: NoisePart | None = Field(description="null where mistakes leave too little to fit")
-    p_left: Real = Field(description="of what the model leaves against the scatter of repeats")
+    noise: NoisePart | None = Field(description="noise of the readings; null if mistakes leave too few")
+    p_left: Real = Field(description="p-value of the final residuals, compared with the scatter of repeats")
     form: FormPart | None = Field(
-        description="terms that describe what has no name, how they predict readings held out, what stays dark; "
-        "null where all has one"
+        description="terms that describe the effects without a name, their predictions of held-out readings, "
+        "and the unexplained rest; null if every effect has a name"
     )
     detectable: dict[str, Real] = Field(
-        description="smallest size that half of all runs would show, in plausible sizes; null for what never shows"
+        description="size of each effect that half of all runs would show, in units of its plausible size; "
+        "null if no run shows it"
     )
     registered: Registration | None = Field(
-        description="what was fixed before the readings were looked at: threshold, grids, levels, and the hash of "
-        "it all; null where mistakes leave too little to fit"
+        description="settings fixed before the readings were examined (threshold, grids, levels) and their "
+        "hash; null if mistakes leave too few readings to fit"
     )
     notes: list[str]
 
@@ -187,33 +182,35 @@ class DiagnoseResult(FoundResult):
     """
 
     next_measurement: ProposalPart | None = Field(
-        description="what would settle a tie or show what is hidden"
+        description="measurement that would break a tie or show a hidden effect; null if none is proposed"
     )
-    model: Path | None = Field(description="path of the model file that was written")
-    simulation: SimulationsPart | None = Field(description="null where mistakes leave too little to fit")
+    model: Path | None = Field(description="path of the model file; null if none was written")
+    simulation: SimulationsPart | None = Field(
+        description="comparison with simulated readings; null if mistakes leave too few readings to fit"
+    )
     coefficients: Coefficients
     ranking: list[list[RivalPart]] = Field(
-        description="for each effect found the families beside it, the most plausible first"
+        description="for each effect found, the families that may be present instead, most plausible first"
     )
     source: str
     simulated: bool
     skipped_rows: list[str]
-    report: Path | None = Field(description="path of the page")
+    report: Path | None = Field(description="path of the page; null if none was written")
     bench: BenchPart | None
     corrections: list[CorrectionPart] = Field(
-        description="the certificates of the instruments, and what was done by them; without any an empty list"
+        description="certificates of the instruments and their corrections; may be empty"
     )
     corrected: CopyPart | None = Field(
-        description="the copy with mistakes put right, on which all but the mistakes rests; null where there is "
-        "none"
+        description="copy of the readings with the mistakes corrected, from which all members except the "
+        "mistakes follow; null if there is none"
     )
     residuals: ResidualsPart | None = Field(
-        default=None, description="of each fitted reading, of the first block where they are of several"
+        default=None, description="residuals of each fitted reading; of the first block if there are several"
     )
     blocks: list[BlockPart] = Field(
         default=[],
-        description="each block where the readings are of several; `coefficients` and `simulation` are then the "
-        "first's",
+        description="each block of readings of several blocks; `coefficients` and `simulation` are those of "
+        "the first",
     )
 
 
@@ -240,7 +237,7 @@ def found_result(found: Diagnosis) -> FoundResult:
             reading=found.noise.reading,
             setting_arcsec=found.noise.setting_arcsec,
             dof=found.noise.freedom,
-            channels=OfChannels(**dict(zip(CHANNELS, found.noise_by_channel.tolist(), strict=True))),
+            channels=ChannelsPart(**by_channel(found.noise_by_channel)),
             kinds=list(found.noise_kinds),
             findings=[FindingPart.model_validate(one) for one in found.findings],
         ),

@@ -12,13 +12,14 @@ from bench.base.arrays import rms
 from bench.base.result_model import Real, ResultModel
 from bench.diagnosis.gap import FLOOR, UNDETERMINED, Fold, Gap
 from bench.diagnosis.mistakes.search import Mistake
+from bench.diagnosis.naming import FamilyOdds
 from bench.diagnosis.noise_kinds import LocalScatter, NoiseKind
 from bench.diagnosis.pipeline import values_of
 from bench.diagnosis.posterior import KnownTogether
 from bench.diagnosis.residual_model import FormTerm, FreeForm
 from bench.diagnosis.result import Verdict
 from bench.results.diagnosis_words import Files
-from bench.results.parts import BenchPart, CorrectionPart
+from bench.results.parts import BenchPart, ChannelsPart, CorrectionPart
 
 VerdictOfCopy = Literal["agrees", "named", "confounded", "unknown"]
 
@@ -60,58 +61,53 @@ class MistakePlace(ResultModel):
     misfit_after: Real
 
 
-class OddsPart(ResultModel):
-    """A possible name of an effect found, with its posterior probability."""
-
-    name: str
-    probability: float
-
-
 class FoundPart(ResultModel):
     """The members that mistakes and effects share."""
 
-    name: str = Field(description="from the catalogue, or what kind of mistake or unnamed pattern it is")
+    name: str = Field(description="name in the catalogue, or the kind of mistake or unnamed pattern")
     channels: list[str]
-    cannot_tell_from: list[str] = Field(description="what explains the readings equally well")
+    cannot_tell_from: list[str] = Field(description="other effects that explain the readings equally well")
     parameters: MistakePlace | Parameters = Field(
-        description="values with `u` and `unit`, by parameter and channel; of a mistake where it is and how the "
-        "misfit changes"
+        description="values with `u` and `unit` by parameter and channel; for a mistake, its place and the "
+        "misfit with and without it"
     )
-    p: Real = Field(description="for this effect alone")
+    p: Real = Field(description="p-value of this effect alone")
     p_all_looks: Real = Field(
-        description="everything that was looked at counted; of a mistake never 0, 2.2e-308 stands for less"
+        description="p-value corrected for everything that was examined; 2.2e-308 stands for smaller values "
+        "of a mistake"
     )
     rho: Real = Field(
         default=None,
-        description="size over its u: |value|/u of one number, of several the root of their chi-square",
+        description="size divided by its u; for several parameters, root of their chi-square",
     )
     probability: Real = Field(
-        default=None, description="posterior probability of the name; null for a mistake, which has none"
+        default=None, description="posterior probability of the name; null for a mistake"
     )
-    words: str = Field(description="the sentence on it")
-    odds: list[OddsPart] = Field(
+    words: str = Field(description="the finding as a sentence")
+    odds: list[FamilyOdds] = Field(
         default=[],
-        description="the names that may stand in this place, the most probable first; `unnamed_form` is any form "
-        "without a name",
+        description="possible names of the effect, most probable first; `unnamed_form` is any pattern without "
+        "a name",
     )
 
 
 class EffectPart(FoundPart):
     """An effect or a mistake that was found."""
 
-    installations: list[str] = Field(description="mountings that have it; empty where it is of all")
+    installations: list[str] = Field(description="installations that show the effect; empty if all do")
     plainer_than: list[str] = Field(
-        default=[], description="larger families of the same subsystem that contain it"
+        default=[], description="more general families of the same subsystem that contain this one"
     )
     together: list[KnownTogether] = Field(
-        default=[], description="sums or differences that the readings tell where they hardly tell the values"
+        default=[],
+        description="sums or differences of parameters that are better known than the values",
     )
     shape_held: bool = Field(
         default=False,
-        description="whether each u of the parameters is that with the effect's shape as it was found",
+        description="whether each u of the parameters applies to the shape of the effect as found",
     )
     aliases: list[int] = Field(
-        default=[], description="other periods a turn that would look the same at the angles measured"
+        default=[], description="other numbers of periods per turn that look the same at the angles measured"
     )
 
 
@@ -119,9 +115,7 @@ class FormFoldPart(ResultModel):
     """Readings that were held out together, and the misfit of their prediction from the other readings."""
 
     what: str
-    counted: bool = Field(
-        description="whether it counts in `before` and `after` above; every fold measured does"
-    )
+    counted: bool = Field(description="whether it counts in `before` and `after` of the gap")
     before: Real
     after: Real
 
@@ -130,7 +124,7 @@ class FoldPart(FormFoldPart):
     """Readings that were held out together, the effects that the others showed, and how well these predict."""
 
     confirmable: bool = Field(description="whether the other readings determine the coefficients")
-    left_out: str | None = Field(description="why it does not count")
+    left_out: str | None = Field(description="why it does not count; null if it does")
     named_without_it: list[str]
     before_rms_ug: Real
     after_rms_ug: Real
@@ -140,15 +134,15 @@ class FormGapPart(ResultModel):
     """The reduced chi-square of readings that were held out of both search and fit."""
 
     before: Real = Field(
-        description="with the model before; null where no fold measures it, `reason` says why"
+        description="reduced chi-square with the given model; null if nothing was held out (see `reason`)"
     )
-    after: Real = Field(description="with what was named")
-    floor: float = Field(description="its expectation when nothing is missing")
+    after: Real = Field(description="reduced chi-square with the effects found")
+    floor: float = Field(description="expected reduced chi-square if no effect is missing")
     closed: Real = Field(
-        description="(before - after)/(before - floor): the part of the gap that is closed; null where nothing is "
-        "above the floor"
+        description="part of the gap that is closed: (before - after)/(before - floor); null if `before` is "
+        "not above the floor"
     )
-    before_rms: Real = Field(description="root mean square of measured less predicted, in `unit`")
+    before_rms: Real = Field(description="rms of measured minus predicted with the given model, in `unit`")
     after_rms: Real
     unit: str
     held_out: Sequence[FormFoldPart]
@@ -158,32 +152,32 @@ class GapPart(FormGapPart):
     """The reduced chi-square of readings held out of the fit, and whether it confirms the effects found."""
 
     shrinks: bool | None = Field(
-        description="whether it shrinks by the rule in `registered`, without which nothing is named alone; null "
-        "where nothing was found or nothing measures it"
+        description="whether the gap shrinks by the rule in `registered`, which a name requires; null if "
+        "nothing was found or nothing was held out"
     )
-    reason: str | None = Field(description="why readings held out do not confirm what was found")
-    p_after: Real = Field(description="chance of more than `after`")
+    reason: str | None = Field(description="why held-out readings do not confirm effects; null if they do")
+    p_after: Real = Field(description="p-value of `after`")
     before_rms_ug: Real = Field(
-        description="root mean square of measured less predicted, in µg by the scale factors"
+        description="rms of measured minus predicted with the given model, µg by the scale factors"
     )
     after_rms_ug: Real
     expected_rms_ug: Real = Field(
-        description="what after_rms_ug is expected to be when nothing is missing: noise, and the uncertainty of "
-        "the prediction"
+        description="expected `after_rms_ug` if no effect is missing, from noise and the uncertainty of the "
+        "prediction"
     )
-    noise_rms: float = Field(description="of a reading, in `unit`")
+    noise_rms: float = Field(description="standard deviation of a reading, in `unit`")
     held_out: list[FoldPart]
 
 
 class CopyPart(ResultModel):
     """The copy of the readings in which the mistakes are corrected."""
 
-    readings: Path | None = Field(description="the readings file of the copy; null where it was not written")
-    used: int = Field(description="readings in the copy")
+    readings: Path | None = Field(description="readings file of the copy; null if it was not written")
+    used: int = Field(description="number of readings in the copy")
     verdict: VerdictOfCopy | None = Field(
-        description="what the search on the copy came to; null where it is too little to fit"
+        description="verdict of the search on the copy; null if it has too few readings to fit"
     )
-    rests_on: list[str] = Field(description="the mistakes that are put right in it")
+    rests_on: list[str] = Field(description="mistakes that are corrected in the copy")
 
 
 class PlacePart(ResultModel):
@@ -192,9 +186,9 @@ class PlacePart(ResultModel):
     channel: str
     installation: str
     pattern: str
-    size: float = Field(description="root mean square beside zero and drift, or of |a| - 1 g")
+    size: float = Field(description="root mean square of the residuals after zero and drift, or of |a| - 1 g")
     unit: str
-    p: Real = Field(description="by white noise alone; of free positions all records counted")
+    p: Real = Field(description="p-value under white noise; corrected for several records of free positions")
 
 
 class AloneResult(ResultModel):
@@ -202,25 +196,25 @@ class AloneResult(ResultModel):
 
     verdict: Verdict
     where: list[PlacePart] = Field(
-        description="where readings and model differ, of free positions the largest first"
+        description="places where readings and model differ; for free positions, largest first"
     )
     next_measurement: None
-    hidden: list[str] = Field(description="effects that these readings could never show")
+    hidden: list[str] = Field(description="effects that these readings cannot show at any size")
     gap: GapPart = Field(
-        description="reduced chi-square of what was held out in turn: every fifth position, rms in g; or the "
-        "excursions of a record, rms in V"
+        description="reduced chi-square of readings held out in turn: every fifth position (rms in g), or the "
+        "excursions of a record (rms in V)"
     )
     model: Path | None = Field(
-        description="path of the model file that was written; of several sensors with values of their own the "
-        "first's"
+        description="path of the model file, the first if several sensors have one each; null if none was "
+        "written"
     )
-    threshold: float = Field(description="ln odds above which something is found")
+    threshold: float = Field(description="ln of the odds above which an effect counts as found")
     notes: list[str]
     source: str
-    report: Path | None = Field(description="path of the page")
+    report: Path | None = Field(description="path of the page; null if none was written")
     bench: BenchPart | None
     corrections: list[CorrectionPart] = Field(
-        description="the certificates of the instruments, and what was done by them; without any an empty list"
+        description="certificates of the instruments and their corrections; may be empty"
     )
     simulated: bool
     skipped_rows: list[str]
@@ -236,14 +230,6 @@ class AloneResult(ResultModel):
         return cls.from_object(found, **{**written, **of_source, **others})
 
 
-class OfChannels(ResultModel):
-    """A number for each channel."""
-
-    x: float
-    y: float
-    z: float
-
-
 class FindingPart(ResultModel):
     """A noise that is larger than stated."""
 
@@ -251,11 +237,11 @@ class FindingPart(ResultModel):
     found: float
     stated: float
     unit: str
-    factor: float = Field(description="found over stated, more than 2")
+    factor: float = Field(description="`found` divided by `stated`, above 2")
     p: float
-    source: str = Field(description="what states it: the readings' own scatter or the bench file")
+    source: str = Field(description="what states the noise: the scatter of the readings or the bench file")
     series: list[int] = Field(
-        default=[], description="of the run that it is of, where runs have noise of their own"
+        default=[], description="runs (by series number) with this noise, if runs have noise of their own"
     )
     words: str
 
@@ -263,17 +249,17 @@ class FindingPart(ResultModel):
 class NoisePart(ResultModel):
     """The noise as estimated from the scatter of the readings."""
 
-    reading: float = Field(description="of a reading, unit of the signal")
+    reading: float = Field(description="standard deviation of a reading, unit of the signal")
     setting_arcsec: float
     dof: int
-    channels: OfChannels = Field(
-        description="of a reading of each channel; the root of their mean square is reading"
+    channels: ChannelsPart = Field(
+        description="standard deviation of a reading of each channel; `reading` is their root mean square"
     )
     kinds: list[NoiseKind] = Field(
-        description="in what the noise is not normal and of one size in all channels; the search reckons with it"
+        description="deviations from normal noise of equal size in all channels; the search allows for them"
     )
     findings: list[FindingPart] = Field(
-        description="noise larger than stated; with one the verdict is unknown"
+        description="noise larger than stated; if there is any, the verdict is unknown"
     )
 
 
@@ -291,7 +277,7 @@ class TermPart(ResultModel):
     """A term that describes an unnamed effect."""
 
     name: str
-    stage: str = Field(description="where it is added in the chain from the head to the voltmeter")
+    stage: str = Field(description="stage of the chain from head to voltmeter at which the term is added")
     adds_to: str | None
     expression: str
     constants: dict[str, ValuePart]
@@ -299,14 +285,14 @@ class TermPart(ResultModel):
     sizes: list[SizePart]
     family: str
     could_also_be: list[str]
-    rho: float = Field(description="size over its u, as of effects")
-    p: float = Field(description="for this term alone")
+    rho: float = Field(description="size divided by its u")
+    p: float = Field(description="p-value of this term alone")
 
 
 class DarkPart(ResultModel):
     """The dark uncertainty: the scatter of readings that remains unexplained."""
 
-    value: float = Field(description="1 sigma; 0 where it is no more than chance gives")
+    value: float = Field(description="standard deviation; 0 if it is not significant")
     u: Real
     upper_95: Real
     p: float
@@ -316,11 +302,11 @@ class FormPart(ResultModel):
     """The terms that describe an unnamed effect."""
 
     terms: list[TermPart]
-    instead_of: list[str] = Field(description="the named effects in whose place the terms are as plausible")
+    instead_of: list[str] = Field(description="named effects that are as plausible as these terms")
     gap: FormGapPart
-    dark_uncertainty: float = Field(description="what stays unexplained in each reading, 1 sigma")
+    dark_uncertainty: float = Field(description="standard deviation of the unexplained part of each reading")
     dark: DarkPart
-    scatter: LocalScatter | None = Field(description="where readings scatter more than elsewhere")
+    scatter: LocalScatter | None = Field(description="places where readings scatter more than elsewhere")
     unit: str
 
 

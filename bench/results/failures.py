@@ -28,8 +28,8 @@ class Failure(ResultModel):
     run: str
     event: int = Field(description="number of the event in the record; 0 if the record cannot be read")
     time: str = Field(description="civil time of the event")
-    kind: str = Field(description="type of the event, or damaged")
-    said: str = Field(description="the event in words")
+    kind: str = Field(description="type of the event, or `damaged`")
+    said: str = Field(description="the event as a sentence")
     simulated: bool
     state: str = Field(description="open, remedied or closed")
     noted: list[NotedRemedy]
@@ -38,10 +38,10 @@ class Failure(ResultModel):
 class FailuresResult(ResultModel):
     """The failures of a laboratory, of one year or all: `bench failures`."""
 
-    register_: str = Field(alias="register", description="its folder")
-    head: str = Field(description="SHA-256 of the last line, which proves all lines before it")
+    register_: str = Field(alias="register", description="folder of the register")
+    head: str = Field(description="SHA-256 of the last line, which depends on all lines before it")
     year: int | None
-    collected: int = Field(description="failures that were new in the records")
+    collected: int = Field(description="failures newly found in the records")
     failures: list[Failure]
 
     def counts(self) -> dict[str, dict[str, int]]:

@@ -30,16 +30,16 @@ class FleetResult(ResultModel):
     """The members that every result of `bench fleet` has."""
 
     signal: str = Field(description="unit of the signal; scale factors are per g")
-    simulated: bool = Field(description="whether the calibrations are of simulated runs")
+    simulated: bool = Field(description="true if the calibrations are of simulated runs")
     calibrations: int
-    notes: list[str] = Field(description="what a reader should know")
+    notes: list[str] = Field(description="remarks for the reader, a sentence each")
 
 
 class LimitedPart(ResultModel):
     """A standard deviation with its upper 95 % limit."""
 
-    value: float = Field(description="1 sigma")
-    at_most: Real = Field(description="upper limit of 95 %")
+    value: float = Field(description="standard deviation")
+    at_most: Real = Field(description="upper 95 % limit of the standard deviation")
 
 
 def signed_size(value: float, unit: str) -> str:
@@ -62,12 +62,12 @@ def _number(value: float | None) -> float:
 class SizePart(LimitedPart):
     """A standard deviation between blocks, benches or calibrations: per g for a scale factor, else a signal."""
 
-    u: Real = Field(description="standard uncertainty of the value; null at zero")
+    u: Real = Field(description="standard uncertainty of the value; null if the value is zero")
     p_all_looks: Real = Field(
         default=None,
-        description="chance of as much where there is none, for all coefficients together; left out for units",
+        description="p-value corrected for the number of coefficients; absent for units",
     )
-    shown: bool = Field(default=False, description="whether that is below 5 %; left out for units")
+    shown: bool = Field(default=False, description="whether `p_all_looks` is below 5 %; absent for units")
 
 
 class AllotmentPart(ResultModel):
@@ -76,30 +76,34 @@ class AllotmentPart(ResultModel):
     chi2: float
     dof: int
     p: float
-    by_chance: bool = Field(description="where not, benches are compared within units alone")
+    by_chance: bool = Field(
+        description="whether the units were assigned to benches at random; if not, benches are compared only "
+        "within units"
+    )
 
 
 class RepeatsPart(ResultModel):
     """The scatter of repeated calibrations of one unit on one bench."""
 
-    reduced_chi2: Real = Field(description="null without any")
+    reduced_chi2: Real = Field(description="reduced chi-square of the repeats; null if there are none")
     dof: int
 
 
 class SizesPart(ResultModel):
     """The variance components of a coefficient: units, benches and excess scatter."""
 
-    unit: SizePart = Field(description="what units of a type differ by")
-    bench: SizePart = Field(description="what benches differ by")
+    unit: SizePart = Field(description="standard deviation between units of a type")
+    bench: SizePart = Field(description="standard deviation between benches")
     excess: SizePart = Field(
-        description="what calibrations scatter by beyond their stated u, drift of units included"
+        description="scatter of the calibrations beyond their stated u, including the drift of units"
     )
-    stated_u_rms: float = Field(description="what is stated, without what the same meters bring again")
+    stated_u_rms: float = Field(description="rms of stated u without errors that repeat with the same meters")
     stated_of_meters_rms: float = Field(
-        description="what is stated of the meters: a part of what benches differ by"
+        description="rms of the stated u of the meters, which is part of the difference between benches"
     )
     shares_of_variance: dict[str, float] = Field(
-        description="of one calibration about the mean of its type: unit, bench, excess, stated"
+        description="parts of the variance of one calibration about the mean of its type: unit, bench, "
+        "excess, stated"
     )
     allotment: AllotmentPart
     scatter_of_repeats: RepeatsPart
@@ -114,16 +118,6 @@ class EffectOfBench(ResultModel):
     shown: bool
 
 
-class ApartPart(ResultModel):
-    """A bench or unit whose effect is significant."""
-
-    name: str
-    coefficient: str
-    effect: float = Field(description="from the mean of its set of benches, or of its type")
-    u: float
-    p_all_looks: float = Field(description="of all effects looked at (Holm)")
-
-
 class EffectsResult(FleetResult):
     """The variance components of the coefficients (units, benches, excess), and the significant effects."""
 
@@ -132,15 +126,16 @@ class EffectsResult(FleetResult):
     types: int
     units_on_several_benches: int
     connected: list[list[str]] = Field(
-        description="sets of benches that units join; effects are about the mean of a set"
+        description="sets of benches linked by common units; effects are relative to the mean of a set"
     )
-    coefficients: dict[str, SizesPart] = Field(description="by name")
+    coefficients: dict[str, SizesPart] = Field(description="standard deviations for each coefficient")
     benches_effects: dict[str, dict[str, EffectOfBench] | None] = Field(
-        description="by bench and coefficient; null for a bench that shares no unit with another"
+        description="effect of each bench on each coefficient; null for a bench that shares no unit with "
+        "another"
     )
-    benches_apart: list[ApartPart] = Field(description="benches that stand out")
-    units_apart: list[ApartPart] = Field(description="units that stand out of their type")
-    answer: str = Field(description="a sentence")
+    benches_apart: list[bench_or_block.OutlyingEffect] = Field(description="benches with significant effects")
+    units_apart: list[bench_or_block.OutlyingEffect] = Field(description="units with significant effects")
+    answer: str = Field(description="conclusion in a sentence")
 
 
 def effects_result(found: bench_or_block.BenchOrBlock, notes: Sequence[str]) -> EffectsResult:
@@ -216,23 +211,23 @@ class ExpectedPart(ResultModel):
     """The distribution of a coefficient for a further unit of the type."""
 
     mean: float
-    u: float = Field(description="of a further unit")
-    between_units: float = Field(description="what units differ by, 1 sigma, widened as of so few")
+    u: float = Field(description="standard uncertainty for a further unit")
+    between_units: float = Field(description="standard deviation of units, widened for their small number")
     u_mean: float
 
 
 class PriorResult(FleetResult):
     """The prior for a further unit of a type: the file for `bench calibrate --prior`."""
 
-    type: str = Field(description="of the units")
-    per_g_m_s2: float = Field(description="the g that scale factors are per")
-    units: list[str] = Field(description="those behind it: it serves none of them")
+    type: str = Field(description="type of the units")
+    per_g_m_s2: float = Field(description="gravity to which the scale factors refer, m/s²")
+    units: list[str] = Field(description="units behind the prior, to which it must not be applied")
     benches: list[str]
-    last: str = Field(description="day of the last calibration")
-    dof: int = Field(description="degrees of freedom: one less than units")
-    shrunk: float = Field(description="part that was taken off the correlations, 0 to 1")
-    coefficients: dict[str, ExpectedPart] = Field(description="by name")
-    covariance: Matrix = Field(description="of a further unit, twelve by twelve")
+    last: str = Field(description="date of the last calibration")
+    dof: int = Field(description="degrees of freedom: number of units minus 1")
+    shrunk: float = Field(description="fraction by which the correlations were reduced, 0 to 1")
+    coefficients: dict[str, ExpectedPart] = Field(description="expected coefficients of a further unit")
+    covariance: Matrix = Field(description="covariance of the coefficients of a further unit, 12 × 12")
 
 
 def prior_result(found: prior.Prior, notes: Sequence[str]) -> PriorResult:
@@ -270,37 +265,40 @@ def print_prior(result: PriorResult, out: Console) -> None:
 class RatePart(ResultModel):
     """The drift rate of a coefficient, with scatter and random walk."""
 
-    value: float = Field(description="rate in a year")
+    value: float = Field(description="rate per year")
     u: float
-    p_all_looks: Real = Field(description="chance of such a rate, in any of the twelve")
-    shown: bool = Field(description="whether that is below 5 %")
+    p_all_looks: Real = Field(description="p-value of the rate, corrected for the number of coefficients")
+    shown: bool = Field(description="whether `p_all_looks` is below 5 %")
     between_calibrations: LimitedPart = Field(
-        description="scatter beyond stated u, by restricted likelihood; 0: none is shown"
+        description="standard deviation beyond the stated u, by restricted likelihood; 0 if not significant"
     )
-    random_walk: LimitedPart = Field(description="in a year, likewise")
+    random_walk: LimitedPart = Field(
+        description="standard deviation of the random walk over a year, by restricted likelihood; 0 if not "
+        "significant"
+    )
 
 
 class ForetoldPoint(ResultModel):
     """The coefficients predicted for a date."""
 
-    at: str = Field(description="the day of --at")
-    coefficients: dict[str, ValuePart] = Field(description="by name")
-    intrinsic: dict[str, ValuePart] = Field(description="the nine, by name")
+    at: str = Field(description="date given with --at")
+    coefficients: dict[str, ValuePart] = Field(description="predicted coefficients by name")
+    intrinsic: dict[str, ValuePart] = Field(description="predicted intrinsic numbers by name")
 
 
 class DriftResult(FleetResult):
     """The drift of a unit over its calibrations."""
 
     unit: str = Field(description="type and serial number")
-    per_g_m_s2: float = Field(description="the g that scale factors are per")
-    first: str = Field(description="day")
-    last: str = Field(description="day")
+    per_g_m_s2: float = Field(description="gravity to which the scale factors refer, m/s²")
+    first: str = Field(description="date of the first calibration")
+    last: str = Field(description="date of the last calibration")
     intrinsic_per_year: dict[str, RatePart] = Field(
-        description="of the nine numbers that do not depend on the mounting, by name"
+        description="rates of the nine numbers that do not depend on the mounting, by name"
     )
-    p: float = Field(description="that none of the nine drifts (Bonferroni): this decides")
-    drifts: bool = Field(description="whether p is below 5 %")
-    per_year: dict[str, RatePart] = Field(description="of the twelve, by name")
+    p: float = Field(description="p-value for no drift of any of the nine (Bonferroni), which decides")
+    drifts: bool = Field(description="whether `p` is below 5 %")
+    per_year: dict[str, RatePart] = Field(description="rates of the twelve coefficients, by name")
     expected: ForetoldPoint | None
 
 
@@ -384,8 +382,8 @@ def _rates_table(rates: dict[str, RatePart], then: dict[str, ValuePart] | None, 
 class ScatterPart(LimitedPart):
     """The scatter between a unit's calibrations in excess of their stated u, after drift is removed (1 σ)."""
 
-    value: float = Field(description="root of the mean square over what the calibrations leave open")
-    at_least: float = Field(description="lower limit of 95 %")
+    value: float = Field(description="root mean square, allowing for the degrees of freedom")
+    at_least: float = Field(description="lower 95 % limit of the scatter")
 
 
 class DriftOfUnits(ResultModel):
@@ -396,20 +394,20 @@ class DriftOfUnits(ResultModel):
     the scatter over time was computed.
     """
 
-    rate: float = Field(description="per year, 1 sigma over units; 0 where none is taken out")
-    walk: float = Field(description="random walk in a year, 1 sigma; likewise")
-    p: float = Field(description="chance of as much")
+    rate: float = Field(description="standard deviation of the rates, per year; 0 if no drift was removed")
+    walk: float = Field(description="standard deviation of the walk over a year; 0 if none was removed")
+    p: float = Field(description="p-value of the drift")
     taken_out: bool
 
 
 class CapabilityPart(ResultModel):
     """The calibration and measurement capability for one coefficient."""
 
-    U: float = Field(description="k = 2")
+    U: float = Field(description="expanded uncertainty, k = 2")
     u: float
     stated: LimitedPart
     scatter_over_time: ScatterPart
-    between_benches: LimitedPart | None = Field(description="null for one bench alone")
+    between_benches: LimitedPart | None = Field(description="standard deviation of benches; null for one")
     drift_of_units: DriftOfUnits
     calibrations_that_state_less: int
 
@@ -420,16 +418,16 @@ class CapabilityResult(FleetResult):
     quantity: str
     device: str
     k: float = Field(description="coverage factor")
-    quantile: float = Field(description="share of everyday calibrations that reach it")
-    per_g_m_s2: float = Field(description="the g that scale factors are per")
+    quantile: float = Field(description="fraction of everyday calibrations that reach the stated capability")
+    per_g_m_s2: float = Field(description="gravity to which the scale factors refer, m/s²")
     units: int
     benches: list[str]
-    days: int = Field(description="between the first and the last")
-    first: str = Field(description="day")
-    last: str = Field(description="day")
-    repeats: int = Field(description="calibrations of a unit beyond its first")
-    units_with_too_few_runs: int = Field(description="fewer than three, which tell no drift")
-    coefficients: dict[str, CapabilityPart] = Field(description="by name")
+    days: int = Field(description="days between the first and the last calibration")
+    first: str = Field(description="date of the first calibration")
+    last: str = Field(description="date of the last calibration")
+    repeats: int = Field(description="number of calibrations beyond the first of each unit")
+    units_with_too_few_runs: int = Field(description="units with fewer than three runs, too few for drift")
+    coefficients: dict[str, CapabilityPart] = Field(description="capability for each coefficient")
 
 
 def capability_result(found: capability.Capability, notes: Sequence[str]) -> CapabilityResult:

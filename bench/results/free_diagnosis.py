@@ -46,14 +46,14 @@ class FreeNoise(ResultModel):
 
     reading: float
     unit: Literal["g"]
-    stated: Real = Field(description="what the samples imply")
+    stated: Real = Field(description="noise that the scatter of the samples implies")
     dof: int
 
 
 class FreeCopyPart(CopyPart):
     """The copy of the readings without the outlying positions."""
 
-    files: list[Path] = Field(description="those of all records of which positions stand apart")
+    files: list[Path] = Field(description="readings files of all records that have outlying positions")
 
 
 class FreeDiagnoseResult(AloneResult):
@@ -66,14 +66,14 @@ class FreeDiagnoseResult(AloneResult):
     effects: list[FoundPart]
     noise: FreeNoise
     between_records: BetweenRecordsPart | None = Field(
-        description="how zeros go between records, each fitted by itself; null for one record"
+        description="variation of the zeros between records, each fitted separately; null for one record"
     )
     sensors: int
     records: int
-    models: list[Path] = Field(description="paths of all model files that were written, a sensor each")
+    models: list[Path] = Field(description="paths of the model files, one for each sensor")
     corrected: FreeCopyPart | None = Field(
-        description="what is left without the positions that stand apart, on which all else rests; null where "
-        "there is none"
+        description="readings without the outlying positions, from which all other members follow; null if "
+        "there are none"
     )
 
 

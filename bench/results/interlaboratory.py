@@ -35,7 +35,7 @@ class DifferencePart(ValuePart):
     """A laboratory's value minus the consensus of the others, for one of the nine intrinsic numbers."""
 
     en: float
-    dark: float = Field(description="dark uncertainty of the others (1 sigma)")
+    dark: float = Field(description="dark uncertainty of the other laboratories (standard deviation)")
 
 
 class LaboratoryPart(ResultModel):
@@ -44,7 +44,7 @@ class LaboratoryPart(ResultModel):
     code: str
     chi2: float
     p: float
-    p_all_looks: float = Field(description="after Holm's correction over laboratories")
+    p_all_looks: float = Field(description="p-value corrected for the number of laboratories (Holm)")
     off: bool
     differences: dict[str, DifferencePart]
 
@@ -52,12 +52,12 @@ class LaboratoryPart(ResultModel):
 class DriftPart(ResultModel):
     """The change of the block between two stops at the pilot laboratory, or between monitors at one stop."""
 
-    first: str = Field(description="code of the stop")
+    first: str = Field(description="code of the first stop")
     last: str
     by: Literal["calibration", "monitor"]
     changes: dict[str, ValuePart]
     p: float
-    p_all_looks: float = Field(description="after Holm's correction over all changes")
+    p_all_looks: float = Field(description="p-value corrected for the number of changes (Holm)")
     changed: bool
 
 
@@ -66,19 +66,21 @@ class KitResult(ResultModel):
 
     block: str
     unit: str
-    g_m_s2: float = Field(description="the g for which sensitivities are stated, m/s²")
-    consensus: dict[str, ValuePart] = Field(description="Mandel-Paule, of all laboratories")
-    dark: dict[str, float] = Field(description="dark uncertainty between all laboratories (1 sigma)")
+    g_m_s2: float = Field(description="gravity to which the sensitivities refer, m/s²")
+    consensus: dict[str, ValuePart] = Field(description="consensus values of all laboratories (Mandel-Paule)")
+    dark: dict[str, float] = Field(description="dark uncertainty of all laboratories (standard deviation)")
     laboratories: list[LaboratoryPart]
     transport_p: float | None = Field(
-        description="p-value that the block was the same at each stop of the pilot; null without a return"
+        description="p-value of the hypothesis that the block was the same at each stop at the pilot; null "
+        "without a return"
     )
-    drifts: list[DriftPart] = Field(description="of the block, in the order of its route")
+    drifts: list[DriftPart] = Field(description="changes of the block, in the order of its route")
     transport: dict[str, float] = Field(
-        description="scatter of the block's state between stops beyond u (1 sigma), within u of each difference"
+        description="standard deviation of the block's state between stops beyond u, which u of each "
+        "difference includes"
     )
     off: list[str]
-    accepted: bool = Field(description="no laboratory is off, and the block did not change")
+    accepted: bool = Field(description="whether no laboratory deviates and the block did not change")
     notes: list[str]
 
 

@@ -43,23 +43,24 @@ class IntrinsicPart(ResultModel):
     values: dict[str, IntrinsicValuePart] = Field(
         description="`Sx`, `Sy`, `Sz`, `theta_xy`, `theta_xz`, `theta_yz`, `bx`, `by`, `bz`"
     )
-    order: list[str] = Field(description="the nine in the order of `covariance`")
+    order: list[str] = Field(description="names of the nine in the order of `covariance`")
     covariance: Matrix = Field(description="combined covariance, 9 × 9, in the units of the values")
     covariance_readings: Matrix = Field(
-        description="the part that the readings and the stand as it is stated show"
+        description="covariance from the readings and the stated errors of the stand"
     )
     held_by_limits: list[str] = Field(
-        description="those that these readings leave to the limits of the bench file"
+        description="numbers that follow from the limits of the bench file because these readings do not "
+        "determine them"
     )
-    mounting: str = Field(description="what the mounting can change, in a sentence")
+    mounting: str = Field(description="what the mounting can change, a sentence")
 
 
 class JointPart(ResultModel):
     """The joint coverage factor: the ellipsoid of this size covers all these numbers together with 95 %."""
 
-    count: int = Field(description="numbers with an uncertainty")
-    k: float = Field(description="√(p F(p, dof)), for infinite dof √χ²(p); times u as stated")
-    dof: float | None = Field(description="the least of their effective degrees of freedom; null: infinite")
+    count: int = Field(description="number of values with an uncertainty")
+    k: float = Field(description="joint coverage factor: √(p F(p, dof)), or √χ²(p) for infinite dof")
+    dof: float | None = Field(description="smallest effective degrees of freedom; null: infinite")
     level: float = Field(description="coverage probability")
 
 

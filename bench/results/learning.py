@@ -17,8 +17,8 @@ class RecordPart(ResultModel):
     """A run from which the errors were learned."""
 
     name: str
-    readings: str = Field(description="SHA-256 of the readings file that they make")
-    head: str = Field(default="", description="head of the chain of the record")
+    readings: str = Field(description="SHA-256 of the readings file made from the record")
+    head: str = Field(default="", description="SHA-256 of the last line of the record")
 
 
 class ContradictionPart(ResultModel):
@@ -26,8 +26,8 @@ class ContradictionPart(ResultModel):
 
     run: str
     what: str
-    size: float = Field(description="times what the others lead to expect")
-    p: float = Field(description="chance of as much, adjusted for all looks (Holm)")
+    size: float = Field(description="deviation divided by the one expected from the other runs")
+    p: float = Field(description="p-value corrected for everything that was examined (Holm)")
     sentence: str
 
 
@@ -37,8 +37,8 @@ class SizePart(ResultModel):
     value: float
     u: float = Field(description="standard uncertainty")
     unit: str
-    dof: Real = Field(description="degrees of freedom; null for infinitely many")
-    told: bool = Field(description="whether the runs tell it; else it keeps its prior")
+    dof: Real = Field(description="degrees of freedom; null: infinite")
+    told: bool = Field(description="whether the runs determine the size; if not, it keeps its prior value")
 
 
 class MeansPart(ResultModel):
@@ -58,13 +58,13 @@ class VariancesPart(ResultModel):
 class ContrastsPart(ResultModel):
     """The differences between the voltmeters in gain or offset, SI."""
 
-    value: Vector = Field(description="of each meter, about the mean of its group")
+    value: Vector = Field(description="value of each meter relative to the mean of its group")
     covariance: Matrix
     dof: list[Real] = Field(
-        description="of the difference from the first meter of the group; null is infinite"
+        description="degrees of freedom of the difference from the first meter of the group; null: infinite"
     )
     between_runs: float = Field(
-        description="what a block adds from run to run beyond what is stated, as it counts"
+        description="standard deviation that a block adds between runs beyond the stated one, as used"
     )
 
 
@@ -72,7 +72,7 @@ class MetersPart(ResultModel):
     """The differences between the voltmeters, from runs of one block with the voltmeters exchanged."""
 
     meters: list[str]
-    group: list[int] = Field(description="meters of one group were compared")
+    group: list[int] = Field(description="number of the group, whose meters were compared")
     runs: list[str]
     gain: ContrastsPart
     offset_v: ContrastsPart
@@ -82,20 +82,23 @@ class LearnResult(ResultModel):
     """The errors of stand, noise and voltmeters that the runs of one bench have in common."""
 
     bench: BenchPart
-    learned_for: str = Field(description="hash of stand, head, installations and meters of the bench file")
-    made: str = Field(description="day")
-    expires: str = Field(description="day")
+    learned_for: str = Field(
+        description="hash of stand, head, installations and meters of the bench file to which the result "
+        "applies"
+    )
+    made: str = Field(description="date of the result")
+    expires: str = Field(description="last date on which the result is used")
     simulated: bool
-    records: list[RecordPart] = Field(description="the runs behind the sizes")
+    records: list[RecordPart] = Field(description="runs from which the sizes were estimated")
     runs: list[str]
     contradicting: list[ContradictionPart] = Field(
-        description="runs that contradict the others, the oddest first"
+        description="runs that contradict the others, largest deviation first"
     )
     sizes: dict[str, SizePart]
     means: MeansPart
     variances: VariancesPart
-    meters: MetersPart | None = Field(description="null where these runs do not tell it")
-    not_identified: list[str] = Field(description="what these runs do not tell, and why")
+    meters: MetersPart | None = Field(description="differences between meters; null if not determined")
+    not_identified: list[str] = Field(description="sizes that these runs do not determine, with the reason")
     effects: list[str] = Field(description="effects of the bench that the learned file holds")
     notes: list[str]
 

@@ -27,7 +27,7 @@ class MonitoredRun(ResultModel):
     run: str
     began: str
     values: dict[str, ValuePart]
-    t2: float | None = Field(description="joint statistic against the baseline")
+    t2: float | None = Field(description="T² of the differences from the baseline")
     accepted: bool | None
     reasons: list[str]
 
@@ -36,7 +36,8 @@ class MonitorResult(ResultModel):
     """A series of monitors: `baseline` runs set the limits, the later ones are judged."""
 
     order: list[str] = Field(
-        description="bx (g), Sx (V/g) of each axis that was turned; theta_xz (deg) of two"
+        description="names of the values: bx (g) and Sx (V/g) for each axis that was turned; theta_xz (deg) "
+        "for two axes"
     )
     baseline: int
     limit_t2: float

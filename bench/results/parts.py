@@ -53,9 +53,9 @@ def fit_in_words(fit: LackOfFit, contradicted: str, what: str = REPEATS, untold:
 class BenchPart(ResultModel):
     """The bench file that was used, and why that one was chosen."""
 
-    name: str = Field(description="as it calls itself")
-    file: str = Field(description="where it is")
-    why: str = Field(description="why that one")
+    name: str = Field(description="name that the bench file states")
+    file: str = Field(description="path of the bench file")
+    why: str = Field(description="why this bench file was used")
     sha256: str
 
     @property
@@ -67,40 +67,40 @@ class BenchPart(ResultModel):
 class CorrectionPart(ResultModel):
     """The certificate of an instrument, and whether the readings were corrected by it."""
 
-    instrument: str = Field(description="its name in the bench file")
-    certificate: str = Field(description="number")
+    instrument: str = Field(description="name of the instrument in the bench file")
+    certificate: str = Field(description="number of the certificate")
     laboratory: str
-    date: str = Field(description="of the calibration, such as 2026-03-02")
+    date: str = Field(description="date of the calibration, such as 2026-03-02")
     valid_until: str | None
-    expired: bool = Field(description="whether it counted no more on the day of the readings")
-    serial: str | None = Field(description="of what was calibrated")
+    expired: bool = Field(description="whether the certificate had expired on the day of the readings")
+    serial: str | None = Field(description="serial number that the certificate states")
     serial_answered: str | None = Field(
-        description="that the instrument stated; empty where it states none, null where nobody knows"
+        description="serial number that the instrument stated; empty if it states none, null if not recorded"
     )
-    correction: str = Field(description="what is added to what the instrument shows; empty for nothing")
-    applied: bool = Field(description="whether the readings were corrected by it")
-    why_not: str = Field(description="why not, in words; empty where they were")
+    correction: str = Field(description="value that is added to what the instrument shows; empty if none")
+    applied: bool = Field(description="whether the readings were corrected by the certificate")
+    why_not: str = Field(description="why the readings were not corrected; empty if they were")
 
 
 class UnitPart(ResultModel):
     """The unit under test: a block."""
 
-    type: str = Field(description="what it is")
-    serial: str = Field(description="its serial number")
+    type: str = Field(description="type of the block")
+    serial: str = Field(description="serial number of the block")
 
 
 class RecordPart(ResultModel):
     """The number of events and the hash of the last one, which identify a run's record."""
 
     events: int
-    head: str = Field(description="SHA-256 of the last line: the head of the chain of hashes")
+    head: str = Field(description="SHA-256 of the last line, which depends on all lines before it")
 
 
 class FailedPart(ResultModel):
     """A source that could not be evaluated; it takes the place of that source's result in a list of results."""
 
-    source: str = Field(description="as it was named on the command line")
-    problem: str = Field(description="why, in a sentence")
+    source: str = Field(description="source as named on the command line")
+    problem: str = Field(description="why it could not be evaluated, a sentence")
 
 
 # --- estimates --------------------------------------------------------------------------------------
@@ -110,14 +110,14 @@ class ValuePart(ResultModel):
     """A value with its standard uncertainty."""
 
     value: float = Field(description="the estimate")
-    u: float = Field(description="its standard uncertainty")
+    u: float = Field(description="standard uncertainty of the value")
 
 
 class EstimatePart(ValuePart):
     """An estimate of a parameter."""
 
     unit: str
-    told_by_data: bool = Field(description="whether the readings made it better known than it was before")
+    told_by_data: bool = Field(description="whether the readings reduced its prior uncertainty")
 
 
 class ExpandedPart(ValuePart):
@@ -130,10 +130,10 @@ class ExpandedPart(ValuePart):
 class CoefficientPart(ValuePart):
     """One of the twelve coefficients, in unit/g or unit; `u` is the combined standard uncertainty."""
 
-    u_readings: float = Field(description="the part that the readings and the stand as it is stated show")
+    u_readings: float = Field(description="part of u from the readings and the stated errors of the stand")
     U: float = Field(description="expanded uncertainty, k u")
     k: float
-    dof: Real = Field(description="effective degrees of freedom, for which u is widened; null: infinite")
+    dof: Real = Field(description="effective degrees of freedom, by which u is widened; null: infinite")
 
 
 class FitPart(ResultModel):
@@ -148,8 +148,8 @@ class FitPart(ResultModel):
 class ReadingsPart(ResultModel):
     """The numbers of readings used and skipped."""
 
-    used: int = Field(description="in the fit")
-    skipped: int = Field(description="bad rows left out")
+    used: int = Field(description="number of readings in the fit")
+    skipped: int = Field(description="number of invalid rows skipped")
 
 
 class ChannelsPart(ResultModel):
@@ -163,13 +163,13 @@ class ChannelsPart(ResultModel):
 class UncertaintySourcePart(ResultModel):
     """A source of uncertainty that does not show in the readings."""
 
-    name: str = Field(description="as in `bench budget`")
+    name: str = Field(description="name of the error, as in `bench budget`")
     symbol: str
     size: str = Field(description="standard uncertainty in words")
-    origin: str = Field(description="where the size is from")
-    prior: bool = Field(description="whether nobody stated it for this bench")
+    origin: str = Field(description="where the size comes from")
+    prior: bool = Field(description="true for a plausible size that the bench file does not state")
     dof: Real = Field(description="degrees of freedom; null: infinite")
-    u: dict[str, float] = Field(description="what it adds to each coefficient")
+    u: dict[str, float] = Field(description="contribution to the standard uncertainty of each coefficient")
     cancels_with_the_same_meters: bool
 
 

@@ -14,20 +14,20 @@ class PersonPart(ResultModel):
 
     name: str
     role: str
-    may: list[str] = Field(description="operate, supervise, authorise, administer")
+    may: list[str] = Field(description="rights: operate, supervise, authorise, administer")
     has_token: bool
-    public_key: str = Field(description="PEM; empty for none")
+    public_key: str = Field(description="public key (PEM); empty if there is none")
     since: str = Field(description="civil time of the last change")
-    ended: str = Field(description="when the person's rights ended; empty while they hold")
+    ended: str = Field(description="civil time at which the person's rights ended; empty if they have not")
 
 
 class PersonChange(ResultModel):
     """A line of the register."""
 
     time: str
-    kind: str = Field(description="added, changed or ended")
+    kind: str = Field(description="`added`, `changed` or `ended`")
     name: str
-    by: str = Field(description="administrator")
+    by: str = Field(description="administrator who made the change")
     reason: str
     role: str | None
     may: list[str] | None
@@ -36,9 +36,9 @@ class PersonChange(ResultModel):
 class PersonsResult(ResultModel):
     """The persons of a laboratory: `bench persons`."""
 
-    register_: str = Field(alias="register", description="its folder")
-    head: str = Field(description="SHA-256 of the last line, which proves all lines before it")
-    token: str | None = Field(description="a new token, told only now")
+    register_: str = Field(alias="register", description="folder of the register")
+    head: str = Field(description="SHA-256 of the last line, which depends on all lines before it")
+    token: str | None = Field(description="new token of the person, shown only once")
     persons: list[PersonPart]
     changes: list[PersonChange]
 

@@ -41,12 +41,12 @@ class LimitPart(ResultModel):
     symbol: str
     unit: str
     verdict: Literal["limit", "no limit", "cannot be reached"]
-    u: float | None = Field(description="largest standard uncertainty, SI")
-    limit: float | None = Field(description="the same as a limit of `distribution`")
+    u: float | None = Field(description="largest permitted standard uncertainty, SI")
+    limit: float | None = Field(description="the same as the limit of its `distribution`")
     distribution: str
     k: float
-    u_now: float = Field(description="as the bench file states it")
-    part: float | None = Field(default=None, description="its part of the variance now")
+    u_now: float = Field(description="standard uncertainty that the bench file states")
+    part: float | None = Field(default=None, description="its fraction of the variance of the present bench")
 
     @classmethod
     def of_limit(cls, found: Limit, **part: float) -> LimitPart:
@@ -94,21 +94,21 @@ class AlternativePart(ResultModel):
 class RequireResult(ResultModel):
     """The limits of the errors of a bench for a required accuracy."""
 
-    of: str = Field(description="delta-g, modulus, acceleration or a coefficient")
-    up_to: str | None = Field(description="largest acceleration, as it was asked for")
-    accuracy: float = Field(description="asked for")
+    of: str = Field(description="required quantity: delta-g, modulus, acceleration or a coefficient")
+    up_to: str | None = Field(description="largest acceleration, as requested")
+    accuracy: float = Field(description="requested accuracy")
     unit: str
-    k: float = Field(description="standard uncertainties that must keep to it")
+    k: float = Field(description="number of standard uncertainties that must not exceed the accuracy")
     bench: str
     bench_file: BenchPart
     procedure: str
     estimator: str
-    reached: float = Field(description="k u of the bench as it is")
-    kept: bool = Field(description="whether the bench as it is keeps to the accuracy")
-    not_counted: float = Field(description="k u of what is not counted")
-    alone: list[LimitPart] = Field(description="how large each error may be, the others being as they are")
-    share: str = Field(description="equal or cost")
-    together: list[LimitPart] = Field(description="how large all may be together")
+    reached: float = Field(description="k u of the bench with its present errors")
+    kept: bool = Field(description="whether the present bench meets the accuracy")
+    not_counted: float = Field(description="k u of the errors that are not included")
+    alone: list[LimitPart] = Field(description="largest size of each error if the others stay as they are")
+    share: str = Field(description="how the accuracy is divided among the errors: equal or cost")
+    together: list[LimitPart] = Field(description="largest permitted sizes of all errors together")
     why_not_together: str | None
     alternatives: list[AlternativePart]
 
@@ -192,8 +192,8 @@ class GoalPart(ResultModel):
     name: str
     unit: str
     asked_u: float | None
-    u: float = Field(description="combined, as calibrate (of Δg verify) will sign it")
-    u_paper: float = Field(description="of the paper's points")
+    u: float = Field(description="combined u that `calibrate` (for Δg, `verify`) will state")
+    u_paper: float = Field(description="the same for the points of the paper")
 
 
 class PointPart(ResultModel):
@@ -218,8 +218,8 @@ class PlanPointsResult(ResultModel):
     reached: bool | None = Field(description="whether every goal is met; null without goals")
     goals: list[GoalPart]
     points: list[PointPart]
-    lack_of_fit_tested: bool = Field(description="whether there are repeats enough for that test")
-    covariance: Matrix = Field(description="combined, of the twelve coefficients")
+    lack_of_fit_tested: bool = Field(description="whether there are enough repeats for a lack-of-fit test")
+    covariance: Matrix = Field(description="combined covariance of the twelve coefficients")
     procedure: str | None = Field(description="path of the procedure file that was written")
 
 

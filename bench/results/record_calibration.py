@@ -32,25 +32,23 @@ class ValuePart(ResultModel):
     """A value with its uncertainty."""
 
     value: float
-    u: float = Field(
-        description="standard uncertainty: readings, scatter of the reference, u of the effects given"
-    )
+    u: float = Field(description="combined u of readings, reference and given effects")
     U: float = Field(description="expanded uncertainty k u")
     k: float
-    u_readings: float = Field(description="the part that the readings show, slow noise included")
+    u_readings: float = Field(description="part of u from the readings, including slow noise")
 
 
 class RecordChannelPart(ResultModel):
     """The calibration of a channel."""
 
-    gain: ValuePart | None = Field(description="V/V; null where the reference stays at 0 V")
-    offset_v: ValuePart | None = Field(description="null where a single level of the reference hides it")
-    covariance_v: float = Field(description="of gain and offset")
+    gain: ValuePart | None = Field(description="gain, V/V; null if the reference stays at 0 V")
+    offset_v: ValuePart | None = Field(description="offset, V; null if the reference has a single level")
+    covariance_v: float = Field(description="covariance of gain and offset, V")
     drift_v_h: ValuePart = Field(
-        description="of the offset, V/h; gain and offset hold at the middle of the record"
+        description="drift of the offset, V/h; gain and offset apply to the middle of the record"
     )
-    white_v: float = Field(description="white noise of a mean of the record")
-    slow_v: float = Field(description="slow noise of a mean of the record, root mean square")
+    white_v: float = Field(description="white noise of a mean of the record, standard deviation, V")
+    slow_v: float = Field(description="slow noise of a mean of the record, root mean square, V")
     residual_rms_v: float
 
 
@@ -60,13 +58,13 @@ class RecordCalibrateResult(ResultModel):
     estimator: Literal["gls"]
     unit: Literal["V"]
     channels: dict[str, RecordChannelPart]
-    level_v: float = Field(description="mean of the reference")
+    level_v: float = Field(description="mean of the reference voltage, V")
     not_observable: list[str]
-    does_not_apply: list[str] = Field(description="what results of a block have and a record has not")
+    does_not_apply: list[str] = Field(description="members that only results of a block have")
     repeats: RepeatsPart | None = Field(
-        description="parts of the record, each calibrated by itself; null where it is too short"
+        description="parts of the record, each calibrated separately; null if the record is too short"
     )
-    means: int = Field(description="number of means that the readings were gathered into")
+    means: int = Field(description="number of means into which the readings were averaged")
     readings: ReadingsPart
     model: str
     source: str
@@ -112,7 +110,7 @@ def _value(of: Estimate | None) -> ValuePart | None:
 
 
 def headline(found: RecordCalibration) -> str:
-    """Return a sentence on the record."""
+    """Return a line with the length of the record, its voltage, and the meaning of the values."""
     record = found.record
     return (
         f"record at a known input: {len(record)} means over {record.time_h[-1]:.1f} h at {found.level_v:.6g} V, "

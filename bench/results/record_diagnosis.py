@@ -15,6 +15,7 @@ from bench.base.tables import print_notes
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.levels import LISTED_IN_SENTENCE
 from bench.diagnosis.record_diagnosis import RecordDiagnosis
+from bench.diagnosis.record_folds import Rival
 from bench.diagnosis.record_search import ChannelFit
 from bench.results import diagnosis_words as words
 from bench.results.diagnosis import print_effect, print_files
@@ -27,26 +28,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-class RivalPart(ResultModel):
-    """A kind of shape that an effect may have, and how well it predicts held-out excursions from the other
-    readings.
-    """
-
-    what: str = Field(description="at once, lag or hysteresis")
-    held_out_rms_v: float
-    chi2: float
-
-
 class ChannelPart(ResultModel):
     """Zero and drift of a channel, estimated together with the effects found, and the residuals of the channel."""
 
     channel: str
-    zero_v: float = Field(description="mean of signal less reference, at the middle of the record")
+    zero_v: float = Field(description="mean of signal minus reference at the middle of the record, V")
     u_zero_v: float
-    drift_v_h: float = Field(description="V/h")
+    drift_v_h: float = Field(description="drift, V/h")
     u_drift_v_h: float
-    before_rms_v: float = Field(description="beside zero and drift, before anything is named")
-    after_rms_v: float = Field(description="beside zero and drift, with what was named")
+    before_rms_v: float = Field(description="rms of the residuals after zero and drift, V")
+    after_rms_v: float = Field(description="rms of the residuals after zero, drift and effects, V")
 
 
 class RecordNoisePart(ResultModel):
@@ -54,19 +45,19 @@ class RecordNoisePart(ResultModel):
 
     white_v: float
     slow_v: float
-    means: int = Field(description="number of means that the readings were gathered into")
+    means: int = Field(description="number of means into which the readings were averaged")
 
 
 class RecordDiagnoseResult(AloneResult):
     """A diagnosis of a record at a known input (rows R alone)."""
 
     effects: list[EffectPart]
-    rivals: list[RivalPart] = Field(
-        description="kinds of shape of an effect of the meter's temperature, compared"
+    rivals: list[Rival] = Field(
+        description="comparison of the shapes that an effect of the meter's temperature can have"
     )
     channels: list[ChannelPart]
     noise: RecordNoisePart
-    far: list[str] = Field(description="means that jump by 6 u or more beside what was found")
+    far: list[str] = Field(description="means with unexplained jumps of 6 u or more")
 
 
 def result_of(found: RecordDiagnosis, files: Files = NO_FILES, **made_from: Any) -> RecordDiagnoseResult:

@@ -11,6 +11,8 @@ from rich.console import Console
 
 from bench.base.result_model import ResultModel
 from bench.base.tables import table
+from bench.readings.columns import Rail
+from bench.readings.reading import Outlier
 from bench.results.parts import RecordPart, UnitPart
 from bench.results.tables import page
 from bench.run.commission.session import Finding
@@ -29,18 +31,18 @@ class RunPart(ResultModel):
     """A run in the list of runs."""
 
     name: str
-    created: str = Field(description="civil time")
-    instruments: str = Field(description="simulated or real; - where nobody knows")
+    created: str = Field(description="civil time at which the run was created")
+    instruments: str = Field(description="`simulated` or `real`; `-` if unknown")
     state: str = Field(
-        description="ready, running, paused, finished, failed, interrupted, aborted or imported; not begun or "
-        "unfinished where nobody carries it out; damaged"
+        description="ready, running, paused, finished, failed, interrupted, aborted, imported or damaged; not "
+        "begun or unfinished if no program carries the run out"
     )
     readings: int
     verdict: str | None = Field(
-        description="passed, conditional pass, conditional fail, failed, inconclusive or not complete: at the "
-        "run's own verification points; null where there is none"
+        description="verdict at the run's own verification points: passed, conditional pass, conditional "
+        "fail, failed, inconclusive or not complete; null if there is none"
     )
-    to_go_on: str = Field(description="the command that resumes it, empty where there is nothing to do")
+    to_go_on: str = Field(description="command that resumes the run; empty if nothing is left to do")
 
 
 class RunsResult(ResultModel):
@@ -75,42 +77,42 @@ def _line(name: str, facts: Sequence[object]) -> str:
 class ManifestPart(ResultModel):
     """`run.json`: the inputs of a run."""
 
-    format: int = Field(description="of the record")
+    format: int = Field(description="format of the record")
     name: str
     created: str
-    imported: str = Field("", description="the readings file that was imported")
-    imported_from: str = Field("", description="the same, in older records")
-    readings: int = Field(0, description="how many were imported")
+    imported: str = Field("", description="readings file that was imported")
+    imported_from: str = Field("", description="readings file that was imported, in older records")
+    readings: int = Field(0, description="number of imported readings")
     dry_run: bool = False
     seed: int | None = None
-    living: bool = Field(False, description="a dry run whose questions a person answers")
+    living: bool = Field(False, description="true for a dry run in which a person answers the questions")
     operator: str = ""
     procedure: str = ""
     bench: str = ""
-    bench_why: str = Field("", description="why that one")
+    bench_why: str = Field("", description="why this bench file was used")
     plan_hash: str = ""
     unit_under_test: UnitPart | None = Field(None, description="the block")
-    versions: dict[str, str] = Field(description="of the programs")
-    devices: dict[str, str] = Field({}, description="where drivers came from that are not the bench's own")
-    default_rule: dict[str, Any] = Field({}, description="the decision rule where nobody states one")
-    verdict: dict[str, Any] = Field({}, description="how the run is judged in place of the bench file's rule")
-    until: list[str] = Field([], description="the goals at which the run ends")
-    check_block: dict[str, Any] = Field({}, description="what the check block said as the run began")
-    files: dict[str, str] = Field(description="SHA-256 of each file that was copied in")
+    versions: dict[str, str] = Field(description="versions of the programs")
+    devices: dict[str, str] = Field({}, description="sources of drivers that the bench file does not name")
+    default_rule: dict[str, Any] = Field({}, description="decision rule if none is stated")
+    verdict: dict[str, Any] = Field({}, description="limit and rule that replace those of the bench file")
+    until: list[str] = Field([], description="goals at which the run ends")
+    check_block: dict[str, Any] = Field({}, description="state of the check block at the start of the run")
+    files: dict[str, str] = Field(description="SHA-256 of each file that was copied into the run folder")
 
 
 class ProvenRecordPart(RecordPart):
     """The fingerprint of a record, with the findings of `--verify`."""
 
-    told: list[str] = Field(description="what supports the record, and what not; by --verify")
+    told: list[str] = Field(description="evidence for and against the record; only with --verify")
 
 
 class ShowResult(RunPart):
     """A run: its manifest, its state and its record."""
 
-    manifest: ManifestPart | dict[str, Any] = Field(description="`run.json` as it is on the disk")
+    manifest: ManifestPart | dict[str, Any] = Field(description="content of `run.json`")
     record: ProvenRecordPart
-    problems: list[str] = Field(description="what is wrong with the record; asked for by --verify")
+    problems: list[str] = Field(description="faults of the record; only with --verify")
 
     def print_on(self, run: Run, supply: str, out: Console, *, verified: bool) -> None:
         """Print the manifest, and then the events or, if `verified`, what the record proves."""
@@ -178,23 +180,6 @@ def _print_events(run: Run, out: Console) -> None:
 Three = Field(min_length=3, max_length=3)
 
 
-class OutlierPart(ResultModel):
-    """The sample that an outlier test identified."""
-
-    sample: int = Field(description="from 1")
-    value: float
-    sigma: float = Field(description="its distance from the mean in standard deviations")
-    critical: float = Field(description="the critical one")
-
-
-class RailPart(ResultModel):
-    """The voltage and current that the supply measured at a rail of the block."""
-
-    voltage_v: float
-    nominal_v: float
-    current_a: float
-
-
 class ReadingPart(ResultModel):
     """The measured values of a reading step."""
 
@@ -207,25 +192,25 @@ class ReadingPart(ResultModel):
     direction: Literal[-1, 0, 1]
     time_s: float
     temperature_c: float | None
-    temperature_source: str = Field("", description="the sensor, where a thermometer is at the block")
-    chamber_c: float | None = Field(None, description="the air of the chamber, where the block is measured")
-    meter_temperature_c: float | None = Field(
-        None, description="the voltmeters, where a thermometer is at them"
+    temperature_source: str = Field("", description="thermometer at the block; empty if there is none")
+    chamber_c: float | None = Field(
+        None, description="temperature of the air in the chamber, °C, if `temperature_c` is that of the block"
     )
-    room_c: float | None = Field(None, description="the room, where a thermometer is in it")
+    meter_temperature_c: float | None = Field(
+        None, description="temperature of the voltmeters, °C, if measured"
+    )
+    room_c: float | None = Field(None, description="temperature of the room, °C, if measured")
     unit: str
     mean: list[float] = Three
     sd: list[float | None] = Three
     samples_taken: int
-    samples: dict[str, list[float]] = Field(description="each sample by channel")
+    samples: dict[str, list[float]] = Field(description="samples by channel")
     drift: list[float | None] = Three
     drift_p: list[float | None] = Three
-    outlier: list[OutlierPart | None]
+    outlier: list[Outlier | None]
     reference_v: float | None
     scan_order: str | None
-    rails: dict[str, RailPart] = Field(
-        {}, description="by name, where the bench file says how the block is fed"
-    )
+    rails: dict[str, Rail] = Field({}, description="supply rails by name, if the bench file states them")
 
 
 class NowPart(ResultModel):
@@ -247,53 +232,57 @@ class EventLine(ResultModel):
 
     model_config = ConfigDict(extra="allow")
 
-    n: int = Field(description="number, from 1")
-    time: str = Field(description="civil time")
-    bench_s: float = Field(description="bench time since the run began, s; the virtual clock's in a dry run")
-    type: str = Field(description="run_started, step_started, step_done, asked, answered, …")
-    prev: str = Field(description="SHA-256 of the line before; of run.json for the first")
-    step: int = Field(0, description="number in the plan, from 0")
-    key: str = Field("", description="of the step; the random numbers of a dry run depend on it")
+    n: int = Field(description="number of the event, from 1")
+    time: str = Field(description="civil time of the event")
+    bench_s: float = Field(description="time since the start of the run, s; virtual in a dry run")
+    type: str = Field(description="type of event: run_started, step_started, step_done, asked, answered, …")
+    prev: str = Field(description="SHA-256 of the previous line; for the first line, of run.json")
+    step: int = Field(0, description="number of the step in the plan, from 0")
+    key: str = Field("", description="key of the step, which determines the random numbers of a dry run")
     attempt: int = 1
     reading: ReadingPart | None = None
-    instruments: dict[str, str] = Field({}, description="identities, in run_started")
+    instruments: dict[str, str] = Field({}, description="identities of the instruments; in run_started")
     serials: dict[str, str] = Field(
         {},
-        description="the serial numbers that the instruments stated, in run_started of a real run, and of a "
-        "dry one where the bench file has certificates",
+        description="serial numbers that the instruments stated; in run_started of a real run, and of a dry "
+        "run if the bench file has certificates",
     )
-    id: str = Field("", description="of a question, in asked; of the one that is answered, in answered")
+    id: str = Field("", description="number of the question; in asked and answered")
     kind: Literal["confirm", "choose", "number", "angle"] = Field(
-        "confirm", description="what sort of answer a question wants, in asked"
+        "confirm", description="kind of answer that the question requires; in asked"
     )
-    text: str = Field("", description="the question, in asked")
-    default: str | None = Field(None, description="what an empty answer means, in asked")
-    unit: str = Field("", description="of the answer, in asked")
+    text: str = Field("", description="text of the question; in asked")
+    default: str | None = Field(None, description="meaning of an empty answer; in asked")
+    unit: str = Field("", description="unit of the answer; in asked")
     choices: list[str] = Field(
-        [], description="the answers to choose from, in asked; REASON at the end of one stands for own words"
+        [], description="possible answers; one that ends in REASON asks for the person's own words; in asked"
     )
-    minimum: float | None = Field(None, description="of the answer, in asked")
-    maximum: float | None = Field(None, description="of the answer, in asked")
-    action: dict[str, Any] = Field({}, description="what is to be done, in asked: do, and what belongs to it")
-    picture: str = Field("", description="a drawing in characters, in asked")
-    answer: str = Field("", description="as it counts, in answered; as it was given, in answer_refused")
-    line: int = Field(1, description="of answers.jsonl, from 1, where the answer was left there")
-    why: str = Field("", description="in answer_refused and wish_refused")
-    by: str = Field("", description="who answered or wished something, where that is known")
-    role: str = Field("", description="operator or supervisor; viewer, who may stop a run")
-    where: str = Field("", description="terminal, panel, or command (bench control)")
-    visit: int = Field(0, description="in chosen: the number of the mounting, from 0")
-    settings: int = Field(0, description="in chosen: the points measured so far")
-    repeats: int = Field(0, description="in chosen: how many of them repeat one")
-    now: NowPart | None = Field(None, description="in chosen; null before the coefficients are determined")
-    stop: str = Field("", description="in chosen: reached, used up or time; empty where the run goes on")
-    left_out: list[list[int]] = Field([], description="in chosen: steps not needed, ranges of first and last")
-    taken_up: list[list[int]] = Field([], description="in chosen: steps left out before, needed after all")
-    next: dict[str, Any] = Field({}, description="in chosen: the next points, what they take and bring")
-    in_all: dict[str, Any] = Field({}, description="in chosen: what is expected until the end")
-    undecided: dict[str, Any] = Field({}, description="in chosen: the steps of later choices, and their time")
+    minimum: float | None = Field(None, description="smallest possible answer; in asked")
+    maximum: float | None = Field(None, description="largest possible answer; in asked")
+    action: dict[str, Any] = Field({}, description="required action (`do`) with its details; in asked")
+    picture: str = Field("", description="drawing in characters; in asked")
+    answer: str = Field("", description="answer as used (in answered), or as given (in answer_refused)")
+    line: int = Field(1, description="line of answers.jsonl that held the answer, from 1")
+    why: str = Field("", description="reason of a refusal; in answer_refused and wish_refused")
+    by: str = Field("", description="person who gave the answer or command, if known")
+    role: str = Field("", description="role of this person: operator, supervisor or viewer")
+    where: str = Field("", description="where it was given: terminal, panel or command (`bench control`)")
+    visit: int = Field(0, description="number of the mounting, from 0; in chosen")
+    settings: int = Field(0, description="number of points measured so far; in chosen")
+    repeats: int = Field(0, description="number of these points that repeat another; in chosen")
+    now: NowPart | None = Field(
+        None,
+        description="goal that is furthest from being reached; null before the coefficients are determined; "
+        "in chosen",
+    )
+    stop: str = Field("", description="reached, used up or time; empty if measuring continues; in chosen")
+    left_out: list[list[int]] = Field([], description="ranges of steps that are not needed; in chosen")
+    taken_up: list[list[int]] = Field([], description="steps left out before but needed; in chosen")
+    next: dict[str, Any] = Field({}, description="next points, with their duration and benefit; in chosen")
+    in_all: dict[str, Any] = Field({}, description="expected totals at the end of the run; in chosen")
+    undecided: dict[str, Any] = Field({}, description="steps that depend on later choices; in chosen")
     not_needed: int = Field(
-        0, description="in chosen at the end: points of the procedure that were not measured"
+        0, description="points of the procedure that were not measured; in the last chosen"
     )
 
 
@@ -315,7 +304,7 @@ class InstrumentPart(ResultModel):
     identity: Identity | None
     settings: str
     self_test: str
-    value: dict[str, float] | float | None = Field(description="V by channel or output, rad, or °C")
+    value: dict[str, float] | float | None = Field(description="value in V (by channel or output), rad or °C")
     shows: str
     failures: list[FailurePart]
 
@@ -369,23 +358,23 @@ class CommissionedPart(ResultModel):
 class CommissionResult(ResultModel):
     """The result of commissioning the instruments of a bench, check by check."""
 
-    what: str = Field("commissioning", description="commissioning, or morning check")
+    what: str = Field("commissioning", description="`commissioning` or `morning check`")
     bench: str
     bench_file: str
-    simulated: bool = Field(description="whether it was the simulated bench")
-    began: str = Field(description="UTC, ISO 8601")
-    took_s: float = Field(description="by the clock of the bench")
+    simulated: bool = Field(description="whether the bench was simulated")
+    began: str = Field(description="start (UTC, ISO 8601)")
+    took_s: float = Field(description="duration by the clock of the bench, s")
     status: int = Field(
         ge=0,
         le=2,
-        description="0: all that was tried works; 1: something is slower or other; 2: something could not be done",
+        description="0: every check succeeded; 1: something is slower or differs; 2: a check failed",
     )
-    ended: str = Field(description="reason for early termination; empty where every check was reached")
+    ended: str = Field(description="reason for early termination; empty if every check was made")
     instruments: list[CommissionedPart]
     findings: list[Finding]
-    to_do: dict[str, str] = Field(description="what a person must still do, by instrument")
-    wire_log: str = Field(description="file beside the result")
-    versions: dict[str, str] = Field(description="of the program and its libraries")
+    to_do: dict[str, str] = Field(description="remaining work for a person, by instrument")
+    wire_log: str = Field(description="name of the log of all messages, a file beside the result")
+    versions: dict[str, str] = Field(description="versions of the program and its libraries")
 
 
 def render_commissioning(result: Mapping[str, Any]) -> str:
@@ -399,11 +388,11 @@ def render_commissioning(result: Mapping[str, Any]) -> str:
         word=word,
         troubles=[one for one in findings if one["state"] not in ("works", "skipped")],
         skipped=[one for one in findings if one["state"] == "skipped"],
-        rows=[(one, [_shown(figure) for figure in one["figures"]]) for one in findings],
+        rows=[(one, [_figure_in_words(figure) for figure in one["figures"]]) for one in findings],
     )
 
 
-def _shown(figure: Mapping[str, Any]) -> str:
+def _figure_in_words(figure: Mapping[str, Any]) -> str:
     held = f" ({figure['expected']})" if figure["expected"] else ""
     return f"{figure['what']} {figure['value']:.4g} {figure['unit']}{held}"
 
@@ -416,12 +405,12 @@ class ServedPart(ResultModel):
 
     name: str
     model: str
-    tcp: str = Field(description="host and port")
-    pty: str | None = Field(None, description="pseudo-terminal, where there is one")
+    tcp: str = Field(description="host and port of the instrument")
+    pty: str | None = Field(None, description="path of the pseudo-terminal, if there is one")
 
 
 class ReadyResult(ResultModel):
     """The address of each simulated instrument: the file of `bench simulate --ready-file`."""
 
     instruments: list[ServedPart]
-    control: str = Field("", description="host and port that take commands, such as 'turn 45 deg'")
+    control: str = Field("", description="host and port for commands such as 'turn 45 deg'")

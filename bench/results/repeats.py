@@ -25,7 +25,7 @@ class RatioPart(ResultModel):
 
     value: float
     low: float
-    high: float = Field(description="repeats are the units of the interval")
+    high: float = Field(description="upper end; repeats, not single values, are independent")
 
 
 class TermPart(ResultModel):
@@ -33,18 +33,18 @@ class TermPart(ResultModel):
 
     name: Literal["restart", "drift", "scale"]
     means: str
-    size: list[float] = Field(description="of each kind of quantity; a factor of u for scale")
+    size: list[float] = Field(description="size for each kind of quantity; for `scale`, the factor on u")
 
 
 class RepeatsPart(ResultModel):
     """The scatter of repeats compared with their stated u."""
 
-    ratio: Real = Field(description="scatter of the repeats over their stated u")
-    too_small: bool = Field(description="whether u is too small by more than 1.5, and not by chance")
+    ratio: Real = Field(description="scatter of the repeats divided by their stated u")
+    too_small: bool = Field(description="whether u is significantly too small, by a factor above 1.5")
     before: RatioPart | None = Field(
-        description="left out in turn, with u as stated; null below three repeats"
+        description="ratio for repeats held out in turn, with u as stated; null for fewer than three repeats"
     )
-    after: RatioPart | None = Field(description="the same with the term")
+    after: RatioPart | None = Field(description="the same ratio with u widened by `term`")
     term: TermPart | None
 
 
@@ -87,27 +87,28 @@ class HeldOutByRecord(ResultModel):
     """The ratio of scatter to stated u of the zeros of held-out records, predicted from the other records."""
 
     by: Literal["record"]
-    before: Real = Field(description="with zeros that stay")
-    after: Real = Field(description="with the term that widens u, where it is too small")
+    before: Real = Field(description="ratio for constant zeros")
+    after: Real = Field(description="ratio with u widened by the term; null if u is not too small")
 
 
 class BetweenRecordsPart(ResultModel):
     """The changes of the zeros between records, with each record fitted alone."""
 
-    ratio: Real = Field(description="scatter of the zeros over their stated u")
+    ratio: Real = Field(description="scatter of the zeros divided by their stated u")
     repeats: RepeatsPart
     u_with_term_g: list[list[list[Real]]] | None = Field(
-        description="u of the zeros with the term; null where u is honest"
+        description="standard uncertainty of the zeros with the term, g; null if the stated u is not too "
+        "small"
     )
     bench_file: str = Field(
-        description="line of a bench file that puts the term into u of calibrations; may be empty"
+        description="line for a bench file that includes the term in u of calibrations; may be empty"
     )
     scatter_g: list[Real]
     common_part: list[Real] = Field(
-        description="part of the variance that the sensors share; null for one sensor"
+        description="fraction of the variance that all sensors share; null for one sensor"
     )
     held_out: HeldOutByRecord
-    zeros_g: list[list[list[Real]]] = Field(description="by sensor, record and channel")
+    zeros_g: list[list[list[Real]]] = Field(description="zeros by sensor, record and channel, g")
     u_g: list[list[list[Real]]]
 
 

@@ -23,19 +23,19 @@ class ReadingPart(ResultModel):
     series: int
     pass_number: int = Field(alias="pass")
     point: int
-    direction: int = Field(description="+1: the angle rose, −1: it fell, 0: unknown")
-    angle_deg: float = Field(description="of the head")
-    time_s: Real = Field(description="since the start of the run; null where no time is known")
+    direction: int = Field(description="1 if the angle rose, -1 if it fell, 0 if unknown")
+    angle_deg: float = Field(description="angle of the head, deg")
+    time_s: Real = Field(description="time since the start of the run, s; null if unknown")
     u: list[Real] = Field(description="standard deviation of a single reading, by channel")
 
 
 class ComparedReadingPart(ReadingPart):
     """A reading with its residuals by the models of a diagnosis, by channel."""
 
-    signal: list[float] = Field(description="what was measured")
-    before: list[float] = Field(description="residual by the model that was given")
-    after: list[float] | None = Field(description="with what was found; null where nothing was")
-    simulated: list[float] = Field(description="residual of the simulated bench, with noise")
+    signal: list[float] = Field(description="measured signal")
+    before: list[float] = Field(description="residual from the given model")
+    after: list[float] | None = Field(description="residual with the effects found; null if none was found")
+    simulated: list[float] = Field(description="residual of a simulated reading, including noise")
 
 
 class ResidualsPart(ResultModel):

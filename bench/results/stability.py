@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 class TermPart(ResultModel):
     """A noise term of the Allan deviation, in the unit of the signal and seconds."""
 
-    value: Real = Field(description="null where it is not shown")
-    u: Real = Field(description="standard uncertainty; null where it is not shown")
-    upper: float = Field(description="upper limit")
+    value: Real = Field(description="coefficient of the term; null if not significant")
+    u: Real = Field(description="standard uncertainty; null if the term is not significant")
+    upper: float = Field(description="upper limit of the coefficient")
     called: str
 
 
@@ -34,31 +34,31 @@ class AveragingPart(ResultModel):
     """The recommended averaging time of a channel."""
 
     tau_s: float
-    deviation: float = Field(description="Allan deviation then")
+    deviation: float = Field(description="Allan deviation at this averaging time")
     why: str
-    reached: bool = Field(description="false where a size was asked for that no averaging time reaches")
+    reached: bool = Field(description="false if no averaging time reaches the requested noise")
 
 
 class SpectrumPart(ResultModel):
     """The one-sided power spectral density of a channel (Welch, Hann windows)."""
 
     frequency_hz: Vector
-    density: Vector = Field(description="unit of the signal squared per Hz; white noise N has 2 N²")
-    segments: int = Field(description="averaged, which overlap by half")
+    density: Vector = Field(description="unit of the signal squared per Hz; white noise N gives 2 N²")
+    segments: int = Field(description="number of segments averaged, each overlapping the next by half")
 
 
 class ChannelPart(ResultModel):
     """The stability of a channel."""
 
     mean: float
-    drift_per_hour: float = Field(description="slope of the straight line through the signal")
-    tau_s: Vector = Field(description="averaging times")
-    allan_deviation: Vector = Field(description="overlapping")
+    drift_per_hour: float = Field(description="slope of a straight line through the signal, per hour")
+    tau_s: Vector = Field(description="averaging times, s")
+    allan_deviation: Vector = Field(description="overlapping Allan deviation at each averaging time")
     low_95: Vector
     high_95: Vector
     edf: Vector = Field(description="degrees of freedom of each deviation")
-    terms: dict[str, TermPart] = Field(description="Q, N, B, K, R")
-    terms_p: Real = Field(description="chance of such a misfit of the five terms to the deviations")
+    terms: dict[str, TermPart] = Field(description="noise terms by name: Q, N, B, K, R")
+    terms_p: Real = Field(description="p-value of the fit of the five terms to the deviations")
     psd: SpectrumPart
     averaging: AveragingPart
 
@@ -75,13 +75,13 @@ class StabilityResult(ResultModel):
     """The Allan deviation of a record at rest, and the recommended reading."""
 
     source: str
-    unit: str = Field(description="of the signals")
+    unit: str = Field(description="unit of the signals")
     samples: int
     interval_s: float
-    channels: dict[str, ChannelPart] = Field(description="by channel")
+    channels: dict[str, ChannelPart] = Field(description="stability of each channel, by its name")
     reading: ReadingPart | None
-    no_reading: str | None = Field(description="why there is none")
-    notes: list[str] = Field(description="on the times of the samples")
+    no_reading: str | None = Field(description="why no averaging time is proposed")
+    notes: list[str] = Field(description="remarks on the times of the samples")
     bench: BenchPart
 
 

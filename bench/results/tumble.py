@@ -27,10 +27,10 @@ class QuantityPart(ExpandedPart):
     `u` is the combined standard uncertainty if the result is `combined`, otherwise the part from the readings.
     """
 
-    u_readings: float = Field(description="the part that the readings and the stand as it is stated show")
+    u_readings: float = Field(description="part of u from the readings and the stated errors of the stand")
     contains: dict[str, float] = Field(
-        description="terms that cannot be separated from it, with their shares: what is estimated is the sum (of "
-        "K1 the shares are relative)"
+        description="terms that cannot be separated from this one, with their shares; the estimate is the sum "
+        "(for K1, shares are relative)"
     )
 
 
@@ -38,16 +38,18 @@ class AxisPart(ResultModel):
     """The accelerometer of one channel."""
 
     quantities: dict[str, QuantityPart] = Field(
-        description="K0 (bias), K1 (scale factor), the two misalignment angles with the paper's sign, and the "
-        "nonlinear terms asked for that are determined"
+        description="K0 (bias), K1 (scale factor), the two misalignment angles with the sign of the paper, "
+        "and the requested nonlinear terms that are determined"
     )
-    rank: int = Field(description="how many of `terms` the orientations determine")
-    terms: list[str] = Field(description="the terms asked for, linear ones first")
+    rank: int = Field(description="number of `terms` that the orientations determine")
+    terms: list[str] = Field(description="requested terms, linear ones first")
     not_separable: dict[str, dict[str, float]] = Field(
-        description="terms that are not estimated, with what 1 of each looks like; empty where no reading shows it"
+        description="terms that are not estimated, and the change of the others if such a term is 1; empty if "
+        "no reading shows it"
     )
     left_out: dict[str, dict[str, float]] = Field(
-        description="terms of the standard's model that are not fitted, with what 1 of each moves"
+        description="terms of the standard's model that are not fitted, and the change of the others if such "
+        "a term is 1"
     )
 
 
@@ -80,16 +82,16 @@ class TumbleResult(ResultModel):
     g_m_s2: float
     k: float = Field(description="coverage factor of U")
     model: str
-    axes: dict[str, AxisPart] = Field(description="by channel")
+    axes: dict[str, AxisPart] = Field(description="results for each channel")
     order: list[str] = Field(description="channel and name of each quantity, in the order of `covariance`")
-    combined: bool = Field(description="whether u and `covariance` hold every source of the bench")
-    covariance: Matrix = Field(description="of all quantities of the three channels")
+    combined: bool = Field(description="whether u and `covariance` include every source of the bench")
+    covariance: Matrix = Field(description="covariance of all quantities of the three channels")
     covariance_readings: Matrix = Field(
-        description="the part of it that the readings and the stand as it is stated show"
+        description="covariance from the readings and the stated errors of the stand"
     )
     noise: TumbleNoisePart
     residual: FitPart
-    above_1g: AbovePart | None = Field(description="points of a centrifuge that joined the fit")
+    above_1g: AbovePart | None = Field(description="centrifuge points in the fit")
     readings: int
     source: str
     bench: BenchPart
@@ -97,9 +99,9 @@ class TumbleResult(ResultModel):
     unit_under_test: UnitPart | None
     simulated: bool
     corrections: list[CorrectionPart] = Field(
-        description="the certificates of the instruments; without any an empty list"
+        description="certificates of the instruments; empty if there are none"
     )
-    notes: list[str] = Field(description="what a reader of the result should know; rows that were skipped")
+    notes: list[str] = Field(description="remarks for the reader, and rows that were skipped")
 
 
 def tumble_result(view: TumbleView, **made_from: Any) -> TumbleResult:

@@ -30,13 +30,13 @@ class ValidationCheck(ResultModel):
     name: str
     family: str
     clause: str
-    did: str = Field(description="what was done")
-    source: str = Field(description="of the expected value; empty for the program's own promise")
+    did: str = Field(description="what was tested")
+    source: str = Field(description="source of the expected value; empty if it is this program")
     expected: str
     found: str
     passed: bool
-    where: str = Field(description="where the failure lies; empty where it passed")
-    change: bool = Field(description="whether a failure is a change that a person may accept")
+    where: str = Field(description="where the failure is; empty if the check passed")
+    change: bool = Field(description="whether the failure is a change that a person may accept")
     took_s: float
 
 
@@ -44,17 +44,17 @@ class PackagePart(ResultModel):
     """An installed package."""
 
     version: str
-    sha256: str = Field(description="of its list of files with their hashes (RECORD)")
+    sha256: str = Field(description="SHA-256 of the package's list of files with their hashes (RECORD)")
 
 
 class ProgramFingerprint(ResultModel):
     """The program, packages and Python for which a validation holds; a change of any needs another validation."""
 
-    fingerprint: str = Field(description="SHA-256 of everything below")
+    fingerprint: str = Field(description="SHA-256 of all other members")
     version: str
     python: str
     platform: str
-    files: dict[str, str] = Field(description="SHA-256 of the program's own files, by path")
+    files: dict[str, str] = Field(description="SHA-256 of each file of the program, by path")
     packages: dict[str, PackagePart]
 
 
@@ -71,7 +71,7 @@ class ChangedRun(ResultModel):
 
     run: str
     largest_change_in_u: float
-    largest_change_of: str = Field(description="coefficient")
+    largest_change_of: str = Field(description="coefficient with the largest change")
     verdict_stored: str | None
     verdict: str | None
 
@@ -81,10 +81,10 @@ class AgainstPart(ResultModel):
 
     over: list[str]
     runs: int
-    compared: int = Field(description="runs with a stored result")
-    threshold_u: float = Field(description="largest change that is not listed, in u")
+    compared: int = Field(description="number of runs with a stored result")
+    threshold_u: float = Field(description="largest change that is not listed, in units of u")
     changed: list[ChangedRun]
-    failed: dict[str, str] = Field(description="why a run could not be computed, by run")
+    failed: dict[str, str] = Field(description="reason for each run that could not be computed")
 
 
 class ValidationResult(ResultModel):
@@ -92,10 +92,10 @@ class ValidationResult(ResultModel):
 
     passed: bool
     quick: bool
-    began: str = Field(description="civil time with offset")
+    began: str = Field(description="civil time of the start, with the offset from UTC")
     took_s: float
     cpu_s: float
-    false_alarm: float = Field(description="bound of the probability that a correct program fails by chance")
+    false_alarm: float = Field(description="highest probability that a correct program fails by chance")
     program: ProgramFingerprint
     bench: ValidatedBench
     machine: dict[str, str]
@@ -103,9 +103,9 @@ class ValidationResult(ResultModel):
     against: AgainstPart | None
     not_proven: list[str]
     accepted_before: str = Field(
-        description="number of the accepted validation that this one was compared with"
+        description="number of the accepted validation with which this one was compared"
     )
-    files: list[str] = Field([], description="what was written")
+    files: list[str] = Field([], description="files that were written")
 
     @property
     def failed(self) -> list[ValidationCheck]:
@@ -210,7 +210,7 @@ class RegisteredValidation(ResultModel):
     fingerprint: str
     bench: str
     bench_sha256: str
-    result_sha256: str = Field(description="of the kept result")
+    result_sha256: str = Field(description="SHA-256 of the stored result")
     holds: bool = Field(
         description="whether it is the latest for its program and bench file and was not withdrawn"
     )
@@ -219,8 +219,8 @@ class RegisteredValidation(ResultModel):
 class ValidationRegisterResult(ResultModel):
     """The validations of a laboratory (`bench validate --register`), or the one that was just accepted."""
 
-    register_: str = Field(alias="register", description="its folder")
-    head: str = Field(description="SHA-256 of the last line, which proves all lines before it")
+    register_: str = Field(alias="register", description="folder of the register")
+    head: str = Field(description="SHA-256 of the last line, which depends on all lines before it")
     validations: list[RegisteredValidation]
 
     def print_on(self, out: Console) -> None:

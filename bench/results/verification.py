@@ -13,7 +13,7 @@ from rich.table import Table
 from bench.base.languages import message
 from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
-from bench.calibration.conformity import NON_BINARY, SIMPLE, DecisionRule, Statement
+from bench.calibration.conformity import NON_BINARY, SIMPLE, DecisionRule, Population, Statement
 from bench.calibration.verification import Verification
 from bench.results.parts import BenchPart, CorrectionPart
 
@@ -21,7 +21,7 @@ from bench.results.parts import BenchPart, CorrectionPart
 class PointPart(ResultModel):
     """A verification point."""
 
-    angle_deg: float = Field(description="of the head")
+    angle_deg: float = Field(description="angle of the head, deg")
     pass_number: int = Field(alias="pass")
     point: int
     g_p: float = Field(description="modulus of the measured specific force, local g")
@@ -32,29 +32,22 @@ class PointPart(ResultModel):
     dof: Real = Field(description="degrees of freedom of u; null: infinite")
     tur: Real = Field(description="test uncertainty ratio, limit over U")
     accepted_up_to: float = Field(description="largest |Δg| that the rule accepts here, g")
-    passed: bool = Field(description="whether the rule accepts it")
+    passed: bool = Field(description="whether the rule accepts the point")
     statement: Statement
     p_false_accept: float | None = Field(
-        description="probability that the true error is outside the limit; null where the point is not accepted"
+        description="probability that the true error is outside the limit; null if the point is not accepted"
     )
     p_false_reject: float | None = Field(
-        description="probability that the true error is within the limit; null where the point is not rejected"
+        description="probability that the true error is within the limit; null if the point is not rejected"
     )
-
-
-class PopulationPart(ResultModel):
-    """The stated distribution of Δg over many blocks, in g."""
-
-    mean: float
-    standard_deviation: float
 
 
 class GlobalRiskPart(ResultModel):
     """The global risks of the decision rule for a population of blocks, at the point with the largest U."""
 
-    false_accept: float = Field(description="part of all blocks that is accepted without conforming")
-    false_reject: float = Field(description="part of all blocks that is not accepted and conforms")
-    population: PopulationPart
+    false_accept: float = Field(description="fraction of all blocks that are accepted but do not conform")
+    false_reject: float = Field(description="fraction of all blocks that are not accepted but conform")
+    population: Population = Field(description="stated distribution of Δg over many blocks, g")
 
 
 class VerdictPart(ResultModel):
@@ -63,32 +56,34 @@ class VerdictPart(ResultModel):
     limit_g: float = Field(description="limit of |Δg|, local g")
     rule: Literal["simple acceptance", "guarded", "non-binary"] = Field(description="decision rule")
     guard_band: float = Field(
-        description="guard band w of the statements over U; where false_acceptance is set that of a normal "
-        "distribution, exactly it is in accepted_up_to; simple acceptance takes none of it off the limit"
+        description="guard band as a multiple of U; if `false_acceptance` is given, the value for a normal "
+        "distribution (`accepted_up_to` is exact); simple acceptance does not subtract it from "
+        "the limit"
     )
     false_acceptance: float | None = Field(
-        description="probability of a false acceptance that sets the guard band, of the rule that nobody states; "
-        "else null"
+        description="probability of false acceptance that sets the guard band of the default rule; null for "
+        "other rules"
     )
-    passed: bool = Field(description="whether all points are accepted by the rule and none is missing")
+    passed: bool = Field(description="whether all points were measured and are accepted by the rule")
     statement: Statement = Field(
-        description="that on the worst point; inconclusive: U exceeds the limit; not complete: points are missing"
+        description="statement for the worst point; `inconclusive` if U exceeds the limit, `not complete` if "
+        "points are missing"
     )
-    missing: int = Field(description="points that were planned and are not there")
+    missing: int = Field(description="planned points that were not measured")
     U: float = Field(description="largest expanded uncertainty of the points, g")
-    tur: Real = Field(description="least test uncertainty ratio, limit over U")
+    tur: Real = Field(description="smallest test uncertainty ratio, limit over U")
     p_false_accept: float | None = Field(
-        description="probability that the true error is outside the limit at one point at least, all points judged "
-        "together; null where not accepted, but of a conditional pass that is left to the customer"
+        description="probability that the true error of at least one point is outside the limit; null if not "
+        "accepted, except for a conditional pass, on which the customer decides"
     )
-    p_false_accept_worst: float | None = Field(description="the same of that point alone where it is largest")
+    p_false_accept_worst: float | None = Field(description="the same for the point at which it is largest")
     p_false_reject: float | None = Field(
-        description="probability that the true errors are within the limit at all points; null where nothing is "
+        description="probability that the true errors of all points are within the limit; null if no point is "
         "rejected"
     )
-    global_risk: GlobalRiskPart | None = Field(description="null without a stated population")
+    global_risk: GlobalRiskPart | None = Field(description="global risks; null without a stated population")
     points: list[PointPart]
-    covariance: Matrix = Field(description="of Δg at the points in their order, g²")
+    covariance: Matrix = Field(description="covariance of Δg at the points in their order, g²")
 
 
 class VerifyResult(VerdictPart):
@@ -98,10 +93,10 @@ class VerifyResult(VerdictPart):
     object in its place.
     """
 
-    notes: list[str] = Field(description="what the statements mean and what can be done")
+    notes: list[str] = Field(description="remarks on the meaning of the statements and on remedies")
     bench: BenchPart
     corrections: list[CorrectionPart] = Field(
-        description="the certificates of the instruments; without any an empty list"
+        description="certificates of the instruments; empty if there are none"
     )
 
 
@@ -110,7 +105,7 @@ class ReportResult(ResultModel):
 
     report: str = Field(description="path of the page")
     bench: BenchPart
-    verification: VerifyResult | None = Field(description="null without verification points")
+    verification: VerifyResult | None = Field(description="verdict; null without verification points")
 
 
 def verdict_members(found: Verification) -> dict[str, Any]:

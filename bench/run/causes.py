@@ -363,9 +363,9 @@ class Confidence:
             return False
         if off_v < CLEARLY * self._unexplained_v or self._is_accepted(sighting, causes):
             return False
-        far = chi2 > self._sure
-        stops = (far and (len(causes) == 1 or sighting.next_rad is None)) or in_a_row >= 2
-        if far and not stops:
+        significant = chi2 > self._sure
+        stops = (significant and (len(causes) == 1 or sighting.next_rad is None)) or in_a_row >= 2
+        if significant and not stops:
             self._undecided = (sighting, list(causes))
         return self._stopped_for(causes) if stops else False
 

@@ -189,7 +189,7 @@ class Expectation:
         self.covariance[:, index, index] += variance
 
     def predict(self, pose: ExpectedPose) -> Floats:
-        """Return the signals expected at a pose, V, shape (m, 3)."""
+        """Return the signals (m, 3) expected in m poses, V."""
         angles = self.mean[:, COEFFICIENT_COUNT:, None]
         force = pose.force[..., None] + pose.slopes[..., :SETTING] @ angles
         return (self.scale_factors @ force)[..., 0] + self.mean[:, 9:12] + pose.addition
@@ -247,7 +247,7 @@ class ExpectedSignals:
         return float(weighted @ (signals - self.signals)) / information, 1.0 / math.sqrt(information)
 
 
-MOST_TOLD: Final = 3
+MOST_LISTED: Final = 3
 """Greatest number of causes named in a sign; if there are more, the sign states their number as well."""
 
 
@@ -301,9 +301,9 @@ def why(causes: Sequence[str], at_fault: str | None) -> str:
         return f"{mistake}: {' or '.join(causes)}" if causes else mistake
     if not causes:
         return "no single mistake that is known explains it"
-    if len(causes) > MOST_TOLD:
-        told = " or ".join(causes[:MOST_TOLD])
-        return f"{len(causes)} mistakes explain it so far, the likeliest: {told}"
+    if len(causes) > MOST_LISTED:
+        listed = " or ".join(causes[:MOST_LISTED])
+        return f"{len(causes)} mistakes explain it so far, the likeliest: {listed}"
     return f"probable cause: {' or '.join(causes)}"
 
 

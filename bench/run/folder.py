@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -164,6 +164,14 @@ class Run:
         if taken != needed:
             notes.append(f"the run is {history.state}: {taken} of {needed} planned readings were taken")
         return tuple(notes)
+
+
+def statement_in(verdict: Mapping[str, Any]) -> str:
+    """Return the statement in a result of `verify` or in one of its points.
+
+    Results of earlier versions have no statement; for them it is "pass" or "fail". Raises `KeyError`.
+    """
+    return str(verdict.get("statement") or ("pass" if verdict["passed"] else "fail"))
 
 
 def checked_name(name: str) -> str:

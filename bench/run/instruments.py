@@ -140,7 +140,7 @@ def told_around(
 
     `known` are values of this mounting, for which a person is not asked again. Raises `BenchError`.
     """
-    told = {
+    by_column = {
         column: air_c
         if by == "chamber"
         else known[column]
@@ -148,7 +148,7 @@ def told_around(
         else by.block_c(key)
         for column, by in instruments.around.items()
     }
-    return {column: shown_c for column, shown_c in told.items() if shown_c is not None}
+    return {column: shown_c for column, shown_c in by_column.items() if shown_c is not None}
 
 
 def leave_safe(
@@ -197,4 +197,4 @@ def how_it_stopped(cause: BaseException, wish: RunControl | None) -> tuple[Event
         instrument = cause.instrument if isinstance(cause, BenchError) else ""
         return EventType.RUN_FAILED, {"error": with_notes(cause), "instrument": instrument}
     stop = cause.control if isinstance(cause, Stopped) else wish
-    return EventType.RUN_INTERRUPTED, {} if stop is None else stop.told()
+    return EventType.RUN_INTERRUPTED, {} if stop is None else stop.reason_and_author()

@@ -52,7 +52,7 @@ class Interrupts:
         self._end = end
         self._shielded = 0
         self._pending = False
-        self._heard = False
+        self._interrupted = False
         self._held = False
         self._last_words: str | None = None
         self._before: dict[int, Handler] = {}
@@ -97,11 +97,11 @@ class Interrupts:
         received before.
         """
         self._last_words, self._held = last_words, False
-        if self._heard:
+        if self._interrupted:
             raise KeyboardInterrupt
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
-        again, self._heard = self._heard, True
+        again, self._interrupted = self._interrupted, True
         Interrupts.any_heard = True
         if self._last_words is not None:
             if again:
@@ -127,7 +127,7 @@ class Interrupts:
         if not issubclass(dropped.exc_type, KeyboardInterrupt):
             self._told_before(dropped)
             return
-        self._heard = False
+        self._interrupted = False
         _thread.start_new_thread(_interrupt_soon, ())
 
 

@@ -136,7 +136,7 @@ class _Elsewhere(Exception):
 class Asker:
     """The person of a run, who can answer at a terminal (if any) and through files in the run's `folder`.
 
-    The first `heard` answers in the folder are skipped. Until `attach`, `tell` records events, and only a
+    The first `answers_read` answers in the folder are skipped. Until `attach`, `tell` records events, and only a
     wish to stop is obeyed. `answered_by` is the author of the last answer. The class implements
     `drivers.interfaces.WatchingPerson`.
     """
@@ -148,7 +148,7 @@ class Asker:
         tell: Tell,
         *,
         terminal: TerminalPerson | None = None,
-        heard: int = 0,
+        answers_read: int = 0,
         clock: Clock | None = None,
     ) -> None:
         self.meanwhile: Callable[[], None] | None = None
@@ -162,7 +162,7 @@ class Asker:
         self._tell = tell
         self._controls: Controls = NoControls()
         self._wishes: Collection[Wish] | None = ()
-        self._answers = AnswersFile(folder, heard)
+        self._answers = AnswersFile(folder, answers_read)
         self._clock = SystemClock() if clock is None else clock
         self._prompt: Prompt | None = None
         self._id, self._refused, self._answered = "", "", ""
@@ -256,12 +256,12 @@ class Asker:
     def _hear(self, control: RunControl, prompt: Prompt) -> None:
         if control.wish in (heard_at(prompt) if self._wishes is None else self._wishes):
             raise raised(control)
-        told = {
+        refusal = {
             "wish": control.wish.value,
             "why": "this question does not accept it",
             **control.who.to_json(),
         }
-        self._tell(EventType.WISH_REFUSED, told)
+        self._tell(EventType.WISH_REFUSED, refusal)
 
     # --- acceptance and refusal ----------------------------------------------------------------------
 
@@ -278,7 +278,7 @@ class Asker:
     def _take(self, given: LeftAnswer, prompt: Prompt) -> None:
         self.answered_by, self._answered = given.who, given.id
         text = given.answer.strip() or prompt.default or ""
-        self._tell(EventType.ANSWERED, _told(replace(given, answer=text)))
+        self._tell(EventType.ANSWERED, _event_data(replace(given, answer=text)))
 
     def _note(self, seen: AnsweredByInstrument, prompt: Prompt) -> None:
         """Record an instrument's answer, or its problem, after which the question is asked again."""
@@ -290,8 +290,8 @@ class Asker:
         self._refused = prompt.id.rpartition("#")[0]
 
     def _refuse(self, given: LeftAnswer, why: str) -> None:
-        self._tell(EventType.ANSWER_REFUSED, {**_told(given), "why": why})
+        self._tell(EventType.ANSWER_REFUSED, {**_event_data(given), "why": why})
 
 
-def _told(given: LeftAnswer) -> dict[str, Any]:
+def _event_data(given: LeftAnswer) -> dict[str, Any]:
     return {**given.to_json(), **({"line": given.line} if given.line else {})}

@@ -102,8 +102,8 @@ class LiveValue:
         if self.signals_v is None:
             return f"live: {self.why}"
         signals = "  ".join(f"{c} {v:+.{SHOWN_V}f}" for c, v in zip(CHANNELS, self.signals_v, strict=True))
-        told = [f"live: {signals} V", self.to_go, "settled" if self.settled else "moving"]
-        return "; ".join(filter(None, told))
+        parts = [f"live: {signals} V", self.to_go, "settled" if self.settled else "moving"]
+        return "; ".join(filter(None, parts))
 
 
 def _angle(arcsec: float) -> str:

@@ -83,7 +83,7 @@ class RunControl:
         """Return the wish as written into the run folder's file."""
         return {"wish": self.wish.value, "reason": self.reason, **self.who.to_json()}
 
-    def told(self) -> dict[str, str]:
+    def reason_and_author(self) -> dict[str, str]:
         """Return the reason and the author as recorded in an event."""
         return {"reason": self.reason, **self.who.to_json()}
 
@@ -145,12 +145,12 @@ class ControlFile:
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / CONTROL
-        self._heard = self._path.stat().st_size if self._path.exists() else 0
+        self._bytes_read = self._path.stat().st_size if self._path.exists() else 0
 
     def poll(self) -> RunControl | None:
         """Return the next wish, or None; skip invalid lines, and leave an incomplete last line for later."""
         while (line := self._line()).endswith(b"\n"):
-            self._heard += len(line)
+            self._bytes_read += len(line)
             with suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
                 return RunControl.from_json(json.loads(line))
         return None
@@ -158,7 +158,7 @@ class ControlFile:
     def _line(self) -> bytes:
         try:
             with open_regular(self._path) as file:
-                file.seek(self._heard)
+                file.seek(self._bytes_read)
                 return file.readline()
         except OSError:
             return b""
@@ -227,13 +227,13 @@ def leave_answer(folder: Path, answer: LeftAnswer) -> None:
 
 
 class AnswersFile:
-    """The answers left in a run folder, in order; the first `heard` lines are skipped."""
+    """The answers left in a run folder, in order; the first `answers_read` lines are skipped."""
 
-    def __init__(self, folder: Path, heard: int = 0) -> None:
+    def __init__(self, folder: Path, answers_read: int = 0) -> None:
         self._path = folder / ANSWERS
         self._line = 0
         self._place = 0
-        while self._line < heard and self._next() is not None:
+        while self._line < answers_read and self._next() is not None:
             pass
 
     def poll(self) -> LeftAnswer | None:
@@ -265,11 +265,11 @@ class AnswersFile:
 
 def _read_answer(line: bytes, number: int) -> LeftAnswer:
     try:
-        told = json.loads(line)
-        prompt_id, text = told["id"], told["answer"]
+        parsed = json.loads(line)
+        prompt_id, text = parsed["id"], parsed["answer"]
         if type(prompt_id) is not str or type(text) is not str or len(text) > LONGEST:
             raise ValueError("neither")
-        return LeftAnswer(prompt_id, text, WishAuthor.from_json(told), number)
+        return LeftAnswer(prompt_id, text, WishAuthor.from_json(parsed), number)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         beginning = line[:100].decode("utf-8", "backslashreplace").strip()
         flaw = f"line {number} of {ANSWERS} is not an answer"
@@ -289,14 +289,15 @@ def in_english(prompt: Prompt, typed: str) -> str:
         return typed
     if prompt.kind is PromptKind.CONFIRM:
         return next(
-            (told for word, told in _WORDS.items() if given in (translated(word), translated(word)[0])), typed
+            (english for word, english in _WORDS.items() if given in (translated(word), translated(word)[0])),
+            typed,
         )
     for choice in prompt.choices:
-        shown = translated(choice).lower()
-        if given == shown:
+        choice_name = translated(choice).lower()
+        if given == choice_name:
             return choice
         if choice.endswith(REASON) and given.startswith(
-            start := shown.removesuffix(translated(REASON).lower())
+            start := choice_name.removesuffix(translated(REASON).lower())
         ):
             return choice.removesuffix(REASON) + " ".join(typed.split())[len(start) :]
     return typed

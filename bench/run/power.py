@@ -106,7 +106,7 @@ class UnitPower:
                 return
             if len(on) == len(self.section.rails):
                 self.on, self.in_charge, self.on_since_s = True, True, self.clock.now_s()
-                self._told("found on", self.look(key))
+                self._record_event("found on", self.look(key))
                 return
             otherwise = message(f"of its rails only {', '.join(on)} is on")
         self._ask_about(otherwise, key)
@@ -152,13 +152,13 @@ class UnitPower:
                 error.add_note(trouble)
             raise
         self.on = True
-        self._told("on", rails)
+        self._record_event("on", rails)
 
     def switch_off(self, key: str) -> None:
         """Switch the rails off, in reverse order. Raises `BenchError` if the supply does not obey."""
         self.in_charge = True
         self._switch_rails_off(key)
-        self._told("off", {})
+        self._record_event("off", {})
 
     def cycle(self, off_s: float, key: str) -> None:
         """Switch the block off and on again; it stays off for `off_s` or the bench file's minimum, s."""
@@ -192,14 +192,14 @@ class UnitPower:
                 self.clock.sleep(self.section.pause)
             by_hand = f"its rail {rail.name} did not switch off by itself: find the cause before the next run"
             rails.make(by_hand, partial(self.supply.switch, rail.output, False, key))
-        told = rails.end()
-        if told or self.supply.asks_person:
+        remedy = rails.end()
+        if remedy or self.supply.asks_person:
             whole = Attempts()
             whole.make("could not switch the block off: switch it off by hand", self.supply.switch_all_off)
             if to_do := whole.end():
                 return to_do
         self.on, self.off_since_s = False, self.now_s()
-        return told
+        return remedy
 
     def leave(self) -> str:
         """Put the block into its safe state; return the task left for a person, or "". No error is raised.
@@ -262,7 +262,7 @@ class UnitPower:
             self._looked_s = self.clock.now_s()
 
     def watch_while_asked(self, *persons: Person | None) -> None:
-        """Check the rails also while these persons are being asked, unless a person must read the supply."""
+        """Check the rails also during questions to `persons`, unless a person must read the supply."""
         if self.supply.asks_person:
             return
         for person in persons:
@@ -321,7 +321,7 @@ class UnitPower:
     def _settings(self) -> dict[str, Any]:
         return {rail.output: rail.settings for rail in self.section.rails}
 
-    def _told(self, what: str, rails: Mapping[str, Rail]) -> None:
+    def _record_event(self, what: str, rails: Mapping[str, Rail]) -> None:
         self.tell(
             EventType.POWER, {"power": what, "rails": {name: rail.to_json() for name, rail in rails.items()}}
         )

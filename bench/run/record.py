@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final, overload
 
 from bench.base.computing import uncollected
-from bench.base.files import DISK_FULL, open_regular, read_json, read_regular
+from bench.base.files import DISK_FULL, open_regular, read_json, read_regular, write_synced
 from bench.base.text import in_json
 from bench.config.procedure.plan import Plan, Read, Turn
 from bench.readings.reading import Reading
@@ -493,7 +493,7 @@ def _make_folder(folder: Path, files: dict[str, bytes]) -> None:
         _refuse_taken(folder)
         part = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
         for name, content in files.items():
-            _write_durably(part / name, content)
+            write_synced(part / name, content)
         part.chmod(0o755)
         part.rename(folder)
     except OSError as error:
@@ -509,13 +509,6 @@ def _refuse_taken(folder: Path) -> None:
         if (folder / MANIFEST).is_file():
             raise RecordError(f"{folder}: a run of that name exists; choose another with --name")
         raise RecordError(f"{folder}: a file or folder of that name exists; choose another with --name")
-
-
-def _write_durably(path: Path, content: bytes) -> None:
-    with path.open("xb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
 
 
 def _cannot_write(folder: Path, error: OSError) -> RecordError:

@@ -282,10 +282,10 @@ def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
         try:
             answer = person.ask(put)
         except NoAnswer as nobody:
-            told = f"{doubt.data['sentence']} ({AGAIN})" if again else doubt.data["sentence"]
+            reason = f"{doubt.data['sentence']} ({AGAIN})" if again else doubt.data["sentence"]
             raise NoAnswer(
                 "operator",
-                f"the run stopped: {told}; nobody chose how to continue",
+                f"the run stopped: {reason}; nobody chose how to continue",
                 f"check the bench, then resume and answer {answers}",
             ) from nobody
         given = " ".join(answer.text.split()) if answer.prompt_id == put.id else ""

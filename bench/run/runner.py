@@ -214,8 +214,8 @@ class Runner:
             return False
         again = doubt.step in self.progress.in_vain
         reason = how_to_go_on(self.people.decider or self.people.person, doubt, again=again)
-        told = {"causes": doubt.data["causes"], "reason": reason, **self._answerer().to_json()}
-        self._emit(EventType.WENT_ON, step=doubt.step, **told)
+        decision = {"causes": doubt.data["causes"], "reason": reason, **self._answerer().to_json()}
+        self._emit(EventType.WENT_ON, step=doubt.step, **decision)
         return True
 
     # --- the life of a run ---------------------------------------------------------------------------
@@ -281,9 +281,9 @@ class Runner:
         """Record that the block was mounted again or lost power, so that its later readings form a new visit."""
         planned = (s.series for s in self.plan.steps if isinstance(s, Mount | Read))
         visit = 1 + max(*planned, *self.progress.remounts.values())
-        told = {"why": why} if why else {}
+        cause = {"why": why} if why else {}
         place = {"installation": step.installation, "series": step.series}
-        self._emit(EventType.REMOUNTED, **place, now_series=visit, **told)
+        self._emit(EventType.REMOUNTED, **place, now_series=visit, **cause)
 
     def _insist(self, prepare: Callable[[], object]) -> None:
         """Carry out a preparation before the steps until it succeeds.
@@ -332,7 +332,7 @@ class Runner:
                 return self._refuse(control, index, "decide on the doubted reading first")
             case Wish.SKIP:
                 last = end_of_point(self.plan, index) - 1
-                self._emit(EventType.SKIPPED, first=index, last=last, **control.told())
+                self._emit(EventType.SKIPPED, first=index, last=last, **control.reason_and_author())
                 return last + 1
             case Wish.ABORT:
                 raise self._aborted(control)
@@ -340,7 +340,7 @@ class Runner:
                 raise Stopped(control)
 
     def _aborted(self, control: RunControl) -> RunAborted:
-        self._emit(EventType.RUN_ABORTED, **control.told())
+        self._emit(EventType.RUN_ABORTED, **control.reason_and_author())
         return RunAborted(control.reason)
 
     def _refuse(self, control: RunControl, index: int, why: str) -> int:
@@ -349,7 +349,7 @@ class Runner:
 
     def _pause(self, pause: RunControl, index: int) -> int:
         """Wait, with the bench idle, until a wish ends the pause; return the step to continue with."""
-        self._emit(EventType.RUN_PAUSED, **pause.told())
+        self._emit(EventType.RUN_PAUSED, **pause.reason_and_author())
         ask = pause.by_person or self.people.asker is not None
         while self.recorder.record.state is RunState.PAUSED:
             control = self._asked() if ask else self.people.controls.poll()
@@ -376,8 +376,8 @@ class Runner:
         found = redo_from(self.plan, self.progress, control.wish, index)
         if found is None:
             return self._refuse(control, index, "no point was measured since the block was mounted")
-        told = {"wish": control.wish.value, **control.who.to_json()}
-        self._emit(EventType.REDO, first=found.first, last=found.last, **told)
+        request = {"wish": control.wish.value, **control.who.to_json()}
+        self._emit(EventType.REDO, first=found.first, last=found.last, **request)
         if found.mount is not None:
             self._insist(partial(self._workbench.do_mount, found.mount))
             self._emit_remounted(found.mount)

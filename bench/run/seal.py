@@ -347,17 +347,17 @@ def ask_time_stamp(url: str, message: bytes) -> bytes:
     try:
         response = rfc3161.decode_timestamp_response(answer)
         granted = response.status in {0, 1}
-        told = response.tst_info if granted else None
+        info = response.tst_info if granted else None
     except ValueError as error:
         raise NoTimeStamp(
             f"{url}: no time stamp (unexpected answer); check the address of the server"
         ) from error
-    if told is None:
+    if info is None:
         raise NoTimeStamp(
             f"{url}: no time stamp: the server refused it; try again or use another "
             f"({', '.join(response.status_string)})"
         )
-    if told.nonce != asked.nonce or told.message_imprint.message != hashlib.sha256(message).digest():
+    if info.nonce != asked.nonce or info.message_imprint.message != hashlib.sha256(message).digest():
         raise NoTimeStamp(f"{url}: no time stamp (it stamped other data); ask again, or use another server")
     return answer
 
@@ -390,13 +390,13 @@ def read_time_stamp(response: bytes, message: bytes, authority: Path | None) -> 
         raise NoTimeStamp(missing(error) or str(error)) from error
     try:
         decoded = rfc3161.decode_timestamp_response(response)
-        told = decoded.tst_info
+        info = decoded.tst_info
     except ValueError as error:
         raise NoTimeStamp("its time stamp is damaged; restore the seal from a copy") from error
-    if told.message_imprint.message != hashlib.sha256(message).digest():
+    if info.message_imprint.message != hashlib.sha256(message).digest():
         raise NoTimeStamp("its time stamp belongs to another seal; restore the seal from a copy")
     if authority is None:
-        return TimeStamp(told.gen_time, trusted=False)
+        return TimeStamp(info.gen_time, trusted=False)
     try:
         roots = x509.load_pem_x509_certificates(read_given(authority))
     except OSError as error:
@@ -415,4 +415,4 @@ def read_time_stamp(response: bytes, message: bytes, authority: Path | None) -> 
             f"its time stamp was not signed by the authority in {authority} ({error}); give that authority's "
             "certificate"
         ) from error
-    return TimeStamp(told.gen_time, trusted=True)
+    return TimeStamp(info.gen_time, trusted=True)

@@ -137,18 +137,18 @@ def origin_of_run(run: Run) -> OriginBeside:
             simulated=run.simulated,
             run=run.name,
             begun=run.created,
-            operator=_shown(manifest.get("operator")),
-            procedure=_shown(manifest.get("procedure")),
-            plan_hash=_shown(manifest.get("plan_hash")),
-            unit_under_test=unit and UnitOrigin(type=_shown(unit["type"]), serial=_shown(unit["serial"])),
+            operator=_as_text(manifest.get("operator")),
+            procedure=_as_text(manifest.get("procedure")),
+            plan_hash=_as_text(manifest.get("plan_hash")),
+            unit_under_test=unit and UnitOrigin(type=_as_text(unit["type"]), serial=_as_text(unit["serial"])),
             bench=BenchOrigin(
-                file=_shown(manifest.get("bench")),
-                copied_to=_shown(copied_to),
+                file=_as_text(manifest.get("bench")),
+                copied_to=_as_text(copied_to),
                 sha256=sha256(read_regular(copied_to)),
             ),
-            instruments={name: _shown(identity) for name, identity in run.history.identities.items()},
-            serials={name: _shown(serial) for name, serial in run.history.serials.items()},
-            measured_with={name: _shown(v) for name, v in manifest.get("versions", {}).items()},
+            instruments={name: _as_text(identity) for name, identity in run.history.identities.items()},
+            serials={name: _as_text(serial) for name, serial in run.history.serials.items()},
+            measured_with={name: _as_text(v) for name, v in manifest.get("versions", {}).items()},
         )
     )
 
@@ -214,7 +214,7 @@ def _read(path: Path) -> bytes | None:
         return None
 
 
-def _shown(value: object) -> str:
+def _as_text(value: object) -> str:
     """Return a value of a record as text that can be printed."""
     return visible(str(value or ""))
 

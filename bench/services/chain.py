@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Final, TypeVar
 
 from filelock import FileLock, Timeout
 
-from bench.base.files import open_regular, read_json, read_regular, write_whole
+from bench.base.files import open_regular, read_json, read_regular, sync_folder, write_whole
 from bench.services.errors import Refused, refusing
 from drivers.clock import utc_now
 
@@ -182,14 +182,3 @@ def opened(register: Of) -> Iterator[Of]:
             f"{error.filename or folder}: cannot be written ({error.strerror}); free disk space or check "
             "permissions"
         ) from error
-
-
-def sync_folder(folder: Path) -> None:
-    """Flush the file names in a folder to the disk on POSIX systems, so that they survive a power failure."""
-    if os.name != "posix":
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

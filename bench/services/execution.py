@@ -220,8 +220,8 @@ def asker_of(
         return event
 
     terminal = None if who is None else TerminalPerson(sys.stdin, out, wishes=(), who=who)
-    heard_before = history.progress.answers_heard if history is not None else 0
-    return Asker(run.folder, record, tell, terminal=terminal, heard=heard_before)
+    answers_before = history.progress.answers_heard if history is not None else 0
+    return Asker(run.folder, record, tell, terminal=terminal, answers_read=answers_before)
 
 
 @contextmanager

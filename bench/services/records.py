@@ -13,7 +13,7 @@ from bench.base.files import read_regular
 from bench.readings.columns import columns_of, ranges_in_words
 from bench.results.records import ProvenRecordPart, RunPart, RunsResult, ShowResult
 from bench.run.events import ENDED, RecordError, RunState
-from bench.run.folder import VERIFY, Digest, Digests, Run, all_runs, find_run
+from bench.run.folder import VERIFY, Digest, Digests, Run, all_runs, find_run, statement_in
 from bench.run.record import is_being_written
 from bench.run.seal import (
     NoTimeStamp,
@@ -89,13 +89,10 @@ def supply_in_words(run: Run) -> str:
 
 
 def _verdict(run: Run) -> str | None:
-    """Return the verdict in a run's result file; None if there is none.
-
-    Results of earlier versions have no statement, only passed or failed.
-    """
+    """Return the verdict in a run's result file; None if there is none."""
     try:
         found = json.loads(read_regular(run.folder / f"{VERIFY}.json").decode())
-        statement = str(found.get("statement") or ("pass" if found["passed"] else "fail"))
+        statement = statement_in(found)
         return {"pass": "passed", "fail": "failed"}.get(statement, statement)
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return None

@@ -121,7 +121,7 @@ def killed(tmp_path, monkeypatch, name, after):
 
 
 @pytest.mark.parametrize(
-    ("operation", "after"), [("_write_through", 1), ("_write_through", 2), ("sync_folder", 1)]
+    ("operation", "after"), [("write_synced", 1), ("write_synced", 2), ("sync_folder", 1)]
 )
 def test_killed_before_its_line_a_certificate_is_not_there(tmp_path, monkeypatch, operation, after):
     issue(tmp_path, "1")

@@ -17,9 +17,9 @@ from bench.diagnosis.pipeline import values_of
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.residual_dictionary import dictionary
 from bench.diagnosis.residual_model import UNNAMED_FORM, UnexplainedScatter
-from bench.model import AppliedEffect, Stage
+from bench.model import Stage
 from bench.results.diagnosis_parts import form_part
-from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, OneThreshold, paper_run
+from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, OneThreshold, columns_by_model, paper_run
 from tests.support.paper_bench import SETTING_U_RAD, STAND_U, K
 
 
@@ -63,15 +63,9 @@ def test_every_term_is_a_formula_that_a_file_may_hold(terms):
 def test_its_columns_are_differences_of_the_forward_model(terms):
     listed, linear = terms
     for number in np.random.default_rng(1).choice(len(listed), 20, replace=False):
-        term, _, sizes = listed[number]
-        effect = term.effect("one", per_channel=sizes[0][1] is not None)
-        values = {p.name: np.asarray(p.default) for p in effect.parameters if p.is_shape}
-        for parameter, channel, column in sizes:
-            size = term.unit.plausible
-            one = np.asarray(size) if channel is None else size * np.eye(3)[channel]
-            added = linear.effect_column(AppliedEffect(effect, {**values, parameter: one}))
-            # the stand and the head are made linear: what is beyond grows with the square of an angle
-            turned = term.stage in {Stage.STAND, Stage.HEAD_ANGLE}
+        # the stand and the head are made linear: what is beyond grows with the square of an angle
+        turned = listed[number][0].stage in {Stage.STAND, Stage.HEAD_ANGLE}
+        for column, added in columns_by_model(listed[number], linear):
             atol = 2e-4 * float(np.max(np.abs(added))) if turned else 1e-15
             np.testing.assert_allclose(column, added, rtol=1e-7, atol=atol)
 

@@ -9,9 +9,8 @@ from bench.diagnosis import diagnose
 from bench.diagnosis.multi_run_system import make_system
 from bench.diagnosis.pipeline import values_of
 from bench.diagnosis.residual_dictionary import dictionary
-from bench.model import AppliedEffect
 from bench.readings.table import JoinedPart, together
-from tests.support.diagnosis_bench import MODEL, STAND, STAND_U, OneThreshold, paper_run
+from tests.support.diagnosis_bench import MODEL, STAND, STAND_U, OneThreshold, columns_by_model, paper_run
 
 HALF_WAVE_V = 200e-6
 SCALE = 1.0 + np.array([[0.0, 0.0, 0.0], [0.01, -0.02, 0.015]])
@@ -46,13 +45,7 @@ def test_terms_are_those_of_one_run_and_add_the_same_to_every_block(system):
     listed, alone = list(dictionary(system)), list(dictionary(system.parts[0]))
     assert {term.family for term, _, _ in listed} == {term.family for term, _, _ in alone}
     for number in np.random.default_rng(2).choice(len(listed), 12, replace=False):
-        term, _, sizes = listed[number]
-        effect = term.effect("one", per_channel=sizes[0][1] is not None)
-        values = {p.name: np.asarray(p.default) for p in effect.parameters if p.is_shape}
-        for parameter, channel, column in sizes:
-            size = term.unit.plausible
-            one = np.asarray(size) if channel is None else size * np.eye(3)[channel]
-            added = system.effect_column(AppliedEffect(effect, {**values, parameter: one}))
+        for column, added in columns_by_model(listed[number], system):
             # the stand and the head are made linear: what is beyond grows with the square of an angle
             atol = 2e-4 * float(np.max(np.abs(added)))
             np.testing.assert_allclose(column, added, rtol=1e-7, atol=atol)

@@ -147,7 +147,7 @@ def test_a_program_that_takes_the_run_up_passes_over_the_answers_that_were_heard
     run.plan = [run.answer("maybe"), run.answer("yes")]
     confirm(away, MOUNT)
     run.answer("yes", run.told("asked")[0]["id"])()  # heard by nobody: the program died
-    again = Asker(run.folder, run, run.tell, heard=2, clock=run)
+    again = Asker(run.folder, run, run.tell, answers_read=2, clock=run)
     run.plan = [run.answer("yes")]
     confirm(again, MOUNT)
     assert [refused["line"] for refused in run.told("answer_refused")] == [1, 3]

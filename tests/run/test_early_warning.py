@@ -9,20 +9,12 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from bench.model import CATALOGUE, AppliedEffect, ForwardModel, Installation
-from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.readings.reading import Reading
 from bench.run.early_warning import EarlyWarning
+from tests.support.diagnosis_bench import MODEL, PSI
 from tests.support.paper_bench import SETTING_U_RAD, STAND_U, U0, K, design, specific_force
 
-PSI = np.pi / 4
-MODEL = ForwardModel(
-    {
-        "1": INSTALLATION_1,
-        "2": INSTALLATION_2,
-        "V": Installation.from_axes("V", ("x", "y", "z"), PSI, "z"),
-    }
-)
 NOMINAL = (-2.18, -2.14, -2.14)
 BENCH_U = STAND_U | {"setting_error": SETTING_U_RAD, "voltmeter_error": 1e-4}
 N = 58

@@ -67,7 +67,7 @@ def living(tmp_path, monkeypatch):
         else:
             record = new_record(tmp_path)
         heard = 0 if history is None else history.progress.answers_heard
-        asker = Asker(folder, record, lambda kind, data: record.append(kind, 0.0, **data), heard=heard)
+        asker = Asker(folder, record, lambda kind, data: record.append(kind, 0.0, **data), answers_read=heard)
         with Interrupts() as signals, wishes:
             runner = make_runner(
                 bench,

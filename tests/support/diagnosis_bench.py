@@ -3,16 +3,19 @@
 The readings come from `paper_bench`, whose geometry is not the application's.
 """
 
+from collections.abc import Iterator
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+from bench.base.arrays import Floats
 from bench.diagnosis import Threshold, ThresholdCache
 from bench.diagnosis.candidates import Candidates, make_candidates
 from bench.diagnosis.evidence import Whitened
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.noise_grid import NoiseGrid, make_noise_grid
-from bench.model import ForwardModel, Installation
+from bench.model import AppliedEffect, ForwardModel, Installation
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import Readings, make_readings
 from tests.support.paper_bench import SETTING_U_RAD, STAND_U, U0, K, specific_force
@@ -114,3 +117,14 @@ class Set:
 def set_up(readings: Readings, model: ForwardModel = MODEL, sigma: float = NOISE_V) -> Set:
     """Make readings linear, with all candidates, in units of the noise."""
     return Set(make_linear(readings, model, STAND_U), sigma)
+
+
+def columns_by_model(listed: Any, system: Any) -> Iterator[tuple[Floats, Floats]]:
+    """Yield each column of a listed term of the dictionary, and what the forward model adds by the same size."""
+    term, _, sizes = listed
+    effect = term.effect("one", per_channel=sizes[0][1] is not None)
+    values = {p.name: np.asarray(p.default) for p in effect.parameters if p.is_shape}
+    for parameter, channel, column in sizes:
+        size = term.unit.plausible
+        one = np.asarray(size) if channel is None else size * np.eye(3)[channel]
+        yield column, system.effect_column(AppliedEffect(effect, {**values, parameter: one}))

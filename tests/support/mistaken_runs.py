@@ -9,21 +9,15 @@ from numpy.typing import NDArray
 
 from bench.base.arrays import Floats
 from bench.diagnosis.mistakes.search import MistakeSearch, find_mistakes
-from bench.model import ForwardModel, Installation
-from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import Readings, make_readings
+from tests.support.diagnosis_bench import MODEL, NOISE_V, PSI
 from tests.support.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, design, specific_force
 
 Labels = NDArray[np.str_]
 Numbers = NDArray[np.int64]
 Added = Callable[[Labels, Numbers, Floats, Floats, Floats], Floats]
 
-PSI = float(np.radians(45))
-MODEL = ForwardModel(
-    {"1": INSTALLATION_1, "2": INSTALLATION_2, "V": Installation.from_axes("V", ("x", "y", "z"), PSI, "z")}
-)
 NOMINAL = np.array([-2.18, -2.14, -2.14])
-NOISE_V = 15e-6
 ORDERS = ((1, 0, 2), (2, 1, 0), (0, 2, 1), (1, 2, 0), (2, 0, 1))
 
 

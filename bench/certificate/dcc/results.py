@@ -205,7 +205,7 @@ def _per_ms2(found: RunFindings) -> Values:
 
 
 def _listed(values: Values, certificate: Certificate) -> Node:
-    """Return results as one list: names, values, U with k, and the full covariance matrix."""
+    """Return results as one D-SI list of names, values, U with k, and the covariance matrix."""
     members = values.values
     spelt = [one.unit if "\\" in one.unit else si_unit(one.unit) for one in members]
     coverage = certificate.coverage

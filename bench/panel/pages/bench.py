@@ -121,7 +121,7 @@ def form(request: Request) -> Response:
     if asked.get("written"):
         state.note = message(f"{state.base.path} was written.")
     _judge(state)
-    return _shown(request, state)
+    return _form_page(request, state)
 
 
 def _begun(name: str, start: str, new_name: str = "") -> FormState:
@@ -180,7 +180,7 @@ def _sent(request: Request, person: Person, given: dict[str, str]) -> Response:
             state.further = "" if do == IDENTIFY else state.further
         except Refusal as refusal:
             state.refusal = refusal.text
-    return _shown(request, state)
+    return _form_page(request, state)
 
 
 def _typed(given: Mapping[str, str]) -> FormState:
@@ -255,7 +255,7 @@ def _write(panel: Panel, person: Person, state: FormState, expected: str) -> boo
     return False
 
 
-def _shown(request: Request, state: FormState) -> Response:
+def _form_page(request: Request, state: FormState) -> Response:
     search = search_of(panel_of(request))
     found = search.found()
     known = _known_certificates(state.file)

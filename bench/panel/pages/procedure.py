@@ -109,7 +109,7 @@ def form(request: Request) -> Response:
     state.bench = asked.get("bench", "")[:LONGEST]
     if asked.get("written"):
         state.note = message(f"{state.base.path} is written.")
-    return _shown(request, state)
+    return _form_page(request, state)
 
 
 def _begun(name: str, start: str, new_name: str) -> TableState:
@@ -127,7 +127,7 @@ def _begun(name: str, start: str, new_name: str) -> TableState:
 
 
 async def sent(request: Request) -> Response:
-    """Carry out the action of the pressed button: show, write, take the text, copy or remove a step."""
+    """Carry out the action of the pressed button: show, write, use the text, copy or remove a step."""
     person, given = await acting(request, Role.OPERATOR, most=MOST_FIELDS)
     return await run_in_threadpool(_sent, request, person, given)
 
@@ -152,7 +152,7 @@ def _sent(request: Request, person: Person, given: dict[str, str]) -> Response:
     if do == "write" and not state.refusal and _write(panel, person, state, given.get("sha256", "")):
         address = f"/procedures/form?file={quote(state.name)}&written=1&bench={quote(state.bench)}"
         return RedirectResponse(address, status_code=303)
-    return _shown(request, state)
+    return _form_page(request, state)
 
 
 CHANGES: Final = {"copy": with_copy, "remove": without_step}
@@ -225,7 +225,7 @@ def _named(state: TableState) -> str:
     return edited_text(state.text, {"procedure": state.name}, name)
 
 
-def _shown(request: Request, state: TableState) -> Response:
+def _form_page(request: Request, state: TableState) -> Response:
     data, procedure = _data(state.text), None
     if data is None:
         state.refusal = state.refusal or message("The text is no procedure in YAML. Mend it in its field.")

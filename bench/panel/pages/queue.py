@@ -72,7 +72,7 @@ async def queue(request: Request) -> Response:
     person = looking(request)
     panel = panel_of(request)
     try:
-        shown = await run_in_threadpool(_shown, panel)
+        shown = await run_in_threadpool(_queue_values, panel)
     except RecordError as error:
         return page(request, "queue.html.j2", damage=str(error), may=person.role is not Role.VIEWER)
     return page(
@@ -86,7 +86,7 @@ async def queue(request: Request) -> Response:
     )
 
 
-def _shown(panel: Panel) -> dict[str, Any]:
+def _queue_values(panel: Panel) -> dict[str, Any]:
     runs = {row.name: row for row in panel.table.rows()}
     rows = [_row(panel, item, runs) for item in panel.queue.items()]
     to_do = [row for row in rows if row.run is None]

@@ -91,9 +91,9 @@ class SimulatedHands:
             self._turn(action)
             self._tell(f"turned the head to {math.degrees(action['target_rad']):g}°")
         elif action["do"] not in ("answer", "wait"):
-            shown = self._operator.ask(prompt).text
+            answer_text = self._operator.ask(prompt).text
             read = action["do"].startswith("read_")
-            self._tell(f"{action['do'].replace('_', ' ')}: {shown if read else 'done'}")
+            self._tell(f"{action['do'].replace('_', ' ')}: {answer_text if read else 'done'}")
 
     def _turn(self, action: TurnHead) -> None:
         target_rad, direction = action["target_rad"], action["direction"]

@@ -343,10 +343,10 @@ def real_evening(
     file: BenchFile, person: Person, log: Wire | None, haste: Haste | None = None
 ) -> CommissioningSession:
     """Return a commissioning session on a real bench, with nothing opened. `haste` cuts waiting times short."""
-    watch, heard = WireWatch(log), CommissioningPerson(person)
-    assembly = real_bench(file, heard, watch, haste)
+    watch, watched_person = WireWatch(log), CommissioningPerson(person)
+    assembly = real_bench(file, watched_person, watch, haste)
     watch.time_s = assembly.clock.now_s
-    return _evening(file, assembly, heard, watch)
+    return _evening(file, assembly, watched_person, watch)
 
 
 @contextmanager

@@ -129,14 +129,14 @@ def _loss(evening: CommissioningSession, look: Callable[[], object]) -> tuple[fl
 
     Every exception is caught, because the session has to continue until the cable is back in.
     """
-    begun_s, told = evening.time_s(), ""
+    begun_s, failure = evening.time_s(), ""
     try:
         look()
     except BenchError as error:
-        told = error.cause
+        failure = error.cause
     except Exception as error:
-        told = f"the driver failed with {type(error).__name__} ({error})"
-    return evening.time_s() - begun_s, told
+        failure = f"the driver failed with {type(error).__name__} ({error})"
+    return evening.time_s() - begun_s, failure
 
 
 def _back(

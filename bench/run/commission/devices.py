@@ -174,16 +174,16 @@ def check_moves(evening: CommissioningSession) -> None:
 def _with_motor(
     evening: CommissioningSession, head: DividingHead, motor: Motor, form: MotorisedHeadForm
 ) -> None:
-    stands: list[float] = []
+    angles_rad: list[float] = []
 
     def stand() -> Finding:
-        stands.append(_within(form, motor.position_rad()))
-        return Finding("position", head.name, State.WORKS, f"stands at {degrees(stands[0])}")
+        angles_rad.append(_within(form, motor.position_rad()))
+        return Finding("position", head.name, State.WORKS, f"angles_rad at {degrees(angles_rad[0])}")
 
     evening.carry_out("position", head, stand)
-    if not stands:
+    if not angles_rad:
         return
-    here_rad, way_rad = stands[0], WAY_IN_BACKOFFS * form.backoff
+    here_rad, way_rad = angles_rad[0], WAY_IN_BACKOFFS * form.backoff
     side: Direction = 1 if here_rad + way_rad + form.backoff <= form.maximum else -1
     there_rad = here_rad + side * way_rad
     back: Direction = -1 if side > 0 else 1

@@ -90,8 +90,10 @@ def _set_twice(evening: CommissioningSession, meter: Voltmeter) -> Finding:
     for way in ways:
         meter.configure(way)
     took = Figure("set up in", (evening.time_s() - begun_s) / len(ways), "s")
-    told = " and ".join(f"{way.nplc:g} NPLC" for way in ways)
-    return Finding(SETTINGS, meter.name, State.WORKS, f"{ways[0].range_v:g} V with {told} came back", (took,))
+    speeds = " and ".join(f"{way.nplc:g} NPLC" for way in ways)
+    return Finding(
+        SETTINGS, meter.name, State.WORKS, f"{ways[0].range_v:g} V with {speeds} came back", (took,)
+    )
 
 
 # --- time -------------------------------------------------------------------------------------------
@@ -107,8 +109,8 @@ def _timed(evening: CommissioningSession, meter: Voltmeter) -> Finding:
     settings = slow(evening, meter, TIMED_SAMPLES)
     meter.configure(settings)
     samples, took_s = reading(evening, meter)
-    shown = ", ".join(f"{channel} {values[0]:+.6f} V" for channel, values in samples.items())
-    said = f"{settings.samples} samples at {settings.nplc:g} NPLC ({shown})"
+    first_samples = ", ".join(f"{channel} {values[0]:+.6f} V" for channel, values in samples.items())
+    said = f"{settings.samples} samples at {settings.nplc:g} NPLC ({first_samples})"
     return _judged_by_time(evening, meter, settings, Finding(TIME, meter.name, State.WORKS, said), took_s)
 
 
@@ -299,7 +301,7 @@ def _of_channel(
 
 
 def largest_scatter_v(sigma_v: float, n: int) -> float:
-    """Return the greatest standard deviation of `n` samples that is consistent with `sigma_v`, V."""
+    """Return the largest standard deviation of `n` samples that chance explains, V; `sigma_v` is the true one."""
     from scipy.stats import chi2
 
     return sigma_v * math.sqrt(float(chi2.isf(SIGNIFICANCE, n - 1)) / (n - 1)) if n > 1 else sigma_v
