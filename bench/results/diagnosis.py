@@ -449,7 +449,7 @@ def print_effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) ->
         tied = table("   effect", "in that case", "to separate them")
         for other in effect.cannot_tell_from:
             told = CATALOGUE[other].shown_by if other in CATALOGUE else ""
-            told = "nothing: it is any form without a name" if other == UNNAMED_FORM else told
+            told = "– (any form without a name)" if other == UNNAMED_FORM else told
             change = words.shift_in_words(ranking, other).removeprefix("in that case ")
             tied.add_row(f"   {other}", change, told)
         out.print(tied)

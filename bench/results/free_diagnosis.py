@@ -116,7 +116,7 @@ def what_in_words(found: FreeDiagnosis) -> str:
     if not found.apart:
         return rest
     count = len(found.apart)
-    return f"{OUTLIER}: {count} outlying position{'s' * (count > 1)}; without {'it' if count == 1 else 'them'}: {rest}"
+    return f"{OUTLIER}: {count} outlying position{'s' * (count > 1)}; in the other positions: {rest}"
 
 
 def what_to_do(found: FreeDiagnosis, files: Files) -> Iterator[str]:
@@ -132,7 +132,10 @@ def what_to_do(found: FreeDiagnosis, files: Files) -> Iterator[str]:
         yield f"Use the model{of}: bench calibrate {source} --model {model}"
         yield f"Test it with new readings{of}: bench confirm NEW --model {model}"
     if found.between is not None and (line := found.between.in_bench_file()):
-        yield f"{repeats_between(found.between)}. Add this line to the bench file, so that u of calibrations includes it: {line}"
+        yield (
+            f"{repeats_between(found.between)}. Add this line to the bench file, so that u of calibrations "
+            f"includes it: {line}"
+        )
     names = {one.name for one in found.effects}
     if "zeros_by_run" in names or "scale_by_run" in names:
         yield (
@@ -140,7 +143,7 @@ def what_to_do(found: FreeDiagnosis, files: Files) -> Iterator[str]:
             "time since switch-on, temperature, operator"
         )
     elif found.of_copy == "unknown":
-        yield "Repeat the measurement: an effect that returns belongs to the sensor; see below in which record it acts"
+        yield "Repeat the measurement: an effect that returns belongs to the sensor; see below where it acts"
     elif found.of_copy == "confounded":
         yield "Measure more positions in all directions, and diagnose both runs: bench diagnose … --together"
     elif found.verdict == "agrees":

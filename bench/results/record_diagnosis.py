@@ -103,7 +103,8 @@ def gap_told(found: RecordDiagnosis) -> str:
     if not gap.folds:
         return ""
     return (
-        f"held-out excursions: residuals {quantity(gap.before_rms, 'V')} before, {quantity(gap.after_rms, 'V')} after (rms); "
+        f"held-out excursions: residuals {quantity(gap.before_rms, 'V')} before, "
+        f"{quantity(gap.after_rms, 'V')} after (rms); "
         f"reduced chi-square {gap.before:.2f} before, {gap.after:.2f} after (noise alone: 1)"
     )
 
@@ -125,7 +126,8 @@ def channel_lines(found: RecordDiagnosis) -> Iterator[str]:
             for value, u in ((fit.zero_v, fit.u_zero_v), (fit.drift_v_h, fit.u_drift_v_h))
         )
         yield (
-            f"{fit.channel}: zero {zero} µV, drift {drift} µV/h; residuals {quantity(rms(fit.before_v), 'V')} before, "
+            f"{fit.channel}: zero {zero} µV, drift {drift} µV/h; "
+            f"residuals {quantity(rms(fit.before_v), 'V')} before, "
             f"{quantity(rms(fit.residual_v), 'V')} after (rms)"
         )
 
@@ -200,7 +202,7 @@ def render(
         found,
         provenance,
         title=title,
-        intro="A record at a known input: each channel equals the reference plus a zero, a drift and the effects found.",
+        intro="A record at a known input: each channel equals the reference plus zero, drift and the effects found.",
         simulated=simulated,
         what=what_in_words(found),
         told=[line for line in (gap_told(found), rivals_told(found)) if line],

@@ -56,9 +56,11 @@ def text_of(page):
 def test_the_story_stands_in_order(named):
     _, page = named
     order = [
-        "What to do", "Measured and simulated", "Basic model and noise", "Where readings and model disagree", "What was found",
+        "What to do", "Measured and simulated", "Basic model and noise", "Where readings and model disagree",
+        "What was found",
         "How sure:", "What else it could be:", "How far the gap closes", "Readings against the simulated bench",
-        "Consequence", "What to measure next", "Hidden effects: what these readings cannot show", "Registered before the search",
+        "Consequence", "What to measure next", "Hidden effects: what these readings cannot show",
+        "Registered before the search",
         "Provenance",
     ]  # fmt: skip
     places = [page.index(heading) for heading in order]

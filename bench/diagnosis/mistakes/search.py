@@ -87,7 +87,8 @@ class MistakesLeaveTooLittle(CalibrationError):
 
     def __str__(self) -> str:
         """Return the mistakes and what is missing without them, in a sentence."""
-        return f"a mistake: {'; '.join(one.words for one in self.search.mistakes)}; in the corrected copy {self.reason}"
+        mistakes = "; ".join(one.words for one in self.search.mistakes)
+        return f"a mistake: {mistakes}; in the corrected copy {self.reason}"
 
 
 def find_mistakes(
