@@ -34,7 +34,7 @@ from benchmarks.real_records.cases import ROOT, Case, cases, require_sealed, twi
 
 PAGE: Final = ROOT / "docs/real-records.md"
 JUMP: Final = "voltmeter_move"
-WRONG, MISSED, UNTOLD = "wrong lone name", "missed", "a jump that nobody noted"
+WRONG, MISSED, UNTOLD = "wrong lone name", "missed", "a jump not published"
 """Words of the column `judged`."""
 
 
@@ -70,7 +70,7 @@ class Row:
         if right:
             return "right" + jumps
         return (
-            "a tie, nothing told" if any(len(group) > 1 for group in self.groups) else "nothing named"
+            "a tie, no cause published" if any(len(group) > 1 for group in self.groups) else "nothing named"
         ) + jumps
 
     @property
@@ -105,7 +105,7 @@ class Row:
             abs(value - pairs[1][key][0]) / float(np.hypot(u, pairs[1][key][1]))
             for key, (value, u) in pairs[0].items()
         ]
-        return f"same, sizes within {max(off):.1f} u"
+        return f"same names, sizes within {max(off):.1f} u"
 
 
 def _sizes(found: RecordDiagnosis) -> dict[tuple[frozenset[str], str, str], tuple[float, float]]:
@@ -163,7 +163,7 @@ def verdicts(found: Sequence[Row]) -> str:
     judged = [row.judged for row in found]
     counts = (
         f"A single name that is wrong: {judged.count(WRONG)} of {len(found)} records; effects missed: "
-        f"{judged.count(MISSED)} of {sum(bool(row.case.right) for row in found)}; jumps that nobody noted: "
+        f"{judged.count(MISSED)} of {sum(bool(row.case.right) for row in found)}; jumps not published: "
         f"{sum(UNTOLD in one for one in judged)}."
     )
     return "\n".join([*_table(headings, [row.cells for row in found]), "", counts])
@@ -171,7 +171,7 @@ def verdicts(found: Sequence[Row]) -> str:
 
 def repeats(found: Sequence[Row]) -> str:
     """Return the table of repeats in Markdown."""
-    headings = ["set", "state", "scatter / u", "left out, u as stated", "term", "left out, with the term"]
+    headings = ["set", "state", "scatter / u", "ratio, u as stated", "term", "ratio, with the term"]
     listed: list[tuple[str, str, Repeats | None]] = []
     for row in found:
         listed += [

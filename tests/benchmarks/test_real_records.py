@@ -21,11 +21,11 @@ THERMAL = ["voltmeter_thermal_gain", "voltmeter_thermal_offset"]
     ("right", "groups", "judged"),
     [
         (THERMAL, [THERMAL], "right"),
-        (THERMAL, [["voltmeter_thermal_gain"], ["voltmeter_move"]], "right, a jump that nobody noted"),
+        (THERMAL, [["voltmeter_thermal_gain"], ["voltmeter_move"]], "right, a jump not published"),
         (THERMAL, [], "missed"),
         (THERMAL, [["reference_supply"]], "wrong lone name"),
         ([], [["reference_supply"]], "wrong lone name"),
-        ([], [THERMAL], "a tie, nothing told"),
+        ([], [THERMAL], "a tie, no cause published"),
         ([], [], "nothing named"),
     ],
 )

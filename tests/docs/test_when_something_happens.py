@@ -73,7 +73,7 @@ HELD_BY = {
             "test_stopped_at_the_task_to_mount_it_asks_for_that_mounting_and_not_for_the_one_before",
         ),
     ),
-    "power cut, SIGKILL": (
+    "power cut of the computer, SIGKILL": (
         ("run/test_signals.py", "test_killed_and_resumed_it_ends_as_if_nothing_had_been"),
         ("cli/test_answers.py", "test_answers_from_two_places_and_a_kill_change_nothing"),
     ),
