@@ -202,7 +202,7 @@ def render(
         found,
         provenance,
         title=title,
-        intro="A record at a known input: each channel equals the reference plus zero, drift and the effects found.",
+            (drawn(course), "Residuals of signal minus reference: zero and drift alone, and with the effects.")
         simulated=simulated,
         what=what_in_words(found),
         told=[line for line in (gap_told(found), rivals_told(found)) if line],
