@@ -159,7 +159,7 @@ def test_parameters_read_as_a_person_writes_them():
     assert effect_title(warm_up) == "warm_up of x, z"
     assert list(parameters_in_words(warm_up)) == [
         "A of x = −151 ± 12 µg (u)",
-        "tau = 20 min (its shape, the likeliest of those tried)",
+        "tau = 20 min (the likeliest of the values tried)",
     ]
     angle = EffectValue("angle", "", "1", 93.2, 4.1, "arcsec")
     mounting = found("mounting_error", ("x", "y", "z"), ("1",), angle)
