@@ -223,7 +223,7 @@ def _open_in_words(found: Outlook | None) -> Iterator[str]:
         yield f"leaves open: {sentence}"
     if found.open:
         ways = "; ".join(map(_remedy_in_words, found.remedies[:_REMEDIES_LISTED]))
-        yield f"to determine it: {ways or 'no measurement on this bench'}"
+        yield f"would be shown by: {ways or 'no measurement on this bench'}"
     if found.turns:
         yield (
             f"leaves open, as every procedure on one head: a common turn of the block's axes (about "
