@@ -372,7 +372,7 @@ def test_of_very_many_mountings_the_first_of_each_installation_are_looked_at():
 def test_check_says_it_before_the_run_and_in_json(bench):
     status, out, _ = bench("check", "calibration")
     assert status == 0
-    told = [line for line in out.splitlines() if "leaves open" in line or "shown by" in line]
+    told = [line for line in out.splitlines() if "leaves open" in line or "to determine it" in line]
     assert told[0].startswith(
         "leaves open: alpha5[1], alpha5[2] as (1, 1): is indistinguishable from a change of coefficients"
     )
