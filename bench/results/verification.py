@@ -196,7 +196,7 @@ def rule_in_words(rule: DecisionRule) -> str:
         )
     if rule.guard_band is None:
         band = message(
-            "w = 1.645 u, or what is 5 % where degrees of freedom, both limits or a population count"
+            "w = 1.645 u, or what gives 5 % where both limits or a population count"
         )
         sure = message(
             f"the probability of a false acceptance is at most 5 % at every verification point ({band})"
