@@ -195,9 +195,7 @@ def rule_in_words(rule: DecisionRule) -> str:
             "(JCGM 106:2012, 8.2)"
         )
     if rule.guard_band is None:
-        band = message(
-            "w = 1.645 u, or what gives 5 % where both limits or a population count"
-        )
+        band = message("w = 1.645 u, or what gives 5 % where both limits or a population count")
         sure = message(
             f"the probability of a false acceptance is at most 5 % at every verification point ({band})"
         )
