@@ -88,11 +88,11 @@ class Direction:
         names = self.others
         if len(names) == 1:
             return names[0]
-        ratios = ", ".join(
+        ratios = " : ".join(
             f"{self.members[name] / self.members[names[0]]:.2g}" for name in names[:_MOST_NAMED]
         )
         more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-        return message(f"{', '.join(names[:_MOST_NAMED])} as ({ratios}){more}")
+        return message(f"{', '.join(names[:_MOST_NAMED])} in the ratio {ratios}{more}")
 
     def _changed(self, unit: str) -> str:
         """Return the changes of coefficients in words, per arcsecond if the first member is an angle."""

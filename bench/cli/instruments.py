@@ -156,8 +156,8 @@ def simulate(request: SimulateRequest) -> int:
 
     With --control, send a command to a served bench.
     """
-    if request.control is not None or request.command is not None:
-        return _command(request.control, request.command)
+    if request.control is not None or request.command:
+        return _command(request.control, " ".join(request.command or ()))
     return _serve(request)
 
 
@@ -199,12 +199,12 @@ def _serve(request: SimulateRequest) -> int:
     return 0
 
 
-def _command(control: str | None, text: str | None) -> int:
+def _command(control: str | None, text: str) -> int:
     """Send a command to a served bench and print the answer, a line of JSON; return 0.
 
     Raises `Refused` if there is no answer or the command is refused.
     """
-    if control is None or text is None:
+    if control is None or not text:
         raise Refused("give a command for the served bench: bench simulate --control HOST:PORT 'turn 45 deg'")
     host, _, port = control.rpartition(":")
     if not host or not port.isascii() or not port.isdecimal() or int(port) > 65535:

@@ -114,7 +114,7 @@ def abort(request: AbortRun) -> int:
     out = printing.console()
     out.print(f"{found.name}: aborted; its record is kept in {found.folder}")
     for sentence in left:
-        out.print(f"look: {sentence}")
+        out.print(f"note: {sentence}")
     return 0
 
 

@@ -172,7 +172,7 @@ def _require(path: Path, header: Sequence[str], mapping: LogColumns) -> None:
     missing = [name for name in dict.fromkeys(wanted) if name not in header]
     if missing:
         raise ReadingsError(
-            f"{path}, line 1: column {', '.join(missing)} is missing; the log has {', '.join(header)}"
+            f"{path}, line 1: the header lacks {', '.join(missing)}; the log has {', '.join(header)}"
         )
 
 

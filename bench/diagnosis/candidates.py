@@ -532,7 +532,7 @@ class KnownBench:
             "meters_exchanged": "one voltmeter reads all channels" if self.own_meters is False else "",
             "backlash": "the head's scale sits on the axis itself" if self.scale_on_axis else "",
             **dict.fromkeys(OF_METER_WARMTH, "" if meter_c(readings.extra) is not None else NO_METER_C),
-            **dict.fromkeys(OF_RECORDS, "it is looked for in records at a known input"),
+            **dict.fromkeys(OF_RECORDS, "searched only in records at a known input"),
         }
         return {name: why[name] for name in CATALOGUE if why.get(name)}
 
@@ -550,8 +550,8 @@ class KnownBench:
         if not names:
             return ""
         return (
-            f"whether the bench can have {', '.join(names)} was not judged, as nobody named its bench file: "
-            "they are looked for; --bench FILE says what meters and head it has"
+            f"no bench file was named, so the search includes {', '.join(names)}, which not every bench can have; "
+            "--bench FILE states its meters and head"
         )
 
 

@@ -193,14 +193,16 @@ class Gap:
             return ""
         if not self.folds:
             cannot = f"; without {', '.join(self.undetermined)} {UNDETERMINED}" if self.undetermined else ""
-            return message(f"nothing can be held out: one pass, and no verification or free position{cannot}")
+            return message(
+                f"no readings can be held out: one pass, and no verification or free position{cannot}"
+            )
         sizes = message(
             f"reduced chi-square {self.before:.2f} before, {self.after:.2f} after, root mean square "
             f"{1e6 * self.before_rms_g:.3g} µg before, {1e6 * self.after_rms_g:.3g} µg after"
         )
         if len(set(self.named)) > len(self.unconfirmed) > 0:
-            return message(f"readings held out do not confirm {', '.join(self.unconfirmed)} ({sizes})")
-        return message(f"the gap on readings held out does not shrink enough ({sizes})")
+            return message(f"held-out readings do not confirm {', '.join(self.unconfirmed)} ({sizes})")
+        return message(f"the gap on held-out readings does not shrink enough ({sizes})")
 
 
 def part_closed(before: float, after: float) -> float | None:

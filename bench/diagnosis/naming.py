@@ -356,6 +356,6 @@ def same_signature(naming: Naming) -> Iterator[str]:
         if one.same:
             at = f" in {', '.join(one.variant.mounts)}" if one.variant.mounts else ""
             yield (
-                f"{one.variant.family}{at} and {', '.join(one.same)} have the same signature in all of these "
-                "readings: no size of it could tell them apart"
+                f"{one.variant.family}{at} and {', '.join(one.same)} have the same signature in these readings, "
+                "which cannot separate them at any size"
             )

@@ -403,8 +403,8 @@ class _Bill:
         path, minutes, names = min(bills, key=lambda b: (-len(b[2]), b[1]))
         listed = ", ".join(names)
         why = message(
-            f"these readings could hardly or never show {listed}; together with the procedure '{path.stem}' "
-            f"(about {minutes:.0f} min) they would, from twice the plausible size on"
+            f"these readings hardly or never show {listed}; together with the procedure '{path.stem}' "
+            f"(about {minutes:.0f} min) they show each of them from twice its plausible size"
         )
         return Proposal(why + self._without(), path, minutes, shows=names, left_out=self.left_out)
 
@@ -425,15 +425,19 @@ def _settled(separations: Sequence[Separation]) -> int:
 
 def _why_settles(separations: Sequence[Separation], name: str, minutes: float) -> str:
     ties = "; ".join(
-        f"{s.effect} and {s.other} (D {s.before:.1f} before, {s.after:.1f} after)" for s in separations
+        f"{effect} from "
+        + ", ".join(
+            f"{s.other} (D {s.before:.1f} → {s.after:.1f})" for s in separations if s.effect == effect
+        )
+        for effect in dict.fromkeys(s.effect for s in separations)
     )
     settled = _settled(separations)
     verb = (
-        message("tells apart") if settled == len(separations) else message("tells better, not surely, apart")
+        message("separates") if settled == len(separations) else message("separates better, but not surely")
     )
     if 0 < settled < len(separations):
-        verb = message("tells some of these apart")
+        verb = message("separates some of these")
     return message(
-        f"the procedure '{name}' (about {minutes:.0f} min), taken together with these readings, {verb}: {ties}; "
-        f"D of {SEPARATED:g} is four standard deviations"
+        f"the procedure '{name}' (about {minutes:.0f} min), together with these readings, {verb}: {ties}; "
+        f"D is the divergence of two names, and {SEPARATED:g} means four standard deviations"
     )

@@ -175,8 +175,7 @@ def _by_place(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterat
         LOG_PRIOR["place"] - float(cost),
         message(
             f"channel {place.channel} in {place.where} scatters {place.sd / place.elsewhere:.1f} times as "
-            f"much as the "
-            "rest: its readings weigh less"
+            "much as the rest: its readings get less weight"
         ),
     )
 
@@ -264,9 +263,8 @@ def _with_tails(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Nois
         replace(linear, by_row=1.0 / np.sqrt(weight * float(np.mean(1.0 / weight)))),
         LOG_PRIOR["tails"] + _log_odds_of_weights(weight, of_mean, square),
         message(
-            f"the noise has heavier tails than a normal one: {readings} readings are weighed down, and an "
-            f"outlier is "
-            "named only where it is far beyond them"
+            f"the noise has heavier tails than normal noise: {readings} readings get less weight, and only a "
+            "reading far outside these tails counts as an outlier"
         ),
     )
 
@@ -331,8 +329,8 @@ def _slow(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[N
         replace(system, slow_channels=tuple(channel for one in found for channel in one.channels)),
         LOG_PRIOR["slow"] + sum(one.cost for one in found),
         message(
-            f"beside the noise of a reading there is slow noise, over the run {told} (root mean square): a drift "
-            "that is no larger stays hidden in it, and the u of the coefficients holds it"
+            f"the readings also have slow noise, over the run {told} (root mean square): it hides smaller drifts, "
+            "and the u of the coefficients includes it"
         ),
     )
 
@@ -447,16 +445,15 @@ def noise_kinds(
             for series, size in zip(_series(linear), linear.by_run.sizes, strict=True)
         )
         yield NoiseKind(
-            "runs", message(f"the runs have noise of different sizes, and each weighs by its own: {own}")
+            "runs", message(f"the noise differs between runs, and each run is weighted by its own: {own}")
         )
     yield from (NoiseKind(what, words) for what, words in chosen.items() if words)
     if is_coarse(digit, noise.reading):
         yield NoiseKind(
             "resolution",
             message(
-                f"the signals' last digit is {quantity(digit, unit)}, coarser than their noise: readings of "
-                f"a setting "
-                "are rounded alike, and what is smaller than the digit may stay hidden"
+                f"the last digit of the signals, {quantity(digit, unit)}, is coarser than their noise: repeats "
+                "round to the same value, and effects smaller than the digit may stay hidden"
             ),
         )
 
@@ -501,7 +498,7 @@ class NoiseFinding:
         found, stated = (quantity(size, self.unit) for size in (self.found, self.stated))
         return message(
             f"the noise of {of} is {found}, {self.factor:.1f} times the {stated} that {self.source} "
-            f"{'say' if self.source == OWN_SCATTER else 'says'}: what the model lacks may hide in it"
+            "gives: it may hide effects that the model lacks"
         )
 
 

@@ -166,8 +166,7 @@ def _left_out(weak: Sequence[FoundEffect]) -> Iterator[str]:
     """Yield a sentence for each find that was left out, as held-out readings do not confirm it."""
     for one in weak:
         yield (
-            f"left out: {one.variant.family}, found beside the others with ln odds of {one.total:.1f}; held-out "
-            "readings do not confirm it"
+            f"left out: {one.variant.family} (ln odds {one.total:.1f}); held-out readings do not confirm it"
         )
 
 

@@ -64,7 +64,7 @@ def why_unconfirmed(gap: Gap) -> dict[str, str]:
     """Return the names of the effects that held-out excursions do not confirm, each with the reason."""
     gains = {name: [fold.gains[name] for fold in gap.folds if name in fold.gains] for name in gap.unconfirmed}
     return {
-        name: f"readings held out do not confirm it (chi-square falls by {sum(each):.1f} in all)"
+        name: f"held-out readings do not confirm it (chi-square falls by {sum(each):.1f} in total)"
         if each
         else "there is one excursion of what it follows; a second one, at another time, would confirm it"
         for name, each in gains.items()

@@ -116,10 +116,10 @@ def make_record(readings: Readings) -> Record:
     notes, warmth, rails = [], meter_c(readings.extra), list(_rails(readings))
     if warmth is None:
         notes.append(
-            f"no column {METER_C} or {ROOM_C}: effects of the meter's temperature are not looked for"
+            f"no column {METER_C} or {ROOM_C}: the search excludes effects of the meter's temperature"
         )
     elif not any(map(str.strip, readings.extra.get(METER_C, ()))):
-        notes.append(f"the temperature of the room ({ROOM_C}) is taken for that of the meter")
+        notes.append(f"the temperature of the room ({ROOM_C}) is used as the meter's temperature")
     if begin:
         minutes = (time_s[first] - time_s[0]) / MINUTE
         notes.append(f"the first {minutes:.0f} min are left out: the input had not settled")

@@ -114,7 +114,7 @@ UNNAMED_WORDS: Mapping[str, str] = {
     "free_by_angle": message("something that depends on the angle of the head, the same in every pass"),
     "free_by_pass": message("something that differs from pass to pass"),
     "slow_in_time": message("something that changes slowly with time"),
-    "single_reading": message("a single reading that stands apart"),
+    "single_reading": message("a single outlying reading"),
     "single_setting": message("the angle of a single setting"),
     "zeros_by_run": message("the zeros change from run to run; the readings do not say why"),
     "scale_by_run": message("the scale factors change from run to run; the readings do not say why"),
@@ -261,7 +261,7 @@ def at_reference(found: Iterable[Effect]) -> Iterator[str]:
     names = [effect.name for effect in found if _of_temperature(effect)]
     if names:
         yield message(
-            f"the coefficients are those at {REFERENCE_C:g} °C, from which {' and '.join(names)} counts"
+            f"the coefficients apply at {REFERENCE_C:g} °C, the reference temperature of {' and '.join(names)}"
         )
 
 
@@ -278,21 +278,22 @@ def assumed(linear: LinearSystem) -> Iterator[str]:
     times or temperatures, and signals that are not in volts.
     """
     readings = linear.readings
-    yield from (message(f"not looked for: {trouble}") for trouble in CATALOGUE.troubles)
+    yield from (message(f"not searched: {trouble}") for trouble in CATALOGUE.troubles)
     if linear.orientation is not None and linear.orientation.contradicts:
         yield linear.orientation.in_words()
     if not np.isfinite(readings.time_s).any():
         yield (
             message(
                 f"no times in the readings: {SETTING_S / 60:g} min a setting and {REMOUNT_S / 60:g} min for "
-                f"a remount "
-                "are taken, and every rate and time constant rests on that"
+                "a remount are assumed, and all rates and time constants depend on this"
             )
         )
     if not np.isfinite(readings.temperature_c).any():
-        yield message(f"no temperatures in the readings: {' and '.join(OF_TEMPERATURE)} cannot be looked for")
+        yield message(
+            f"no temperatures in the readings: {' and '.join(OF_TEMPERATURE)} cannot be searched for"
+        )
     if readings.unit != "V":
         names = ", ".join(name for name, effect in CATALOGUE.items() if in_volts(effect))
         yield message(
-            f"signals in {readings.unit} are not voltages: effects stated in volts are not looked for ({names})"
+            f"signals in {readings.unit} are not voltages: effects stated in volts are not searched for ({names})"
         )

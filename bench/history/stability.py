@@ -82,7 +82,7 @@ def read_static(path: Path) -> StaticRecord:
     missing = [name for name in names if name not in header]
     if missing:
         raise ReadingsError(
-            f"{path}, line 1: column {', '.join(missing)} is missing; a static record has {EXAMPLE} "
+            f"{path}, line 1: the header lacks {', '.join(missing)}; a static record has {EXAMPLE} "
             f"(or _{', _'.join(s for s in UNITS if s != 'v')} for _v)"
         )
     places = [header.index(name) for name in names]

@@ -294,7 +294,7 @@ def serve(settings: Settings, tell: Callable[[str], None]) -> None:
             except Refused as why:
                 tell(f"no link, sign in with your token: {why}")
         elif not settings.address:
-            tell(f"look: {OPEN_WIRE}")
+            tell(f"note: {OPEN_WIRE}")
         uvicorn.Server(config_of(app)).run(sockets=[listener])
 
 

@@ -42,7 +42,7 @@ def read_centrifuge(path: Path) -> CentrifugePoints:
     names = (*FORCES, *UNCERTAIN, *SIGNALS)
     missing = [name for name in names if name not in header]
     if missing:
-        raise ReadingsError(f"{path}, line 1: column {', '.join(missing)} is missing; points have {EXAMPLE}")
+        raise ReadingsError(f"{path}, line 1: the header lacks {', '.join(missing)}; points have {EXAMPLE}")
     rows, bad = [], []
     for line, cells in body:
         text = dict(zip(header, cells, strict=False))

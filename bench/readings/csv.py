@@ -264,7 +264,7 @@ def _signal_suffix(path: Path, header: list[str]) -> str:
     missing += [f"u{axis}_{suffix}" for axis in "xyz" if f"u{axis}_{suffix}" not in header]
     if missing:
         raise ReadingsError(
-            f"{path}, line 1: column {', '.join(missing)} is missing; expected at least {_example_header()}"
+            f"{path}, line 1: the header lacks {', '.join(missing)}; expected at least {_example_header()}"
             + ("" if set(REQUIRED) & set(header) else " ('bench import --columns MAP.yaml' reads other logs)")
         )
     return suffix

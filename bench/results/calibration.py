@@ -448,6 +448,6 @@ def _noise_in_words(found: Calibration) -> str:
 
 def fit_in_a_line(found: Calibration) -> str:
     """Return a line that states whether the model fits the readings, with the figures of the test."""
-    how = "; u includes errors that repeats share" if found.shared else ""
+    how = "; u is widened for this misfit" if found.shared else ""
     how = f"; u is {found.birge:.2g} times that of the noise" if found.birge > 1 else how
     return fit_in_words(found.lack_of_fit, f"THE MODEL DOES NOT FIT the readings{how}")

@@ -185,7 +185,7 @@ def print_findings(found: Findings, out: Console, *, every_step: bool = False) -
     if found.until is not None:
         out.print(f"--until: {outlook_in_words(found.until)}")
     for lead, sentences in (
-        ("look", result.hints),
+        ("note", result.hints),
         ("cannot be done", result.problems),
         ("a dry run refuses it", result.dry_run_refuses),
     ):
@@ -223,7 +223,7 @@ def _open_in_words(found: Outlook | None) -> Iterator[str]:
         yield f"leaves open: {sentence}"
     if found.open:
         ways = "; ".join(map(_remedy_in_words, found.remedies[:_REMEDIES_LISTED]))
-        yield f"would be shown by: {ways or 'no measurement on this bench'}"
+        yield f"to determine it: {ways or 'no measurement on this bench'}"
     if found.turns:
         yield (
             f"leaves open, as every procedure on one head: a common turn of the block's axes (about "

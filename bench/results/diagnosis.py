@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -296,7 +297,7 @@ def mistakes_result(
         found,
         verdict="mistake",
         effects=[mistake_part(mistake) for mistake in found.mistakes],
-        notes=[f"put right, {found.reason}"],
+        notes=[f"in the corrected copy {found.reason}"],
         bench=bench,
         corrections=list(corrections),
         corrected=_copy_part(files, found.mistakes, len(found.corrected), None),
@@ -373,7 +374,7 @@ def print_one(full: FullDiagnosis, files: Files, out: Console) -> None:
 
 def print_several(results: Sequence[tuple[FullDiagnosis, Files]], out: Console) -> None:
     """Print a table with a row for each diagnosis, and the files that were written."""
-    rows = table("source", "verdict", "what", ">p, all looks", ">gap before", ">after", "model")
+    rows = table("source", "verdict", "what", ">p, corrected", ">gap before", ">after", "model")
     for full, files in results:
         diagnosis, gap = full.diagnosis, full.diagnosis.gap
         mistakes = diagnosis.mistakes.mistakes
@@ -389,7 +390,7 @@ def print_several(results: Sequence[tuple[FullDiagnosis, Files]], out: Console) 
     for full, _ in results:
         _notes(full, f"{full.source}: ", out)
     out.print(rows)
-    out.print("gap: reduced chi-square of readings held out, 1 is noise alone")
+    out.print("gap: reduced chi-square of held-out readings; noise alone gives 1")
     for _, files in results:
         if files.report:
             out.print(f"report: {files.report}")
@@ -403,9 +404,9 @@ def _notes(full: FullDiagnosis, lead: str, out: Console) -> None:
 
 def _places(diagnosis: Diagnosis, out: Console) -> None:
     if not diagnosis.where:
-        out.print("Readings and model disagree nowhere: no pattern of the residuals stands out of the noise")
+        out.print("No pattern in the residuals (readings minus model) exceeds the noise")
         return
-    out.print("Where readings and model disagree, the largest first:")
+    out.print("Patterns in the residuals (readings minus model), largest first:")
     for place in diagnosis.where:
         out.print(f"  {typeset(words.place_in_words(place))}")
 
@@ -414,7 +415,7 @@ def print_mistakes(found: MistakesAlone, files: Files, out: Console) -> None:
     """Print the mistakes of a diagnosis that stopped at them, and what must be measured again."""
     for mistake in found.mistakes:
         out.print(f"Mistake: {mistake.name}: {mistake.words}", style="bold")
-    out.print(f"Put right in a copy, {found.reason}")
+    out.print(f"In the corrected copy {found.reason}")
     if files.copy is not None:
         out.print(f"corrected copy of the readings: {files.copy}")
     names = ", ".join(dict.fromkeys(mistake.name for mistake in found.mistakes))
@@ -428,7 +429,7 @@ def _mistakes(diagnosis: Diagnosis, out: Console) -> None:
         out.print("  what follows is from a corrected copy; the record is unchanged")
     if diagnosis.mistakes.mistakes:
         used = len(diagnosis.mistakes.corrected)
-        out.print(f"Put right, {used} readings are searched")
+        out.print(f"The search used the {used} readings of the corrected copy")
 
 
 def print_effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None:
@@ -439,21 +440,25 @@ def print_effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) ->
         out.print(f"  {line}")
     if effect.aliases:
         orders = words.orders_in_words(effect.aliases)
-        out.print(f"  at the angles measured what repeats {orders} times a turn would look the same")
+        out.print(f"  at the measured angles, an error that repeats {orders} times a turn looks the same")
     if effect.odds:
         out.print(f"  probability: {words.odds_in_words(effect)}")
-    rho = f", {effect.rho:.1f} times the noise in all (rho)" if effect.rho is not None else ""
-    out.print(typeset(f"  {words.p_in_words(effect.p_all_looks)} with all looks counted{rho}"))
-    for other in effect.cannot_tell_from:
-        parts = [other, words.shift_in_words(ranking, other)]
-        if other in CATALOGUE:
-            parts.append(f"to separate them: {CATALOGUE[other].shown_by}")
-        if other == UNNAMED_FORM:
-            parts.append("something without a name, of another form, is as plausible")
-        out.print(f"  the data cannot tell it from {'; '.join(filter(None, parts))}")
+    out.print(typeset(f"  {words.significance_in_words(effect)}"))
+    if effect.cannot_tell_from:
+        out.print(f"  tie: these readings cannot separate {effect.name} from")
+        tied = table("   effect", "in that case", "to separate them")
+        for other in effect.cannot_tell_from:
+            told = CATALOGUE[other].shown_by if other in CATALOGUE else ""
+            told = "– (any form without a name)" if other == UNNAMED_FORM else told
+            change = words.shift_in_words(ranking, other).removeprefix("in that case ")
+            tied.add_row(f"   {other}", change, told)
+        out.print(tied)
     for other in effect.plainer_than:
-        why = "would explain it with more parameters; the simpler one is used"
-        parts = [f"{other} {why}", words.shift_in_words(ranking, other)]
+        parts = [
+            f"{other} explains it too, with more parameters",
+            words.shift_in_words(ranking, other),
+            "the simpler effect is used",
+        ]
         out.print(f"  {'; '.join(filter(None, parts))}")
 
 
@@ -461,7 +466,7 @@ def _form(diagnosis: Diagnosis, model: Path | None, out: Console) -> None:
     lines = list(words.form_in_words(diagnosis))
     if not lines:
         return
-    out.print("The form of what has no name:", style="bold")
+    out.print("Form without a name:", style="bold")
     for line in lines:
         out.print(f"  {typeset(line)}")
     if diagnosis.form is not None and diagnosis.form.applied and model is not None:
@@ -473,9 +478,10 @@ def print_gap(gap: Gap, out: Console) -> None:
     if gap.folds:
         told = words.closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)
         out.print(
-            f"{told[0].upper()}{told[1:]}, on readings not used: reduced chi-square {gap.before:.2f} before, "
-            f"{gap.after:.2f} after (noise alone: 1; {words.p_in_words(gap.p_after, 2)} after); residuals "
-            f"{quantity(gap.before_rms, gap.unit)} before, {quantity(gap.after_rms, gap.unit)} after"
+            f"{told[0].upper()}{told[1:]}; gap: misfit of held-out readings (the fit does not use them)\n"
+            f"  reduced chi-square {gap.before:.2f} before, {gap.after:.2f} after (noise alone: 1; "
+            f"{words.p_in_words(gap.p_after, 2)} after); residuals {quantity(gap.before_rms, gap.unit)} before, "
+            f"{quantity(gap.after_rms, gap.unit)} after (rms)"
         )
     if gap.reason:
         out.print(f"  not confirmed: {gap.reason}")
@@ -487,8 +493,8 @@ def _simulated(diagnosis: Diagnosis, shown: ModelComparison, out: Console) -> No
         with_it, without = (words.p_in_words(one.test.p, 2) for one in (after, shown.before))
         out.print(
             typeset(
-                f"Simulated bench against the readings, by the scatter of their own repeats: {with_it} with it, "
-                f"{without} without"
+                f"Readings against the simulated bench: {with_it} with the effects found, {without} without "
+                "(compared with the scatter of repeats)"
             )
         )
         if diagnosis.findings:
@@ -505,11 +511,11 @@ def _consequence(shown: ModelComparison, out: Console) -> None:
     if not changed:
         return
     changed.sort(key=lambda pair: -abs(pair[1]))
-    shifts = ", ".join(f"{name} by {in_u:+.1f} u" for name, in_u in changed)
-    out.print(typeset(f"Coefficients that change, in units of u before: {shifts}"))
+    shifts = ", ".join(f"{name} {in_u:+.1f} u" for name, in_u in changed)
+    out.print(typeset(f"Change of the coefficients, in units of u with the given model: {shifts}"))
     wider = words.less_certain(coefficients)
     if wider:
-        out.print(f"  less certain with it: {', '.join(wider)}")
+        out.print(f"  larger u with the effects found: {', '.join(wider)}")
 
 
 SIDE_BY_SIDE: Final = 4
@@ -519,7 +525,7 @@ SIDE_BY_SIDE: Final = 4
 def _blocks(full: FullDiagnosis, out: Console) -> None:
     """Print the coefficients of each block with u, and the p-value of its comparison with the simulation."""
     changed = any(block.after is not None for block in full.blocks)
-    out.print(f"Coefficients of each block{', with what was found' if changed else ''}; in brackets u:")
+    out.print(f"Coefficients of each block{', with the effects found' if changed else ''}; u in brackets:")
     numbered = list(enumerate(full.blocks, start=1))
     for first in range(0, len(numbered), SIDE_BY_SIDE):
         shown = numbered[first : first + SIDE_BY_SIDE]
@@ -530,7 +536,7 @@ def _blocks(full: FullDiagnosis, out: Console) -> None:
         tests = [block.last for _, block in shown]
         rows.add_row("p", *(typeset(words.p_in_column(of.test.p, 2)) if of.tested else "–" for of in tests))
         out.print(rows)
-    out.print("p: of the simulated bench against the readings of the block, by the scatter of their repeats")
+    out.print("p: readings of the block against the simulated bench, compared with the scatter of repeats")
 
 
 def _limits_of_sight(full: FullDiagnosis, out: Console) -> None:
@@ -538,18 +544,24 @@ def _limits_of_sight(full: FullDiagnosis, out: Console) -> None:
     if proposal is not None:
         out.print(f"Measure next: {proposal.why} ({proposal.procedure})")
     if diagnosis.hidden:
-        out.print(f"These readings could never show: {', '.join(diagnosis.hidden)}")
+        out.print(f"Hidden (these readings cannot show them at any size): {', '.join(diagnosis.hidden)}")
     if diagnosis.unseen_per_turn:
         out.print(
-            "Nor an error of the head's angle that repeats "
-            f"{words.orders_in_words(diagnosis.unseen_per_turn)} times a turn: it is the same at all of them"
+            "Also hidden: an error of the head's angle that repeats "
+            f"{words.orders_in_words(diagnosis.unseen_per_turn)} times a turn (equal at all measured angles)"
         )
     if diagnosis.absent:
-        reasons = "; ".join(f"{name} ({why})" for name, why in diagnosis.absent.items())
-        out.print(f"Not searched, as the bench cannot have them: {reasons}")
+        out.print("Not searched:")
+        for why, names in words.absent_by_reason(diagnosis.absent):
+            out.print(f"  {', '.join(names)}: {why}")
     if diagnosis.verdict == "agrees":
-        sizes = [f"{name} {size}" for name, size in words.smallest_found(diagnosis)]
-        out.print(f"Smaller effects would not show. Found in half of all runs: {'; '.join(sizes)}")
+        sizes = words.smallest_found(diagnosis)
+        out.print("Size that half of all such runs would find; a smaller effect would probably be missed:")
+        listed = table("  effect", "size", "effect", "size")
+        half = (len(sizes) + 1) // 2
+        for left, right in zip_longest(sizes[:half], sizes[half:], fillvalue=("", "")):
+            listed.add_row(f"  {left[0]}", left[1], *right)
+        out.print(listed)
 
 
 def print_files(diagnosis: AnyDiagnosis, files: Files, out: Console) -> None:
@@ -560,4 +572,4 @@ def print_files(diagnosis: AnyDiagnosis, files: Files, out: Console) -> None:
         for file in paths:
             out.print(f"{what}: {file}")
     if diagnosis.of_copy == "confounded" and files.model is None:
-        out.print(f"no model file is written {words.why_no_model(diagnosis)}")
+        out.print(f"no model file was written {words.why_no_model(diagnosis)}")

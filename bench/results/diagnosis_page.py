@@ -198,8 +198,8 @@ def _tests(shown: ModelComparison) -> list[Row]:
     rows = []
     unit = shown.before.calibration.unit
     for name, one in (
-        (message("as it was given"), shown.before),
-        (message("with what was found"), shown.after),
+        (message("given model"), shown.before),
+        (message("with the effects found"), shown.after),
     ):
         if one is not None and one.tested:
             simulated = quantity(one.repeated.lack_of_fit.rms, unit)
@@ -306,12 +306,12 @@ def gap_bars(gap: Gap) -> str:
         axes.axhline(1.0, color=GREY, linestyle=(0, (6, 3)), linewidth=1.1, label=message("noise alone"))
         axes.set_xticks(places, names)
         axes.grid(visible=False, axis="x")
-        axes.set_ylabel(message("reduced χ² of readings held out"))
+        axes.set_ylabel(message("reduced χ² of held-out readings"))
         axes.set_xlim(-0.6, len(folds) - 0.4)
         figure.legend(loc="outside upper center", ncols=5)
 
     alt = message(
-        f"Reduced chi-square of readings held out before and after, {len(folds)} folds; noise alone gives 1"
+        f"Reduced chi-square of held-out readings before and after, {len(folds)} folds; noise alone gives 1"
     )
     return svg_figure("diagnosis-gap", (6.4, 3.0), draw, alt)
 
@@ -325,7 +325,7 @@ def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
     def draw(figure: Figure) -> None:
         axes: Axes = figure.subplots()
         for kind, colour, text in (
-            ("named", BLUE, "found"), ("tied", ORANGE, message("not told apart from it")),
+            ("named", BLUE, "found"), ("tied", ORANGE, message("tied with it")),
             ("less", "#B9C4CE", message("less plausible")),
         ):  # fmt: skip
             chosen = [i for i, rival in enumerate(ordered) if _kind(rival, named) == kind]
@@ -348,7 +348,7 @@ def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
         axes.axvline(0.0, color=GREY, linewidth=0.7)
         axes.set_yticks(places, [rival.family for rival in ordered], parse_math=False)
         axes.grid(visible=False, axis="y")
-        axes.set_xlabel(message("ln of the odds that it is there"))
+        axes.set_xlabel(message("ln odds that the effect is present"))
         axes.margins(x=0.12)
         figure.legend(loc="outside upper center", ncols=3)
 
@@ -452,25 +452,27 @@ def overlay(
     The left column has the signals. The right column has both minus the simulation with the given model; this shows
     what that model lacks, and whether the effects found explain it. `draw_channel` draws a channel into its axes.
     """
-    whose = message("simulated, with what was found") if found else message("simulated as it was given")
+    whose = (
+        message("simulated with the effects found") if found else message("simulated with the given model")
+    )
 
     def draw(figure: Figure) -> None:
         grid: Any = figure.subplots(3, 2, sharex=True, squeeze=False)
-        given = message("simulated as it was given")
+        given = message("simulated with the given model")
         for i, (channel, (left, right)) in enumerate(zip(CHANNELS, grid, strict=True)):
             right.axhline(0.0, color=GREY, linewidth=0.7, linestyle=(0, (4, 3)), label=given)
             draw_channel(i, left, right, whose)
             left.set_ylabel(f"channel {channel} / {scales[0].unit}")
             right.set_ylabel(scales[1].unit)
         grid[0, 0].set_title(place)
-        grid[0, 1].set_title(message("less what is simulated as it was given"))
+        grid[0, 1].set_title(message("minus the given model"))
         for axes in grid[2]:
             axes.set_xlabel(along)
         figure.legend(*legend_of(grid.flat), loc="outside upper center", ncols=3)
 
     alt = message(
-        f"Measured and simulated signals of channels x, y, z, {place}, and both less what is simulated as it was "
-        "given"
+        f"Measured and simulated signals of channels x, y, z, {place}, and both minus the signals simulated with "
+        "the given model"
     )
     return svg_figure(name, (7.6, 5.6), draw, alt)
 

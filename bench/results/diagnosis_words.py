@@ -64,13 +64,13 @@ LEAST_P: Final = 1e-9
 """Smallest probability that is stated; a smaller one would rely on noise that is normal far into its tails."""
 
 STILL_MISSING: Final = message(
-    "the readings still differ from the simulated bench by more than their repeats do, at 1 %: "
-    "something small may be left"
+    "readings and simulated bench still differ by more than the scatter of repeats (level 1 %): "
+    "the model may lack a small effect"
 )
 
 
 LOUD_REPEATS: Final = message(
-    "that scatter is itself larger than it should be: of what makes it larger this test says nothing"
+    "the scatter of repeats is larger than stated; this test does not show the cause"
 )
 
 
@@ -139,7 +139,7 @@ def parameter_in_words(value: EffectValue, at: str) -> str:
 def _value_in_words(value: EffectValue) -> str:
     if value.u is None:
         return message(
-            f"{with_unit(format(value.value, 'g'), value.unit)} (its shape, the likeliest of those tried)"
+            f"{with_unit(format(value.value, 'g'), value.unit)} (the likeliest of the values tried)"
         )
     return with_u(value.value, value.u, value.unit)
 
@@ -159,6 +159,20 @@ def p_in_column(p: float, digits: int = 1) -> str:
     return p_in_words(p, digits).removeprefix("p ").removeprefix("= ")
 
 
+def significance_in_words(effect: NamedEffect) -> str:
+    """Return the corrected p-value of an effect, and its total size rho if that is known."""
+    p = message(f"{p_in_words(effect.p_all_looks)}, corrected for multiple tests")
+    if effect.rho is None:
+        return p
+    return message(f"{p}; ρ = {effect.rho:.1f} (its total size in units of the noise)")
+
+
+def absent_by_reason(absent: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:
+    """Yield each reason not to search for effects, with the names of these effects."""
+    for why in dict.fromkeys(absent.values()):
+        yield why, [name for name, other in absent.items() if other == why]
+
+
 def sentence_of(family: str) -> str:
     """Return the description of a family of effects as a sentence without a full stop."""
     return CATALOGUE[family].sentence if family in CATALOGUE else UNNAMED_WORDS[family]
@@ -172,7 +186,7 @@ def place_in_words(place: ResidualPattern) -> str:
     elif place.channel != "modulus":
         where += f", installation {place.installation}"
     size = quantity(place.size, place.unit)
-    return message(f"{where}: {place.pattern}, {size} ({p_in_words(place.p)} with all looks)")
+    return message(f"{where}: {place.pattern}, {size} ({p_in_words(place.p)}, corrected for multiple tests)")
 
 
 def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
@@ -254,7 +268,7 @@ def gap_in_words(gap: Gap) -> str:
     if not (gap.named and gap.folds):
         return ""
     told = closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)
-    return message(f"{told}, on readings not used")
+    return message(f"{told}, on held-out readings")
 
 
 def verdict_in_words(diagnosis: Diagnosis) -> str:
@@ -269,7 +283,8 @@ def surer_in_words(proposal: Proposal | None) -> str:
     if one is None:
         return ""
     return (
-        f"to be surer: '{one.procedure}', {one.hours:.1f} h, gives one name 95 % with {_percent(one.answers)}"
+        f"to decide: procedure '{one.procedure}' ({one.hours:.1f} h) leaves one name with a probability of "
+        f"{_percent(one.answers)}"
     )
 
 
@@ -285,7 +300,7 @@ def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
         )
         yield (
             message(
-                f"far from this model: {listed}{more} (the noise as fitted gives as much anywhere with "
+                f"far from this model: {listed}{more} (probability that noise alone moves any reading that far: "
                 f"{p_in_words(diagnosis.far[0].p)})"
             )
         )
@@ -322,7 +337,7 @@ def what_in_words(diagnosis: Diagnosis) -> str:
                 " or ".join([mistake_title(mistake), *mistake.cannot_tell_from])
                 for mistake in diagnosis.mistakes.mistakes
             )
-            return message(f"{found}; put right in a copy: {_of_copy_in_words(diagnosis)}")
+            return message(f"{found}; corrected copy: {_of_copy_in_words(diagnosis)}")
         case "named" | "confounded":
             return ", ".join(map(named_in_words, effects))
     return "; ".join([*(effect.words for effect in effects), *(one.words for one in diagnosis.findings)])
@@ -332,7 +347,7 @@ def what_to_do(full: FullDiagnosis, files: Files) -> Iterator[str]:
     """Yield a sentence on each step that should follow a diagnosis, with the command to type."""
     diagnosis, source, model = full.diagnosis, full.source, files.model
     if diagnosis.verdict == "mistake":
-        yield message("Put it right on the bench and measure again") + (
+        yield message("Correct it on the bench and measure again") + (
             message(f"; until then the corrected copy is {files.copy}") if files.copy else ""
         )
     if model is not None:
@@ -343,14 +358,15 @@ def what_to_do(full: FullDiagnosis, files: Files) -> Iterator[str]:
             yield f"Measure {full.next_measurement.procedure}: {full.next_measurement.why}"
         elif diagnosis.gap.reason:
             yield message(
-                "Measure the same again, with more passes, and diagnose both: bench diagnose … --together"
+                "Repeat the measurement with more passes, and diagnose both runs: bench diagnose … --together"
             )
     elif diagnosis.of_copy == "unknown":
         yield message(
-            "Measure the same again: what returns belongs to the bench or the block; see below where it acts"
+            "Repeat the measurement: an effect that returns belongs to the bench or the block; see below where "
+            "it acts"
         )
     elif diagnosis.verdict == "agrees":
-        yield message(f"Nothing; the coefficients stand: bench calibrate {source}")
+        yield message(f"Nothing; use the coefficients: bench calibrate {source}")
 
 
 def _of_copy_in_words(diagnosis: Diagnosis) -> str:
@@ -359,7 +375,7 @@ def _of_copy_in_words(diagnosis: Diagnosis) -> str:
         return message("it agrees with the model within the noise")
     if diagnosis.of_copy == "unknown":
         return "; ".join(effect.words for effect in diagnosis.effects)
-    return message(f"{alike_in_words(diagnosis.effects)} in it")
+    return message(f"it also contains {alike_in_words(diagnosis.effects)}")
 
 
 def alike_in_words(effects: Sequence[NamedEffect | Mistake]) -> str:
@@ -392,7 +408,9 @@ def evidence_of(found: FreeDiagnosis | RecordDiagnosis, gap: str) -> dict[str, s
     told = {"found in": readings_named(found.source)}
     for one in found.effects:
         rho = "" if one.rho is None else f", rho {one.rho:.1f}"
-        told[alike_in_words([one])] = f"p {one.p_all_looks:.2g} with all looks{rho}; {odds_in_words(one)}"
+        told[alike_in_words([one])] = (
+            f"p {one.p_all_looks:.2g} corrected for multiple tests{rho}; {odds_in_words(one)}"
+        )
     return told | {"gap": gap, "threshold": f"ln odds {found.threshold:.3f}"}
 
 
@@ -408,19 +426,17 @@ def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
     for rival in ranking:
         if rival.family == other:
             coefficient, in_u = rival.largest_shift
-            return message(f"were it that, {coefficient} would differ by {fixed(in_u, 1, sign=True)} u")
+            return message(f"in that case {coefficient} would differ by {fixed(in_u, 1, sign=True)} u")
     return ""
 
 
 def why_no_model(diagnosis: AnyDiagnosis) -> str:
     """Return the reason to state after "no model file is written"."""
     if diagnosis.gap.shrinks is False:
-        return message(
-            "because the gap in the readings held out does not shrink: it would not be a better model"
-        )
+        return message("because the gap on held-out readings does not shrink: the model would be no better")
     if any(effect.cannot_tell_from for effect in diagnosis.effects):
-        return message("because the data cannot decide between effects; --accept-first takes the first")
-    return message("because no readings held out confirm it; --accept-first takes it nevertheless")
+        return message("because these readings cannot separate the names; --accept-first takes the likeliest")
+    return message("because held-out readings do not confirm it; --accept-first writes it anyway")
 
 
 def joined_in_words(shown: ModelComparison) -> Iterator[str]:
@@ -434,11 +450,9 @@ def joined_in_words(shown: ModelComparison) -> Iterator[str]:
     if without is not None and with_it is not None:
         yield (
             message(
-                "that is a test of the settings; some of what was found shows in the verification points "
-                "alone: worst "
-                f"|Δg| {quantity(without, 'g')} without, {quantity(with_it, 'g')} with it, which is no "
-                f"check, as they "
-                "took part"
+                "this test covers the settings alone: some effects found show only at the verification points, "
+                f"which joined the fit and check nothing (largest |Δg| {quantity(without, 'g')} without the "
+                f"effects, {quantity(with_it, 'g')} with them)"
             )
         )
 
@@ -455,10 +469,11 @@ def evidence_in_words(full: FullDiagnosis, file_of_copy: Path | None) -> dict[st
     if diagnosis.mistakes.mistakes:
         mended = "; ".join(mistake.words for mistake in diagnosis.mistakes.mistakes)
         copy = "a copy" if file_of_copy is None else str(file_of_copy)
-        evidence["rests on"] = f"{copy} with these mistakes put right: {mended}"
+        evidence["rests on"] = f"{copy} with these mistakes corrected: {mended}"
     for effect, found in zip(diagnosis.effects, diagnosis.naming.found, strict=False):
         rho = effect.rho or 0.0
-        text = f"ln odds {found.evidence:.2f}, p {effect.p_all_looks:.2g} with all looks, rho {rho:.1f}"
+        text = f"ln odds {found.evidence:.2f}, p {effect.p_all_looks:.2g} corrected for multiple tests, "
+        text += f"rho {rho:.1f}"
         if effect.cannot_tell_from:
             text += f"; the data cannot tell it from {', '.join(effect.cannot_tell_from)}"
         if effect.plainer_than:
@@ -470,12 +485,12 @@ def evidence_in_words(full: FullDiagnosis, file_of_copy: Path | None) -> dict[st
     evidence["gap"] = gap.reason
     if gap.folds:
         evidence["gap"] = (
-            f"reduced chi-square of readings held out {gap.before:.3f} before, {gap.after:.3f} after, "
+            f"reduced chi-square of held-out readings {gap.before:.3f} before, {gap.after:.3f} after, "
             f"1 expected; p after {gap.p_after:.2g}; root mean square {micro_g(gap.before_rms_g)} before, "
             f"{micro_g(gap.after_rms_g)} after"
         )
     if full.shown.after is not None:
-        evidence["simulation"] = f"p of the readings beside the model {full.shown.after.test.p:.2g}"
+        evidence["simulation"] = f"p of the readings under the model {full.shown.after.test.p:.2g}"
     evidence["threshold"] = f"ln odds {diagnosis.registered.threshold:.3f}"
     evidence["registered"] = diagnosis.registered.sha256
     return evidence
@@ -486,7 +501,7 @@ def _evidence_for_form(form: FreeForm) -> dict[str, str]:
     closed = (
         "not measured"
         if form.gap.closed is None
-        else f"{100 * form.gap.closed:.0f} % of the gap on readings held out"
+        else f"{100 * form.gap.closed:.0f} % of the gap on held-out readings"
     )
     return {
         **{term.effect.name: f"{term.family}; rho {term.rho:.1f}" for term in form.terms},
@@ -524,17 +539,17 @@ def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
     if form is None:
         return
     if not form.terms and any(not effect.in_catalogue for effect in diagnosis.effects):
-        yield message("no term of the dictionary describes it")
+        yield message("no formula of the dictionary describes it")
     if form.instead_of and form.terms:
-        yield message(f"as plausible without a name, instead of {', '.join(dict.fromkeys(form.instead_of))}:")
+        yield message(f"as plausible as {', '.join(dict.fromkeys(form.instead_of))}, but without a name:")
     elif form.instead_of:
-        yield message(
-            "what is left beside the names speaks for something without a name that is too small to describe"
-        )
+        yield message("the remaining residuals suggest an effect without a name; it is too small to describe")
     for term in form.terms:
         yield term_in_words(term)
-        also = message(f"; could also be: {'; '.join(term.could_also_be)}") if term.could_also_be else ""
-        yield message(f"that is {term.family}, {term.rho:.1f} times the noise in all (rho){also}")
+        also = (
+            message(f"; other forms that fit: {'; '.join(term.could_also_be)}") if term.could_also_be else ""
+        )
+        yield message(f"that is {term.family}; ρ = {term.rho:.1f}{also}")
     if form.terms and form.gap.folds:
         closed = (
             ""
@@ -543,15 +558,13 @@ def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
         )
         yield (
             message(
-                f"on readings not used: reduced chi-square {form.gap.before:.2f} before, "
-                f"{form.gap.after:.2f} with the "
-                "terms "
-                f"found without them{closed}"
+                f"held-out readings: reduced chi-square {form.gap.before:.2f} before, {form.gap.after:.2f} with "
+                f"the terms that the other readings show{closed}"
             )
         )
     if form.terms and not form.predicts:
         yield message(
-            "that is too little for a model file: the terms describe these readings and predict no others"
+            "too little for a model file: the terms describe these readings but do not predict others"
         )
     if form.scatter is not None:
         one = form.scatter
@@ -565,14 +578,14 @@ def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
 
 def _dark_in_words(dark: UnexplainedScatter, unit: str) -> str:
     if not np.isfinite(dark.upper):
-        return message("what stays unexplained cannot be told: there are no readings beside the repeats")
+        return message("the unexplained scatter cannot be determined: all readings are repeats")
     limit = message(f"less than {quantity(dark.upper, unit)} (95 %)")
     if not dark.there:
         return message(
-            f"what stays unexplained in each reading is no more than chance gives (p = {dark.p:.2g}): {limit}"
+            f"the unexplained scatter of each reading is no larger than chance (p = {dark.p:.2g}): {limit}"
         )
     sizes = message(f"{quantity(dark.value, unit)} in each reading, u {quantity(dark.u, unit)}, {limit}")
-    return message(f"what stays unexplained: {sizes} (dark uncertainty)")
+    return message(f"unexplained scatter (dark uncertainty): {sizes}")
 
 
 def dark_for_model(form: FreeForm) -> str | None:

@@ -107,7 +107,7 @@ def _outlier(text: str) -> FoundPart:
 
 # --- text -------------------------------------------------------------------------------------------
 
-NOTHING: Final = "the positions agree with nine coefficients of each sensor within their scatter"
+NOTHING: Final = "nine coefficients of each sensor explain the positions within their scatter"
 
 
 def what_in_words(found: FreeDiagnosis) -> str:
@@ -116,14 +116,14 @@ def what_in_words(found: FreeDiagnosis) -> str:
     if not found.apart:
         return rest
     count = len(found.apart)
-    return f"{OUTLIER}: {count} position{'s' * (count > 1)} stand{'s' * (count == 1)} apart; without: {rest}"
+    return f"{OUTLIER}: {count} outlying position{'s' * (count > 1)}; in the other positions: {rest}"
 
 
 def what_to_do(found: FreeDiagnosis, files: Files) -> Iterator[str]:
     """Yield a sentence on each step that should follow the diagnosis, with the command to type."""
     several = found.records * found.rows.sensors > 1
     if found.apart:
-        yield "Measure the positions that stand apart again, at rest" + (
+        yield "Measure the outlying positions again, at rest" + (
             f"; until then the corrected copy is {', '.join(map(str, files.copies))}" if files.copies else ""
         )
     for number, model in enumerate(files.models, start=1):
@@ -132,19 +132,22 @@ def what_to_do(found: FreeDiagnosis, files: Files) -> Iterator[str]:
         yield f"Use the model{of}: bench calibrate {source} --model {model}"
         yield f"Test it with new readings{of}: bench confirm NEW --model {model}"
     if found.between is not None and (line := found.between.in_bench_file()):
-        yield f"{repeats_between(found.between)}. Put it into the bench file, and calibrations hold it in u: {line}"
+        yield (
+            f"{repeats_between(found.between)}. Add this line to the bench file, so that u of calibrations "
+            f"includes it: {line}"
+        )
     names = {one.name for one in found.effects}
     if "zeros_by_run" in names or "scale_by_run" in names:
         yield (
-            "Calibrate each record by itself (bench calibrate RECORD), and write down what differs between "
-            "records: when it was switched on, its temperature, who moved it"
+            "Calibrate each record separately (bench calibrate RECORD), and note what differs between records: "
+            "time since switch-on, temperature, operator"
         )
     elif found.of_copy == "unknown":
-        yield "Measure the same again: what returns belongs to the sensor; see below in which record it acts"
+        yield "Repeat the measurement: an effect that returns belongs to the sensor; see below where it acts"
     elif found.of_copy == "confounded":
-        yield "Measure again, more positions all round, and diagnose both: bench diagnose … --together"
+        yield "Measure more positions in all directions, and diagnose both runs: bench diagnose … --together"
     elif found.verdict == "agrees":
-        yield f"Nothing; the coefficients stand: bench calibrate {'each record' if several else found.source}"
+        yield f"Nothing; use the coefficients: bench calibrate {'each record' if several else found.source}"
 
 
 def print_found(found: FreeDiagnosis, files: Files, out: Console) -> None:
@@ -152,7 +155,7 @@ def print_found(found: FreeDiagnosis, files: Files, out: Console) -> None:
     rows = found.rows
     out.print(
         f"{len(rows)} free positions, {rows.sensors} sensor{'s' * (rows.sensors > 1)}, {found.records} "
-        f"record{'s' * (found.records > 1)}: |a| = 1 g is all that is known of them"
+        f"record{'s' * (found.records > 1)}: only |a| = 1 g is known of them"
     )
     print_notes(out, found.notes)
     for text in found.apart:
@@ -164,7 +167,7 @@ def print_found(found: FreeDiagnosis, files: Files, out: Console) -> None:
     if found.between is not None:
         out.print(typeset(f"Zeros: {repeats_between(found.between)}"))
         if line := found.between.in_bench_file():
-            out.print(f"  for u of calibrations, put into the bench file: {line}")
+            out.print(f"  for u of calibrations, add to the bench file: {line}")
     if found.effects:
         print_gap(found.gap, out)
     print_files(found, files, out)
@@ -178,7 +181,7 @@ def evidence_in_words(found: FreeDiagnosis) -> dict[str, str]:
     """Return the evidence for the findings, by title, for the model file."""
     gap = found.gap
     told = gap.reason or (
-        f"reduced chi-square of positions held out {gap.before:.3f} before, {gap.after:.3f} after, "
+        f"reduced chi-square of held-out positions {gap.before:.3f} before, {gap.after:.3f} after, "
         f"1 expected; root mean square of |a| - 1 g {1e6 * gap.before_rms:.3g} ug before, "
         f"{1e6 * gap.after_rms:.3g} ug after"
     )
@@ -227,9 +230,7 @@ def modulus_in_time(found: FreeDiagnosis) -> str:
     found.
     """
     rows = found.rows
-    fits = [("as it was given", found.before), ("with what was found", found.after)][
-        : 1 + bool(found.effects)
-    ]
+    fits = [("given model", found.before), ("with the effects found", found.after)][: 1 + bool(found.effects)]
     scale = scale_for(float(np.max(np.abs(found.before.left))), "g")
     time_s = np.concatenate([table.conditions().elapsed_s for table in rows.tables])
     for record in np.unique(rows.record):
@@ -258,7 +259,7 @@ def modulus_in_time(found: FreeDiagnosis) -> str:
         grid[0, 0].set_ylabel(f"|a| − 1 g / {scale.unit}")
         figure.legend(*legend_of(grid.flat), loc="outside upper center", ncols=5)
 
-    alt = "The modulus of the specific force less 1 g against the time in its record, before and after"
+    alt = "The modulus of the specific force minus 1 g against the time in its record, before and after"
     return svg_figure("free-time", (7.6, 3.4), draw, alt)
 
 
@@ -276,8 +277,8 @@ def modulus_by_record(found: FreeDiagnosis) -> str:
         for sensor in range(rows.sensors):
             at = np.arange(len(records)) + (sensor - (rows.sensors - 1) / 2) * width
             for fit, colour, part, what in (
-                (found.before, VERMILION, 1.0, "as it was given"),
-                (found.after, BLUE, 0.55, "with what was found"),
+                (found.before, VERMILION, 1.0, "given model"),
+                (found.after, BLUE, 0.55, "with the effects found"),
             ):
                 if fit is found.before or found.effects:
                     sizes = [rms(fit.left[(rows.record == r) & (rows.sensor == sensor)]) for r in records]
@@ -297,7 +298,7 @@ def modulus_by_record(found: FreeDiagnosis) -> str:
         axes.set_ylabel(f"|a| − 1 g, rms / {scale.unit}")
         figure.legend(*legend_of(iter([axes])), loc="outside upper center", ncols=3)
 
-    alt = f"Root mean square of the modulus less 1 g in {len(records)} records of {rows.sensors} sensors"
+    alt = f"Root mean square of the modulus minus 1 g in {len(records)} records of {rows.sensors} sensors"
     return svg_figure("free-records", (6.4, 3.0), draw, alt)
 
 

@@ -181,7 +181,7 @@ def fit_in_words(fit: LackOfFit) -> FitInWords:
             figures,
             message("no lack of fit shown at 1 %"),
             message(
-                "No lack of fit is shown: what the model leaves the scatter of the repeats explains; "
+                "No lack of fit is shown: the scatter of the repeats explains the residuals; "
                 f"chance alone would leave more in {_percent(fit.p)} of calibrations."
             ),
         )
@@ -190,9 +190,9 @@ def fit_in_words(fit: LackOfFit) -> FitInWords:
         figures,
         message("the model does not fit the readings"),
         message(
-            "The model does not fit: it leaves more than the scatter of the repeats explains; chance "
-            f"alone would leave as much in {_percent(fit.p)} of calibrations. What is missing from the model has "
-            "widened u, as an error that repeats share or by the Birge ratio; the residuals show where it acts."
+            "The model does not fit: its residuals exceed the scatter of the repeats; chance alone would "
+            f"leave as much in {_percent(fit.p)} of calibrations. The misfit has widened u"
+            "; the residuals show where it acts."
         ),
     )
 

@@ -128,7 +128,7 @@ def channel_lines(found: RecordCalibration) -> Iterator[str]:
             told.append(f"offset = {_micro(one.offset_v)} µV")
         told += [
             f"drift = {_micro(one.drift_v_h)} µV/h",
-            f"leaves {quantity(rms(one.residual_v), 'V')} (rms)",
+            f"residuals {quantity(rms(one.residual_v), 'V')} (rms)",
         ]
         yield f"channel {one.channel}: {', '.join(told)}"
 
@@ -196,7 +196,7 @@ def render_record_calibration(
     figures = [
         (
             drawn(course_figure(found.record.time_h, fits)),
-            "What the meters add, beside gain, offset and drift.",
+            "Errors of the meters, and the residuals of gain, offset and drift.",
         )
     ]
     if isinstance(noise, Stability):

@@ -89,7 +89,7 @@ def _channel(fit: ChannelFit) -> ChannelPart:
 
 # --- text -------------------------------------------------------------------------------------------
 
-NOTHING: Final = "the channels follow the reference, with a zero and a drift, within the noise"
+NOTHING: Final = "within the noise each channel equals the reference plus a zero and a drift"
 
 
 def what_in_words(found: RecordDiagnosis) -> str:
@@ -103,8 +103,9 @@ def gap_told(found: RecordDiagnosis) -> str:
     if not gap.folds:
         return ""
     return (
-        f"excursions held out: {quantity(gap.before_rms, 'V')} before, {quantity(gap.after_rms, 'V')} after (rms); "
-        f"reduced chi-square {gap.before:.2f} before, {gap.after:.2f} after, noise alone gives 1"
+        f"held-out excursions: residuals {quantity(gap.before_rms, 'V')} before, "
+        f"{quantity(gap.after_rms, 'V')} after (rms); "
+        f"reduced chi-square {gap.before:.2f} before, {gap.after:.2f} after (noise alone: 1)"
     )
 
 
@@ -114,7 +115,7 @@ def rivals_told(found: RecordDiagnosis) -> str:
         return ""
     ordered = sorted(found.rivals, key=lambda one: one.chi2)
     listed = ", ".join(f"{one.what} {quantity(one.held_out_rms_v, 'V')}" for one in ordered)
-    return f"excursions held out decide for {ordered[0].what}: {listed} (rms)"
+    return f"{ordered[0].what} predicts held-out excursions best; residuals: {listed} (rms)"
 
 
 def channel_lines(found: RecordDiagnosis) -> Iterator[str]:
@@ -125,7 +126,8 @@ def channel_lines(found: RecordDiagnosis) -> Iterator[str]:
             for value, u in ((fit.zero_v, fit.u_zero_v), (fit.drift_v_h, fit.u_drift_v_h))
         )
         yield (
-            f"{fit.channel}: zero {zero} µV, drift {drift} µV/h; leaves {quantity(rms(fit.before_v), 'V')} before, "
+            f"{fit.channel}: zero {zero} µV, drift {drift} µV/h; "
+            f"residuals {quantity(rms(fit.before_v), 'V')} before, "
             f"{quantity(rms(fit.residual_v), 'V')} after (rms)"
         )
 
@@ -151,11 +153,11 @@ def what_to_do(found: RecordDiagnosis, files: Files) -> Iterator[str]:
     """Yield a sentence on each step that should follow, with the command to type."""
     for one in found.effects:
         if one.applied and one.cannot_tell_from:
-            yield f"To tell {words.alike_in_words([one])}: {one.applied[0].effect.shown_by}"
+            yield f"To separate {words.alike_in_words([one])}: {one.applied[0].effect.shown_by}"
     for model in files.models:
-        yield f"Put it to the proof with a new record: bench confirm NEW --model {model}"
+        yield f"Test it with a new record: bench confirm NEW --model {model}"
     if found.verdict == "unknown":
-        yield "Record once more, with what may have caused it noted beside the times"
+        yield "Record again, and note possible causes with their times"
 
 
 def evidence_in_words(found: RecordDiagnosis) -> dict[str, str]:
@@ -177,14 +179,14 @@ def course_figure(time_h: Floats, courses: Sequence[tuple[str, Floats, Floats]])
         rows = figure.subplots(len(courses), 1, sharex=True, squeeze=False)[:, 0]
         for axes, (channel, before, after) in zip(rows, courses, strict=True):
             for course, colour, label in (
-                (before, VERMILION, "zero and drift alone"), (after, BLUE, "with the effects"),
+                (before, VERMILION, "zero and drift alone"), (after, BLUE, "with the effects found"),
             ):  # fmt: skip
                 axes.plot(time_h, course / scale.size, color=colour, linewidth=1.0, label=label)
             axes.set_ylabel(f"{channel} − reference / {scale.unit}")
         rows[-1].set_xlabel("time / h")
         figure.legend(*legend_of(iter(rows)), loc="outside upper center", ncols=2)
 
-    alt = f"Signal less reference of {len(courses)} channels over {time_h[-1]:.1f} h, without and with the effects"
+    alt = f"Signal minus reference of {len(courses)} channels over {time_h[-1]:.1f} h, without and with the effects"
     return svg_figure("record-course", (6.4, 1.2 + 1.8 * len(courses)), draw, alt)
 
 
@@ -200,13 +202,16 @@ def render(
         found,
         provenance,
         title=title,
-        intro="A record at a known input: each channel is the reference, with a zero, a drift, and what is found.",
+        intro="A record at a known input: each channel equals the reference plus zero, drift and effects found.",
         simulated=simulated,
         what=what_in_words(found),
         told=[line for line in (gap_told(found), rivals_told(found)) if line],
         to_do=list(what_to_do(found, files)),
         figures=[
-            (drawn(course), "Signal less reference, beside a zero and a drift, and with what was found.")
+            (
+                drawn(course),
+                "Signal minus reference: residuals of zero and drift alone, and with the effects found.",
+            )
         ],
         listed=list(channel_lines(found)),
     )

@@ -223,7 +223,7 @@ def _in_words(pull: float, estimate: Estimate) -> str:
         return "–"
     if not estimate.told_by_data:
         return message("no better known than before")
-    return message("shows in the data") if abs(pull) > SHOWS else message("not told from zero")
+    return message("differs from zero") if abs(pull) > SHOWS else message("not significant")
 
 
 def effects(calibration: Calibration) -> list[Row]:

@@ -182,7 +182,7 @@ def headline(result: Verification, *, upper: bool = False) -> str:
     word = HEADLINES[result.statement]
     word = word.upper() if upper else word
     if result.statement is Statement.CONDITIONAL_PASS:
-        left_open = message("for the customer to accept") if result.left_open else message("not accepted")
+        left_open = message("the customer decides") if result.left_open else message("not accepted")
         return f"{word}, {message('accepted') if result.passed else left_open}"
     return word
 
@@ -195,13 +195,13 @@ def rule_in_words(rule: DecisionRule) -> str:
             "(JCGM 106:2012, 8.2)"
         )
     if rule.guard_band is None:
-        band = message("w = 1.645 u, or what gives 5 % where both limits or a population count")
+        band = message("w = 1.645 u; for two limits or a population, w is computed to give 5 %")
         sure = message(
             f"the probability of a false acceptance is at most 5 % at every verification point ({band})"
         )
         return message(
-            f"accepted when {sure}; what lies between there and the limit is conditional, and the customer's to "
-            "accept (JCGM 106:2012, 8.3.2; ILAC-G8:09/2019)"
+            f"accepted when {sure}; a larger |Δg| up to the limit is conditional, and the customer decides "
+            "(JCGM 106:2012, 8.3.2; ILAC-G8:09/2019)"
         )
     times = "" if rule.guard_band == 1.0 else f"{rule.guard_band:g} "
     accepted = message(
@@ -210,9 +210,7 @@ def rule_in_words(rule: DecisionRule) -> str:
     )
     if rule.name != NON_BINARY:
         return accepted
-    return message(
-        f"{accepted}; what lies within w of the limit is conditional, and the customer's to accept"
-    )
+    return message(f"{accepted}; |Δg| within w of the limit is conditional, and the customer decides")
 
 
 def probability_in_words(p: float) -> str:
@@ -233,7 +231,7 @@ def risk_in_words(result: Verification) -> str:
         of_all, worst = (probability_in_words(p) for p in (result.p_outside, result.p_outside_worst))
         both = of_all if of_all == worst else message(f"{of_all} ({worst} at the worst point)")
         return message(
-            f"probability of false acceptance{' if it is accepted' if result.left_open else ''} {both}"
+            f"probability of false acceptance{' if the customer accepts:' if result.left_open else ''} {both}"
         )
     if result.rejected:
         return message(f"probability of false rejection {probability_in_words(1.0 - result.p_outside)}")
@@ -317,17 +315,17 @@ def _to_pass(result: Verification) -> Iterator[str]:
     parts = {name: math.sqrt(max(part[at, at], 0.0)) for name, part in result.contributions.items()}
     most = sorted(parts, key=lambda name: -parts[name])[:_MOST]
     of_which = ", ".join(f"{name.replace('_', ' ')} {parts[name] * 1e6:.0f} µg" for name in most)
-    of_which = f" ({of_which})" if most else ""
+    of_which = f": {of_which}" if most else ""
     smaller = (
-        message("no smaller u makes it pass")
+        message("no reduction of u suffices")
         if needed.u_times is None
-        else message(f"u(Δg) up to {needed.u_times * point.u * 1e6:.3g} µg")
+        else message(f"reduce u(Δg) to {needed.u_times * point.u * 1e6:.3g} µg")
     )
     yield (
         message(
-            f"to pass: {smaller} at pass {point.pass_number} point {point.point}, where it is "
+            f"to pass: {smaller} at pass {point.pass_number} point {point.point} (now "
             f"{point.u * 1e6:.3g} µg"
-            f"{of_which}; or a limit from {math.ceil(needed.limit_g * 1e6)} µg, if that is agreed"
+            f"{of_which}), or agree on a limit of at least {math.ceil(needed.limit_g * 1e6)} µg"
         )
     )
 

@@ -288,7 +288,7 @@ def misfit(judged: ReadingJudgement, channels: Sequence[str]) -> str:
         i = CHANNELS.index(channel)
         off_v, u_v = float(judged.residual[0, i]), math.sqrt(judged.covariance[0, i, i])
         parts.append(
-            f"channel {channel} is {millivolts(off_v, '+')} from what was expected "
+            f"channel {channel} differs by {millivolts(off_v, '+')} from the prediction "
             f"(u = {millivolts(u_v)}, {abs(off_v) / u_v:.0f} sigma)"
         )
     return ", ".join(parts)
@@ -300,7 +300,7 @@ def why(causes: Sequence[str], at_fault: str | None) -> str:
         mistake = f"the mistake is at {at_fault}, which does not fit the other readings"
         return f"{mistake}: {' or '.join(causes)}" if causes else mistake
     if not causes:
-        return "no single mistake that is known explains it"
+        return "no known single mistake explains it"
     if len(causes) > MOST_LISTED:
         listed = " or ".join(causes[:MOST_LISTED])
         return f"{len(causes)} mistakes explain it so far, the likeliest: {listed}"

@@ -23,23 +23,23 @@ def sentence(event: Event) -> str:
     data = event.data
     match event.type:
         case EventType.EARLY_SIGN:
-            return message(f"{'stopped' if data.get('confident') else 'look'}: {data['sentence']}")
+            return message(f"{'stopped' if data.get('confident') else 'note'}: {data['sentence']}")
         case EventType.WENT_ON:
             return message(f"continued in spite of '{' or '.join(data['causes'])}': {data['reason']}")
         case EventType.SAME_SERIAL | EventType.CERTIFICATE:
-            return message(f"look: {data['words']}")
+            return message(f"note: {data['words']}")
         case EventType.STEP_FAILED:
             return message(f"failed, tried again: {data['error']}")
         case EventType.CLOCK_JUMPED:
             ahead_s = data["ahead_s"]
             way = "ahead" if ahead_s > 0 else "back"
             return message(
-                f"look: the computer's clock went {duration(abs(ahead_s))} {way}: it slept, or its time "
+                f"note: the computer's clock went {duration(abs(ahead_s))} {way}: it slept, or its time "
                 "was set; redo the last point if drift matters"
             )
         case EventType.CHAMBER_SLOW:
             return message(
-                f"look: the {data['chamber']} has gone from {data['start_c']:.1f} °C to {data['air_c']:.1f} °C in "
+                f"note: the {data['chamber']} has gone from {data['start_c']:.1f} °C to {data['air_c']:.1f} °C in "
                 f"{duration(data['after_s'])}, sent to {data['target_c']:g} °C: check that it conditions "
                 "and is closed"
             )

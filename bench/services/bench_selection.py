@@ -220,7 +220,7 @@ def _as_text(value: object) -> str:
 
 
 DEFAULT_BENCH: Final = "paper-stand"
-_NONE_NAMED: Final = "the shipped one, as none was named"
+_NONE_NAMED: Final = "the shipped one, because no file was named"
 
 
 @dataclass(frozen=True)

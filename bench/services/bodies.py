@@ -210,7 +210,7 @@ def told_in_words(run: Run) -> list[str]:
                 f"continued in spite of '{' or '.join(event.data['causes'])}': {event.data['reason']}"
             )
     found = [
-        f"the early warning named '{cause}' at {times} reading{'s' if times > 1 else ''}"
+        f"early warning at {times} reading{'s' if times > 1 else ''}: {cause}"
         for cause, times in named.most_common(MOST_TOLD)
     ]
     more = len(named) - len(found)

@@ -29,7 +29,7 @@ def ending(found: Conclusion) -> list[str]:
     if found.no_chart:
         lines.append(f"check block: no control chart: {found.no_chart}")
     lines += _shortened(
-        [f"look: {look}" for look in found.looks], f"bench diagnose {name_to_type(found.run.folder)}"
+        [f"note: {look}" for look in found.looks], f"bench diagnose {name_to_type(found.run.folder)}"
     )
     return [*lines, *_files(found), *_next(found)]
 
@@ -68,7 +68,9 @@ def _basis(found: Conclusion) -> Iterator[str]:
 def _shortened(lines: list[str], elsewhere: str) -> list[str]:
     rest = len(lines) - _MOST_SENTENCES
     return (
-        lines if rest <= 1 else [*lines[:_MOST_SENTENCES], f"look: {rest} more; '{elsewhere}' explains them"]
+        lines
+        if rest <= 1
+        else [*lines[:_MOST_SENTENCES], f"note: {rest} more notes; '{elsewhere}' explains them"]
     )
 
 

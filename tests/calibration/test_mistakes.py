@@ -372,12 +372,12 @@ def test_of_very_many_mountings_the_first_of_each_installation_are_looked_at():
 def test_check_says_it_before_the_run_and_in_json(bench):
     status, out, _ = bench("check", "calibration")
     assert status == 0
-    told = [line for line in out.splitlines() if "leaves open" in line or "shown by" in line]
+    told = [line for line in out.splitlines() if "leaves open" in line or "to determine it" in line]
     assert told[0].startswith(
-        "leaves open: alpha5[1], alpha5[2] as (1, 1): is indistinguishable from a change of coefficients"
+        "leaves open: alpha5[1], alpha5[2] in the ratio 1 : 1: is indistinguishable from a change of coefficients"
     )
     assert told[1].startswith(
-        "would be shown by: let the verification points join the fit by |a| = 1 g (no further"
+        "to determine it: let the verification points join the fit by |a| = 1 g (no further"
     )
     assert "common turn of the block's axes (about x, y, z)" in told[2]
     found = json.loads(bench("check", "calibration", "--json", "-")[1])["observability"]

@@ -198,8 +198,8 @@ def test_a_conditional_pass_of_the_non_binary_rule_is_left_open():
     assert told["p_false_accept"] == result.p_outside
     assert all(p["p_false_accept"] is not None and p["p_false_reject"] is None for p in told["points"])
     line = verdict_line("unit", result)
-    assert "CONDITIONAL PASS, for the customer to accept: worst" in line
-    assert f"probability of false acceptance if it is accepted {result.p_outside:.2g}" in line
+    assert "CONDITIONAL PASS, the customer decides: worst" in line
+    assert f"probability of false acceptance if the customer accepts: {result.p_outside:.2g}" in line
 
 
 def test_what_would_make_it_pass_makes_it_pass():
@@ -212,12 +212,12 @@ def test_what_would_make_it_pass_makes_it_pass():
         assert again.passed is passed
         smaller = verify(turned(), altered_z(1.00055), NONE, 1e-4 * needed.u_times / factor, 3e-4)
         assert smaller.passed is passed
-    (sentence,) = (one for one in advice(result) if one.startswith("to pass: u(Δg) up to"))
+    (sentence,) = (one for one in advice(result) if one.startswith("to pass: reduce u(Δg) to"))
     assert "reading at the point" in sentence
-    assert f"or a limit from {int(np.ceil(1e6 * needed.limit_g))} µg" in sentence
+    assert f"or agree on a limit of at least {int(np.ceil(1e6 * needed.limit_g))} µg" in sentence
     beyond = verify(turned(), altered_z(1.001), NONE, 1e-4, 3e-4)
     assert beyond.to_pass.u_times is None
-    assert any("no smaller u makes it pass" in one for one in advice(beyond))
+    assert any("no reduction of u suffices" in one for one in advice(beyond))
     assert verify(turned(), BLOCK, NONE, 1e-5, 3e-4).to_pass is None
 
 

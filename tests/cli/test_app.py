@@ -273,7 +273,7 @@ def test_the_others_are_done_in_their_order(bench, files, command):
     assert status == 2
     a, bad, c, none = json.loads(Path("all.json").read_text(encoding="utf-8"))
     assert bad["source"] == "bad.csv"
-    assert "column installation is missing" in bad["problem"]
+    assert "the header lacks installation" in bad["problem"]
     assert none == {"source": "none.csv", "problem": "none.csv: no such readings file; check the name"}
     for one in (bad, none):
         keeps_to("source-failed", one)
@@ -282,7 +282,7 @@ def test_the_others_are_done_in_their_order(bench, files, command):
     assert a.keys() == c.keys()
     assert "problem" not in a
     told = [line for line in err.splitlines() if line.startswith("bench: ")]
-    assert told[0].startswith("bench: bad.csv, line 1: column installation is missing")
+    assert told[0].startswith("bench: bad.csv, line 1: the header lacks installation")
     assert told[-1] == "bench: 2 of 4 sources could not be evaluated"
 
 

@@ -233,7 +233,7 @@ def test_the_copy_of_a_run_stands_in_its_folder_and_tells_where_it_comes_from(be
         (["null.csv", "--model", "null.csv"], "null.csv"),
         (["null.csv", "counts.csv", "--together"], "use one unit"),
         (["null.csv", "null.csv"], "two sources would write"),
-        (["short.csv"], "short.csv, line 1: column"),
+        (["short.csv"], "short.csv, line 1: the header lacks"),
     ],
 )
 def test_what_cannot_be_done_is_told_in_one_line(bench, arguments, message):

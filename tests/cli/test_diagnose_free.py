@@ -110,7 +110,7 @@ def test_several_sources_keep_their_order_and_say_what_was_left_out_and_which_fa
     for one in (first, last):
         keeps_to("diagnose-free", one)
     assert none["problem"] == "none.csv: no such readings file; check the name"
-    assert "bad.csv, line 1: column installation is missing" in err
+    assert "bad.csv, line 1: the header lacks installation" in err
     assert err.splitlines()[-1] == "bench: 2 of 4 sources could not be evaluated"
 
 

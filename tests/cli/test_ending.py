@@ -78,10 +78,10 @@ def test_where_the_model_does_not_fit_that_is_the_verdict(concluded):
 def test_many_looks_are_shortened(concluded):
     lines = ending(replace(concluded, looks=tuple(f"sign {n}" for n in range(9))))
     assert len(lines) <= MOST_LINES
-    assert [line for line in lines if line.startswith("look: ")] == [
-        "look: sign 0",
-        "look: sign 1",
-        "look: 7 more; 'bench diagnose finished' explains them",
+    assert [line for line in lines if line.startswith("note: ")] == [
+        "note: sign 0",
+        "note: sign 1",
+        "note: 7 more notes; 'bench diagnose finished' explains them",
     ]
 
 

@@ -47,7 +47,7 @@ def test_the_bench_file_and_why_stand_in_the_first_line_and_in_the_result(bench,
     for given, variable, why in (
         (["--bench", "mine.yaml"], "paper-stand", "as asked for"),
         ([], "mine.yaml", "named by BENCH_FILE"),
-        ([], None, "the shipped one, as none was named"),
+        ([], None, "the shipped one, because no file was named"),
     ):
         if variable:
             monkeypatch.setenv("BENCH_FILE", variable)
@@ -59,7 +59,7 @@ def test_the_bench_file_and_why_stand_in_the_first_line_and_in_the_result(bench,
         assert taken["why"] == why
         assert taken["file"] in first
         assert Path(taken["file"]).name == (
-            "mine.yaml" if why != "the shipped one, as none was named" else SHIPPED.name
+            "mine.yaml" if why != "the shipped one, because no file was named" else SHIPPED.name
         )
         assert len(taken["sha256"]) == 64
 
@@ -78,7 +78,7 @@ def test_results_in_python_say_it_too(exported):
     assert result.to_dict()["bench"]["file"].endswith("finished/bench.yaml")
     assert (
         face.budget(procedure="quick", trials=0).to_dict()["bench_file"]["why"]
-        == "the shipped one, as none was named"
+        == "the shipped one, because no file was named"
     )
 
 
@@ -87,7 +87,7 @@ def test_a_run_keeps_why_its_bench_file_was_taken(empty_folder):
     from bench.services.requests.measuring import RunRequest
 
     new = new_run(RunRequest("quick", None, runs=Path("runs"), dry_run=True, seed=1, name="one"))
-    assert new.manifest["bench_why"] == "the shipped one, as none was named"
+    assert new.manifest["bench_why"] == "the shipped one, because no file was named"
 
 
 # --- an exported readings file ----------------------------------------------------------------------
@@ -139,7 +139,7 @@ def test_both_may_be_moved_together_and_a_bench_file_that_is_lost_is_told(export
     assert taken["bench"]["file"] == os.path.join("elsewhere", "runs/finished/bench.yaml")  # noqa: PTH118
     shutil.rmtree("elsewhere/runs")
     lost = result_of(exported, "calibrate", "elsewhere/f.csv")
-    assert lost["bench"]["why"] == "the shipped one, as none was named"
+    assert lost["bench"]["why"] == "the shipped one, because no file was named"
     assert lost["simulated"] is True
     assert any("was moved or changed" in note and "--bench" in note for note in lost["notes"])
 
@@ -150,7 +150,7 @@ def test_a_file_that_was_changed_is_told_and_nothing_is_taken_over(exported):
     result = result_of(exported, "calibrate", "f.csv")
     assert result["simulated"] is False
     assert result["unit_under_test"] is None
-    assert result["bench"]["why"] == "the shipped one, as none was named"
+    assert result["bench"]["why"] == "the shipped one, because no file was named"
     (note,) = [note for note in result["notes"] if "SHA-256" in note]
     assert "f.csv was changed after it was exported" in note
     assert "run finished on SIMULATED instruments" in note

@@ -220,7 +220,7 @@ def test_faults_through_the_control() -> None:
 
 def test_the_client_command_prints_the_answer_or_fails(bench: Any) -> None:
     with serving(with_terminals=False) as told:
-        status, out, err = bench("simulate", "--control", told.control, "turn 30 deg")
+        status, out, err = bench("simulate", "--control", told.control, "turn", "30", "deg")
         assert (status, err) == (0, "")
         assert json.loads(out)["scale_angle_deg"] == pytest.approx(30.0)
         refused(bench("simulate", "--control", told.control, "turn around"), "expected a number")

@@ -65,7 +65,7 @@ def test_all_bad_rows_are_told_at_once_and_can_be_left_out(tmp_path):
 
 def test_a_missing_column_is_named_with_those_that_are_there(tmp_path):
     with pytest.raises(
-        ReadingsError, match="column dut is missing; the log has when, a/mV, b/mV, other, bath"
+        ReadingsError, match="the header lacks dut; the log has when, a/mV, b/mV, other, bath"
     ):
         convert_log(Path("log"), LOG.replace(";dut;", ";other;").encode(), mapping(tmp_path))
 

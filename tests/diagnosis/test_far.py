@@ -109,7 +109,7 @@ def test_a_reading_that_is_far_is_in_the_headline_with_its_probability():
     assert found.verdict == "unknown"
     told = "; ".join(warnings_in_words(found))
     assert "|a| in installation V, pass 1, point 2 is 1" in told
-    assert "the noise as fitted gives as much anywhere with p" in told
+    assert "probability that noise alone moves any reading that far: p" in told
     # one point that far is also evidence of heavy tails, in which it is rare all the same
     assert found.far[0].p < 0.01
 

@@ -234,7 +234,7 @@ def test_a_fold_that_is_made_worse_counts():
 
 
 def test_where_nothing_can_be_held_out_the_gap_is_none_and_says_why():
-    assert gap().reason == "nothing can be held out: one pass, and no verification or free position"
+    assert gap().reason == "no readings can be held out: one pass, and no verification or free position"
     one = gap(undetermined=("pass 1",))
     told = gap_part(one).to_dict()
     assert one.shrinks is None

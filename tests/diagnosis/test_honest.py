@@ -106,7 +106,9 @@ def test_readings_without_times_say_so():
 def test_signals_in_g_are_no_voltages_and_no_procedure_is_proposed_to_show_volts():
     readings = paper_run(np.random.default_rng(3))
     found = diagnosed(replace(readings, unit="g", signal=readings.signal / 2.14))
-    assert "stated in volts are not looked for (meters_exchanged, voltmeter_nonlinearity, " in found.notes[-1]
+    assert (
+        "stated in volts are not searched for (meters_exchanged, voltmeter_nonlinearity, " in found.notes[-1]
+    )
     assert np.isinf(found.detectable["voltmeter_nonlinearity"])
     proposal = propose(found, load_bench(find_bench("paper-stand")))
     assert not {"voltmeter_nonlinearity", "voltmeter_offset", "thermal_emf"} & set(proposal.shows)

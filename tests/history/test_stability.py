@@ -169,8 +169,8 @@ HEADER = "time_s,ux_v,uy_v,uz_v\n"
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("time_s,ux_v,uy_v\n0,1,2\n", r"line 1: column uz_v is missing"),
-        ("ux_g,uy_g,uz_g\n1,2,3\n", r"line 1: column time_s is missing"),
+        ("time_s,ux_v,uy_v\n0,1,2\n", r"line 1: the header lacks uz_v"),
+        ("ux_g,uy_g,uz_g\n1,2,3\n", r"line 1: the header lacks time_s"),
         ("time_s,ux_v,uy_g,uz_v\n0,1,2,3\n", r"different units \(v, g\)"),
         (
             HEADER + "0,1,2,3\n1,nan,2,3\n2,1,,3\n",

@@ -171,4 +171,4 @@ def test_a_diagnosis_is_a_process_of_its_own(anna, judged, monkeypatch):
     assert begun == ["run"]
     assert "data-waiting" in anna.get("/runs/run/verdict").text
     Started.status = 2
-    assert "It could not be diagnosed: no disk" in anna.get("/runs/run/verdict").text
+    assert "The diagnosis failed: no disk" in anna.get("/runs/run/verdict").text

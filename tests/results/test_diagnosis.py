@@ -56,9 +56,11 @@ def text_of(page):
 def test_the_story_stands_in_order(named):
     _, page = named
     order = [
-        "What to do", "Measured and simulated", "Basic model and noise", "Where they disagree", "What was found",
-        "How sure:", "What else it could be:", "How far the gap closes", "Simulated bench beside the readings",
-        "Consequence", "What to measure next", "What these readings could never show", "Registered beforehand",
+        "What to do", "Measured and simulated", "Basic model and noise", "Where readings and model disagree",
+        "What was found",
+        "How sure:", "What else it could be:", "How far the gap closes", "Readings against the simulated bench",
+        "Consequence", "What to measure next", "Hidden effects: what these readings cannot show",
+        "Registered before the search",
         "Provenance",
     ]  # fmt: skip
     places = [page.index(heading) for heading in order]
@@ -114,7 +116,7 @@ def test_nothing_found_is_told_with_what_would_not_show(agrees):
     assert full.diagnosis.verdict == "agrees"
     assert "Nothing found" in text
     assert "What was found" not in text
-    assert "What is smaller than the sizes at the end of this page would not show" in text
+    assert "An effect smaller than its size at the end of this page would probably be missed" in text
     for name, size in smallest_found(full.diagnosis):
         assert f"{name} {size}" in text
     assert full.diagnosis.hidden
@@ -144,7 +146,7 @@ def test_a_mistake_in_the_readings_is_shown_with_its_correction(cache, tmp_path)
     # what follows the mistake is of the corrected copy
     assert full.to_dict()["simulation"]["before"]["p"] > 0.01
     assert "swapped_channels , channel x, z" in page
-    assert "the misfit of all readings goes from" in page
+    assert "the correction changes the misfit of all readings from" in page
 
 
 def found(name, channels, installations, *parameters):
@@ -157,7 +159,7 @@ def test_parameters_read_as_a_person_writes_them():
     assert effect_title(warm_up) == "warm_up of x, z"
     assert list(parameters_in_words(warm_up)) == [
         "A of x = −151 ± 12 µg (u)",
-        "tau = 20 min (its shape, the likeliest of those tried)",
+        "tau = 20 min (the likeliest of the values tried)",
     ]
     angle = EffectValue("angle", "", "1", 93.2, 4.1, "arcsec")
     mounting = found("mounting_error", ("x", "y", "z"), ("1",), angle)

@@ -306,7 +306,7 @@ def test_a_warning_can_be_recorded_and_read():
     recorded = json.loads(json.dumps(sign.to_json(), allow_nan=False))
     assert recorded["channels"] == ["x", "z"]
     assert recorded["place"] == "installation 1, pass 2, point 6 at 225°00′00″"
-    assert sign.sentence.startswith(f"{sign.place}: channel x is +2")
+    assert sign.sentence.startswith(f"{sign.place}: channel x differs by +2")
     assert sign.sentence.endswith("probable cause: the setting is 1° off: the head stood at 226°00′00″")
     assert sign.p < 1e-6
 

@@ -228,13 +228,13 @@ def test_an_expired_certificate_is_said_by_check_and_recorded_as_the_run_begins(
     file = write_bench(Path(), {"x": meter_certificate(valid_until="2026-02-01")})
     words = "voltmeter.x: its certificate C-1 of 2026-01-01, Met Lab, expired on 2026-02-01"
     _, out, _ = bench("check", "quick", "--bench", file)
-    assert f"look: {words}" in " ".join(out.split())
+    assert f"note: {words}" in " ".join(out.split())
     done, plain = program.dry_run("quick", file), program.dry_run("quick")
     events = list(done.run.history.events)
     kinds = [event.type for event in events]
     assert kinds[:3] == ["run_started", "certificate", "step_started"]
     assert kinds.count("certificate") == 1
-    assert sentence(events[1]).startswith(f"look: {words}")
+    assert sentence(events[1]).startswith(f"note: {words}")
     assert set(events[0].data["serials"]) >= {"voltmeter.x", "head"}
     assert "serials" not in next(iter(plain.run.history.events)).data
     assert "certificate" not in {event.type for event in plain.run.history.events}

@@ -44,7 +44,7 @@ def test_a_calibration_of_a_frame_is_five_lines(readings, monkeypatch):
     frame = pd.read_csv("r.csv")
     result = program.calibrate(frame)
     assert np.array_equal(result.covariance, program.calibrate(readings).covariance)
-    assert "paper-stand, the shipped one, as none was named" in repr(result)
+    assert "paper-stand, the shipped one, because no file was named" in repr(result)
     assert "Calibration of DataFrame: gls" in repr(result)
     html = result._repr_html_()
     for coefficient in result.coefficients:

@@ -338,7 +338,7 @@ def _shifted(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
     stop = _stop_rad(table, scope.mask)
     if stop is not None:
         for off, where in ((-stop, "behind"), (stop, "ahead")):
-            words = f"the head stood one stop {where} {scope}; the copy has its angles put right"
+            words = f"the head stood one stop {where} {scope}; the copy has the corrected angles"
             angle = np.where(scope.mask, table.angle_rad + off, table.angle_rad)
             yield Reinterpretation(MistakeName.SHIFTED_POINTS, scope, words, angle_rad=angle)
 

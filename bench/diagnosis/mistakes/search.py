@@ -87,7 +87,8 @@ class MistakesLeaveTooLittle(CalibrationError):
 
     def __str__(self) -> str:
         """Return the mistakes and what is missing without them, in a sentence."""
-        return f"a mistake: {'; '.join(one.words for one in self.search.mistakes)}; put right, {self.reason}"
+        mistakes = "; ".join(one.words for one in self.search.mistakes)
+        return f"a mistake: {mistakes}; in the corrected copy {self.reason}"
 
 
 def find_mistakes(
@@ -220,7 +221,7 @@ def _gross_mistake(gross: GrossMistake) -> Mistake:
         f"{name} (the block sat otherwise)" if name == MistakeName.OTHER_MOUNTING else name for name in names
     ]
     also += [f"the same {other.scope}" for other in elsewhere]
-    alike = f"; these readings cannot tell it from {', '.join(dict.fromkeys(also))}" if also else ""
+    alike = f"; these readings cannot separate it from {', '.join(dict.fromkeys(also))}" if also else ""
     return Mistake(
         name=supposition.name,
         channels=supposition.channels,
@@ -250,7 +251,7 @@ def _pass_words(wrong: WrongReadings) -> str:
     if wrong.off_rad is not None:
         return (
             f"the signals stand as if the head had been {np.degrees(wrong.off_rad):+.4g}° from where it says: its "
-            f"zero or its index was read wrong; the copy has the angles put right{same}"
+            f"zero or its index was read wrong; the copy has the corrected angles{same}"
         )
     what = "another block was mounted: K and U0 of all channels are others"
     if wrong.name == MistakeName.STUCK_CHANNEL:
@@ -263,10 +264,10 @@ def _reading_words(wrong: WrongReadings, stated_deg: float, unit: str) -> str:
         same = f" (an outlier of channel {wrong.channels[0]} would look the same)" if wrong.ties else ""
         return (
             f"the signals stand as if the head had been at {stated_deg + np.degrees(wrong.off_rad):.7g}° "
-            f"and not at {stated_deg:.7g}°; the copy has the angle put right{same}"
+            f"and not at {stated_deg:.7g}°; the copy has the corrected angle{same}"
         )
     off = ", ".join(f"{c} by {wrong.shift[CHANNELS.index(c)]:+.3g} {unit}" for c in wrong.channels)
     return (
-        f"channel {off} off what the other readings let expect ({wrong.sigma:.0f} standard deviations); "
+        f"channel {off} off the value that the other readings predict ({wrong.sigma:.0f} standard deviations); "
         "the copy leaves the reading out"
     )

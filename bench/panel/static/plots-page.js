@@ -62,12 +62,12 @@
     const less = (one, other) => one.map((value, i) => value - other[i]);
     const last = (one) => one.after || one.before;
     const supplied = _("what was found supplies");
-    section(_("Diagnosis: residuals by model"), named ? _("Before: by the model as it was given. After: with what was found. The simulated bench has noise of the same size.") : _("By the model as it was given, and of a simulated bench with noise of the same size."), {
+    section(_("Diagnosis: residuals by model"), named ? _("Before: with the given model. After: with the effects found. The simulated bench has noise of the same size.") : _("Residuals with the given model, and of a simulated bench with noise of the same size."), {
       kind: "band", channels: XYZ, unit, k: told.k, ways: BOTH, table: `${here}/diagnosis`,
       sets: [{ name: _("before"), points: points((one) => one.before) }, ...(named ? [{ name: _("after"), points: points((one) => one.after) }] : []), { name: _("simulated bench"), points: points((one) => one.simulated) }],
       grey: named ? { name: supplied, points: points((one) => less(one.before, one.after), supplied) } : null,
     });
-    const simulated = named ? _("simulated bench, with what was found") : _("simulated bench, as it was given");
+    const simulated = named ? _("simulated bench, with the effects found") : _("simulated bench, given model");
     section(_("Diagnosis: signals"), _("What was measured, and what the simulated bench gives at the same angles."), {
       kind: "signal", channels: XYZ, unit, k: told.k, ways: BOTH, table: `${here}/diagnosis`,
       sets: [{ name: _("measured"), points: points((one) => one.signal).map((one) => ({ ...one, u: null })) }],
@@ -86,15 +86,15 @@
 
   const heldOut = (folds) => {
     const points = folds.flatMap((one) => ["before", "after"].filter((name) => one[name] !== null).map((name) => ofBar(`${name}: ${one.what}`, one[name], name)));
-    if (points.length) section(_("Diagnosis: readings held out"), _("How far the other readings predict them: reduced χ², before and after. Noise alone gives 1, the dashed line."), {
-      kind: "bars", channels: [_("reduced χ²")], unit: "", k: 2, ways: ["value"], axis: _("reduced χ² of readings held out"), reference: 1, table: `${here}/held-out`, sets: [{ name: "", points }], grey: null,
+    if (points.length) section(_("Diagnosis: held-out readings"), _("How far the other readings predict them: reduced χ², before and after. Noise alone gives 1, the dashed line."), {
+      kind: "bars", channels: [_("reduced χ²")], unit: "", k: 2, ways: ["value"], axis: _("reduced χ² of held-out readings"), reference: 1, table: `${here}/held-out`, sets: [{ name: "", points }], grey: null,
     });
   };
 
   const ranking = ({ found, rivals }) => {
     const kind = (one) => (one.name === found ? "named" : one.tied ? "tied" : "less");
     section(_(`Diagnosis: ${found.replaceAll("_", " ")} and its rivals`), _("How plausible each name is. A name that the readings cannot tell from the first says “tie”."), {
-      kind: "bars", channels: [_("ln odds")], unit: "", k: 2, ways: ["value"], axis: _("ln of the odds that it is there"), table: `${here}/ranking`, grey: null,
+      kind: "bars", channels: [_("ln odds")], unit: "", k: 2, ways: ["value"], axis: _("ln odds that the effect is present"), table: `${here}/ranking`, grey: null,
       sets: [{ name: "", points: [...rivals].sort((a, b) => b.ln_odds - a.ln_odds).map((one) => ofBar(one.name.replaceAll("_", " "), one.ln_odds, kind(one))) }],
     });
   };

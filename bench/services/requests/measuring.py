@@ -148,7 +148,7 @@ class InstrumentsRequest:
 class SimulateRequest:
     """Options of `bench simulate`: serve simulated instruments."""
 
-    command: str | None = option(
+    command: list[str] | None = option(
         None, "With --control: command to the served bench, such as 'turn 45 deg'.", argument=True
     )
     _: KW_ONLY
