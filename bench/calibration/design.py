@@ -14,11 +14,15 @@ from bench.calibration.noise import KnownNoise, KnownStand
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect, Parameter, Stage
 from bench.model.effects.base import InPart
+from bench.model.effects.formula import ExpressionError
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block
 
 FIXED = 12
 """Number of coefficients: they come first among the unknowns and have no prior."""
+
+DIAGONAL: Final = (0, 4, 8)
+"""Indices of the coefficients Kxx, Kyy and Kzz."""
 
 UPPER = np.array([0, 1, 2, 4, 5, 8, 9, 10, 11])
 """Indices of the coefficients that remain unknown if K is upper triangular by convention."""
@@ -42,6 +46,9 @@ SYMBOLS: Mapping[str, str] = {
 AFTER_FORCE: Final = (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
 """Stages whose effects do not change the specific force."""
 MOST_KEPT: Final = 3
+PROBE: Final = 1e-3
+"""Step of a signal (rad, g or V) that shows whether an addition depends on it."""
+NO_EFFECTS: Final[Mapping[int, AppliedEffect]] = {}
 
 
 @dataclass(frozen=True)
@@ -184,15 +191,29 @@ class Problem:
 
     def effects_at(self, others: Floats) -> tuple[AppliedEffect, ...]:
         """Return the model's effects with the parameter values in `others` (q,)."""
-        values = [applied.complete_values() for applied in self.model.effects]
-        for value, unknown in zip(others[len(self.stand) :], self.effects, strict=True):
+        return tuple(self.effect_at(index, others) for index in range(len(self.model.effects)))
+
+    def effect_at(self, index: int, others: Floats) -> AppliedEffect:
+        """Return the effect of the model with this index, with the parameter values in `others` (q,)."""
+        applied = self.model.effects[index]
+        values = applied.complete_values()
+        for place in self._places_of[index]:
+            unknown, value = self.effects[place - len(self.stand)], others[place]
             if unknown.channel is None:
-                values[unknown.effect][unknown.parameter] = np.float64(value) * np.ones(())
+                values[unknown.parameter] = np.float64(value) * np.ones(())
             else:
-                changed = values[unknown.effect][unknown.parameter].copy()
+                changed = values[unknown.parameter].copy()
                 changed[unknown.channel] = value
-                values[unknown.effect][unknown.parameter] = changed
-        return tuple(replace(a, values=v) for a, v in zip(self.model.effects, values, strict=True))
+                values[unknown.parameter] = changed
+        return replace(applied, values=values)
+
+    @cached_property
+    def _places_of(self) -> list[list[int]]:
+        """For each effect of the model, the places of its unknowns after the coefficients."""
+        places: list[list[int]] = [[] for _ in self.model.effects]
+        for place, unknown in enumerate(self.effects, len(self.stand)):
+            places[unknown.effect].append(place)
+        return places
 
     def slope(self, block: Block, others: Floats) -> Floats:
         """Return the derivative of the signals with respect to the head angle, unit/rad, shape (n, 3).
@@ -273,48 +294,138 @@ class Problem:
         return self._last[point]
 
     def _linear_with_effects(self, block: Block, others: Floats) -> Linearisation:
+        chain = _Chain(self._model_at(others), self.conditions, block, self.stand_matrix(others))
         columns = np.empty((len(self.conditions), 3, FIXED + len(others)))
         shift = 1e-3 * float(np.max(np.abs(block.K)))
-        late = [applied.effect.stage in AFTER_FORCE for applied in self.model.effects]
-        here, stand = self._model_at(others), self.stand_matrix(others)
-        acting = here.specific_force(self.conditions, stand, block)
         for j in range(FIXED):
             step = np.zeros(FIXED)
             step[j] = shift
-            force = acting if all(late) else None
-            up = self._read(here, Block.from_vector(block.vector + step), stand, force)
-            down = self._read(here, Block.from_vector(block.vector - step), stand, force)
+            up, down = (chain.read(Block.from_vector(block.vector + way)) for way in (step, -step))
             columns[:, :, j] = (up - down) / (2 * shift)
-        for j in range(len(self.stand)):
+        for j in range(len(others)):
             step = self.other_step(j)
-            up, down = (
-                self._read(here, block, self.stand_matrix(at), None) for at in (others + step, others - step)
-            )
+            ways = (others + step, others - step)
+            if j < len(self.stand):
+                up, down = (chain.read(block, stand_rad=self.stand_matrix(at)) for at in ways)
+            else:
+                effect = self.effects[j - len(self.stand)].effect
+                up, down = (chain.read(block, instead={effect: self.effect_at(effect, at)}) for at in ways)
             columns[:, :, FIXED + j] = (up - down) / (2 * step[j])
-        for j in range(len(self.stand), len(others)):
-            step = self.other_step(j)
-            force = acting if late[self.effects[j - len(self.stand)].effect] else None
-            up, down = (
-                self._read(self._model_at(at), block, stand, force) for at in (others + step, others - step)
-            )
-            columns[:, :, FIXED + j] = (up - down) / (2 * step[j])
-        return Linearisation(self._read(here, block, stand, acting), columns, self.slope(block, others))
+        forward, back = (chain.read(block, setting_rad=step) for step in (STEP_RAD, -STEP_RAD))
+        return Linearisation(chain.readings, columns, (forward - back) / (2 * STEP_RAD))
 
     def _model_at(self, others: Floats) -> ForwardModel:
         """Return the model with these values of the unknowns."""
         return replace(self.model, effects=self.effects_at(others)) if self.effects else self.model
-
-    def _read(self, model: ForwardModel, block: Block, stand: Floats, force: Floats | None) -> Floats:
-        """Return the model's readings (n, 3), from the specific `force` (n, 3) if it is already known."""
-        if force is None:
-            return model.readings(block, self.conditions, stand)
-        return model.voltmeter_readings(model.output(force, self.conditions, block), self.conditions, block)
 
     def other_step(self, j: int) -> Floats:
         """Return the step (q,) of the central difference by unknown `j` after the coefficients, zero elsewhere."""
         step = np.zeros(len(self.stand) + len(self.effects))
         step[j] = 1e-3 * self.prior_u[j] if j >= len(self.stand) else STEP_RAD
         return step
+
+
+class _Chain:
+    """The chain from the stand to the readings at one point, for steps of single unknowns from there.
+
+    A step evaluates only the additions of effects that it changes. Which these are is tried at the point, by a
+    step of the signal at the stage of the effect (in both directions), of Kxx, Kyy and Kzz, and of all other
+    coefficients.
+    """
+
+    def __init__(self, model: ForwardModel, conditions: Conditions, block: Block, stand_rad: Floats) -> None:
+        self._model, self._conditions, self._block = model, conditions, block
+        self._of: dict[Stage, list[int]] = {stage: [] for stage in Stage}
+        for i, applied in enumerate(model.effects):
+            self._of[applied.effect.stage].append(i)
+        self._own: dict[int, Floats] = {}
+        self._signal: dict[Stage, Floats] = {}
+        self._after: dict[Stage, Floats] = {}
+        size = 1e-3 * float(np.max(np.abs(block.K)))
+        diagonal = np.isin(np.arange(FIXED), DIAGONAL)
+        self._moved = [Block.from_vector(block.vector + size * which) for which in (diagonal, ~diagonal)]
+        self._varies: dict[int, tuple[bool, bool, bool]] = {}
+        self._pass(Stage.STAND, stand_rad[conditions.mount])
+        self._pass(Stage.HEAD_ANGLE, conditions.angle_rad)
+        stand, angle = self._after[Stage.STAND], self._after[Stage.HEAD_ANGLE]
+        self._pass(Stage.SPECIFIC_FORCE, model.static_force(conditions, stand, angle))
+        self._pass(Stage.BLOCK_OUTPUT, self._after[Stage.SPECIFIC_FORCE])
+        self._pass(Stage.VOLTMETER_READING, self._after[Stage.BLOCK_OUTPUT])
+        early = [i for stage in Stage if stage not in AFTER_FORCE for i in self._of[stage]]
+        self._block_moves_force = any(any(self._varies[i][1:]) for i in early)
+
+    @property
+    def readings(self) -> Floats:
+        """The readings (n, 3) at the point."""
+        return self._after[Stage.VOLTMETER_READING]
+
+    def _pass(self, stage: Stage, signal: Floats) -> None:
+        """Store the signal of a stage at the point, the addition of each effect there, and what changes it."""
+        self._signal[stage] = signal
+        for i in self._of[stage]:
+            self._own[i] = self._addition(i, signal, self._block)
+            inputs = [(signal + way * PROBE, self._block) for way in (1, -1)]
+            inputs += [(signal, block) for block in self._moved]
+            up, down, scale, rest = (self._differs(i, *one) for one in inputs)
+            self._varies[i] = up or down, scale, rest
+        own = sum((self._own[i] for i in self._of[stage]), np.zeros(()))
+        self._after[stage] = self._base(stage, signal, self._block) + own
+
+    def _differs(self, index: int, signal: Floats, block: Block) -> bool:
+        """Whether the addition of an effect differs from that at the point, or cannot be computed."""
+        try:
+            return not np.array_equal(self._addition(index, signal, block), self._own[index])
+        except ExpressionError:
+            return True
+
+    def _base(self, stage: Stage, signal: Floats, block: Block) -> Floats:
+        return block.output(signal) if stage is Stage.BLOCK_OUTPUT else signal
+
+    def _addition(self, index: int, signal: Floats, block: Block) -> Floats:
+        return self._model.addition(self._model.effects[index], signal, self._conditions, block)
+
+    def read(
+        self,
+        block: Block,
+        *,
+        stand_rad: Floats | None = None,
+        setting_rad: float = 0.0,
+        instead: Mapping[int, AppliedEffect] = NO_EFFECTS,
+    ) -> Floats:
+        """Return the readings (n, 3) with a step of one unknown: of the `block`, the stand angles (mounts, 5), the
+        setting of the head, or of the effect with an index, `instead`.
+        """
+        stages = [self._model.effects[i].effect.stage for i in instead]
+        changed = [block.vector[j] != self._block.vector[j] for j in range(FIXED)]
+        scale, rest = any(changed[j] for j in DIAGONAL), any(np.delete(changed, DIAGONAL))
+
+        def passed(stage: Stage, signal: Floats) -> Floats:
+            other = signal is not self._signal[stage]
+            if not other and stage not in stages and block is self._block:
+                return self._after[stage]
+            after = self._base(stage, signal, block)
+            for i in self._of[stage]:
+                with_signal, with_scale, with_rest = self._varies[i]
+                if i in instead:
+                    own = self._model.addition(instead[i], signal, self._conditions, block)
+                elif (other and with_signal) or (scale and with_scale) or (rest and with_rest):
+                    own = self._addition(i, signal, block)
+                else:
+                    own = self._own[i]
+                after = after + own
+            return after
+
+        force = self._after[Stage.SPECIFIC_FORCE]
+        touched = stand_rad is not None or setting_rad or any(stage not in AFTER_FORCE for stage in stages)
+        if touched or (block is not self._block and self._block_moves_force):
+            stand, angle = self._signal[Stage.STAND], self._signal[Stage.HEAD_ANGLE]
+            stand = passed(Stage.STAND, stand if stand_rad is None else stand_rad[self._conditions.mount])
+            angle = passed(Stage.HEAD_ANGLE, angle + setting_rad if setting_rad else angle)
+            static = self._signal[Stage.SPECIFIC_FORCE]
+            if stand is not self._after[Stage.STAND] or angle is not self._after[Stage.HEAD_ANGLE]:
+                static = self._model.static_force(self._conditions, stand, angle)
+            force = passed(Stage.SPECIFIC_FORCE, static)
+        return passed(Stage.VOLTMETER_READING, passed(Stage.BLOCK_OUTPUT, force))
 
 
 def coefficient_columns(force: Floats) -> Floats:

@@ -101,12 +101,19 @@ class ForwardModel:
     def _force_of_stand(
         self, conditions: Conditions, stand_rad: Floats, block: Block, setting_error_rad: Floats | float
     ) -> Floats:
-        """Return the static specific force on block axes in g, shape (n, 3), NaN in an unknown installation."""
+        """Return the static specific force on block axes in g, shape (n, 3), with effects of stand and head."""
         stand = stand_rad[conditions.mount]
         stand = stand + self._additions(Stage.STAND, stand, conditions, block)
         angle = conditions.angle_rad + setting_error_rad
         angle = angle + self._additions(Stage.HEAD_ANGLE, angle, conditions, block)
-        on_platform = specific_force_on_platform(angle, stand)
+        return self.static_force(conditions, stand, angle)
+
+    def static_force(self, conditions: Conditions, stand_rad: Floats, angle_rad: Floats) -> Floats:
+        """Return the static specific force on block axes in g, shape (n, 3), NaN in an unknown installation.
+
+        `stand_rad` (n, 5) and `angle_rad` (n,) are the angles of each reading with the additions of all effects.
+        """
+        on_platform = specific_force_on_platform(angle_rad, stand_rad)
         return np.asarray(np.einsum("nij,nj->ni", self._turns(conditions)[conditions.mount], on_platform))
 
     def _additions(
@@ -115,9 +122,15 @@ class ForwardModel:
         total: Floats | float = 0.0
         for applied in self.effects:
             if applied.effect.stage is stage:
-                rows = self._with_turns(conditions) if applied.effect.needs_path else conditions
-                total = total + applied.addition(Seen(signal, rows, block))
+                total = total + self.addition(applied, signal, conditions, block)
         return total
+
+    def addition(
+        self, applied: AppliedEffect, signal: Floats, conditions: Conditions, block: Block
+    ) -> Floats:
+        """Return what one effect adds at its stage to the `signal` there (see `Stage`)."""
+        rows = self._with_turns(conditions) if applied.effect.needs_path else conditions
+        return applied.addition(Seen(signal, rows, block))
 
     def _with_turns(self, conditions: Conditions) -> Conditions:
         """Return the conditions with `turns` filled in; cached, so that equal calls return the same object."""

@@ -168,18 +168,20 @@ def lagged(signal: Floats, time_s: Floats, lag_s: float) -> Floats:
     """
     if lag_s <= 0.0 or len(signal) == 0:
         return signal
-    behind = np.empty_like(signal)
-    behind[0] = signal[0]
-    for i in range(1, len(signal)):
-        elapsed = time_s[i] - time_s[i - 1]
-        if elapsed < 0.0:
-            behind[i] = signal[i]
-        elif elapsed == 0.0:
-            behind[i] = behind[i - 1]
+    elapsed = np.diff(time_s)
+    with np.errstate(all="ignore"):  # times that are equal or fall are handled below
+        rises = (np.diff(signal) * lag_s / elapsed).tolist()
+        decays = np.exp(-elapsed / lag_s).tolist()
+    values = signal.tolist()
+    behind = values[:1]
+    for i, (after, rise, decay) in enumerate(zip(elapsed.tolist(), rises, decays, strict=True)):
+        if after < 0.0:
+            behind.append(values[i + 1])
+        elif after == 0.0:
+            behind.append(behind[i])
         else:
-            rise = (signal[i] - signal[i - 1]) * lag_s / elapsed
-            behind[i] = signal[i] - rise + (behind[i - 1] - signal[i - 1] + rise) * np.exp(-elapsed / lag_s)
-    return behind
+            behind.append(values[i + 1] - rise + (behind[i] - values[i] + rise) * decay)
+    return np.array(behind)
 
 
 def lag_of(*minutes: int) -> Parameter:
