@@ -74,7 +74,7 @@ class Direction:
             return message(
                 f"{self.kind} about {axis_in_words(self.axis)} ({self._shown()}): {self._changed(unit)}"
             )
-        return f"{self._together()}: {self.kind}: {self._changed(unit)}"
+        return message(f"a change of {self._together()} {self.kind}: {self._changed(unit)}")
 
     def _shown(self) -> str:
         names = self.others

@@ -374,7 +374,8 @@ def test_check_says_it_before_the_run_and_in_json(bench):
     assert status == 0
     told = [line for line in out.splitlines() if "leaves open" in line or "to determine it" in line]
     assert told[0].startswith(
-        "leaves open: alpha5[1], alpha5[2] in the ratio 1 : 1: is indistinguishable from a change of coefficients"
+        "leaves open: a change of alpha5[1], alpha5[2] in the ratio 1 : 1 is indistinguishable from a change "
+        "of coefficients"
     )
     assert told[1].startswith(
         "to determine it: let the verification points join the fit by |a| = 1 g (no further"

@@ -134,7 +134,8 @@ def test_a_direction_is_told_in_words():
     assert "only the sum" not in x.text()  # the sum is open, too
     assert roll.kind is DirectionKind.MIXED
     assert roll.text().startswith(
-        "alpha5[1], alpha5[2] in the ratio 1 : 1: is indistinguishable from a change of coefficients: 1 arc"
+        "a change of alpha5[1], alpha5[2] in the ratio 1 : 1 is indistinguishable from a change of "
+        "coefficients: 1 arc"
     )
     # by alpha5 in installation 1, K_yz takes -K_yy of it
     assert roll.members["Kyz"] / roll.members["alpha5[1]"] == pytest.approx(2.14, rel=0.005)
