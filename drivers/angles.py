@@ -11,10 +11,10 @@ from drivers.interfaces import message
 EXAMPLE: Final = "45 00 10 or 45°00′10″ or 45.0028"
 
 ROUNDING_RAD: Final = 1e-10
-"""Tolerance for floating-point rounding, so that a reading exactly at the limit is accepted."""
+"""Tolerance for floating-point rounding, rad, so that a reading exactly at the limit is accepted."""
 
 _MARKS: Final = (("°", "°º˚:"), ("′", "′'’´`:"), ("″", '″"”“'))
-"""The mark after degrees, minutes and seconds, each with its substitutes on keyboards."""
+"""The marks for degrees, minutes and seconds, each with the characters that people type in its place."""
 
 _DEVIATION: Final = re.compile(r"(?P<sign>[+-])\s*(?P<seconds>[0-9]{1,4}(?:[.,][0-9]+)?)\s*[″\"”“]")
 """A reading typed as its deviation from the commanded angle, such as `+5"`: sign and mark are needed."""

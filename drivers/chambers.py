@@ -18,12 +18,12 @@ NUMBER: Final = r"[+-]?\d{1,5}(?:\.\d{1,6})?"
 """The pattern of a temperature in replies of controllers."""
 
 _PLAUSIBLE_K: Final = 30.0
-"""A plausible reading lies at most this far outside the limits: room temperature may lie outside, too."""
+"""A reading further than this outside the limits, K, is implausible; room temperature may be outside them."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChamberLimits:
-    """The permitted set points, and how far the air may be from the set point at a reading.
+    """The permitted set points, °C, and the band: the largest deviation of the air from the set point at a reading.
 
     With `band_c` None, readings are accepted at any temperature. Raises `ValueError` for inconsistent values.
     """

@@ -80,7 +80,7 @@ Channel = Literal["x", "y", "z"]
 CHANNELS: tuple[Channel, Channel, Channel] = ("x", "y", "z")
 
 Direction = Literal[1, -1]
-"""Approach to an angle: +1 rising, -1 falling."""
+"""Direction of approach to an angle: +1 with rising, -1 with falling angle."""
 
 
 NO_SERIAL: Final = frozenset({"", "0", "-"})

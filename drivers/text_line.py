@@ -16,7 +16,7 @@ _NUMBER: Final = re.compile(r"[+-]? *\d+(?:\.\d*)?|[+-]? *\.\d+")
 
 
 class TextLine:
-    """A request to the instrument `name`, and its reply, in which `pattern` has the number as its `group`.
+    """A request to the instrument `name`, and the form of its reply: the group `group` of `pattern` is the number.
 
     `errors` maps lines sent instead of a number to their meanings; `remedy` says what to do then.
     """

@@ -1,8 +1,7 @@
 """A simulated rate table with an ACUTROL controller, on the head of the world.
 
 The words of a command may be abbreviated (`:M:P 1`). Each reply is an eight-character prefix with OK, ERR or a
-number.
-Source: the public ACUTROL client of the maker's robotics group, and its GPIB twin.
+number. Source: the public ACUTROL client of the maker's robotics group, and its GPIB version.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ _WORDS: Final = {
     "read": ("position", "rate"),
 }
 _FAR_RAD: Final = 1e4
-"""The target of a table at a constant rate: so far away that it is never reached."""
+"""The target of a table at a constant rate, rad: so far away that it is never reached."""
 
 
 class _Refused(Exception):

@@ -1,9 +1,9 @@
 """A simulated HP/Agilent 34401A multimeter on one channel of the world.
 
-It accepts the commands of drivers and other clients. Every function can be set, queried and measured; readings
-are as with only a DC voltage at the terminals. Of the math operations it has only the average, which does not
-change readings. Calibration and the external trigger are not simulated. Source: 34401A User's Guide
-(34401-90004), chapters 3-5; chapter 8, specifications.
+It accepts the commands of drivers and other clients. Every function can be set, queried and measured; the terminals
+carry only a DC voltage. Of the math operations it has only the average, which does not change readings. Calibration
+and the external trigger are not simulated. Source: 34401A User's Guide (34401-90004), chapters 3-5; chapter 8,
+specifications.
 """
 
 from __future__ import annotations
@@ -339,7 +339,7 @@ class Trigger(MeasuringCycle):
         return self._converter.settling_s(self._configuration) if stated_s is None else stated_s
 
     def _schedule(self, triggers: int) -> None:
-        """Schedule the samples of the next triggers: each after its delay, at the middle of its integration."""
+        """Schedule the samples of the next triggers, each at the middle of its integration after the delay."""
         start_s, delay_s = self._clock.now_s(), self.delay_s
         step_s = delay_s + self._converter.sample_s(self._configuration)
         middle_s = delay_s + self._converter.integration_s(self._configuration) / 2.0

@@ -108,7 +108,7 @@ def uncertainty(u: float) -> str:
 
 
 def figures(value: float, digits: int = 3, *, down: bool = False) -> str:
-    """Return a number with this many significant digits; large numbers have no power of ten: "1860".
+    """Return a number with this many significant digits, without an exponent: "1860".
 
     `down` rounds a positive number down, for a limit that must not be exceeded.
     """

@@ -55,7 +55,9 @@ class ResultModel(BaseModel):
 
     @classmethod
     def from_object(cls, computed: object, **others: Any) -> Self:
-        """Return the model with the members in `others`, and the rest from attributes of `computed` by name."""
+        """Return the model with the members in `others`; each other member is the attribute of `computed` of that
+        name.
+        """
         names = [name for name in cls.model_fields if name not in others and hasattr(computed, name)]
         return cls(**{name: getattr(computed, name) for name in names}, **others)
 

@@ -47,7 +47,7 @@ _DEFINITIONS: Final = (
     "percent = 0.01",
     "ppm = 1e-6",
 )
-"""Only the units that a bench needs: a short list rejects slips (kg, mT) that a general one would accept."""
+"""Only the units that a bench needs, so that slips (kg, mT) are rejected."""
 
 _UNITS: Final = ("V", "mV", "uV", "A", "mA", "uA", "deg", "arcmin", "arcsec", "rad", "mrad", "urad", "rev", "s",
                  "ms", "min", "h", "d", "year", "Hz", "m", "mm", "degC", "K", "g", "mg", "ug", "ppm",

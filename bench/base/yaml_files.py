@@ -114,9 +114,9 @@ def _nearest(word: str, known: Iterable[str]) -> str | None:
 
 
 def _written(location: tuple[int | str, ...], lines: Mapping[Place, int]) -> Place:
-    """Return the location of a pydantic error as a place in the file.
+    """Return the location of a pydantic error as a place in the file, without the steps that are not in the file.
 
-    Steps that are not in the file are left out: pydantic adds the names of alternative models.
+    Such steps are the names of alternative models, which pydantic adds.
     """
     place: Place = ()
     for step in location:

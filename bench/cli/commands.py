@@ -16,7 +16,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command_from_info, get_group
 
 MORE: Final = "More options"
-"""Heading of the options that only the whole help shows; an option is marked with it as its `rich_help_panel`."""
+"""Heading of the options that only the whole help shows; such an option has it as `rich_help_panel`."""
 WHOLE: Final = "--help-all"
 HELP_FLAGS: Final = ("--help", "-h", WHOLE)
 _ASKED: Final = "bench.cli.whole_help"
@@ -188,7 +188,7 @@ COMMON: Final[Mapping[str, tuple[str, ...]]] = {
 _WIDTH: Final = max(len(name) for names in COMMON.values() for name in names)
 
 KNOWN: Final[dict[Any, Any]] = {}
-"""What the library knows of each command, by its function."""
+"""The library's settings of each command, by the function of the command."""
 
 COMPLETED_BY: Final[list[Callable[[Any], Any]]] = []
 """Holds the function that adds the shared options to a command. `bench.cli.options` appends it when it is

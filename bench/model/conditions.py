@@ -285,10 +285,12 @@ class Conditions:
 
 
 PAST_RAD: Final = np.radians(5.0)
-"""Rotation past a setting to approach it from the other side, and before the first setting of a mounting."""
+"""Rotation, rad, beyond a setting that is then approached from the other side, and before a mounting's first
+setting.
+"""
 
 SAME_RAD: Final = 1e-3
-"""Settings that differ by less than this count as the same: the head was not turned."""
+"""Settings that differ by less than this, rad, count as equal: the head was not turned."""
 
 
 class HeadPath(NamedTuple):

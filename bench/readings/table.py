@@ -32,7 +32,7 @@ SCAN_ORDER: Final = "scan_order"
 
 REFERENCE_V: Final = "reference_v"
 REFERENCE_SD_V: Final = "reference_sd_v"
-"""The extra column with the voltage at a reference input."""
+"""The extra columns with the voltage at a reference input and its standard deviation, V."""
 
 TEMPERATURE_SOURCE: Final = "temperature_source"
 """The extra column with the sensor that measured the temperature of the block, if it has its own thermometer."""

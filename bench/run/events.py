@@ -66,7 +66,9 @@ class CheckedBefore(TypedDict, total=False):
 
 
 class OperatorPerson(TypedDict):
-    """What the laboratory's register of persons said of the operator; `register` is the hash of its last line."""
+    """The operator's entry in the laboratory's register of persons; `register` is the hash of the register's last
+    line.
+    """
 
     role: str
     may: list[str]
@@ -77,11 +79,11 @@ class Manifest(TypedDict, total=False):
     """The inputs and settings with which a run was begun (`run.json`), in this order.
 
     `files` holds the SHA-256 of each input by name. `seed` is None for a run on real instruments. A run imported
-    from a readings file (`imported`) states the number of `readings` and has no procedure. `living` marks a dry
-    run whose questions a person answers. `bench_why` is the reason for the choice of the bench file. `devices`
-    is the origin of drivers from outside the bench software. `verdict` overrides the bench file's decision
-    settings; `default_rule` applies where neither states a rule. `until` lists the goals at which the run ends.
-    `check_block` is the state of the check block. Empty fields are omitted.
+    from a readings file (`imported`) states the number of `readings` and has no procedure. `living` marks a dry run
+    whose questions a person answers. `bench_why` is the reason for the choice of the bench file. `devices` is the
+    origin of drivers from outside the bench software. `verdict` overrides the bench file's decision settings;
+    `default_rule` applies where neither states a rule. `until` lists the goals at which the run ends. `check_block`
+    is the state of the check block. Fields without a value are omitted.
     """
 
     format: int
@@ -344,11 +346,11 @@ class EventType(StrEnum):
     """The choice of the next points, in a run that continues until its goals are reached.
 
     `visit` is the number of the mounting. `left_out` lists ranges [first, last] of steps that are not needed;
-    `taken_up` lists ranges dropped earlier that are needed after all. `now` is the state of the goal furthest
-    from being reached (None until the readings determine the coefficients). `settings` and `repeats` are the
-    counts so far. `next` holds the next points, their time and their gain; `in_all` is what remains until
-    the end. `undecided` are the steps left to later choices, with their expected time. `stop` is the reason
-    for ending the measurement.
+    `taken_up` lists ranges dropped earlier that are needed after all. `now` is the state of the goal furthest from
+    being reached (None until the readings determine the coefficients). `settings` and `repeats` are the counts so
+    far. `next` holds the next points, their time and their gain; `in_all` holds the number and duration of all
+    points that remain. `undecided` are the steps left to later choices, with their expected time. `stop` is the
+    reason for ending the measurement.
     """
     IMPORTED = "imported"
     """`file`; `readings`, their number."""
@@ -462,7 +464,7 @@ _OPEN: Final[Mapping[str, RunState]] = {
     EventType.RUN_INTERRUPTED: RunState.INTERRUPTED,
     EventType.RUN_ABORTED: RunState.ABORTED,
 }
-"""Events possible in every run that has not ended, whatever state the last program left it in."""
+"""Events possible in every state of a run that has not ended."""
 
 
 def _stopped(state: RunState) -> Mapping[str, RunState]:

@@ -144,7 +144,7 @@ class ReadingJudgement(NamedTuple):
 
 
 class Expectation:
-    """Kalman-filter states for m members, each of which supposes another mistake or none.
+    """States of m Kalman filters ("members"), each of which supposes a different mistake or none.
 
     `mean` (m, 17) and `covariance` are for the coefficients, V/g and V, then the stand's angles, rad.
     """
@@ -239,7 +239,7 @@ class ExpectedSignals:
     covariance: Floats
 
     def deviation_rad(self, signals: Floats) -> tuple[float, float]:
-        """Return the angle of the head beyond the commanded one, and its standard uncertainty (GLS), both rad."""
+        """Return the head's deviation from the commanded angle, and its standard uncertainty (GLS), rad."""
         weighted = np.linalg.solve(self.covariance, self.slope)
         information = float(self.slope @ weighted)
         if information <= 0.0:
@@ -340,7 +340,9 @@ UNLIKELY: Final[Mapping[str, float]] = {Kind.ORIENTATION: 5.0, Kind.SLIP: 1.0, K
 """Prior cost of each kind: -2 ln of the odds relative to the most common mistakes."""
 
 FIRST_ORIENTATION: Final = 3.0
-"""Additional prior cost in the first mounting, where no earlier reading separates orientation from wrong cables."""
+"""Additional prior cost in the first mounting: no earlier reading distinguishes a wrong orientation from wrong
+cables.
+"""
 
 OTHER_INSTALLATION: Final = 4.0
 """Prior cost of an installation other than that of the previous mounting."""
@@ -352,10 +354,10 @@ If only the sign of one channel's signal changes, a head that was not turned is 
 """
 
 SAT_RIGHT: Final = 12.0
-"""Prior cost of a block sitting differently for one reading, after others of its mounting have fitted."""
+"""Prior cost of another orientation at a single reading, after other readings of the mounting have fitted."""
 
 SAME_RAD: Final = float(np.radians(0.5))
-"""Angles that differ by less than this count as the same supposition."""
+"""Suppositions of angles that differ by less than this, rad, count as one."""
 
 
 @dataclass(frozen=True)
@@ -387,7 +389,7 @@ def _said(wiring: Wiring) -> str:
 
 
 CABLINGS: Final[Mapping[str, Floats]] = {_said(wiring): wiring.matrix for wiring in (*EXCHANGED, *REVERSED)}
-"""Possible wiring mistakes, each with the matrix (3, 3) that corrects the signals."""
+"""Possible wiring mistakes, each with the matrix (3, 3) that turns the recorded signals into the true ones."""
 
 REVERSALS: Final = frozenset(_said(wiring) for wiring in REVERSED)
 """The phrases of `CABLINGS` in which the wires of one channel are reversed."""
@@ -497,12 +499,12 @@ SHIFTS: Final = 5
 """Number of shifts of unknown size: block turned about the shaft, block tilted, and each of three channels off."""
 
 AS_IT_IS, ABSENT = SHIFTS, SHIFTS + 1
-"""Special shift numbers: the reading as recorded, and the reading left out."""
+"""Special values of a shift number: the reading is used as recorded, or left out."""
 
 
 @dataclass
 class Sighting:
-    """A reading as the early warning keeps it.
+    """A reading with its data for the early warning.
 
     `new_mount` says that the block was mounted just before the reading. `loosened` (12,) are the variances by
     which the coefficients may have changed since the previous reading. `taken` means that the model has learnt
@@ -546,9 +548,9 @@ class Sighting:
 class Suspect:
     """A supposed mistake that explains a reading, and its cost (-2 ln likelihood plus prior cost).
 
-    `earlier` is the index of the earlier reading at fault, if any. `moved_rad` and its standard uncertainty
-    `u_rad` are set if the mistake is that head or block is off by an angle. `stops` means that no genuine
-    effect resembles this mistake, so that it may stop the run; `free`, that it is a shift of unknown size.
+    `earlier` is the index of the earlier reading at fault, if any. `moved_rad`, with standard uncertainty `u_rad`,
+    is the angle by which head or block is off, if that is the mistake. `stops` means that no genuine effect
+    resembles this mistake, so that it may stop the run; `free`, that it is a shift of unknown size.
     """
 
     text: str

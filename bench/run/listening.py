@@ -1,4 +1,4 @@
-"""Inputs to a run from outside: jumps of the computer's clock, and wishes and answers of the operator."""
+"""Inputs to a run from outside: jumps of the computer's clock; wishes and answers of the operator."""
 
 from __future__ import annotations
 
@@ -49,7 +49,9 @@ class ClockWatch:
         self._last: tuple[datetime, float] | None = None
 
     def gap_s(self) -> float:
-        """Return how far civil time gained on bench time since the last call, s; 0 for a small difference."""
+        """Return by how many seconds civil time has gained on bench time since the last call; 0 if less than
+        `GAP_S`.
+        """
         civil, now_s = self._civil(), self._now_s()
         last, self._last = self._last, (civil, now_s)
         if last is None:

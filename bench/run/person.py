@@ -58,7 +58,7 @@ class WishAuthor:
 
 NOBODY_KNOWN: Final = WishAuthor()
 INSTRUMENT: Final = "instrument"
-"""The place of an author that is an instrument, which answers instead of a person."""
+"""The `where` of an author that is an instrument, such as an encoder that answers instead of a person."""
 
 
 def at_the_shell(where: str) -> WishAuthor:

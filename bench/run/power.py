@@ -41,7 +41,7 @@ STAYED_ON: Final = message("it stayed on")
 WAS_OFF: Final = message("it was off")
 
 _PASSING: Final = (InstrumentLost, BadReading, InstrumentRefused)
-"""Failures of a check that the next check may not repeat; during a reading, they invalidate the reading."""
+"""Failures of a check that may not recur at the next check; at a reading, they invalidate the reading."""
 
 
 class RailFault(BenchError):
@@ -50,7 +50,7 @@ class RailFault(BenchError):
 
 @dataclass(frozen=True)
 class Feeding:
-    """The stated supply of the block, with the limits of the supply where they are known."""
+    """The block's supply as stated in the bench file, and the limits of the instrument, if known."""
 
     section: UnitSupplySection
     limits: SupplyLimits | None = None

@@ -103,14 +103,16 @@ class PlanProgress:
         self.left_out -= steps_of(chosen.get("taken_up", ()))
 
     def _note_redo(self, redo: Event) -> None:
-        """Note the reading whose point is redone for a sign; a larger redo clears such notes in its range."""
+        """Note the step whose point is redone because of an early sign; the redo of a pass clears these notes in
+        its range.
+        """
         if redo.data.get("wish") != Wish.REPEAT_POINT:
             self.in_vain.difference_update(redo.steps)
         elif self.doubt is not None:
             self.in_vain.add(self.doubt.step)
 
     def _note_temperature(self, brought: Mapping[str, Any]) -> None:
-        """Keep the temperature last entered or read; after a new set point it is unknown.
+        """Store the last temperature entered or read; a new set point makes it unknown.
 
         The event data are read directly, because building a result object for thousands of steps takes seconds.
         """

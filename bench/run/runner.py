@@ -47,7 +47,7 @@ from drivers.person import Person
 
 Observer = Callable[[Event], None]
 Watch = Callable[[Reading], Sequence[EarlySign]]
-"""A function that judges each new reading and returns the early signs of trouble to be recorded."""
+"""A function that judges a new reading and returns the early signs to be recorded."""
 
 WORTH_REPEATING: Final = (BadReading, InstrumentLost, InstrumentRefused)
 """Failures that may not recur on the next attempt, unlike an exceeded limit or a missing answer."""
@@ -80,7 +80,7 @@ class People:
 
 @dataclass
 class Recorder:
-    """Records a run's events: once an event is on disk, updates `progress` and then calls `observers`.
+    """Records a run's events. Once an event is on disk, it updates `progress`, then calls the `observers`.
 
     `clocks` detects jumps of civil time. `now_s` returns the bench time since the start of the run, s.
     """
@@ -403,6 +403,6 @@ class Runner:
             for sign in self.watch(result) if isinstance(result, Reading) else ():
                 self._emit(EventType.EARLY_SIGN, step=index, **sign.to_json())
             return
-        # without its turn, a reading of the point would be taken at a wrong angle
+        # after a failed turn, the point's readings would be at a wrong angle
         last = end_of_point(self.plan, index) - 1 if isinstance(step, Turn) else index
         self._emit(EventType.SKIPPED, first=index, last=last, reason=f"failed {policy.repeats + 1} times")

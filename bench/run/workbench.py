@@ -164,7 +164,9 @@ class Levelling:
         )
 
     def _pair(self, level: interfaces.Level, key: str) -> tuple[Inclination, Inclination]:
-        """Return the readings in both positions; repeat both if the level's zero shifted: one may be misread."""
+        """Return the readings in both positions; repeat both if the level's zero shifted, because one may be
+        misread.
+        """
         for attempt in range(1, MOST_PAIRS + 1):
             first = self._read(level, f"{key}/first{attempt}", turned=False)
             second = self._read(level, f"{key}/turned{attempt}", turned=True)
@@ -432,8 +434,8 @@ class Workbench:
     def _end_glances(self) -> None:
         """Restore the settings that the meters had before the first glance at the signals.
 
-        The next wait does it, at no cost of time, or else the next reading. A meter that refuses is reported
-        there.
+        Called by the next wait, at no cost of time, or else by the next reading, which reports a meter that
+        refuses.
         """
         if self._before_glances is None:
             return

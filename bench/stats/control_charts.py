@@ -97,7 +97,7 @@ def mewma_limit(smoothing: float, arl: float, dimensions: int) -> float:
 
 
 def _root(length: Callable[[float], float], arl: float, most: float) -> float:
-    """Return the limit at which the increasing run length is `arl`; `most`, the limit without memory, bounds it."""
+    """Return the limit for which `length`, which increases with the limit, is `arl`; the limit is below `most`."""
     return float(
         scipy.optimize.brentq(lambda limit: np.log(length(limit) / arl), 0.2 * most, 1.01 * most, xtol=1e-6)
     )
@@ -105,7 +105,9 @@ def _root(length: Callable[[float], float], arl: float, most: float) -> float:
 
 Basis = Literal["stated", "scaled", "scatter"]
 BASES: Final = ("stated", "scaled", "scatter")
-"""Bases of limits: stated u of a run; stated u times a factor from the baseline; scatter of the baseline."""
+"""Bases of control limits: the stated u of a run; the stated u times a factor from the baseline; the baseline's
+scatter.
+"""
 
 
 @dataclass(frozen=True)
@@ -226,8 +228,8 @@ def judge(
     """Judge runs (…, n, p), in their order, with covariances (n, p, p) against a centre.
 
     With `smoothing` below 1 their EWMA is judged: Z_t = smoothing r_t + (1 - smoothing) Z_{t-1} of the deviations r
-    from the centre, Z_0 = 0. `shared` (n, p, q) is the change of each run by q errors, each of size u, that all
-    runs share. With `settled` the EWMA has its asymptotic variance from the first value on, as in published tables.
+    from the centre, Z_0 = 0. `shared` (n, p, q) is the effect on each run of q errors common to all runs, each 1 u
+    in size. With `settled` the EWMA has its asymptotic variance from the first value on, as in published tables.
     """
     weight = 1.0 - smoothing
     deviation = _filtered(values - centre.value[..., None, :], smoothing, weight, -2)
@@ -279,7 +281,7 @@ def _filtered(values: Floats, gain: float, weight: float, axis: int) -> Floats:
 
 
 STATISTICS: Final = 3
-"""Number of rejecting statistics: T² of the run, T² of the EWMA, and its short-term standard deviation."""
+"""Number of statistics that can reject a run: its T², the T² of the EWMA, its short-term standard deviation."""
 DEFAULT_ARL: Final = 370.0
 DEFAULT_SMOOTHING: Final = 0.2
 
@@ -327,7 +329,7 @@ class ChartDesign:
 
 
 ALIKE_P = 0.01
-"""P-value below which baseline and stated u contradict each other."""
+"""P-value below which the scatter of the baseline contradicts the stated u."""
 
 
 @dataclass(frozen=True)
@@ -445,7 +447,8 @@ class DriftSeen:
 def drift_of(
     years: Floats, values: Floats, u: Floats, dof: float, u_known: Floats | float = 0.0
 ) -> DriftSeen:
-    """Return straight lines through coefficients (n, p) at times (n,); each value has u (p,) with `dof`.
+    """Return the slopes of straight lines fitted to coefficients (n, p) at times (n,), with `u` (p,) and `dof` per
+    value.
 
     `u_known` is the standard uncertainty, per year, of a known drift that the values no longer contain.
     """

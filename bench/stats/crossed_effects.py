@@ -26,9 +26,9 @@ from bench.stats.reml import profile_of
 
 UNIT, BENCH, EXCESS = 0, 1, 2
 LEAST_PART: Final = 1e-3
-"""A size below this part of its scale counts as zero."""
+"""A size below this fraction of its scale (see `scales_of`) counts as zero."""
 TRIED: Final = 0.1
-"""A size below this part of its scale is set to zero if that does not lower the likelihood."""
+"""A size below this fraction of its scale is set to zero, unless that lowers the likelihood."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ class MixedModelEquations:
         sums = np.bincount(self.crossing.unit, self.w * left, self.crossing.units)
         variance = self.sizes[UNIT] ** 2
         part = variance / (1.0 + variance * self.W)
-        # errors of groups and benches are small beside a unit's own error, and neglected
+        # errors of group means and bench effects are neglected: they are small compared with a unit's own error
         return part * sums, variance - part
 
     def project(self, x: Floats) -> Floats:
@@ -340,7 +340,9 @@ def most(found: Crossed, which: int) -> float:
 
 
 def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
-    """Return rough sizes (3,): the spread of unit means, and for benches and excess the scatter within units."""
+    """Return rough sizes (3,) of units, benches and excess: the spread of unit means, and for the others the
+    scatter within units.
+    """
     count = np.bincount(crossing.unit, minlength=crossing.units)
     mean = np.bincount(crossing.unit, y, crossing.units) / count
     kind = crossing.group

@@ -1,9 +1,8 @@
 """Repeats of quantities against their stated uncertainty: how far they scatter, and how u must be widened.
 
 Three terms can widen u. `restart` is an error that is drawn again for each repeat; `drift` is a random walk from
-one repeat to the next; `scale` multiplies u by one factor everywhere (Birge ratio), as if each repeat drifted
-within itself. The term chosen is the one with which a repeat left out is best predicted from the remaining
-repeats.
+one repeat to the next; `scale` multiplies every u by one factor (Birge ratio). The term chosen is the one with
+which a repeat left out is best predicted from the remaining repeats.
 """
 
 from __future__ import annotations
@@ -17,17 +16,17 @@ from scipy import optimize, special
 from bench.base.arrays import Floats
 
 TOO_SMALL: Final = 1.5
-"""u counts as too small if repeats left out scatter by more than this multiple of it."""
+"""u counts as too small if the scatter of repeats left out exceeds this multiple of u."""
 LEAST: Final = 3
-"""Fewest repeats of which each can be left out in turn."""
+"""Least number of repeats for a test that leaves out each repeat in turn."""
 LEVEL: Final = 0.95
 NORMAL: Final = float(special.ndtri(0.5 + LEVEL / 2.0))
 FINE: Final = 1e-4
 COARSE: Final = 1e5
-"""Sizes of a term that are tried, in median stated uncertainties."""
+"""Range of trial sizes of a term, in units of the median stated u."""
 
 PLAIN: Final = 3.0
-"""Another term replaces `restart`, the plainest, only if its ln p is larger by more than this."""
+"""`drift` or `scale` replaces `restart`, the simplest term, only if its ln p is larger by more than this."""
 
 TermName = Literal["restart", "drift", "scale"]
 
@@ -121,7 +120,9 @@ def _term(value: Floats, u: Floats, name: TermName) -> Term:
 
 
 def _widening(freedom: float) -> float:
-    """Return the factor on an estimated standard deviation with which two of it cover 95 %."""
+    """Return the ratio of the 95 % quantiles of Student's t, with `freedom` degrees of freedom, and the normal
+    distribution.
+    """
     return float(special.stdtrit(freedom, 0.5 + LEVEL / 2.0)) / NORMAL
 
 

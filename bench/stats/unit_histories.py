@@ -20,7 +20,7 @@ from bench.stats.reml import ONE_SIDED, Profile, profile_of
 BENCH, SCATTER, RATE, WALK = 0, 1, 2, 3
 STEADY: Final = (BENCH, SCATTER)
 SHOWN_P: Final = 0.05
-"""P-value below which a drift of units is significant, and separated from the scatter."""
+"""P-value below which a drift of units counts as significant; only then is it separated from the scatter."""
 LONGEST: Final = (128, 64, 32, 16)
 """Candidates for the most runs used of a unit, evenly spaced: the first within `MOST_WORK` is taken."""
 MOST_WORK: Final = 5e7
@@ -260,7 +260,7 @@ class CalibrationSpread:
 
 
 def spread_of(within: Within, *, several: bool, drifts: bool = True) -> CalibrationSpread:
-    """Return the scatter, and the spread of the benches if there are `several`, apart from the drift of units.
+    """Return the scatter without the drift of units and, if there are `several` benches, their spread.
 
     A rate or walk that is not significant counts as scatter. Without `drifts`, as for units with too few runs,
     any drift counts as scatter.
@@ -269,7 +269,7 @@ def spread_of(within: Within, *, several: bool, drifts: bool = True) -> Calibrat
     steady = within.fit(first)
     moving = within.fit((*first, RATE, WALK)) if drifts else steady
     gained = _gained(moving, steady)
-    # two variances at their bound of zero: chi-square with 0, 1, 2 degrees, weighted 1/4, 1/2, 1/4
+    # two variances at their bound zero: mixture of chi-square with 0, 1, 2 degrees of freedom (1/4, 1/2, 1/4)
     p = 0.5 * float(special.chdtrc(1, gained)) + 0.25 * float(special.chdtrc(2, gained)) if gained else 1.0
     chosen, free = (moving, (*first, RATE, WALK)) if p < SHOWN_P else (steady, first)
     for kept in (RATE, WALK) if p < SHOWN_P else ():

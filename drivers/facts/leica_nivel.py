@@ -14,13 +14,13 @@ MODEL: Final = "Nivel200"
 # --- blocks -----------------------------------------------------------------------------------------
 
 START: Final = "\x16\x02"
-"""<SYN><STX> begins a block."""
+"""The beginning of a block: <SYN><STX>."""
 END: Final = "\x03"
-"""<ETX> ends the text of a block; the two bytes of the check sum follow."""
+"""The end of a block's text: <ETX>. The two bytes of the check sum follow."""
 READ_TERMINATION: Final = END
 READ_TAIL: Final = 2
 WRITE_TERMINATION: Final = "\r\n"
-"""Takes the place of the check sum: the sensor accepts any two characters."""
+"""Two characters sent in place of a check sum, because the sensor accepts any."""
 HOST: Final = "C1"
 """The address of the computer."""
 SERIAL: Final = {
@@ -28,14 +28,14 @@ SERIAL: Final = {
 }  # fmt: skip
 BAUD_RATES: Final = (1200, 2400, 9600, 19200, 38400)
 SLOWEST_REPLY_S: Final = 2.0
-"""The sensor replies within 0.1 to 2 s; send nothing before."""
+"""The sensor replies within 0.1 to 2 s; send nothing before its reply."""
 
 # --- measurement ------------------------------------------------------------------------------------
 
 MRAD: Final = 1e-3
 RESOLUTION_RAD: Final = 1e-6
 RANGE_RAD: Final = 3.00e-3
-"""Range C, the widest."""
+"""Measuring range, rad: range C, the widest."""
 ACCURACY_RAD: Final = ((1.51e-3, 4.7e-6), (2.51e-3, 14.1e-6), (3.00e-3, 47.1e-6))
 """The ranges A, B and C, rad, each with the standard deviation of an angle, rad."""
 SCALE_ERROR: Final = 0.005

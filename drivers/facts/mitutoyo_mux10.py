@@ -17,7 +17,7 @@ WRITE_TERMINATION: Final = "\r"
 SERIAL: Final = {
     "baud_rate": 9600, "data_bits": 8, "parity": "none", "stop_bits": 1, "flow": "none", "device_clear": b"",
 }  # fmt: skip
-"""Not confirmed by a source."""
+"""Assumed settings of the port, not confirmed by a source."""
 MOST_CHANNELS: Final = 4
 VALUE_CHARACTERS: Final = 8
 EXAMPLE: Final = "01A+045.0028"

@@ -118,7 +118,9 @@ class ZaberHead(MotorisedHead):
         return math.radians(int(self._ask("get pos", _INTEGER).data) / self._steps_per_degree)
 
     def start(self, target_rad: float) -> None:
-        """Begin to move to the step nearest to an angle. The command is not repeated: it would interrupt itself."""
+        """Begin to move to the step nearest to an angle. The command is not repeated after a lost reply, because a
+        repeat would interrupt the move.
+        """
         self._exchange(f"move abs {round(math.degrees(target_rad) * self._steps_per_degree)}")
 
     def moving(self) -> bool:
@@ -259,7 +261,10 @@ def _with_flag(flag: str) -> str:
 
 
 def _checked(steps_per_degree: float, travel: Travel) -> float:
-    """Return `steps_per_degree`. Raises `ValueError` if whole steps cannot express the limits or the tolerance."""
+    """Return `steps_per_degree`.
+
+    Raises `ValueError` if the limits exceed the step counter, or if a step is coarser than the tolerance.
+    """
     if not math.isfinite(steps_per_degree) or steps_per_degree == 0.0:
         raise ValueError(f"state a number of steps per degree for the head, not {steps_per_degree:g}")
     farthest_deg = math.degrees(max(abs(travel.minimum_rad), abs(travel.maximum_rad)))

@@ -36,7 +36,7 @@ from drivers.clock import Clock, SystemClock
 # --- causes of transport exceptions -----------------------------------------------------------------
 
 Cause = tuple[str, str]
-"""What happened, and what to do about it."""
+"""The cause of a failure and its remedy, as texts."""
 
 _PORT_GONE: Final = (
     "was lost: the port failed",
@@ -206,7 +206,7 @@ _PSEUDO_TERMINALS: Final = ("/dev/pts/", "/dev/ttys")
 
 
 class Connection:
-    """An open VISA resource. `by_bytes` tells whether it delivers single bytes (True) or whole messages.
+    """An open VISA resource. `by_bytes` says whether it delivers single bytes (True) or whole messages.
 
     Sockets and serial ports are read as bytes arrive; GPIB, USB and VXI-11 deliver whole messages.
     """
@@ -253,7 +253,7 @@ class Connection:
                     raise
 
     def interrupt(self) -> None:
-        """End another thread's wait on a socket, which closing alone would not do. Never raises."""
+        """End another thread's wait on a socket, which closing the socket would not end. Never raises."""
         if self._socket is not None:
             with contextlib.suppress(OSError):
                 self._socket.shutdown(socket.SHUT_RDWR)

@@ -46,12 +46,12 @@ _SLICE_S: Final = 0.5
 class MessageSession:
     """A session with one instrument: it sends text commands and returns one line of text per query.
 
-    `name` is the instrument's name on the bench. `resource` is a VISA resource string or, behind a GPIB adapter,
-    such as `prologix://192.0.2.10:1234/22`. The terminations and `serial` apply to sockets and serial ports; GPIB,
-    USB and VXI-11 mark the end of a message themselves. `read_tail` is the number of bytes, such as a check sum,
-    that follow the termination of each reply; the reply then includes termination and tail, one character per byte.
-    `haste` can shorten the wait for replies. `holding` keeps other programs away while the session is open.
-    Thread-safe; open only one session per resource.
+    `name` is the instrument's name on the bench. `resource` is a VISA resource string or, behind a GPIB adapter, a
+    text such as `prologix://192.0.2.10:1234/22`. The terminations and `serial` apply to sockets and serial ports;
+    GPIB, USB and VXI-11 mark the end of a message themselves. `read_tail` is the number of bytes, such as a check
+    sum, that follow the termination of each reply; the reply then includes termination and tail, one character per
+    byte. `haste` can shorten the wait for replies. `holding` locks the instrument against other programs while the
+    session is open. Thread-safe; open only one session per resource.
     """
 
     def __init__(
@@ -313,7 +313,7 @@ class MessageSession:
         return data.endswith(end)
 
     def _behind(self, data: bytes, end: bytes, lines: int) -> int:
-        """Return how many bytes follow a reply of `lines` lines in `data`; negative if the reply is incomplete."""
+        """Return the number of bytes in `data` after a reply of `lines` lines; negative if it is incomplete."""
         at = -1
         for _ in range(lines):
             at = data.find(end, at + 1)
@@ -391,8 +391,8 @@ _T = TypeVar("_T")
 class ProvedSession:
     """Commands and queries over a `MessageSession`; the instrument is verified first on every new connection.
 
-    `prove`, which verifies it, identifies the instrument through this session and raises an error if it is not
-    the expected one. `write_gap_s` is the pause that the instrument needs after a command without reply.
+    `prove` identifies the instrument through this session, and raises an error if it is not the expected one.
+    `write_gap_s` is the pause that the instrument needs after a command without reply.
     """
 
     def __init__(
@@ -469,7 +469,7 @@ class ProvedSession:
         return self._session.query(command, timeout_s, pattern, expected, lines)
 
     def urgent(self, command: str, pattern: str, expected: str) -> str:
-        """Send a command at once, even to an instrument not yet verified, and return its reply. Stops use it."""
+        """Send a command at once, such as a stop, even to an instrument not yet verified; return its reply."""
         return self._session.query(command, pattern=pattern, expected=expected)
 
     def write(self, command: str) -> None:

@@ -38,9 +38,9 @@ class Busy(Protocol):
 
 
 class Traffic:
-    """The activities of all sessions of a bench; a virtual clock advances only when no session has work left.
+    """A register of what each session of a bench is doing; a virtual clock advances only if no session has work.
 
-    Without this record, a virtual clock could skip a measurement whose start command is still on another wire.
+    Without it, a virtual clock could advance past a measurement whose start command is still on another wire.
     """
 
     def __init__(self) -> None:
@@ -99,7 +99,7 @@ TERMINATOR: Final = b"\n"
 
 _INPUT_BUFFER: Final = 65536
 _WITHIN_HOLD_OFF: Final = 10
-"""The characters that an instrument still accepts after it has set its hold-off."""
+"""Number of characters that an instrument still accepts after it has signalled its hold-off."""
 _LATE_SLICE_S: Final = 0.02
 _LOOK_S: Final = 0.05
 LEAVING_S: Final = 2.0
@@ -247,7 +247,7 @@ It is called once at a time per instrument, in the order in which the messages w
 
 
 class Overflow:
-    """A marker for a message that was too long."""
+    """Stands for a message that was too long."""
 
 
 class Framer:
@@ -352,7 +352,7 @@ class ServedInstrument:
     def _held(self, session: Session) -> Iterator[None]:
         if not self._lock.acquire(blocking=False):
             self.traffic.mark(session, Doing.WAITING)
-            # The lock's holder may be waiting for a measurement that this client began: note if it has left.
+            # The holder of the lock may be waiting for a measurement of this client, which may have left.
             while not self._lock.acquire(timeout=_LOOK_S):
                 session.look_whether_left()
             self.traffic.mark(session, Doing.WORKING)

@@ -64,7 +64,7 @@ class Visit(NamedTuple):
 def switched_on_since(
     pose: Pose, visits: Sequence[Visit], switchings: Sequence[tuple[float, bool]], time_s: float
 ) -> int:
-    """Return the number of power cycles up to `time_s` since the block was first read in the mounting of `pose`.
+    """Return the number of power cycles between the first reading in the mounting of `pose` and `time_s`.
 
     `visits` are the visits read so far, `switchings` the times at which the block gained (True) or lost power.
     Power cycles without a reading between them count once.

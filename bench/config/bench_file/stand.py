@@ -158,7 +158,7 @@ class UnitSupplySection(FileModel):
 
 
 LARGEST_RAD: Final = math.radians(2.0)
-"""The largest accepted limit of a stand error; for comparison, 0.01 g along a level axis is 0.6°."""
+"""The largest accepted limit of a stand error, rad; for comparison, a tilt of 0.6° is 0.01 g on a level axis."""
 
 SizeG = Annotated[float, not_negative(ACCELERATION)]
 
@@ -254,7 +254,7 @@ def _of_a_bench(limit_rad: float) -> float:
 
 
 class AngleError(ErrorSize):
-    """A stand error that is an angle, rad; it is so small that its sine equals the angle."""
+    """A stand error that is an angle, rad, small enough for sin α = α."""
 
     limit: Annotated[SizeRad, AfterValidator(_of_a_bench)]
 
@@ -339,7 +339,7 @@ class UnitUnderTest(FileModel):
 
 
 class PopulationSection(FileModel):
-    """The normal distribution over blocks of this type of Δg, the error of measured gravity, in g."""
+    """The normal distribution of Δg, the error of measured gravity, among blocks of this type, in g."""
 
     mean: AccelerationG = 0.0
     standard_deviation: Annotated[
@@ -474,10 +474,10 @@ _Factor = Annotated[float, Field(ge=0.0)]
 
 
 class ZeroRepeats(FileModel):
-    """How the zeros of x, y, z scatter from repeat to repeat, as `bench diagnose --together` finds it.
+    """The scatter of the zeros of x, y, z between repeats, as found by `bench diagnose --together`.
 
-    `restart` and `drift` are standard deviations in g, of each repeat or from one repeat to the next; `scale` are
-    factors of the u of the readings. One of them is stated.
+    `restart` and `drift` are standard deviations in g, of each repeat or from one repeat to the next; `scale` holds
+    factors on the u of the readings. Exactly one of the three is stated.
     """
 
     restart: tuple[_ZeroG, _ZeroG, _ZeroG] | None = None

@@ -85,7 +85,7 @@ _ACUTROL = Device(
 
 
 _BEYOND_DEG: Final = 5.0
-"""How far a simulated stage can turn beyond the limits in the bench file, degrees."""
+"""Travel of a simulated stage beyond the limits in the bench file, degrees."""
 
 
 def _on_a_wire_it_has(resource: str) -> str:

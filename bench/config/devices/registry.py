@@ -92,7 +92,9 @@ class Devices:
         return None if place.startswith(str(Path(__file__).parent) + os.sep) else place
 
     def why_not(self, name: object) -> str | None:
-        """Return why the device of this name may have failed to load; None if it is known, or nothing failed."""
+        """Return the possible reason why this name is unknown: a failed import. None if it is known or nothing
+        failed.
+        """
         if not isinstance(name, str) or name in self.found:
             return None
         if name in self.doubled:

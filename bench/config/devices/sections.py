@@ -383,7 +383,7 @@ SizeK = Annotated[float, not_negative(DIFFERENCE)]
 RateKS = Annotated[float, not_negative(TEMPERATURE_RATE)]
 
 OF_THE_AIR: Final = ("rate", "lag", "off_lag", "ringing", "room_share")
-"""Keys of the simulation section that affect any simulated chamber."""
+"""Keys of the simulation section that every simulated chamber uses."""
 
 
 _NO_CHAMBER: Final = "state a value above 0: every chamber takes time"
@@ -475,7 +475,7 @@ class LevelForm(DeviceSection):
 
     role: ClassVar[Role] = "level"
     certificate: ClassVar[None] = None
-    """None: at a few arcseconds, the scale error of a level is below its resolution."""
+    """Levels have no certificate: for tilts of a few arcseconds, the scale error is below the resolution."""
 
     name: str = "level"
 
@@ -535,7 +535,7 @@ class SupplyTruth(FileModel):
 
 
 OF_THE_UNIT: Final = tuple(SupplyTruth.model_fields)
-"""Keys of the simulation section that describe the unit, and so work with any supply."""
+"""Keys of the simulation section that describe the unit; they apply to every supply."""
 
 
 class SupplyForm(DeviceSection):
@@ -544,7 +544,7 @@ class SupplyForm(DeviceSection):
     role: ClassVar[Role] = "power_supply"
 
     certificate: ClassVar[None] = None
-    """None: no reading depends on the display of a supply."""
+    """Supplies have no certificate: no reading depends on their display."""
 
     name: str = "power_supply"
 

@@ -88,12 +88,11 @@ class Seen:
 class Effect(ABC):
     """An effect of the forward model. Stateless: the values of its parameters are passed in.
 
-    `sentence` describes the effect; `shown_by` names a measurement that would show it. A `per_mount` effect may
-    act in single mountings; if it `lasts`, it acts from that mounting to the end of the run. A `per_pass` effect
-    may act in single passes of a mounting; if it `outlasts_mount`, it may continue through remounts. `apart`
-    lists sets of parameters that may occur without the others; if it is empty, the sets follow from the names.
-    `needs_history` is true if a reading depends on earlier rows, `needs_path` if it depends on the path of the
-    head to the setting.
+    `sentence` describes the effect; `shown_by` names a measurement that would show it. A `per_mount` effect may act
+    in single mountings; if it `lasts`, it acts from that mounting to the end of the run. A `per_pass` effect may
+    act in single passes of a mounting; if it `outlasts_mount`, it may continue through remounts. `apart` lists sets
+    of parameters that may be nonzero while the others are zero; if empty, the names imply them. `needs_history` is
+    true if a reading depends on earlier rows, `needs_path` if it depends on the path of the head to the setting.
     """
 
     name: str
@@ -293,7 +292,7 @@ class AppliedEffect:
 # with one size, of standard deviation 1.
 
 PART: Final = "part"
-"""The only parameter of an `InPart` effect: the multiple of its sum."""
+"""The only parameter of an `InPart` effect: the factor on the sum of its parts."""
 
 
 @dataclass(frozen=True)
@@ -326,7 +325,7 @@ class InPart(Effect):
 
     @property
     def title(self) -> str:
-        """The label of its size in results: "warm_up in other shapes (1)"."""
+        """The name of the effect in results: "warm_up in other shapes (1)"."""
         return f"{self.of} in other shapes ({self.name.rpartition('_')[2]})"
 
     def addition(self, values: Values, seen: Seen) -> Floats:

@@ -22,7 +22,7 @@ from bench.model.geometry import STAND_ANGLES
 MOST_CHARACTERS: Final = 1000
 """The longest permitted expression; no formula for human readers is longer."""
 MOST_NESTED: Final = 100
-"""The deepest permitted nesting; a sum of that many terms is as deep."""
+"""The deepest permitted nesting; a sum of n terms has n levels."""
 
 FUNCTIONS: Final[Mapping[str, Callable[..., Any]]] = {
     "sin": np.sin, "cos": np.cos, "tan": np.tan, "exp": np.exp, "log": np.log, "sqrt": np.sqrt, "abs": np.abs,
@@ -248,7 +248,7 @@ _OPERATIONS: Final[Mapping[str, Callable[[Floats, Floats], Any]]] = {
 
 
 class DegreeReading:
-    """The degree of an expression in the size parameters: 0 or 1. An effect must have degree 1 in every term."""
+    """The degree of an expression in the size parameters: 0 or 1. Every term of an effect must have degree 1."""
 
     def __init__(self, sizes: frozenset[str]) -> None:
         self._sizes = sizes

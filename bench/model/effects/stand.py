@@ -174,7 +174,7 @@ class AxisWobble(StandEffect):
 
 
 class BracketTilt(ConstantAngle):
-    """A tilt out of the plane of rotation, alpha1 of one mounting: constant in it, and changed by a remount."""
+    """A tilt alpha1 out of the plane of rotation, constant during a mounting and changed by each remount."""
 
     name = "bracket_tilt"
     column = "axis_tilt"

@@ -19,7 +19,7 @@ CABLE: Final = "cable pulled"
 AGAIN: Final = "cable plugged in again"
 
 TRIES: Final = 3
-"""Number of attempts after which a driver gives up a connection; each costs a timeout and a reconnection."""
+"""Attempts that a driver makes before it reports a lost connection; each takes a timeout and a reconnection."""
 PATIENCE_S: Final = 30.0
 """Time within which a replugged network port or serial adapter must respond again, s."""
 PAUSE_S: Final = 2.0

@@ -27,11 +27,11 @@ SLOW_NPLC: Final = 10.0
 """Longest integration time used in the checks, in line periods; calibrations seldom use a longer one."""
 TIME_MARGIN: Final = 1.05
 TIME_MARGIN_S: Final = 0.25
-"""Margins of a reading's duration for commands on the wire: a factor, and a time in s."""
+"""A reading may last its expected time times the factor, plus the time in s: commands on the wire."""
 START_PART: Final = 0.1
-"""Greatest difference of the meters' starts, as a part of a reading, at which they sample the same signal."""
+"""Greatest difference between the meters' start times, as a fraction of a reading's duration."""
 SIGNIFICANCE: Final = 1e-3
-"""Probability that a channel within its scatter limit is reported as outside by chance."""
+"""Probability that chance alone puts the scatter of a good channel above its limit."""
 
 
 @runtime_checkable
