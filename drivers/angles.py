@@ -156,9 +156,9 @@ def scale_text(angle_rad: float) -> str:
 def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> str | None:
     """Return in words the common mistake that turns `target_rad` into `read_rad`, or None.
 
-    The mistakes are: a scale line one off (10°, 1°, 10′, 1′), the opposite side of the circle, 360° - x, two
-    digits swapped. Except for swapped digits, the predicted reading must be within `tolerance_rad` of `read_rad`,
-    and at least three times as close to it as the target is.
+    The mistakes are: a scale line one off (10°, 1°, 10′, 1′), the opposite side of the circle, 360° - x, two digits
+    swapped. Except for swapped digits, the reading that the mistake predicts must differ from `read_rad` by at most
+    `tolerance_rad`, and by at most a third of the target's difference.
     """
     difference = wrapped_rad(read_rad - target_rad)
     if abs(difference) <= tolerance_rad:
@@ -176,7 +176,7 @@ def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> st
 
 
 def _digits_swapped(read_rad: float, target_rad: float) -> bool:
-    """Return whether degrees or minutes have two neighbouring digits swapped while the other part agrees."""
+    """Return whether two neighbouring digits of the degrees, or of the minutes, are swapped and all else agrees."""
     read, target = (
         re.findall(r"[0-9]+", format_dms(angle)) for angle in (read_rad % math.tau, target_rad % math.tau)
     )

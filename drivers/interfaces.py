@@ -16,7 +16,7 @@ from typing import Final, Literal, Protocol, runtime_checkable
 
 
 def message(text: str, context: str = "") -> str:
-    """Return a text unchanged; the call marks it as read by people, so that it is translated where it is shown.
+    """Return a text unchanged; the call marks it for translation in pages and prompts.
 
     `text` is a literal or an f-string. `context` distinguishes texts that are equal in English but not in another
     language.
@@ -140,7 +140,7 @@ class VoltmeterSettings:
 class VoltmeterLimits:
     """The settings that a model supports: ranges in volts, integration in power-line cycles, samples per reading.
 
-    They come only from the meter's module in `drivers.facts`; bench files and procedures are checked against them.
+    They are read from the meter's module in `drivers.facts`; bench files and procedures are checked against them.
     """
 
     ranges_v: tuple[float, ...]
@@ -234,7 +234,7 @@ class ThermalChamber(Instrument, Protocol):
         """
 
     def temperature(self, key: str, *, settling: bool = False) -> float:
-        """Return the temperature at the block, or else of the air, °C.
+        """Return the temperature at the block or, without a sensor there, of the air, °C.
 
         Raises `InstrumentRefused` if the temperature is outside the band that the bench file may state around
         the set point, unless `settling` is true; also `InstrumentLost`, `BadReading`.
@@ -272,7 +272,9 @@ class Level(Instrument, Protocol):
     """A two-axis level on the platform; its zero error is unknown."""
 
     asks_person: bool
-    """Whether a person reads the level, in prompts that also say how to place it; else a person only places it."""
+    """Whether a person reads the level, in prompts that also say how to place it. Otherwise a person only places
+    it.
+    """
 
     @property
     def sizes(self) -> LevelSizes:
@@ -419,7 +421,7 @@ def _span(span: tuple[float, float]) -> str:
 class SupplyLimits:
     """The limits of a supply's outputs, by name. `together`: a single switch controls all outputs.
 
-    They come only from the supply's module in `drivers.facts`; bench files are checked against them.
+    They are read from the supply's module in `drivers.facts`; bench files are checked against them.
     """
 
     outputs: Mapping[str, OutputLimits] = field(default_factory=dict)

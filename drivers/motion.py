@@ -49,7 +49,7 @@ class TravelWatch:
     begun_s: float
 
     def __post_init__(self) -> None:
-        """Start with the whole distance remaining."""
+        """Set the remaining distance to the whole move."""
         self._left_rad = abs(self.target_rad - self.start_rad)
         self._progress_rad, self._progress_s = self._left_rad, self.begun_s
         self._near_rad = 0.5 * self.travel.backoff_rad

@@ -212,7 +212,7 @@ class AnsweredByInstrument(Exception):
 
 
 @runtime_checkable
-class _LooksAsTold(Protocol):
+class _HasInterval(Protocol):
     """A `WatchingPerson` whose interval between calls of `meanwhile` can be set: `slice_s`, s."""
 
     slice_s: float
@@ -220,7 +220,7 @@ class _LooksAsTold(Protocol):
 
 @contextmanager
 def watching(person: Person, look: Callable[[], None], every_s: float, clock: Clock) -> Iterator[None]:
-    """Call `look` while `person` has an open question, in addition to the `meanwhile` that is set already.
+    """Call `look` while `person` has an open question, in addition to the present `meanwhile` of the person.
 
     The interval is `every_s`, s, if the person has a `slice_s`. A person who is not a `WatchingPerson` never calls
     `look`.
@@ -228,7 +228,7 @@ def watching(person: Person, look: Callable[[], None], every_s: float, clock: Cl
     if not isinstance(person, WatchingPerson):
         yield
         return
-    before, told = person.meanwhile, person if isinstance(person, _LooksAsTold) else None
+    before, told = person.meanwhile, person if isinstance(person, _HasInterval) else None
     before_s = 0.0 if told is None else told.slice_s
     due_s = clock.now_s()
 

@@ -116,7 +116,7 @@ class AcutrolTable(PlainDialect):
             self._follow()
 
     def _follow(self) -> None:
-        """Start the motion for the demand of the present mode."""
+        """Start the motion that the present mode demands: to a position, or at a rate."""
         if self._mode == "position":
             self._world.move_head(math.radians(self._demand_deg["position"]), self._speed_rad_s)
             return

@@ -471,8 +471,8 @@ class Agilent34401A(LineMeter):
     It measures `source` at the time of `clock`. See `LineMeter` for `interface`, `Converter` for `noise`,
     `accuracy` and `flaws`. `firmware` is the end of its identity; "3-1-1" prints a comma after the last reading.
     `errors_at_start` are errors in its queue at switch-on, as an adapter's own *IDN? causes (xyphro/UsbGpib issue
-    41). `real_port` is the port of the User's Guide, pages 151-152: its buffer has some 100 characters;
-    characters sent between a query and its reply are lost, even Ctrl-C; after ten idle minutes it is silent until
+    41). `real_port` is the port of the User's Guide, pages 151-152: its buffer has some 100 characters; characters
+    sent between a query and its reply are lost, even Ctrl-C; after ten idle minutes it sends nothing until
     SYSTem:REMote.
     """
 

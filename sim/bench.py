@@ -192,7 +192,7 @@ class SimulatedBench:
 
     @contextmanager
     def aside(self) -> Iterator[None]:
-        """Within this context, let instruments be read without changing the world; see `World.aside`."""
+        """A context in which reading instruments leaves the world unchanged; see `World.aside`."""
         with self.world.aside():
             yield
             self.traffic.settle()

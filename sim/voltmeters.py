@@ -486,7 +486,7 @@ class MeasuringCycle(ABC):
 
         If the client that started a measurement has disconnected by now, this aborts that measurement.
         """
-        if self._forsaken:
+        if self._client_has_left:
             self.abort()
         self._sender_left = left
 
@@ -509,7 +509,7 @@ class MeasuringCycle(ABC):
         """
         if self.state is not TriggerState.MEASURING:
             return
-        if wait_until(self._clock, self._finish_s, lambda: self._interrupted() or self._forsaken):
+        if wait_until(self._clock, self._finish_s, lambda: self._interrupted() or self._client_has_left):
             self._collect()
         elif self._interrupted():
             raise DeviceClear
@@ -518,11 +518,11 @@ class MeasuringCycle(ABC):
 
     @property
     def in_progress(self) -> bool:
-        """Whether samples are still being taken."""
+        """Whether a measurement is still in progress."""
         return self.state is TriggerState.MEASURING and self._clock.now_s() < self._finish_s
 
     @property
-    def _forsaken(self) -> bool:
+    def _client_has_left(self) -> bool:
         """Whether a measurement is in progress for a client that has left; always False on a virtual clock."""
         return self._beginner_left() and self.in_progress and not isinstance(self._clock, VirtualClock)
 

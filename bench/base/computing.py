@@ -100,7 +100,7 @@ def versions() -> dict[str, str]:
 
 
 # --- packages that come with extras -----------------------------------------------------------------
-# Modules import these packages where needed, without a guard; `bench.services.explained` reports a missing one.
+# Modules import these packages where they need them; `bench.services.explained` reports a missing one.
 
 EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
     "pandas": ("pandas",),

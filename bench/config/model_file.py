@@ -122,9 +122,9 @@ class WithEffects(FileModel):
 class ModelFile(WithEffects):
     """A model file; `parent` names the model that it extends, `data_sha256` the readings that it was derived from.
 
-    `evidence` is text for the reader of the file; nothing is computed from it. `dark_uncertainty` is the part of
-    each reading (1 σ) that unnamed terms leave unexplained; users of the file are warned of it. `left_open` lists
-    the parts of the effects' shapes whose sizes are uncertain.
+    `evidence` is text for the reader of the file; nothing is computed from it. `dark_uncertainty` is the scatter of
+    a reading (1 σ) that the effects, unnamed terms included, do not explain; a note warns users of the file.
+    `left_open` lists the parts of the effects' shapes whose sizes are uncertain.
     """
 
     model_file: Literal["1"]
@@ -453,7 +453,7 @@ WIDENED: Final = ("tau", "lag")
 
 @dataclass(frozen=True)
 class AcceptedTerms:
-    """The result of naming unnamed terms: the new effect, and the effects of the model with it instead of them."""
+    """The result of naming unnamed terms: the new effect, and the model's effects with it in place of the terms."""
 
     effect: FormulaEffect
     effects: tuple[AppliedEffect, ...]

@@ -191,7 +191,7 @@ def _mounting_level(seen: Sequence[LevelReading], mounting: tuple[int, str]) -> 
 def _middle_and_rate(
     alpha: tuple[float, float], u: tuple[float, float], hours: float
 ) -> tuple[float, float, float]:
-    """Return an angle midway between two readings of it, its standard uncertainty, and the rms of its rate.
+    """Return the angle at the middle time between two readings, its standard uncertainty, and the rms of its rate.
 
     The angle is assumed to change linearly. The rate has the prior 0 ± u of `FOUNDATION`; if the readings refute
     it (`REFUTED`), the prior's u is the observed rate.
@@ -210,7 +210,7 @@ def _middle_and_rate(
 
 
 # --- mistakes made at a bench -----------------------------------------------------------------------
-# Shared by the early warning, which tests for these mistakes during a run, and the diagnosis, which tests a table.
+# The early warning tests a run for these mistakes, the diagnosis a table of readings.
 # The scale-reading mistakes are those for which a person is asked to read again (`drivers.angles.SLIPS`).
 
 

@@ -208,7 +208,7 @@ class Inquiry:
         ], replay
 
     def _wrong_before(self, sighting: Sighting, k: int) -> list[Member]:
-        """Return the members in which reading `k` is wrong: left out, shifted, or taken at another setting.
+        """Return the members in which reading `k` is wrong: left out, shifted, or at another setting.
 
         A member is a supposed mistake.
         """
@@ -233,8 +233,8 @@ class Inquiry:
     ) -> ReplayedReadings:
         """Replay all readings for each member, that is, for each supposed mistake.
 
-        The default is one member that uses the readings as recorded. A reading that a member leaves out costs as
-        much as a reading that does not fit.
+        The default is one member that uses the readings as recorded. A reading that a member leaves out has the
+        cost of a reading that does not fit.
         """
         state = self.prior.repeated(len(members))
         cabling = np.stack([member.cabling for member in members])
@@ -270,7 +270,9 @@ class Inquiry:
         return sighting.poses
 
     def _shifts(self, sighting: Sighting, state: Expectation) -> Floats:
-        """Return the prior standard deviations (5, 3), V: block turned, block tilted, channels x, y, z off."""
+        """Return the signals' prior standard deviations (5, 3), V, for five shifts: block turned, tilted, x, y, z
+        off.
+        """
         scale = state.scale_factors[0]
         turn = self.model.installations[sighting.installation].block_from_platform
         return np.stack(

@@ -299,8 +299,8 @@ class EarlyWarning:
     def _learn_noise(self, now: Sighting) -> None:
         """Increase the noise estimate if repeats scatter more than stated.
 
-        A pair of repeats counts only if both readings fit or neither does. Otherwise the jump of a slipped
-        block would be mistaken for noise.
+        A pair of repeats counts only if both readings fit or both do not. Otherwise a slip of the block between
+        them would count as noise.
         """
         row = now.row
         key = (row.mounts[0], int(row.point[0]), int(row.direction[0]))
@@ -409,7 +409,7 @@ class EarlyWarning:
         return likeliest(self._inquiry().of_reading(wrong, self._state, 0.0))
 
     def _lasting(self, sighting: Sighting, suspects: Sequence[Suspect]) -> list[Suspect]:
-        """Return a lasting slip as the only cause if the previous reading was off by the same angle, else []."""
+        """Return a lasting slip as the only cause if the previous reading had the same angle error; else []."""
         now = next((s for s in suspects if s.moved_rad is not None), None)
         before, self._moved = self._moved, None
         if now is None or now.moved_rad is None:

@@ -281,7 +281,7 @@ class EventType(StrEnum):
     RUN_STARTED = "run_started"
     """`step`, the first one; `instruments`, their identities by name; `serials`, if certificates are checked."""
     RUN_RESUMED = "run_resumed"
-    """The same data as `run_started`; the author who resumed it, if named, or if there is a register of persons."""
+    """The data of `run_started`; also the author who resumed the run, if known."""
     RUN_PAUSED = "run_paused"
     """`reason`."""
     RUN_CONTINUED = "run_continued"
@@ -359,10 +359,10 @@ class EventType(StrEnum):
 MOST: Final = 1_000_000
 """Upper limit of the steps of a plan and the mountings of a run; a record with greater numbers is invalid."""
 
-_Told = tuple[tuple[str, type[object]], ...]
-_STEP: Final[_Told] = (("step", int),)
-_STEPS: Final[_Told] = (("first", int), ("last", int))
-_TOLD: Final[Mapping[str, _Told]] = {
+_DataTypes = tuple[tuple[str, type[object]], ...]
+_STEP: Final[_DataTypes] = (("step", int),)
+_STEPS: Final[_DataTypes] = (("first", int), ("last", int))
+_REQUIRED_DATA: Final[Mapping[str, _DataTypes]] = {
     EventType.RUN_STARTED: (*_STEP, ("instruments", dict)),
     EventType.RUN_RESUMED: (*_STEP, ("instruments", dict)),
     EventType.LEFT_SAFE: (("to_do", dict),),
@@ -419,7 +419,7 @@ class Event:
             raise ValueError("its number, time or type is invalid")
         if type(bench_s) not in _NUMBERS or not math.isfinite(bench_s):
             raise ValueError("its bench time is not a number")
-        for name, kinds in _TOLD.get(kind, ()):
+        for name, kinds in _REQUIRED_DATA.get(kind, ()):
             value: Any = data[name]
             if type(value) is not kinds or (isinstance(value, int) and not 0 <= value < MOST):
                 raise ValueError(f"its {name} is invalid")
@@ -427,7 +427,7 @@ class Event:
 
     @property
     def step(self) -> int:
-        """The index of the step to which the event belongs."""
+        """The index of the event's step."""
         return int(self.data["step"])
 
     @property

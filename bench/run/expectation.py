@@ -130,7 +130,7 @@ class ReadingJudgement(NamedTuple):
 
     @property
     def sigma(self) -> Floats:
-        """The residuals in standard deviations, shape (m, 3)."""
+        """The residuals divided by their standard deviations, shape (m, 3)."""
         return self.residual / np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1))
 
     @property
@@ -423,7 +423,7 @@ QUARTER_TURNS: Final = _quarter_turns()
 
 
 def orientations(installations: Mapping[str, Installation], label: str) -> dict[str, Installation]:
-    """Return the other orientations in which a block may sit on the platform, keyed by a sentence on each.
+    """Return the other possible orientations of a block on the platform, each under a sentence that describes it.
 
     They are the quarter turns of installation `label`, without those that equal a known installation.
     """

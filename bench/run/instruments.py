@@ -118,7 +118,7 @@ def told_at_mounting(instruments: Instruments, key: str) -> float | None:
 def told_at_reading(
     instruments: Instruments, known_c: float | None, key: str
 ) -> tuple[float | None, float | None]:
-    """Return the temperatures of the block and of the chamber's air, °C; None if not measured separately.
+    """Return the temperatures of the block and of the chamber's air, °C; the air's is None if only one is measured.
 
     `known_c` is the block's temperature, if known; a person is then not asked for it. Raises `BenchError`.
     """
@@ -138,7 +138,8 @@ def told_around(
 ) -> dict[str, float]:
     """Return the temperatures of meters and room by column, °C; `air_c` is the air of the chamber, if known.
 
-    `known` are values of this mounting, for which a person is not asked again. Raises `BenchError`.
+    `known` holds values already entered in this mounting; a person is not asked for them again. Raises
+    `BenchError`.
     """
     by_column = {
         column: air_c

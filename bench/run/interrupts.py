@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and SIGHUP, handled where they do no harm. Imported first, so it imports nothing heavy."""
+"""Handling of Ctrl-C, SIGTERM and SIGHUP at harmless moments. Imported first, so it imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Final
 
 from drivers.clock import Haste, SystemClock
 
-# closing the terminal's window sends SIGHUP, where the system has that signal
+# SIGHUP, if the system has it, is sent when the terminal's window is closed
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 NOT_DONE: Final = 2
 """Exit status of a program stopped by a signal."""

@@ -340,7 +340,7 @@ def _asked(event: Event) -> AskedPrompt | None:
     return AskedPrompt(event, prompt)
 
 
-_STANDS: Final = {
+_KEEPS_OPEN: Final = {
     EventType.ASKED, EventType.ANSWER_REFUSED, EventType.WISH_REFUSED, EventType.POWER, EventType.CLOCK_JUMPED,
     EventType.CHAMBER_SLOW, EventType.SAME_SERIAL, EventType.CERTIFICATE,
 }  # fmt: skip
@@ -357,7 +357,7 @@ class OpenPrompt:
         """Update the open prompt with the next event."""
         if event.type == EventType.ASKED:
             self._event = event
-        elif event.type not in _STANDS:
+        elif event.type not in _KEEPS_OPEN:
             self._event = None
 
     @property
@@ -564,7 +564,7 @@ UNTOUCHED: Final = message("untouched")
 
 
 def mount_prompt(step: Mount, *, chamber: bool) -> Prompt:
-    """Return the prompt to mount the block, with a drawing of the installation where there is one.
+    """Return the prompt to mount the block, with a drawing of the installation if there is one.
 
     It has no default, so that an accidental Enter confirms nothing. With `chamber`, it asks to close the chamber.
     """

@@ -18,7 +18,7 @@ from drivers.person import Person, Prompt, PromptKind
 
 @dataclass
 class PlanProgress:
-    """The progress of a plan: which steps are done or left out, and how often each was redone on request.
+    """The progress of a plan: the steps done or left out, and how often each was redone on request.
 
     `temperature_c` is the last recorded temperature; `identities` are the instruments' identities by name.
     `remounts` maps (series, installation) to the series number of the readings after an unplanned remounting.

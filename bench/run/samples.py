@@ -24,7 +24,7 @@ OUTLIER_LEAST: Final = 7
 """Least number of samples for an outlier test.
 
 With fewer samples, the critical value is within 5 % of the greatest possible deviation, (n − 1)/√n; for three
-samples both are 1.155. Whether a sample exceeds it would then depend on the rounding of the others.
+samples both are 1.155. Rounding of the samples would then decide whether one is an outlier.
 """
 
 _ROUNDING: Final = 1e-13
@@ -214,7 +214,9 @@ class Window:
         return self._state(time_s - self._first_s)
 
     def _forget(self, now_s: float) -> None:
-        """Drop old samples; keep those within the window, and the last one before it to cover its whole length."""
+        """Drop old samples; keep the samples in the window and the last one before it, so that they cover its whole
+        length.
+        """
         while len(self._samples) > 1 and self._is_old(self._samples[1][0], now_s):
             self._samples.popleft()
 

@@ -370,7 +370,7 @@ class ProgressBar:
             self._time_left.choose(event.data)
             self._say_chosen(event)
         elif event.type == EventType.EARLY_SIGN and event.data.get("confident"):
-            pass  # the prompt how to continue, or else the run's error message, contains the sign
+            pass  # the next prompt, or the run's error message, contains the sign
         elif (text := sentence(event)) != event.type:
             if self._asked:
                 self._console.print()  # leave the prompt's line, where the answer is to be typed

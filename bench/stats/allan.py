@@ -221,7 +221,7 @@ class NoiseTerms:
         return np.asarray(np.sqrt(_columns(np.asarray(tau_s, dtype=np.float64)) @ self.squares))
 
     def slope(self, tau_s: Floats | float) -> Floats:
-        """Return d log sigma / d log tau at averaging times (…), such as -1/2 where white noise prevails."""
+        """Return d log sigma / d log tau at averaging times (…), such as -1/2 if white noise prevails."""
         tau = np.asarray(tau_s, dtype=np.float64)
         parts = _columns(tau) * self.squares
         powers = np.array([term.power for term in TERMS])

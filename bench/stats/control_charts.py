@@ -40,8 +40,8 @@ def shewhart_arl(k: float, shift: float = 0.0) -> float:
 def ewma_arl(smoothing: float, k: float, shift: float = 0.0) -> float:
     """Return the ARL of a two-sided EWMA chart that starts at the centre, with asymptotic limits throughout.
 
-    The limits are k sqrt(smoothing/(2 - smoothing)) standard deviations of one value from the centre; the mean is
-    off by `shift` standard deviations from the first value on (Crowder 1987, equation 3).
+    The limits are k sqrt(smoothing/(2 - smoothing)) standard deviations of one value from the centre; the mean
+    differs from the centre by `shift` standard deviations from the first value on (Crowder 1987, equation 3).
     """
     if smoothing == 1.0:
         return shewhart_arl(k, shift)
@@ -305,7 +305,7 @@ class ChartDesign:
 
     @property
     def alpha(self) -> float:
-        """False-alarm probability per run of T² of a run, and of the run's short-term standard deviation."""
+        """False-alarm probability per run, of T² of the run, and of its short-term standard deviation."""
         return 1.0 / self.each_arl
 
     def alpha_ewma(self, dimensions: int) -> float:
@@ -355,7 +355,7 @@ class ShortTerm:
 
 
 def short_term(s: Floats, dof: Floats, baseline_s: Floats, baseline_dof: Floats) -> ShortTerm:
-    """Compare standard deviations with those of a baseline, pooled by their degrees of freedom.
+    """Compare standard deviations with the baseline's, which are pooled with their degrees of freedom as weights.
 
     Source: NIST/SEMATECH e-Handbook, 2.2.3.1 and 2.3.5.1.
     """
@@ -373,10 +373,10 @@ class Components:
 
     `noise` is the part from reading noise (level 1). `stated` is the u of one run from all errors that differ
     between runs, `scatter` the standard deviation between runs, with `runs` - 1 degrees of freedom. `f` is the
-    squared ratio of `scatter` to `stated`; `p` is the one-sided p-value of `f`. `between` is the standard
-    deviation between runs in excess of `stated`; `between_most` is its upper 95 % limit. `birge2` is the squared
-    ratio for all coefficients together, with `birge_dof` and two-sided p-value `birge_p`. `alike_p` is the
-    p-value of the hypothesis that one factor on the stated u suits all directions.
+    squared ratio of `scatter` to `stated`; `p` is the one-sided p-value of `f`. `between` is the standard deviation
+    between runs in excess of `stated`; `between_most` is its upper 95 % limit. `birge2` is the squared ratio for
+    all coefficients together, with `birge_dof` and two-sided p-value `birge_p`. `alike_p` is the p-value of the
+    hypothesis that the stated u of all coefficients is wrong by one common factor.
     """
 
     runs: int

@@ -303,7 +303,7 @@ def profile_of(
     free: Sequence[int],
     scale: float,
 ) -> Profile:
-    """Return the profile along size `which`; the variances `free` were estimated, all others are fixed.
+    """Return the profile along size `which`; the variances `free` were estimated, the others are fixed.
 
     `information` (k, k) is the information on the variances at the maximum of the likelihood.
     """

@@ -103,7 +103,9 @@ class HistoryLikelihood:
 
 
 Weighed = tuple[SameLength, Floats, Floats, Floats]
-"""For units of one length: contrasts of values and benches, their inverse covariance, and the product of both."""
+"""For units of equal length: the units, contrasts of values and benches, their inverse covariance, its product with
+them.
+"""
 
 
 @dataclass(frozen=True)
@@ -145,7 +147,7 @@ class Within:
     def at(self, variances: Floats) -> HistoryLikelihood:
         """Return the likelihood, its gradient and the information at variances (4,)."""
         likelihood, kept, G, h, X = self._solved(variances)
-        return HistoryLikelihood(variances, likelihood, *_curved(kept, G, h, X))
+        return HistoryLikelihood(variances, likelihood, *_gradient_and_information(kept, G, h, X))
 
     def likelihood(self, variances: Floats) -> float:
         """Return the restricted log likelihood at variances (4,), up to a constant."""
@@ -167,7 +169,7 @@ class Within:
             weight = np.linalg.inv(V)
             logs += float(np.sum(np.linalg.slogdet(V)[1]))
             weighed = weight @ seen
-            sums += _over(seen, weighed)
+            sums += _summed_products(seen, weighed)
             kept.append((one, seen, weight, weighed))
         G, h = sums[1:, 1:], sums[1:, 0]
         A = np.eye(size) + bench * G
@@ -202,12 +204,14 @@ class Within:
         )
 
 
-def _over(a: Floats, b: Floats) -> Floats:
+def _summed_products(a: Floats, b: Floats) -> Floats:
     """Return the sums over units and contrasts of the products of `a` (m, r, i) and `b` (m, r, j), (i, j)."""
     return np.asarray(a.reshape(-1, a.shape[2]).T @ b.reshape(-1, b.shape[2]))
 
 
-def _curved(kept: Sequence[Weighed], G: Floats, h: Floats, X: Floats) -> tuple[Floats, Floats]:
+def _gradient_and_information(
+    kept: Sequence[Weighed], G: Floats, h: Floats, X: Floats
+) -> tuple[Floats, Floats]:
     """Return gradient (4,) and average information (4, 4) by the variances, from the results of `_solved`."""
     size = len(h)
     traces, squares = np.zeros(4), np.zeros(4)
@@ -223,14 +227,14 @@ def _curved(kept: Sequence[Weighed], G: Floats, h: Floats, X: Floats) -> tuple[F
         moved = np.stack([seen[..., 1:] @ left, p, one.time * along[:, None], walked], axis=-1)
         squares[1:] += np.sum(p**2), np.sum(along**2), np.sum(p * walked)
         rates = (one.time[:, None, :] @ z)[:, 0, :]
-        traces[SCATTER] += np.einsum("mrr->", weight) - np.sum(X * _over(z, z))
+        traces[SCATTER] += np.einsum("mrr->", weight) - np.sum(X * _summed_products(z, z))
         traces[RATE] += np.sum(one.time * (weight @ one.time[..., None])[..., 0])
         traces[RATE] -= np.sum(X * (rates.T @ rates))
         traces[WALK] += np.sum(weight * one.walk)
-        traces[WALK] -= np.sum(X * _over(z, one.walk @ z))
+        traces[WALK] -= np.sum(X * _summed_products(z, one.walk @ z))
         weighed_moves = weight @ moved
-        inner += _over(moved, weighed_moves)
-        across += _over(moved, z)
+        inner += _summed_products(moved, weighed_moves)
+        across += _summed_products(moved, z)
     return 0.5 * (squares - traces), 0.5 * (inner - across @ X @ across.T)
 
 
@@ -292,7 +296,7 @@ def _gained(more: HistoryLikelihood, fewer: HistoryLikelihood) -> float:
 
 
 def _least(within: Within, moving: HistoryLikelihood, first: Sequence[int], mean: float) -> float:
-    """Return the lower 95 % limit of the scatter, at the drift that explains most of it; 0 if not significant."""
+    """Return the lower 95 % limit of the scatter by the profile likelihood over drift; 0 if not significant."""
     others = [j for j in (*first, RATE, WALK) if j != SCATTER]
     end = float(np.sqrt(moving.variances[SCATTER]))
 

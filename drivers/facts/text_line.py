@@ -1,4 +1,4 @@
-"""Facts about instruments that answer a request with one line of text; their bench file states the rest.
+"""Facts about instruments that answer a request with one line of text; the bench file states the other facts.
 
 The port has the settings of most serial adapters. Set the instrument to them, or state its baud rate.
 """

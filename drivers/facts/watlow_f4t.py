@@ -8,7 +8,7 @@ from typing import Final
 MAKER: Final = "Watlow"
 MODEL: Final = "F4T"
 IDENTITY: Final = r"F4T"
-"""Pattern searched for in the reply to *IDN?, in either case."""
+"""Pattern searched for in the reply to *IDN?, in upper or lower case."""
 
 TCP_PORT: Final = 5025
 """The SCPI port; port 502 in one edition of the guide is Modbus."""

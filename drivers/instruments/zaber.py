@@ -1,9 +1,8 @@
 """A rotary stage with a Zaber controller as dividing head: the ASCII protocol over a serial port or TCP.
 
-Each command has a message number, which its reply repeats, so that a late reply is never taken for
-another's. Alerts are switched off. If an unsolicited line (`!` alert, `#` information) still arrives, the
-connection is dropped and the query repeated over a new one.
-Source: see `drivers.facts.zaber`; section "Warning Flags".
+Each command has a message number, which its reply repeats, so that a late reply is never assigned to another
+command. Alerts are switched off. If an unsolicited line (`!` alert, `#` information) still arrives, the connection
+is dropped and the query repeated over a new one. Source: see `drivers.facts.zaber`; section "Warning Flags".
 """
 
 from __future__ import annotations
@@ -213,7 +212,7 @@ class ZaberHead(MotorisedHead):
         message = f"{self._device} {addressed} {self._number:02d} {text}".rstrip()
         if self._checksums:
             message += f":{checksum(message)}"
-        # The reply to a rejected command has a word for the reason instead of the data.
+        # The reply to a rejected command contains a word for the reason in place of the data.
         pattern = (
             rf"@{self._device:02d} {addressed} {self._number:02d} "
             rf"(?:(OK) (BUSY|IDLE) (\S\S) ({data})|(RJ) (BUSY|IDLE) (\S\S) ([A-Z]+))(:[0-9A-F]{{2}})?"

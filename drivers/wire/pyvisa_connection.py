@@ -1,8 +1,8 @@
 """A connection through pyvisa-py with workarounds for defects of the library.
 
-As of pyvisa-py 0.8.1: a refused connection counts as open until the first write; VI_ATTR_TCPIP_NODELAY
-cannot be set; a read from a socket whose peer has gone busy-waits for the whole timeout; opening may
-block as long as a name server does; a closed session is never freed. Foreign exceptions pass through.
+As of pyvisa-py 0.8.1: a refused connection counts as open until the first write; VI_ATTR_TCPIP_NODELAY cannot be
+set; a read from a socket whose peer has closed busy-waits for the whole timeout; opening may block as long as a
+name server does; a closed session is never freed. Foreign exceptions pass through.
 """
 
 from __future__ import annotations

@@ -191,7 +191,7 @@ class Holding:
             self._held[path] = (lock, times + 1)
 
     def release(self, resource: str) -> None:
-        """Release a resource taken before. Never raises."""
+        """Release a resource locked by `take`. Never raises."""
         path = self._path(resource)
         with self._guard, suppress(*_NO_LOCKS):
             lock, times = self._held.pop(path, (None, 0))

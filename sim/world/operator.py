@@ -140,9 +140,10 @@ class ScriptedOperator:
     def turn_to(
         self, prompt_id: str, angle_rad: float, direction: Direction, backoff_rad: float | None = None
     ) -> None:
-        """Turn the head until its scale shows `angle_rad`; it takes as long as when `ask` handles this prompt.
+        """Turn the head until its scale shows `angle_rad`; the duration is the same as if `ask` handled this
+        prompt.
 
-        If an encoder watches, the head first goes beyond `backoff_rad` before the angle, then to the angle.
+        If an encoder reads the head, it first turns to more than `backoff_rad` before the angle, then to the angle.
         """
         generator = self._generator("turn", prompt_id.partition("#")[0])
         generator.normal()  # skip the setting error, so that the next number is the duration, as in `_turn`

@@ -161,7 +161,9 @@ class HeadFault:
     runs_away: bool = False
 
     def end_rad(self, start_rad: float, target_rad: float) -> tuple[float, bool]:
-        """Return the angle at which a movement really ends, and whether the head is stuck (or ran away)."""
+        """Return the angle at which a movement ends with this fault, and whether the head is then stuck or ran
+        away.
+        """
         if self.runs_away:
             return start_rad + math.copysign(_ENDLESS_RAD, start_rad - target_rad), True
         end_rad = target_rad + self.stops_off_rad

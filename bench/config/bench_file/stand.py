@@ -476,8 +476,8 @@ _Factor = Annotated[float, Field(ge=0.0)]
 class ZeroRepeats(FileModel):
     """The scatter of the zeros of x, y, z between repeats, as found by `bench diagnose --together`.
 
-    `restart` and `drift` are standard deviations in g, of each repeat or from one repeat to the next; `scale` holds
-    factors on the u of the readings. Exactly one of the three is stated.
+    `restart` is the standard deviation of each repeat, `drift` that of the change from one repeat to the next, in
+    g; `scale` holds factors on the u of the readings. Exactly one of the three is stated.
     """
 
     restart: tuple[_ZeroG, _ZeroG, _ZeroG] | None = None

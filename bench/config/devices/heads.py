@@ -340,7 +340,7 @@ class MitutoyoMux10Section(ReadOutHeadForm):
 class EncoderLineSection(ReadOutHeadForm, LineForm):
     """A counter that answers `request` with one line of text, which holds the angle in the `unit`.
 
-    `counts_per_turn` is required if the unit is counts, and else refused.
+    `counts_per_turn` is required for the unit counts, and refused for any other.
     """
 
     facts: ClassVar = text_line

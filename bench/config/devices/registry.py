@@ -352,7 +352,7 @@ class UnknownThermometer(ThermometerForm):
 
     @property
     def tolerance_k(self) -> float:
-        """The limit of the thermometer's error, K: that of an ordinary thermometer, because its own is unknown."""
+        """The limit of the thermometer's error, K: unknown, so that of an ordinary thermometer is assumed."""
         return 0.5
 
 

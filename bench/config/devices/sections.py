@@ -103,12 +103,12 @@ class VoltmeterTruth(FileModel):
     """The errors of the simulated voltmeters: whether they have noise, and whether they have errors.
 
     `accuracy` chooses random errors within the 90-day limits of the maker, or the errors in the certificates. The
-    further keys are flaws of a real input: a source of `source_ohm` is loaded by 10 MΩ unless the high impedance
-    is on; `mains` is the amplitude of the mains on the signal, which whole power-line cycles cancel; `zero_drift`
-    is the drift of the zero per hour with autozero off; `flicker` is the standard deviation of 1/f noise per
-    decade of frequency. `firmware` names the versions of the meters in turn; "3-1-1" sends a comma after the last
-    reading. `errors_at_start` are errors in the queue at switch-on. With `real_port`, an RS-232 meter loses
-    messages sent between a query and its reply, and stops responding after ten idle minutes.
+    further keys are flaws of a real input: a source of `source_ohm` is loaded by 10 MΩ unless the high impedance is
+    on; `mains` is the amplitude of the mains voltage on the signal, which an integration over whole cycles cancels;
+    `zero_drift` is the drift of the zero per hour with autozero off; `flicker` is the standard deviation of 1/f
+    noise per decade of frequency. `firmware` names the versions of the meters in turn; "3-1-1" sends a comma after
+    the last reading. `errors_at_start` are errors in the queue at switch-on. With `real_port`, an RS-232 meter
+    loses messages sent between a query and its reply, and stops responding after ten idle minutes.
     """
 
     noise: bool = True
@@ -394,8 +394,8 @@ class ChamberTruth(FileModel):
 
     The set point of the air moves at `rate`, and the air follows with the time constant `lag`. When the chamber is
     off, the air returns to ambient with the time constant `off_lag`. `sensor_noise` is the standard deviation of
-    its readings. With a period `ringing` the air overshoots the set point and rings. The block settles at the air
-    plus `room_share` of the difference between the room and the air, as the platform conducts heat.
+    the chamber's readings. With a period `ringing` the air overshoots the set point and rings. The block settles at
+    the air plus `room_share` of the difference between the room and the air, as the platform conducts heat.
     """
 
     rate: Annotated[RateKS, above_zero(_NO_CHAMBER)] = 4.0 / 60.0
@@ -520,9 +520,10 @@ class SupplyTruth(FileModel):
     """The load that the simulated unit presents to its supply, and its signals without power.
 
     Each rail draws `current` at 23 °C (default: the middle of its stated window), changing by the fraction
-    `current_by_temperature` per kelvin. At switch-on it draws `in_rush` times as much, decaying with the time
-    constant `in_rush_time`. Below the fraction `brown_out` of a rail's voltage the unit stops working. Its signals
-    are then random: `dead_offset` is their standard deviation between channels, `dead_noise` between readings.
+    `current_by_temperature` per kelvin. At switch-on it draws `in_rush` times this current, which decays with the
+    time constant `in_rush_time`. Below the fraction `brown_out` of a rail's voltage the unit stops working. Its
+    signals are then random: `dead_offset` is their standard deviation between channels, `dead_noise` between
+    readings.
     """
 
     current: SizeA | None = None

@@ -222,7 +222,7 @@ class InstallationVerb(FileModel):
 
 
 class RepeatVerb(FileModel):
-    """Do the steps in several passes: `times` of them, or one for each of `directions`.
+    """Do the steps in several passes: `times` passes, or one for each of the `directions`.
 
     `directions` gives the direction of the turns in each pass; `scans` gives the order in which each pass reads the
     channels, such as [xyz, zyx].

@@ -410,7 +410,7 @@ _Meter = TypeVar("_Meter", bound=_HasChannels)
 def in_scan_order(meters: Sequence[_Meter], scan: str) -> list[_Meter]:
     """Return the meters in the order in which a scan such as "zyx" starts them; unchanged for an empty scan.
 
-    A meter with several channels is placed by its first channel; it reads its channels in an order of its own.
+    A meter with several channels is placed by its first channel; the order of its channels is fixed.
     """
     return sorted(meters, key=lambda meter: scan.find(meter.channels[0])) if scan else list(meters)
 

@@ -162,8 +162,8 @@ def wave(values: Values, phase: Floats, prefix: str = "") -> Floats:
 def lagged(signal: Floats, time_s: Floats, lag_s: float) -> Floats:
     """Return a signal (n,) after a first-order lag that was in equilibrium at its first value.
 
-    The solution is exact for a signal linear between the times. The result keeps its value where the time is equal,
-    and restarts from the signal where the time falls (a new run).
+    The solution is exact for a signal linear between the times. The result is unchanged from one row to the next at
+    equal times, and restarts from the signal if the time falls (a new run).
     """
     if lag_s <= 0.0 or len(signal) == 0:
         return signal

@@ -212,8 +212,8 @@ def _as_float(value: int | float) -> float:
 class ValueReading:
     """The numeric value of an expression.
 
-    `names` maps variables and parameters to values; `lagged` is the lag function. numpy warns of results that are
-    not finite; the caller silences it once for the whole expression.
+    `names` maps variables and parameters to values; `lagged` is the lag function. The caller suppresses numpy's
+    warnings of results that are not finite.
     """
 
     def __init__(self, names: Mapping[str, Floats], lagged: Callable[[Floats, Floats], Floats]) -> None:

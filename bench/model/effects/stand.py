@@ -93,7 +93,7 @@ class MountingRoll(ConstantAngle):
 # --- the head ---------------------------------------------------------------------------------------
 
 MARKS_DEG: Final = tuple(range(0, 360, 15))
-"""The scale marks, each with an error of its own."""
+"""The angles of the scale marks, each of which has an error."""
 
 
 class HeadEccentricity(HeadEffect):
@@ -129,7 +129,7 @@ class HeadGraduation(HeadEffect):
 
     name = "head_graduation"
     parameters = tuple(angle(f"at_{mark:03d}", 4) for mark in MARKS_DEG)
-    apart = (tuple(parameter.name for parameter in parameters),)  # no mark is displaced by itself
+    apart = (tuple(parameter.name for parameter in parameters),)  # the errors of marks occur together only
     sentence = "marks of the head's scale are displaced, equally in every pass"
     shown_by = "24 angles in a turn; a polygon and autocollimator"
 

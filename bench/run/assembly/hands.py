@@ -61,11 +61,11 @@ class SimulatedHands:
         """Do the tasks asked since the last call; of each kind, only the latest."""
         for record in self._runs.glob(f"*/{EVENTS}"):
             if is_being_written(record.parent) and not Run(record.parent).simulated:
-                for prompt in self._put(record):
+                for prompt in self._new_prompts(record):
                     with suppress(NoAnswer, KeyError):  # nothing to do, or an installation of another bench
                         self._do(prompt)
 
-    def _put(self, record: Path) -> list[Prompt]:
+    def _new_prompts(self, record: Path) -> list[Prompt]:
         """Return the questions asked since the last call, and those whose answer by an encoder was refused."""
         asked, put = OpenPrompt(), dict[str, Prompt]()
         with suppress(OSError, ValueError), open_regular(record) as file:

@@ -181,7 +181,7 @@ def dry_bench(
     taken: Sequence[Reading] = (),
     living: WatchingPerson | None = None,
 ) -> Iterator[Assembly]:
-    """Yield a simulated bench whose truth is the bench file's stand and block, with the effects of `model`.
+    """Yield a simulated bench with the true stand and block of the bench file, and the effects of `model`.
 
     `living` is a person who answers instead of the scripted operator. `plan` determines the order in which each
     step reads the channels. `taken` are the recorded readings of a resumed run, for effects that depend on
@@ -315,7 +315,7 @@ TASK_TIME_S = 30.0
 
 
 class ScriptedHand:
-    """A `Person` at a simulated bench who handles cables, and leaves other tasks to the scripted operator."""
+    """A `Person` at a simulated bench who handles cables; the scripted operator does all other tasks."""
 
     def __init__(self, operator: Person, simulated: SimulatedBench) -> None:
         self._operator = operator

@@ -39,7 +39,7 @@ BEYOND_V: Final = 1.0
 WAY_IN_BACKOFFS: Final = 2.0
 """Length of a small move, in multiples of the backoff; the head then approaches its target without overshoot."""
 STOPPED_AFTER_S: Final = 1.0
-"""Intended time from the start of the motion to the stop, s; the target is twice as far away."""
+"""Intended time from the start of the motion to the stop, s; the stop is half way to the target."""
 TIME_MARGIN: Final = 2.0
 TIME_MARGIN_S: Final = 2.0
 """A move may last its nominal time times the factor, plus the time in s: acceleration, braking, polling."""

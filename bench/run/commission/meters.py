@@ -69,8 +69,8 @@ def _settings(
 ) -> VoltmeterSettings:
     """Return settings with the longest supported integration time up to `nplc` line periods.
 
-    The time is one that all meters support, or else one that this meter supports. The number of samples is
-    clipped to the limits of the bench file.
+    The time is one that all meters support or, if there is none, one that this meter supports. The number of
+    samples is clipped to the limits of the bench file.
     """
     has = evening.file.nplc_supported or _form(evening, meter).kind.limits.nplc
     near = [one for one in has if one <= nplc] or [min(has)]
@@ -301,7 +301,9 @@ def _of_channel(
 
 
 def largest_scatter_v(sigma_v: float, n: int) -> float:
-    """Return the largest standard deviation of `n` samples that chance explains, V; `sigma_v` is the true one."""
+    """Return the upper limit of the standard deviation of `n` samples, V, if `sigma_v` is the true standard
+    deviation.
+    """
     from scipy.stats import chi2
 
     return sigma_v * math.sqrt(float(chi2.isf(SIGNIFICANCE, n - 1)) / (n - 1)) if n > 1 else sigma_v
