@@ -230,7 +230,7 @@ class ThermalChamber(Instrument, Protocol):
     def make_safe(self) -> str:
         """Put the chamber into its safe state; return what a person must still do, an empty string for nothing.
 
-        Called however a run ends. Raises `BenchError` if the chamber does not comply.
+        Called at every end of a run, also after a failure. Raises `BenchError` if the chamber does not comply.
         """
 
     def temperature(self, key: str, *, settling: bool = False) -> float:
@@ -487,5 +487,5 @@ class PowerSupply(Instrument, Protocol):
     def switch_all_off(self) -> str:
         """Switch every output off and verify; return what a person must still do, an empty string for nothing.
 
-        May be called however a run ends. Raises `BenchError` if the supply does not comply.
+        May be called after any end of a run, also a failure. Raises `BenchError` if the supply does not comply.
         """

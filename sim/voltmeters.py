@@ -497,7 +497,7 @@ class MeasuringCycle(ABC):
         return ",".join(self._memory) + self.after_last
 
     def trigger(self, source: str) -> None:
-        """Measure on one trigger from "BUS" or "EXT". Raises `ScpiError` -211 if the meter does not wait for it."""
+        """Measure on one trigger from "BUS" or "EXT". Raises `ScpiError` -211 if the meter awaits none."""
         if self.state is not TriggerState.WAITING or self.source != source:
             raise ScpiError(-211)
         self._schedule(1)

@@ -270,7 +270,7 @@ class UnitPower:
                 person.meanwhile = partial(self.watch, "asked")
 
     def is_as_left(self, key: str) -> bool:
-        """Return whether the block has stayed on since the run stopped, by the supply's state or the person."""
+        """Return whether the block has stayed on since the run stopped, as the supply shows or a person says."""
         if self.supply.asks_person:
             prompt = Prompt(
                 id=f"{key}/since",

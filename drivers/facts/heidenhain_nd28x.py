@@ -8,9 +8,9 @@ for the ND 287, one for the ND 760 and ND 780; the manuals describe the commands
 Not confirmed by a source:
 - the baud rate as delivered, and the list of rates (38400 is in the manual of the ND 221B);
 - the length of the indicators of an ND 287 and which of them is REF (so none of them may blink);
-- whether REF of an ND 281B that waits for its reference mark is dark, blinks or glows (so it must glow, and the
-  display must show a number; after switch-on it shows, and sends, a question instead of one);
-- the texts of errors of signal and count, which it shows, and sends, instead of the value;
+- whether REF of an ND 281B that waits for its reference mark is dark, blinks or glows (so the driver requires that
+  it glows and that the display shows a number; after switch-on the unit displays and sends a question);
+- the texts that the unit displays and sends in place of a value after errors of signal or count;
 - the sign of a positive value, + or a blank;
 - a command that shows whether an ND 281B measures in degrees or millimetres (only inches are indicated).
 STX (Ctrl B) requests the measured value in a form that depends on unit, sorting and series. ENQ (Ctrl E) requests

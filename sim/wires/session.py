@@ -1,4 +1,4 @@
-"""Client sessions: from bytes to messages, from replies to bytes, and a record of which sessions are busy."""
+"""Client sessions: splitting of bytes into messages, sending of replies, and a register of busy sessions."""
 
 from __future__ import annotations
 
