@@ -144,7 +144,7 @@ def format_dms(angle_rad: float, decimals: int = 0) -> str:
 
 
 def scale_text(angle_rad: float) -> str:
-    """Return an angle as the scale shows it, with as many decimals of a second (at most 3) as it needs."""
+    """Return an angle as the scale shows it, with the fewest decimals of a second that state it, at most 3."""
     shown_rad = angle_rad if 0.0 <= angle_rad <= math.tau else angle_rad % math.tau
     for decimals in range(3):
         text = format_dms(shown_rad, decimals)

@@ -92,7 +92,7 @@ class ScpiVoltmeter(ABC):
     errors_kept: int = line.ERRORS_KEPT
     remote_command: str = "SYST:REM"
     local_command: str = "SYST:LOC"
-    """Command that returns an RS-232 meter to local; empty if it has none. `remote_command` is the opposite."""
+    """Command that returns an RS-232 meter to local, empty if there is none; `remote_command` sets it to remote."""
     self_test_s: float = line.SELF_TEST_S
     stays_remote_s: float = line.STAYS_REMOTE_S
 
@@ -289,7 +289,9 @@ class ScpiVoltmeter(ABC):
     # --- settings, errors ---------------------------------------------------------------------------
 
     def _be_remote(self) -> None:
-        """Set an RS-232 meter to remote, which it needs to accept commands; other interfaces do so themselves."""
+        """Set a meter on RS-232 to remote, so that it accepts commands; over other interfaces it does this by
+        itself.
+        """
         if self._interface == "rs232" and self.remote_command:
             self._session.write(self.remote_command)
         self._spoke_s = self._clock.now_s()

@@ -37,8 +37,8 @@ class _Refused(Exception):
 class AcutrolTable(PlainDialect):
     """One axis of a rate table. A mode requires a closed interlock; the position mode starts to move at once.
 
-    `speed_deg_s` is the rate limit of the position mode. A demand that is sent before its mode takes effect when
-    the mode is entered.
+    `speed_deg_s` is the rate limit of the position mode. A demand sent before its mode is entered takes effect on
+    entering the mode.
     """
 
     def __init__(self, world: World, *, speed_deg_s: float = 10.0, axis: int = 1) -> None:

@@ -398,7 +398,8 @@ class Probe:
     def shown_c(self, configured: str, time_s: float) -> float:
         """Return the temperature, °C, shown by a meter configured for the sensor `configured`, such as "FRTD,85".
 
-        A four-wire Pt100 measured with two wires includes its leads. Any other mismatch gives an overload.
+        A four-wire Pt100 measured with two wires shows the resistance of its leads, too. Any other mismatch gives
+        an overload.
         """
         block_c = self._world.block_c_at(time_s)
         felt_c = block_c + self._air_share * (self._world.chamber_c - block_c) + self._error_c

@@ -54,8 +54,8 @@ def never() -> bool:
 class Command:
     """One line of an instrument's command table.
 
-    `notation` is the manual's ("[SENSe:]VOLTage:DC:RANGe?"). `action` is called with the values of the parameters
-    that were sent; it returns the reply of a query, else None.
+    `notation` is that of the manual, such as "[SENSe:]VOLTage:DC:RANGe?". `action` is called with the values of the
+    parameters that were sent; it returns the reply of a query, else None.
     """
 
     notation: str

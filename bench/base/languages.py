@@ -41,7 +41,7 @@ def language() -> str:
 
 
 def known_language(name: str) -> str:
-    """Return the language of `LANGUAGES` in a name such as "uk" or "uk_UA.UTF-8"; empty for another language."""
+    """Return the code of the language in a name such as "uk_UA.UTF-8"; empty if it is not one of `LANGUAGES`."""
     code = re.split(r"[-_.]", name.strip().lower())[0]
     return code if code in LANGUAGES else ""
 
@@ -212,7 +212,7 @@ class Catalogue:
         return _DECIMAL.sub(rf"\1{self.decimal}\2", text)
 
     def fill(self, entry: Entry, values: Mapping[str, str], count: float | None = None) -> str:
-        """Return a translation with blanks filled; `count`, else the first whole number in `values`, selects the
+        """Return a translation with blanks filled; `count`, or the first whole number of `values`, selects the
         plural.
         """
         if count is None:

@@ -67,9 +67,7 @@ def _folder_or_file(name: str, metavar: str, words: str, use: Callable[..., None
 
 
 def _own_option(name: str, metavar: str, words: str, use: Callable[..., None], of: Any) -> Any:
-    """Return an option whose values have the type `of`; the library derives it from a temporary function's
-    parameter.
-    """
+    """Return an option whose values have the type `of`, derived by the library from a temporary function."""
     told = typer.Option(
         f"--{name}", metavar=metavar, help=words, expose_value=False, callback=use, rich_help_panel=MORE
     )

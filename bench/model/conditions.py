@@ -285,9 +285,7 @@ class Conditions:
 
 
 PAST_RAD: Final = np.radians(5.0)
-"""Rotation, rad, beyond a setting that is then approached from the other side, and before a mounting's first
-setting.
-"""
+"""Rotation beyond a setting that is approached from the other side, and before a mounting's first setting, rad."""
 
 SAME_RAD: Final = 1e-3
 """Settings that differ by less than this, rad, count as equal: the head was not turned."""

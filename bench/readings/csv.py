@@ -120,7 +120,7 @@ def read_frame(
 
 
 def _cell(value: object) -> str:
-    """Return a value of a frame as a cell; 3.0 becomes "3", as pandas makes integers floats if one is missing."""
+    """Return a value of a frame as a cell; 3.0 becomes "3", as pandas converts integers if a value is missing."""
     if value is None or value != value or str(value) == "<NA>":  # noqa: PLR0124 - NaN is not itself
         return ""
     return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)

@@ -270,8 +270,8 @@ class Inquiry:
         return sighting.poses
 
     def _shifts(self, sighting: Sighting, state: Expectation) -> Floats:
-        """Return the signals' prior standard deviations (5, 3), V, for five shifts: block turned, tilted, x, y, z
-        off.
+        """Return the signals' prior standard deviations (5, 3), V: block turned, block tilted, x off, y
+        off, z off.
         """
         scale = state.scale_factors[0]
         turn = self.model.installations[sighting.installation].block_from_platform

@@ -61,7 +61,7 @@ SCALE_PER_KELVIN: Final = 300e-6
 """Changes of a good block that are allowed for, 1 σ; those per kelvin are three times the plausible value."""
 
 TEMPERATURE_STEP_K: Final = 0.5
-"""Smaller changes of temperature are ignored: they are the thermometer's noise, or too small to matter."""
+"""Least change of temperature that is taken into account, K; a smaller one may be the thermometer's noise."""
 
 GROWN: Final = 1.25
 """If the estimated noise grows by this factor, the model is fitted to all readings again, with the larger noise."""
@@ -138,9 +138,7 @@ class EarlyWarning:
         return self._repeats.sizes
 
     def remounted(self) -> None:
-        """Note that the block was mounted again, which the next reading may not show (same installation and
-        series).
-        """
+        """Note that the block was mounted again, even if the next reading has the same installation and series."""
         self._mounted_anew = True
         self._confidence.mounted()
         self._visits.clear()  # later differences come from the remounting, not from noise
@@ -287,7 +285,7 @@ class EarlyWarning:
             self._go_through_again()
 
     def _go_through_again(self) -> None:
-        """Judge and learn all readings again, with the present estimate of the noise, without struck readings."""
+        """Judge all readings again and learn from them, with the present noise estimate, except struck readings."""
         replay = self._inquiry().replay(self._history)
         self._adopt(replay.taken[:, 0], replay.state)
 
@@ -349,7 +347,7 @@ class EarlyWarning:
         return self._sign(sighting, judged, channels, words, causes, at_fault, confident=confident)
 
     def _wrong_before(self, judged: ReadingJudgement) -> list[EarlySign]:
-        """Return the sign for the previous reading, if its mistake shows only now, because this one fits."""
+        """Return the sign for the previous reading, if the fit of the present one shows that it was wrong."""
         found = self._confidence.fits()
         if found is None:
             return []

@@ -66,9 +66,7 @@ class CheckedBefore(TypedDict, total=False):
 
 
 class OperatorPerson(TypedDict):
-    """The operator's entry in the laboratory's register of persons; `register` is the hash of the register's last
-    line.
-    """
+    """The operator's entry in the laboratory's register of persons; `register` is the hash of its last line."""
 
     role: str
     may: list[str]

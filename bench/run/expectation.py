@@ -85,8 +85,8 @@ class NoiseSizes:
 class RepeatNoise:
     """The noise sizes estimated from repeats, never below the sizes stated in the bench file.
 
-    The stated sizes include errors that repeats do not reveal (the meters' gain, the head's graduation). They
-    count as much as `STATED_WORTH` degrees of freedom of repeats.
+    The stated sizes include errors that repeats do not reveal (the meters' gain, the head's graduation). They have
+    the weight of `STATED_WORTH` degrees of freedom of repeats.
     """
 
     def __init__(self, stated: NoiseSizes) -> None:
@@ -248,7 +248,7 @@ class ExpectedSignals:
 
 
 MOST_LISTED: Final = 3
-"""Greatest number of causes named in a sign; if there are more, the sign states their number as well."""
+"""Greatest number of causes named in a sign; if there are more, the sign also states their number."""
 
 
 @dataclass(frozen=True)
@@ -258,10 +258,10 @@ class EarlySign:
     `sentence` is the complete message. `sigma` are the residuals of x, y, z in standard deviations of the
     expectation; `channels` are the channels with large residuals. `p` is the probability of so large a misfit by
     chance. `causes` are the mistakes that explain it equally well, likeliest first, empty if none does; `kinds` are
-    the kinds of these causes. `in_a_row` counts consecutive readings that did not fit. `at_fault` is the place of
-    an earlier reading found to be wrong; the present reading fits without it, and `in_a_row` is 0. If `confident`,
-    the run has to stop and ask (`bench.run.causes`); `wrong` then identifies the reading at fault (series,
-    installation, pass, point).
+    the kinds of these causes. `in_a_row` is the number of consecutive readings that did not fit. `at_fault` is the
+    place of an earlier reading found to be wrong; the present reading fits without it, and `in_a_row` is 0. If
+    `confident`, the run has to stop and ask (`bench.run.causes`); `wrong` then identifies the reading at fault
+    (series, installation, pass, point).
     """
 
     sentence: str
@@ -340,9 +340,7 @@ UNLIKELY: Final[Mapping[str, float]] = {Kind.ORIENTATION: 5.0, Kind.SLIP: 1.0, K
 """Prior cost of each kind: -2 ln of the odds relative to the most common mistakes."""
 
 FIRST_ORIENTATION: Final = 3.0
-"""Additional prior cost in the first mounting: no earlier reading distinguishes a wrong orientation from wrong
-cables.
-"""
+"""Additional prior cost in the first mounting, where wrong cables and a wrong orientation look the same."""
 
 OTHER_INSTALLATION: Final = 4.0
 """Prior cost of an installation other than that of the previous mounting."""
@@ -565,7 +563,7 @@ class Suspect:
 
 @dataclass(frozen=True)
 class Member:
-    """A supposed mistake as followed in a replay, from reading `since` on or at one `reading` alone.
+    """A mistake supposed in a replay: at all readings from number `since` on, or at the single reading `reading`.
 
     `cabling` (3, 3) corrects the signals. `pose` is an index into the sighting's `poses`. `shift` is the number
     of a shift of unknown size, `AS_IT_IS`, or `ABSENT`.

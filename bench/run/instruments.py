@@ -32,8 +32,8 @@ from drivers.person import Person, Prompt, PromptKind
 class Instruments:
     """The instruments of a bench as the runner uses them. Each of x, y, z is measured by exactly one voltmeter.
 
-    `around` maps columns of the readings to the thermometer of the meters or the room, or to "chamber" for its
-    air. `opened` holds the names of the instruments opened so far; another program may be using the others.
+    `around` maps a column of the readings to the thermometer of the meters or the room, or to "chamber" (its air).
+    `opened` holds the names of the instruments opened so far; other instruments may be in use by another program.
     """
 
     voltmeters: Sequence[Voltmeter]

@@ -36,11 +36,11 @@ def interrupt_main() -> None:
 class Interrupts:
     """A context in which the signals `numbers` raise `KeyboardInterrupt`, unless shielded or held.
 
-    Another signal, or one after `hold`, only asks the instruments to hurry (`haste`). After `release`, a signal
-    raises again, and the second signal ends the program by `end(status)`. A `KeyboardInterrupt` that Python
-    drops in a weak reference's callback or in `__del__` is raised again afterwards. `any_heard` says whether
-    any instance received a signal. After an `Exception` leaves a nested context, signals are ignored until the
-    outer context ends, so that the error is reported.
+    A further signal, or one after `hold`, raises nothing and only sets `haste`, which shortens waits for
+    instruments. After `release`, a signal raises again, and the second signal ends the program by `end(status)`.
+    Python drops a `KeyboardInterrupt` in a weak reference's callback or in `__del__`; it is raised again
+    afterwards. `any_heard` says whether any instance received a signal. After an `Exception` leaves a nested
+    context, signals are ignored until the outer context ends, so that the error is reported.
     """
 
     any_heard: ClassVar[bool] = False

@@ -32,17 +32,13 @@ LOOK_S: Final = 0.25
 
 SETTLED_S: Final = 3.0
 SETTLED_G: Final = 3e-5
-"""Signals that change by less than this, g, within `SETTLED_S` have settled: a tenth of the paper's verification
-limit.
-"""
+"""Signals that change by less than this within `SETTLED_S` have settled, g: a tenth of the verification limit."""
 
 QUIET_G: Final = 3e-4
 """A scatter above this, g, counts as motion; the noise of quick samples on the 10 V range is a third of it."""
 
 TELLING_ARCSEC: Final = 60.0
-"""The deviation from the commanded angle is shown if its U (k = 2) is below this: a usual graduation of manual
-heads.
-"""
+"""The deviation from the commanded angle is shown if its U (k = 2) is below this, a usual scale division."""
 
 LINEAR_ARCSEC: Final = 3600.0
 """Up to this deviation, the error of its linear estimate is below 1 %."""

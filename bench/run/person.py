@@ -62,7 +62,7 @@ INSTRUMENT: Final = "instrument"
 
 
 def at_the_shell(where: str) -> WishAuthor:
-    """Return the user of this process as author, a supervisor because of shell access to the runs' folder."""
+    """Return the user of this process as author: a supervisor, because this user can write to the runs."""
     try:
         name = getpass.getuser()
     except (OSError, KeyError, ImportError):  # no such user, or no user database on this system
@@ -280,7 +280,7 @@ _WORDS: Final = {message("yes"): "yes", message("done"): "yes", message("no"): "
 
 
 def in_english(prompt: Prompt, typed: str) -> str:
-    """Return an answer typed in the language of the pages as a record states it, in English: так → yes.
+    """Return in English, as in records, an answer that was typed in the language of the pages: так → yes.
 
     The answer to a choice becomes the English name of the choice.
     """

@@ -61,8 +61,8 @@ class UnitPower:
     """The block's power supply during a run; `now_s` returns the bench time since the run began, s.
 
     `nap` is called repeatedly during waits and handles wishes; `tell` records events. `on` says whether the block
-    is on, by the last switching or check. `off_since_s` is the time of switching off (s since the run began, None
-    if unknown); `on_since_s` is the time of switching on, on `clock`. `in_charge` says whether this run has
+    was on after the last switching or check. `off_since_s` is the time of switching off (s since the run began,
+    None if unknown); `on_since_s` is the time of switching on, on `clock`. `in_charge` says whether this run has
     switched the block, or found it switched on and continued with it.
     """
 
@@ -399,9 +399,9 @@ def take_up(
 ) -> None:
     """Restore the block's power state before step `first` of a resumed run.
 
-    The block is warmed up again if it was off (by the record, the supply's state or the person) or not yet warm. If
-    the block was off during a visit to an installation, the later readings of that visit form a new visit;
-    `another_visit` gets the first visit.
+    The block is warmed up again if it was not warm yet, or if it was off according to the record, the supply or the
+    person. If the block was off during a visit to an installation, the later readings of that visit form a new
+    visit, and `another_visit` is called with the next of these readings.
     """
     if not _on_at(plan, first):
         return

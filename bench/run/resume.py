@@ -103,9 +103,7 @@ class PlanProgress:
         self.left_out -= steps_of(chosen.get("taken_up", ()))
 
     def _note_redo(self, redo: Event) -> None:
-        """Note the step whose point is redone because of an early sign; the redo of a pass clears these notes in
-        its range.
-        """
+        """Note a point that is redone because of an early sign; the redo of a whole pass clears the notes in it."""
         if redo.data.get("wish") != Wish.REPEAT_POINT:
             self.in_vain.difference_update(redo.steps)
         elif self.doubt is not None:
@@ -205,7 +203,7 @@ def first_of_pass(plan: Plan, turn: int) -> int:
 
 
 def last_of_pass(plan: Plan, progress: PlanProgress, turn: int) -> int:
-    """Return the index of the last step of the last begun point in the pass of the turn at index `turn`."""
+    """Return the index of the last step of the point begun last in the pass of the turn with the index `turn`."""
     last = turn
     for index in range(turn, len(plan.steps)):
         if isinstance(plan.steps[index], Mount | SetTemperature):

@@ -214,9 +214,7 @@ class Window:
         return self._state(time_s - self._first_s)
 
     def _forget(self, now_s: float) -> None:
-        """Drop old samples; keep the samples in the window and the last one before it, so that they cover its whole
-        length.
-        """
+        """Drop old samples; keep the last one before the window, so that the samples cover its whole length."""
         while len(self._samples) > 1 and self._is_old(self._samples[1][0], now_s):
             self._samples.popleft()
 

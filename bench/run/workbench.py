@@ -63,7 +63,7 @@ from drivers.person import Person, Prompt, PromptKind
 MOST_ATTEMPTS: Final = 5
 MOST_PAIRS: Final = 3
 ZERO_MOVED: Final = 5.0
-"""Greatest plausible shift of the level's zero, in standard uncertainties; after a larger one, it is read again."""
+"""Greatest plausible shift of the level's zero, in units of its u; after a larger one, the level is read again."""
 
 
 @dataclass
@@ -164,9 +164,7 @@ class Levelling:
         )
 
     def _pair(self, level: interfaces.Level, key: str) -> tuple[Inclination, Inclination]:
-        """Return the readings in both positions; repeat both if the level's zero shifted, because one may be
-        misread.
-        """
+        """Return the readings in both positions; repeat both if the level's zero shifted: one may be misread."""
         for attempt in range(1, MOST_PAIRS + 1):
             first = self._read(level, f"{key}/first{attempt}", turned=False)
             second = self._read(level, f"{key}/turned{attempt}", turned=True)

@@ -105,9 +105,7 @@ def _root(length: Callable[[float], float], arl: float, most: float) -> float:
 
 Basis = Literal["stated", "scaled", "scatter"]
 BASES: Final = ("stated", "scaled", "scatter")
-"""Bases of control limits: the stated u of a run; the stated u times a factor from the baseline; the baseline's
-scatter.
-"""
+"""Bases of control limits: stated u of a run; stated u times a factor from the baseline; the baseline's scatter."""
 
 
 @dataclass(frozen=True)
@@ -447,8 +445,8 @@ class DriftSeen:
 def drift_of(
     years: Floats, values: Floats, u: Floats, dof: float, u_known: Floats | float = 0.0
 ) -> DriftSeen:
-    """Return the slopes of straight lines fitted to coefficients (n, p) at times (n,), with `u` (p,) and `dof` per
-    value.
+    """Return the slopes of straight lines through coefficients (n, p) at times (n,); each value has u (p,) and
+    `dof`.
 
     `u_known` is the standard uncertainty, per year, of a known drift that the values no longer contain.
     """

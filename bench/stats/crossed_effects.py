@@ -3,8 +3,8 @@
 value = mean of its group + unit effect + bench effect + excess + calibration error of stated u, all normal and
 independent. A group is a type of unit on a connected set of benches. The sizes maximise the restricted likelihood.
 
-Units are many, benches few. Units are eliminated one by one (Woodbury), which leaves a matrix of groups and benches
-(Schur complement). So the work is proportional to the number of values.
+There are many units and few benches. Units are eliminated one by one (Woodbury), which leaves a matrix of groups
+and benches (Schur complement). So the work is proportional to the number of values.
 
 Sources: S. R. Searle, G. Casella, C. E. McCulloch, Variance Components (1992), ch. 6 and 7 (equations, prediction);
 A. R. Gilmour, R. Thompson, B. R. Cullis, Biometrics 51 (1995) 1440 (average information); R. N. Kackar, D. A.
@@ -142,7 +142,9 @@ class MixedModelEquations:
         return np.asarray(self.sizes[BENCH] ** 2 * own)
 
     def unit(self, y: Floats) -> tuple[Floats, Floats]:
-        """Return the predicted effects of units (U,) and the variance of the predictions, not of their errors."""
+        """Return the predicted effects of units (U,), and the variances of the predictions (not of
+        their errors).
+        """
         fixed = self.solution[self.crossing.groups :] * self.sizes[BENCH]
         left = y - self.solution[self.crossing.group[self.crossing.unit]] - fixed[self.crossing.bench]
         sums = np.bincount(self.crossing.unit, self.w * left, self.crossing.units)
@@ -340,8 +342,8 @@ def most(found: Crossed, which: int) -> float:
 
 
 def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
-    """Return rough sizes (3,) of units, benches and excess: the spread of unit means, and for the others the
-    scatter within units.
+    """Return rough sizes (3,): of units, the spread of their means; of benches and excess, the scatter within
+    units.
     """
     count = np.bincount(crossing.unit, minlength=crossing.units)
     mean = np.bincount(crossing.unit, y, crossing.units) / count

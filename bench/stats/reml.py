@@ -156,7 +156,7 @@ def maximise(
     """Return the non-negative variances (k,) that maximise the restricted likelihood, and the projection P at the
     maximum.
 
-    `start` (k,) are start values. A variance below 1e-5 of `scale` (k,) counts as zero. `believed` (k,) are lower
+    `start` (k,) are start values. A variance below 1e-5 of `scale` (k,) counts as zero. `believed` (k,) holds lower
     limits of the variances, by default zero.
     """
     bottom = np.zeros_like(start) if believed is None else believed
@@ -233,8 +233,8 @@ LIMIT_AT_REST: Final = 0.01
 
 @dataclass(frozen=True)
 class Profile:
-    """The profile of the restricted likelihood over one size (1 sigma); the other variances are linear functions of
-    its square.
+    """The profile of the restricted likelihood over one size, 1 sigma; the other variances are linear in its
+    square.
 
     The linear relation is exact near the maximum, which is at `variances` (k,). `follow` (k,) is the change of
     each variance per change of the variance of size `which`; `scale` is a start value.

@@ -57,7 +57,7 @@ class Term:
 
 @dataclass(frozen=True)
 class Repeats:
-    """How values scatter between repeats, compared with their u.
+    """The scatter of values between repeats, compared with their u.
 
     `scatter` is about the means of all repeats. `held_before` and `held_after` are for repeats left out, with u
     as stated and with the term; None for fewer than three repeats. `term` widens u; it is None if u is large
@@ -99,7 +99,7 @@ def compare_repeats(value: Floats, u: Floats) -> Repeats:
 
 
 def _ratio(squares: Floats) -> Ratio:
-    """Return the pooled ratio for squared errors over their variances (g, r, c).
+    """Return the pooled ratio from squared errors divided by their variances (g, r, c).
 
     The interval allows for errors that all values of one repeat share.
     """
@@ -120,9 +120,7 @@ def _term(value: Floats, u: Floats, name: TermName) -> Term:
 
 
 def _widening(freedom: float) -> float:
-    """Return the ratio of the 95 % quantiles of Student's t, with `freedom` degrees of freedom, and the normal
-    distribution.
-    """
+    """Return the 95 % quantile of Student's t with `freedom` degrees of freedom, divided by the normal quantile."""
     return float(special.stdtrit(freedom, 0.5 + LEVEL / 2.0)) / NORMAL
 
 
@@ -144,7 +142,7 @@ def _kernel(u: Floats, name: TermName | None) -> Floats:
 def _known(value: Floats, u: Floats) -> tuple[Floats, Floats]:
     """Return values (g, r) and stated covariances (g, r, r).
 
-    A missing repeat gets so large a u that it has no weight.
+    The u of a missing repeat is so large that the repeat has no weight.
     """
     there = np.isfinite(value)
     wide = np.where(there, u, 1e6 * np.nanmax(u))

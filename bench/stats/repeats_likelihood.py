@@ -2,9 +2,9 @@
 
 In each group the deviations of repeats from their mean have a covariance R = diag(v_x, v_y, v_z) + v_phi d d^T.
 Fisher scoring uses the information 1/2 tr(R^-1 R_k R^-1 R_l) and the score 1/2 tr(R^-1 R_k R^-1 (S - f R)), with
-R^-1 in closed form (Sherman and Morrison). A score test, at equal sizes, decides whether the channels have one
-size. Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320, sections 4 and 5; C. R. Rao, Proc. Camb. Phil.
-Soc. 44 (1948) 50; Y. Chung, S. Rabe-Hesketh et al., Psychometrika 78 (2013) 685, for priors of sizes that go to
+R^-1 in closed form (Sherman and Morrison). A score test of equal sizes decides whether one size is used for all
+channels. Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320, sections 4 and 5; C. R. Rao, Proc. Camb. Phil.
+Soc. 44 (1948) 50; Y. Chung, S. Rabe-Hesketh et al., Psychometrika 78 (2013) 685, for priors that keep sizes from
 zero.
 """
 

@@ -22,9 +22,9 @@ STEADY: Final = (BENCH, SCATTER)
 SHOWN_P: Final = 0.05
 """P-value below which a drift of units counts as significant; only then is it separated from the scatter."""
 LONGEST: Final = (128, 64, 32, 16)
-"""Candidates for the most runs used of a unit, evenly spaced: the first within `MOST_WORK` is taken."""
+"""Candidates for the largest number of runs used per unit; the first within `MOST_WORK` is used."""
 MOST_WORK: Final = 5e7
-"""Largest sum of the cubes of runs over all units: a likelihood then takes about a tenth of a second."""
+"""Largest sum, over units, of the cubed number of runs; a likelihood then takes about a tenth of a second."""
 LEAST_PART: Final = 1e-6
 """A variance below this part of its scale counts as zero."""
 
@@ -103,9 +103,7 @@ class HistoryLikelihood:
 
 
 Weighed = tuple[SameLength, Floats, Floats, Floats]
-"""For units of equal length: the units, contrasts of values and benches, their inverse covariance, its product with
-them.
-"""
+"""For units of equal length: units, contrasts X of values and benches, inverse covariance W of X, and W X."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +116,7 @@ class Within:
 
     @cached_property
     def _data(self) -> list[tuple[SameLength, Floats, Floats]]:
-        """For each number of runs per unit: contrasts of values and of benches (m, r, 1 + B), and covariance.
+        """For each number of runs per unit: units, contrasts of values and benches (m, r, 1 + B), and covariance.
 
         The stated covariance of the contrasts has the shape (m, r, r).
         """

@@ -55,9 +55,7 @@ SAMPLE_OVERHEAD_S: Final = 0.01
 ACCURACY_90_DAYS: Final = {
     0.1: (40e-6, 35e-6), 1.0: (30e-6, 7e-6), 10.0: (20e-6, 5e-6), 100.0: (35e-6, 6e-6), 1000.0: (35e-6, 10e-6),
 }  # fmt: skip
-"""Limits of error of DC volts within 90 days, at 23 ± 5 °C, by range in V: fractions of the reading and of the
-range.
-"""
+"""Limits of error of DC volts within 90 days at 23 ± 5 °C, by range: fractions of the reading and of the range."""
 ACCURACY_1_YEAR: Final = {
     0.1: (50e-6, 35e-6), 1.0: (40e-6, 7e-6), 10.0: (35e-6, 5e-6), 100.0: (45e-6, 6e-6), 1000.0: (45e-6, 10e-6),
 }  # fmt: skip

@@ -4,8 +4,8 @@ Source: GageMux Operating Manual, page 7, "Mitutoyo Mux-10 Format": 0, channel, 
 reading, CR, such as 01A-001.2340.
 
 Not confirmed by a source: the request (assumed: the number of the channel and CR, as for other multiplexers); the
-port as delivered; the codes of errors (the driver takes any other reply as no reading). The format has no unit,
-reference mark or maker's name: the driver assumes degrees, and asks a person about the reference mark.
+port as delivered; the codes of errors (the driver refuses every reply that is not a reading). The format has no
+unit, reference mark or maker's name: the driver assumes degrees, and asks a person about the reference mark.
 """
 
 from typing import Final

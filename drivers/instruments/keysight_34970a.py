@@ -38,9 +38,9 @@ class Keysight34970A(ScpiVoltmeter):
     """A `Voltmeter` with one signal per multiplexer channel (see `ScpiVoltmeter` for the other arguments).
 
     `channels` maps signals to channels, `{"x": 101, "y": 102, "z": 103}`, or lists them as pairs; the attribute
-    `channels` holds the signals in scan order. A sample is one scan. `channel_delay_s`, in whole milliseconds,
-    passes between the closing of a relay and its sample. Raises `LimitExceeded` for channels that a 34901A
-    does not have, for duplicates, and for an invalid delay.
+    `channels` holds the signals in scan order. A sample is one scan. `channel_delay_s` is the time from the closing
+    of a relay to its sample, in whole milliseconds. Raises `LimitExceeded` for channels that a 34901A does not
+    have, for duplicates, and for an invalid delay.
     """
 
     not_live = "a scanner's relays wear with every query, so it is read at readings only"

@@ -117,8 +117,9 @@ class ZaberHead(MotorisedHead):
         return math.radians(int(self._ask("get pos", _INTEGER).data) / self._steps_per_degree)
 
     def start(self, target_rad: float) -> None:
-        """Begin to move to the step nearest to an angle. The command is not repeated after a lost reply, because a
-        repeat would interrupt the move.
+        """Begin to move to the step nearest to an angle.
+
+        The command is not repeated after a lost reply, because a repeat would interrupt the move.
         """
         self._exchange(f"move abs {round(math.degrees(target_rad) * self._steps_per_degree)}")
 

@@ -306,7 +306,7 @@ class Connection:
     def resynchronise(self, device_clear: bytes, timeout_s: float) -> bool:
         """Discard a late reply on GPIB or a serial port; return False if data keeps arriving for `timeout_s`.
 
-        A socket needs nothing: a new one is a new stream, and clearing it may never end.
+        A socket is not cleared, because that might never end; a new socket begins a new stream anyway.
         """
         if isinstance(self._visa, GPIBInstrument):
             self._visa.clear()

@@ -236,7 +236,7 @@ class _Armed:
 
 
 class FaultyInstrument:
-    """A dialect with injected faults: itself a `Dialect`, and by `wire_fault` the `FaultHook` of its wires.
+    """A `Dialect` with injected faults; its `wire_fault` is the `FaultHook` of its wires.
 
     `seed` and `name` determine the random numbers. Only one thread at a time may call it, which
     `sim.wires.session.ServedInstrument` ensures. Raises `ValueError` for a fault that the instrument cannot have.

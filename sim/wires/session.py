@@ -159,7 +159,7 @@ class Forsakable(Protocol):
     """A dialect whose commands may run for hours and must stop when their client leaves."""
 
     def sent_by(self, left: Callable[[], bool]) -> None:
-        """Store `left`, which returns at any time whether the sender of the next message has left.
+        """Store `left`, a function that returns whether the sender of the next message has left.
 
         A command whose client has left is given up, also while a message of another client waits for it.
         """
@@ -242,7 +242,7 @@ REFUSE: Final = WireFault(drop=True, refuse=True)
 FaultHook = Callable[[bytes, bytes | None], WireFault | None]
 """Called with each request and its reply (or None); returns the fault of the wire, or None.
 
-It is called once at a time per instrument, in the order in which the messages were carried out.
+Calls for one instrument never overlap; they have the order in which its messages were carried out.
 """
 
 

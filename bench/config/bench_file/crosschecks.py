@@ -122,9 +122,7 @@ def _with_pair(sensor: Any) -> set[str]:
 
 
 def _surrounding_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Check the thermometers of meters and room: none has a certificate or gradient, and `chamber` requires a
-    chamber.
-    """
+    """Check the thermometers of meters and room: no certificate, no gradient, `chamber` only with a chamber."""
     for key in SURROUNDINGS:
         stated = part(data, "instruments", key)
         chamber = part(data, "instruments", "chamber")

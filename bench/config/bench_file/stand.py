@@ -418,7 +418,8 @@ class TemperatureError(ErrorSize):
 
 
 class RoomError(ErrorSize):
-    """The limit of the changes of the room's temperature, K, which the voltmeters follow after the time `lag`.
+    """The limit of the changes of the room's temperature, K, which the voltmeters follow with the time constant
+    `lag`.
 
     The lag is 100 min by default, as a published record of a 34420A in an air bath shows.
     """

@@ -48,7 +48,9 @@ class ManualHeadSection(HeadForm):
 
 
 class ManualChamberSection(ChamberForm):
-    """A chamber that a person sets and reads; after a run it is set to `safe`, or switched off without it."""
+    """A chamber that a person sets and reads; after a run it is set to `safe`, or switched off if that
+    is omitted.
+    """
 
     by_hand: ClassVar = True
 

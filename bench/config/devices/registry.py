@@ -92,9 +92,7 @@ class Devices:
         return None if place.startswith(str(Path(__file__).parent) + os.sep) else place
 
     def why_not(self, name: object) -> str | None:
-        """Return the possible reason why this name is unknown: a failed import. None if it is known or nothing
-        failed.
-        """
+        """Return the failed import that may be the reason why this name is unknown; else None."""
         if not isinstance(name, str) or name in self.found:
             return None
         if name in self.doubled:

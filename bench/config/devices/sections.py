@@ -57,8 +57,8 @@ class VoltmeterKind:
     `over_range` is the fraction of a range up to which the meter reads. `accuracy` gives, by range, the error
     limits of DC volts within 90 days at 23 ± 5 °C, as fractions of reading and of range; `accuracy_of_year` gives
     the limits within a year where they are known. `linearity` gives the limits of integral nonlinearity in the same
-    form. `resolution` gives the resolved fraction of the range by integration time (in NPLC; it holds from that
-    time on), where known.
+    form. `resolution` gives the resolution, as a fraction of the range, from each integration time (in NPLC) on; it
+    is empty if unknown.
     """
 
     limits: VoltmeterLimits

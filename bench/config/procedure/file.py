@@ -296,7 +296,7 @@ class TurnVerb(FileModel):
 
 
 class ReadVerb(FileModel):
-    """Take a reading, or several `times`, with a `pause` in between; each is a point with the next number.
+    """Take one or several (`times`) readings, with a `pause` in between; each is a point, numbered in sequence.
 
     The defaults are in the section `reading`.
     """

@@ -174,8 +174,7 @@ class Hysteresis(BlockEffect):
 
 
 def state(conditions: Conditions, width_g: float) -> Floats:
-    """Return each channel's position in its hysteresis loop, shape (n, 3): -1 to 1, +1 after a large rise of the
-    force.
+    """Return the position in each channel's hysteresis loop, -1 to 1, shape (n, 3); +1 after a large rise of force.
 
     Rows without an angle or in an unknown installation have 0 and do not count as settings.
     """

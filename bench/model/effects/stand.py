@@ -36,7 +36,7 @@ class ConstantAngle(StandEffect):
     per_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the angle in the column of `STAND_ANGLES` that it changes, zero elsewhere, rad, shape (n, 5)."""
+        """Return the angle in its column of `STAND_ANGLES`, zero in the other columns, rad, shape (n, 5)."""
         return into(self.column, values["angle"], seen.signal)
 
 

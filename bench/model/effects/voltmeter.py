@@ -134,7 +134,9 @@ class VoltmeterThermalOffset(VoltmeterEffect):
 
 
 class VoltmeterMove(VoltmeterEffect):
-    """A jump of the zero of each channel's meter at the time `at` since the start of the run, as after a move."""
+    """A jump of the zero of each channel's meter at the time `at` after the start of the run, as if it
+    was moved.
+    """
 
     name = "voltmeter_move"
     parameters = (

@@ -301,9 +301,7 @@ def _of_channel(
 
 
 def largest_scatter_v(sigma_v: float, n: int) -> float:
-    """Return the upper limit of the standard deviation of `n` samples, V, if `sigma_v` is the true standard
-    deviation.
-    """
+    """Return the upper limit of the standard deviation of `n` samples, V, for the true value `sigma_v`."""
     from scipy.stats import chi2
 
     return sigma_v * math.sqrt(float(chi2.isf(SIGNIFICANCE, n - 1)) / (n - 1)) if n > 1 else sigma_v

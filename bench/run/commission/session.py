@@ -360,9 +360,7 @@ class CommissioningSession:
     def _with_wire(
         self, found: Finding, name: str, mark: tuple[int, int], before: int | None, by_answers: bool
     ) -> Finding:
-        """Return the finding with faults on a wire added: failures after which the driver succeeded, slow
-        responses.
-        """
+        """Return the finding with faults on a wire added: failures followed by success, slow responses."""
         failures, after = self.watch.failures(mark, name), self._connection(name)
         if failures:
             said = f"{found.said}, but its wire failed on the way ({failures[0]})"
