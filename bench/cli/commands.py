@@ -176,14 +176,14 @@ HEADINGS: Final = {
     "budget": "Plan",
     "help": "Help",
 }
-"""Headings in the whole help, by the first command below each."""
+"""The headings of the whole help; each key is the first command under its heading."""
 
 COMMON: Final[Mapping[str, tuple[str, ...]]] = {
     "Prepare": ("init", "instruments", "check", "panel"),
     "Measure": ("run", "resume", "abort", "runs", "show"),
     "Evaluate": ("calibrate", "verify", "report", "diagnose", "confirm", "certificate"),
 }
-"""The commands that `bench --help` lists, by heading."""
+"""The commands that `bench --help` lists, under their headings."""
 
 _WIDTH: Final = max(len(name) for names in COMMON.values() for name in names)
 

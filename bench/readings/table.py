@@ -44,7 +44,7 @@ MOST_DECIMALS: Final = 8
 """Decimals in a 34401A's reply: a signal with more was computed, not read from a meter."""
 
 UNITS: Final[Mapping[str, str]] = {"v": "V", "counts": "counts", "g": "g", "ms2": "m/s^2"}
-"""Suffix of the signal columns (ux_v, ux_counts, ux_g, ux_ms2) to the printed unit."""
+"""The printed unit by suffix of the signal columns (ux_v, ux_counts, ux_g, ux_ms2)."""
 
 
 @dataclass(frozen=True)

@@ -270,9 +270,7 @@ class Inquiry:
         return sighting.poses
 
     def _shifts(self, sighting: Sighting, state: Expectation) -> Floats:
-        """Return the signals' prior standard deviations (5, 3), V: block turned, block tilted, x off, y
-        off, z off.
-        """
+        """Return the signals' prior standard deviations (5, 3), V: block turned, tilted, x off, y off, z off."""
         scale = state.scale_factors[0]
         turn = self.model.installations[sighting.installation].block_from_platform
         return np.stack(

@@ -142,9 +142,7 @@ class MixedModelEquations:
         return np.asarray(self.sizes[BENCH] ** 2 * own)
 
     def unit(self, y: Floats) -> tuple[Floats, Floats]:
-        """Return the predicted effects of units (U,), and the variances of the predictions (not of
-        their errors).
-        """
+        """Return the predicted effects of units (U,) and the variances of the predictions, not of their errors."""
         fixed = self.solution[self.crossing.groups :] * self.sizes[BENCH]
         left = y - self.solution[self.crossing.group[self.crossing.unit]] - fixed[self.crossing.bench]
         sums = np.bincount(self.crossing.unit, self.w * left, self.crossing.units)
@@ -154,7 +152,7 @@ class MixedModelEquations:
         return part * sums, variance - part
 
     def project(self, x: Floats) -> Floats:
-        """Return P x (n, k) for x (n, k): V^-1 x after removal of the part that the means of groups explain."""
+        """Return P x (n, k) for x (n, k): V^-1 times the residual of x after a GLS fit of the means of groups."""
         own = self._without_units(x)
         crossing = self.crossing
         right = np.stack([_sums(crossing, column, self.sizes[BENCH]) for column in own.T], axis=1)

@@ -67,7 +67,7 @@ class Mixed:
 
     @cached_property
     def columns(self) -> ComponentColumns:
-        """All components side by side."""
+        """The columns of all components, joined into one sparse matrix."""
         return ComponentColumns.of(self.Z)
 
     def covariance(self, theta: Floats) -> Floats:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _NUMBER: Final = r"-?\d{1,3}\.\d{1,4}"
 _TRIPPED: Final = facts.OVER_VOLTAGE | facts.OVER_CURRENT
 _NEAR_STEPS: Final = 3.0
-"""Tolerance, in steps, within which a current equals its limit and a voltage its setting."""
+"""A current this many steps from its limit, or a voltage from its setting, still counts as equal to it."""
 
 
 class AimTti(WiredSupply):

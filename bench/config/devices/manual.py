@@ -48,9 +48,7 @@ class ManualHeadSection(HeadForm):
 
 
 class ManualChamberSection(ChamberForm):
-    """A chamber that a person sets and reads; after a run it is set to `safe`, or switched off if that
-    is omitted.
-    """
+    """A chamber that a person sets and reads; after a run it is set to `safe` or, without `safe`, switched off."""
 
     by_hand: ClassVar = True
 

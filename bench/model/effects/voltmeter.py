@@ -134,9 +134,7 @@ class VoltmeterThermalOffset(VoltmeterEffect):
 
 
 class VoltmeterMove(VoltmeterEffect):
-    """A jump of the zero of each channel's meter at the time `at` after the start of the run, as if it
-    was moved.
-    """
+    """A jump of the zero of each channel's meter, as if it was moved, at the time `at` since the run began."""
 
     name = "voltmeter_move"
     parameters = (
