@@ -45,7 +45,7 @@ from drivers.angles import format_dms
 SCALE_FACTOR_U: Final = 0.03
 CROSS_AXIS_U: Final = 0.03
 BIAS_U_G: Final = 0.3
-"""Prior standard deviations about the nominal block: of K relative to the scale factors, and of the bias in g."""
+"""Prior standard deviations about the nominal block: of K (two) relative to its scale factors, of the bias in g."""
 
 FALSE_ALARM: Final = 0.005
 """Probability that a whole run on a good bench raises any warning."""
@@ -58,7 +58,7 @@ BIAS_PER_ROOT_HOUR_G: Final = 30e-6
 SCALE_PER_ROOT_HOUR: Final = 20e-6
 BIAS_PER_KELVIN_G: Final = 180e-6
 SCALE_PER_KELVIN: Final = 300e-6
-"""Changes of a good block that are allowed for, 1 σ; those per kelvin are three times the plausible value."""
+"""The five constants above are changes of a good block, 1 σ; those per kelvin are thrice the plausible size."""
 
 TEMPERATURE_STEP_K: Final = 0.5
 """Least change of temperature that is taken into account, K; a smaller one may be the thermometer's noise."""

@@ -91,8 +91,8 @@ def sizes_of(
 class Sizes:
     """The accepted variances (runs, 4) of x, y, z and the setting, with the channels' degrees of freedom (runs, 3).
 
-    `p_equal` (runs,) is the p-value of equal channels; if it is at least `EQUAL_P`, a run has one size for all
-    three.
+    `p_equal` (runs,) is the p-value of the hypothesis that the channels have one size; if it is at least `EQUAL_P`,
+    a run has one size for all three.
     """
 
     variances: Floats
@@ -138,7 +138,7 @@ def believed_sizes(
 
 
 def equality(scatter: Floats, freedom: Ints | Floats, slope: Floats, common: Floats) -> Floats:
-    """Return the p-value (runs,) of channels of one size, by Rao's score test.
+    """Return the p-value (runs,) of the hypothesis that the channels have one size, by Rao's score test.
 
     The test is at the sizes `common` (runs, 4) that maximise the likelihood with one size. The setting's variance
     is left out of the test if it is at its lower bound.

@@ -46,13 +46,15 @@ REGULATING: Final = 1
 LIMITING: Final = 2
 OVER_VOLTAGE: Final = 4
 OVER_CURRENT: Final = 8
-"""Bits of the limit event register (LSR<n>?), which holds the events since its last reading."""
+"""The four constants above are bits of the limit event register (LSR<n>?); it holds the events since its last
+reading.
+"""
 
 POWER_ON: Final = 128
 QUERY_ERROR: Final = 4
 EXECUTION_ERROR: Final = 16
 COMMAND_ERROR: Final = 32
-"""Bits of the standard event register (*ESR?)."""
+"""The four constants above are bits of the standard event register (*ESR?)."""
 EXECUTION_ERRORS: Final = {
     100: "out of range",
     103: "no such output",

@@ -52,19 +52,19 @@ DEVICE_LINES: Final = 3
 
 SHORTEST_VALUE: Final = 10
 LONGEST_VALUE: Final = 13
-"""Length of a value in characters, with sign and decimal point."""
+"""Shortest and longest length of a value in characters, with sign and decimal point."""
 DARK: Final = "0"
 GLOWS: Final = "1"
 BLINKS: Final = "2"
-"""The states of an indicator in the reply to `ASK_INDICATORS`."""
+"""The three constants above are the states of an indicator in the reply to `ASK_INDICATORS`."""
 INDICATORS_281B: Final = 14
 REF_281B: Final = 0
 INCH_281B: Final = 6
-"""The positions of indicators of an ND 281B in the reply to `ASK_INDICATORS`."""
+"""Number of indicators of an ND 281B, and the positions of two of them in the reply to `ASK_INDICATORS`."""
 MODE: Final = 0
 SCALING: Final = 2
 UNIT: Final = 5
-"""The positions of digits in the status bar of an ND 287."""
+"""The three constants above are positions of digits in the status bar of an ND 287."""
 ACTUAL_VALUE: Final = "0"
 UNSCALED: Final = "0"
 DEGREES: Final = "2"

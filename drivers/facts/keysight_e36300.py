@@ -44,4 +44,4 @@ LIMITING: Final = 1
 REGULATING: Final = 2
 OVER_VOLTAGE: Final = 512
 OVER_CURRENT: Final = 1024
-"""Bits of STATus:QUEStionable:INSTrument:ISUMmary<n>:CONDition?."""
+"""The four constants above are bits of STATus:QUEStionable:INSTrument:ISUMmary<n>:CONDition?."""

@@ -44,4 +44,6 @@ DEFAULT_CURRENT_A: Final = {"P6V": 5.0, "P25V": 1.0, "N25V": 1.0}
 LIMITING: Final = 1
 REGULATING: Final = 2
 FAILED: Final = 3
-"""Replies to STATus:QUEStionable:INSTrument:ISUMmary<n>:CONDition?; 0 means off or unregulated."""
+"""The three constants above are replies to STATus:QUEStionable:INSTrument:ISUMmary<n>:CONDition?; 0 is off or
+unregulated.
+"""
