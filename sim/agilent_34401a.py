@@ -519,9 +519,7 @@ class Agilent34401A(LineMeter):
 
     @property
     def line_ends(self) -> LineEnds:
-        """The line ends; for a real RS-232 port they include its small buffer, which overflows while a reply is
-        due.
-        """
+        """The line ends, with the small buffer of a real RS-232 port, which overflows while a reply is due."""
         return _REAL_PORT if self._real_port else LineEnds()
 
     def handle(self, message: bytes, interrupted: Callable[[], bool] = never) -> bytes | None:
