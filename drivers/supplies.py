@@ -225,7 +225,7 @@ class WiredSupply(ABC):
         return []
 
     def _go_to_local(self) -> None:  # noqa: B027 - most need no command
-        """Return the front panel to local control, if the supply has a command for it."""
+        """Return the front panel to local control, if the supply has a command for this."""
 
     # --- for makes ----------------------------------------------------------------------------------
 

@@ -40,7 +40,7 @@ class TextLine:
     def number(self, session: ProvedSession) -> float:
         """Return the number in the instrument's present reply.
 
-        Raises `InstrumentRefused` for an error of the bench file, `BadReading` for any other reply.
+        Raises `InstrumentRefused` for one of the `errors`, `BadReading` for a reply that does not match.
         """
         known = "|".join([f"(?:{self._pattern.pattern})", *map(re.escape, self._errors)])
         said = session.ask(self._request, known, "a line of the form in the bench file")

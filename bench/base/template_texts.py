@@ -40,7 +40,7 @@ _ATTRIBUTE: Final = re.compile(
 )
 _ENDING: Final = re.compile(r'\{\{\s*"(\w*)" if (.+?) == 1 else "(\w*)"\s*\}\}')
 _ATTRIBUTE_ALONE: Final = re.compile(r'\s*[a-z-]+="')
-"""An attribute's name, `="`: the beginning of an attribute whose value a macro writes."""
+"""The beginning of an attribute, such as `href="`, whose value a macro writes."""
 _MARKED: Final = re.compile(r"(?<![\w.])_\(")
 _LITERAL: Final = re.compile(r'"((?:[^"\\]|\\.)*)"')
 _CONTEXT: Final = re.compile(r'context="(\w+)"')

@@ -32,7 +32,7 @@ MOST_ERRORS: Final = 10
 """Size of the error buffer; `TB?` removes the oldest message."""
 NO_ERROR: Final = 0
 AXIS_ERRORS: Final = 100
-"""The number of an axis error is this times the number of the axis, plus one of the codes below."""
+"""The number of an axis error is `AXIS_ERRORS` times the number of the axis, plus one of the codes below."""
 
 # errors of the controller
 UNKNOWN_COMMAND: Final = 6

@@ -62,6 +62,6 @@ class EncoderLine(ReadOutHead):
     def _shown_rad(self) -> float:
         """Return the value of the counter, rad.
 
-        Raises `InstrumentRefused` for an error of the bench file, `BadReading` for any other reply.
+        Raises `InstrumentRefused` for one of the `errors`, `BadReading` for a reply that does not match.
         """
         return self._line.number(self._session) * self._rad
