@@ -11,10 +11,10 @@ from drivers.interfaces import message
 EXAMPLE: Final = "45 00 10 or 45°00′10″ or 45.0028"
 
 ROUNDING_RAD: Final = 1e-10
-"""Tolerance for floating-point rounding, so that a reading exactly at the limit is accepted."""
+"""Tolerance for floating-point rounding, rad, so that a reading exactly at the limit is accepted."""
 
 _MARKS: Final = (("°", "°º˚:"), ("′", "′'’´`:"), ("″", '″"”“'))
-"""The mark after degrees, minutes and seconds, each with its substitutes on keyboards."""
+"""The marks for degrees, minutes and seconds, each with the characters that people type in its place."""
 
 _DEVIATION: Final = re.compile(r"(?P<sign>[+-])\s*(?P<seconds>[0-9]{1,4}(?:[.,][0-9]+)?)\s*[″\"”“]")
 """A reading typed as its deviation from the commanded angle, such as `+5"`: sign and mark are needed."""
@@ -144,7 +144,7 @@ def format_dms(angle_rad: float, decimals: int = 0) -> str:
 
 
 def scale_text(angle_rad: float) -> str:
-    """Return an angle as the scale shows it, with as many decimals of a second (at most 3) as it needs."""
+    """Return an angle as the scale shows it, with the fewest decimals of a second that state it, at most 3."""
     shown_rad = angle_rad if 0.0 <= angle_rad <= math.tau else angle_rad % math.tau
     for decimals in range(3):
         text = format_dms(shown_rad, decimals)
@@ -156,9 +156,9 @@ def scale_text(angle_rad: float) -> str:
 def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> str | None:
     """Return in words the common mistake that turns `target_rad` into `read_rad`, or None.
 
-    The mistakes are: a scale line one off (10°, 1°, 10′, 1′), the opposite side of the circle, 360° - x, two
-    digits swapped. Except for swapped digits, the predicted reading must be within `tolerance_rad` of `read_rad`,
-    and at least three times as close to it as the target is.
+    The mistakes are: a scale line one off (10°, 1°, 10′, 1′), the opposite side of the circle, 360° - x, two digits
+    swapped. Except for swapped digits, the reading that the mistake predicts must differ from `read_rad` by at most
+    `tolerance_rad`, and by at most a third of the target's difference.
     """
     difference = wrapped_rad(read_rad - target_rad)
     if abs(difference) <= tolerance_rad:
@@ -176,7 +176,7 @@ def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> st
 
 
 def _digits_swapped(read_rad: float, target_rad: float) -> bool:
-    """Return whether degrees or minutes have two neighbouring digits swapped while the other part agrees."""
+    """Return whether two neighbouring digits of the degrees, or of the minutes, are swapped and all else agrees."""
     read, target = (
         re.findall(r"[0-9]+", format_dms(angle)) for angle in (read_rad % math.tau, target_rad % math.tau)
     )

@@ -18,12 +18,12 @@ NUMBER: Final = r"[+-]?\d{1,5}(?:\.\d{1,6})?"
 """The pattern of a temperature in replies of controllers."""
 
 _PLAUSIBLE_K: Final = 30.0
-"""A plausible reading lies at most this far outside the limits: room temperature may lie outside, too."""
+"""A reading further than this outside the limits, K, is implausible; room temperature may be outside them."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChamberLimits:
-    """The permitted set points, and how far the air may be from the set point at a reading.
+    """The permitted set points, °C, and the band: the largest deviation of the air from the set point at a reading.
 
     With `band_c` None, readings are accepted at any temperature. Raises `ValueError` for inconsistent values.
     """
@@ -93,7 +93,7 @@ class ControlledChamber(ABC):
     """The base class of chambers with a controller: a `ThermalChamber` whose `temperature` is the air temperature.
 
     A subclass verifies its controller, sets, reads, starts and stops it. `identity` is the pattern of the
-    controller's name, `write_gap_s` the pause that it needs after a command without reply.
+    controller's name, `write_gap_s` the pause, s, after a command without reply.
     """
 
     asks_person = False
@@ -142,9 +142,9 @@ class ControlledChamber(ABC):
     def set_temperature(self, target_c: float, key: str) -> None:
         """Send the set point, read it back, and start conditioning.
 
-        Raises `LimitExceeded` before anything is sent if the bench file forbids the set point, and before anything
-        is set if the controller does; `InstrumentRefused` if the chamber is not ready or the set point is not
-        applied; `InstrumentLost`, `BadReading`.
+        Raises `LimitExceeded` for a set point outside the bench file's limits (before anything is sent) or the
+        controller's (before anything is set); `InstrumentRefused` if the chamber is not ready or the set point is
+        not applied; `InstrumentLost`, `BadReading`.
         """
         self._limits.check(self.name, target_c)
         self._refuse_unready(target_c)

@@ -16,7 +16,7 @@ from typing import Final, Literal, Protocol, runtime_checkable
 
 
 def message(text: str, context: str = "") -> str:
-    """Return a text unchanged; the call marks it as read by people, so that it is translated where it is shown.
+    """Return a text unchanged; the call marks it for translation in pages and prompts.
 
     `text` is a literal or an f-string. `context` distinguishes texts that are equal in English but not in another
     language.
@@ -80,7 +80,7 @@ Channel = Literal["x", "y", "z"]
 CHANNELS: tuple[Channel, Channel, Channel] = ("x", "y", "z")
 
 Direction = Literal[1, -1]
-"""Approach to an angle: +1 rising, -1 falling."""
+"""Direction of approach to an angle: +1 with rising, -1 with falling angle."""
 
 
 NO_SERIAL: Final = frozenset({"", "0", "-"})
@@ -140,7 +140,7 @@ class VoltmeterSettings:
 class VoltmeterLimits:
     """The settings that a model supports: ranges in volts, integration in power-line cycles, samples per reading.
 
-    They come only from the meter's module in `drivers.facts`; bench files and procedures are checked against them.
+    They are read from the meter's module in `drivers.facts`; bench files and procedures are checked against them.
     """
 
     ranges_v: tuple[float, ...]
@@ -230,11 +230,11 @@ class ThermalChamber(Instrument, Protocol):
     def make_safe(self) -> str:
         """Put the chamber into its safe state; return what a person must still do, an empty string for nothing.
 
-        Called however a run ends. Raises `BenchError` if the chamber does not comply.
+        Called at every end of a run, also after a failure. Raises `BenchError` if the chamber does not comply.
         """
 
     def temperature(self, key: str, *, settling: bool = False) -> float:
-        """Return the temperature at the block, or else of the air, °C.
+        """Return the temperature at the block or, without a sensor there, of the air, °C.
 
         Raises `InstrumentRefused` if the temperature is outside the band that the bench file may state around
         the set point, unless `settling` is true; also `InstrumentLost`, `BadReading`.
@@ -272,7 +272,9 @@ class Level(Instrument, Protocol):
     """A two-axis level on the platform; its zero error is unknown."""
 
     asks_person: bool
-    """Whether a person reads the level, in prompts that also say how to place it; else a person only places it."""
+    """Whether a person reads the level, in prompts that also say how to place it. Otherwise a person only places
+    it.
+    """
 
     @property
     def sizes(self) -> LevelSizes:
@@ -419,7 +421,7 @@ def _span(span: tuple[float, float]) -> str:
 class SupplyLimits:
     """The limits of a supply's outputs, by name. `together`: a single switch controls all outputs.
 
-    They come only from the supply's module in `drivers.facts`; bench files are checked against them.
+    They are read from the supply's module in `drivers.facts`; bench files are checked against them.
     """
 
     outputs: Mapping[str, OutputLimits] = field(default_factory=dict)
@@ -485,5 +487,5 @@ class PowerSupply(Instrument, Protocol):
     def switch_all_off(self) -> str:
         """Switch every output off and verify; return what a person must still do, an empty string for nothing.
 
-        May be called however a run ends. Raises `BenchError` if the supply does not comply.
+        May be called after any end of a run, also a failure. Raises `BenchError` if the supply does not comply.
         """

@@ -27,18 +27,18 @@ if TYPE_CHECKING:
 
 
 NOISE_RAD: Final = math.radians(0.05)
-"""The angle may run back by this much during a move, from noise and from backlash at the start."""
+"""Largest backward change of the angle during a move, rad: noise, and backlash at the start."""
 STALLED_S: Final = 5.0
-"""Time without progress after which a head counts as stalled."""
+"""Time without progress after which a head counts as stalled, s."""
 _LEAST_OF_SPEED: Final = 0.05
-"""Slower than this fraction of the nominal speed is no progress."""
+"""A head slower than this fraction of its nominal speed makes no progress."""
 
 
 @dataclass
 class TravelWatch:
-    """Supervision of one move of the head `name`, from `start_rad` to `target_rad`, begun at clock time `begun_s`.
+    """Supervision of one move of the head `name`, which begins at `start_rad` at the clock time `begun_s`.
 
-    Within half the back-off from its target the head may overshoot or stop: `Mover` decides whether it has
+    Once within half the back-off of its target, the head may overshoot it or stop: `Mover` decides whether it has
     settled.
     """
 
@@ -49,7 +49,7 @@ class TravelWatch:
     begun_s: float
 
     def __post_init__(self) -> None:
-        """Start with the whole distance remaining."""
+        """Set the remaining distance to the whole move."""
         self._left_rad = abs(self.target_rad - self.start_rad)
         self._progress_rad, self._progress_s = self._left_rad, self.begun_s
         self._near_rad = 0.5 * self.travel.backoff_rad
@@ -90,7 +90,7 @@ class TravelWatch:
 
 
 _ROUNDING_RAD: Final = 1e-9
-"""Tolerance for floating-point rounding, so that an angle exactly at a limit is accepted."""
+"""Tolerance for floating-point rounding, rad, so that an angle exactly at a limit is accepted."""
 _PATIENCE: Final = 2.0
 """A move may take this multiple of its nominal time, plus `_PATIENCE_S` and the settling time."""
 _PATIENCE_S: Final = 10.0
@@ -286,8 +286,8 @@ class Mover:
 class MotorisedHead(ABC):
     """The base class of heads with a controller: a `DividingHead` whose subclass implements the `Axis`.
 
-    A subclass also verifies its controller (`_prove`). `write_gap_s` is the pause that the controller needs after
-    a command without reply. The session knows the line termination.
+    A subclass also verifies its controller (`_prove`). `write_gap_s` is the pause that the controller needs after a
+    command without reply, s.
     """
 
     def __init__(
@@ -329,7 +329,7 @@ class MotorisedHead(ABC):
 
         Raises `LimitExceeded` before anything is sent; `WentAstray` if the head leaves its limits or moves away
         from its target; `InstrumentRefused` if it stalls, does not arrive, or the controller reports an error;
-        `InstrumentLost`, `BadReading`. The motion is stopped then.
+        `InstrumentLost`, `BadReading`. An error during the motion stops it.
         """
         return self._mover.move(target_rad, direction)
 

@@ -39,7 +39,7 @@ class TurnHead(TypedDict):
     direction: Direction
     tolerance_rad: NotRequired[float]
     read_by: NotRequired[Literal["encoder"]]
-    """An encoder reads the angle, which the head must approach from at least `backoff_rad` away."""
+    """Given if an encoder reads the angle; the head must then approach it from at least `backoff_rad` away."""
     backoff_rad: NotRequired[float]
     hands_free: NotRequired[bool]
     """The encoder answers in the person's place when the head is at rest at the target."""
@@ -120,7 +120,8 @@ class LevelPlatform(TypedDict):
 
 
 class Say(TypedDict):
-    """A task that moves and sets nothing: read a thermometer, answer, wait, or see that the way is clear.
+    """A task without any movement or setting: read a thermometer, answer, wait, or check that the head's path is
+    clear.
 
     `of` is "meter" or "room" for a thermometer that is neither at the block nor the chamber's.
     """
@@ -211,22 +212,23 @@ class AnsweredByInstrument(Exception):
 
 
 @runtime_checkable
-class _LooksAsTold(Protocol):
-    """A `WatchingPerson` whose interval between calls of `meanwhile` can be set, s."""
+class _HasInterval(Protocol):
+    """A `WatchingPerson` whose interval between calls of `meanwhile` can be set: `slice_s`, s."""
 
     slice_s: float
 
 
 @contextmanager
 def watching(person: Person, look: Callable[[], None], every_s: float, clock: Clock) -> Iterator[None]:
-    """Call `look` while `person` has an open question, in addition to the `meanwhile` that is set already.
+    """Call `look` while `person` has an open question, in addition to the present `meanwhile` of the person.
 
-    The interval is `every_s`, s, if the person lets it be set. Only a `WatchingPerson` calls `look`.
+    The interval is `every_s`, s, if the person has a `slice_s`. A person who is not a `WatchingPerson` never calls
+    `look`.
     """
     if not isinstance(person, WatchingPerson):
         yield
         return
-    before, told = person.meanwhile, person if isinstance(person, _LooksAsTold) else None
+    before, told = person.meanwhile, person if isinstance(person, _HasInterval) else None
     before_s = 0.0 if told is None else told.slice_s
     due_s = clock.now_s()
 
@@ -249,7 +251,7 @@ def watching(person: Person, look: Callable[[], None], every_s: float, clock: Cl
 
 
 ATTEMPTS: Final = 5
-"""How often a question is asked at most."""
+"""The most times that a question is asked."""
 
 APPROACH: Final[dict[Direction, str]] = {
     1: message("approach with the angle rising, from below"),

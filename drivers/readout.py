@@ -34,13 +34,13 @@ if TYPE_CHECKING:
     from drivers.wire.visa import MessageSession
 
 LOOK_S: Final = 0.2
-"""Time between two looks at the encoder while a person turns the head, s."""
+"""Interval between two readings of the encoder while a person turns the head, s."""
 PATIENCE_S: Final = 10.0
-"""The longest wait for rest after the person has confirmed, beyond the settling time, s."""
+"""Longest wait for the head to rest after the person's confirmation, in addition to the settling time, s."""
 MOST_ATTEMPTS: Final = 20
 """The most prompts for one angle."""
 UNWATCHED: Final = "The program sees the head only when you answer: answer at the back-off position, too."
-"""The hint for a person whose open prompts allow no watching."""
+"""The hint in a prompt if the program cannot read the encoder while the prompt is open."""
 ENCODER: Final = "encoder"
 """The name of the encoder as author of an answer in the record."""
 
@@ -122,7 +122,7 @@ class Track:
 
     @property
     def angle_rad(self) -> float:
-        """The last angle, on the turn of the target, rad."""
+        """The last angle, rad, shifted by whole turns to lie within half a turn of the target."""
         return self._target_rad + self._direction * self._offset_rad
 
     @property
@@ -229,9 +229,7 @@ class ReadOutHead(ABC):
         track = self._begun(target_rad, direction, key)
         trouble = ""
         for attempt in range(1, MOST_ATTEMPTS + 1):
-            if (
-                not self._trusted
-            ):  # the connection was made again on the way, perhaps to a counter that was off
+            if not self._trusted:  # a new connection: the counter may have been switched off
                 track = self._begun(target_rad, direction, key)
             prompt = self._prompt(target_rad, direction, f"{key}#{attempt}", trouble)
             trouble = self._asked(prompt, track)
@@ -310,7 +308,7 @@ class ReadOutHead(ABC):
     # --- the person ---------------------------------------------------------------------------------
 
     def _asked(self, prompt: Prompt, track: Track) -> str:
-        """Put the prompt and wait for the head; return the reason why it has not arrived, or an empty text."""
+        """Show the prompt and wait until the head is at rest; return why it has not arrived, or an empty text."""
         looks_before = track.looks
         try:
             with watching(self._person, partial(self._watch, track), LOOK_S, self._clock):
@@ -338,7 +336,7 @@ class ReadOutHead(ABC):
         raise AnsweredByInstrument(ENCODER, format_dms(track.angle_rad, 1), problem)
 
     def _come_to_rest(self, track: Track) -> str:
-        """Wait until the head is at rest; return the reason why it has not arrived, or an empty text."""
+        """Wait until the head is at rest; return why it has not arrived, or an empty text."""
         end_s = self._clock.now_s() + self._approach.settle_s + PATIENCE_S
         self._look(track)
         while not track.rests and self._clock.now_s() < end_s:

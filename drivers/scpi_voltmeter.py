@@ -37,9 +37,9 @@ Interface = Literal["lan", "gpib", "rs232"]
 _NUMBER: Final = r"[+-]?\d+(?:\.\d+)?(?:E[+-]?\d+)?"
 IDENTITY: Final = r"([^,]+),([^,]+),([^,]*),([^,]*)"
 _NONE: Final = -1
-"""A number that no connection has."""
+"""A value that differs from every connection number."""
 
-# bits of the standard event register, *ESR?
+# bits of the standard event register (*ESR?)
 _POWER_ON: Final = 128
 _ERRORS: Final = 4 | 8 | 16 | 32  # query, device, execution, command
 
@@ -72,11 +72,11 @@ class ScpiVoltmeter(ABC):
     models: tuple[str, ...] = ()
     """The names of the accepted models in the identity."""
     not_live: str = ""
-    """Why the meter must not be sampled between readings; empty if it may."""
+    """The reason why the meter must not be sampled between readings; empty if it may be."""
     called: str = ""
     """The expected meter in the error for a wrong instrument: "a 34401A"."""
     hint: str = ""
-    """A setting of the meter to check if it is not found, if any."""
+    """A setting of the meter that a person should check if the meter does not respond; may be empty."""
     start_command: str = "INIT"
     fetch_query: str = "FETC?"
     reading: str = line.READING
@@ -92,7 +92,7 @@ class ScpiVoltmeter(ABC):
     errors_kept: int = line.ERRORS_KEPT
     remote_command: str = "SYST:REM"
     local_command: str = "SYST:LOC"
-    """Command that returns an RS-232 meter to local; empty if it has none. `remote_command` is the opposite."""
+    """Command that returns an RS-232 meter to local, empty if there is none; `remote_command` sets it to remote."""
     self_test_s: float = line.SELF_TEST_S
     stays_remote_s: float = line.STAYS_REMOTE_S
 
@@ -246,7 +246,7 @@ class ScpiVoltmeter(ABC):
         A signal at the input may disturb the test. Raises `InstrumentLost`, `BadReading`.
         """
         self._be_remote()
-        self._connection = None  # the settings may be lost in a test: configure again
+        self._connection = None  # a self-test may lose the settings: configure again
         self._started = False
         reply = self._session.query(
             "*TST?",
@@ -289,7 +289,9 @@ class ScpiVoltmeter(ABC):
     # --- settings, errors ---------------------------------------------------------------------------
 
     def _be_remote(self) -> None:
-        """Set an RS-232 meter to remote, which it needs to accept commands; other interfaces do so themselves."""
+        """Set a meter on RS-232 to remote, so that it accepts commands; over other interfaces it does this by
+        itself.
+        """
         if self._interface == "rs232" and self.remote_command:
             self._session.write(self.remote_command)
         self._spoke_s = self._clock.now_s()

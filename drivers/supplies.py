@@ -1,4 +1,6 @@
-"""Base class of remote-controlled supplies: limits checked first, settings read back, live outputs not changed."""
+"""Base class of remote-controlled supplies, which checks limits, reads settings back and never sets an output that
+is on.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,7 @@ NUMBER: Final = r"[+-]?\d{1,3}(?:\.\d{1,8})?(?:E[+-]\d{1,3})?"
 """The pattern of a voltage or current in replies of supplies."""
 
 SWITCHING_S: Final = 0.5
-"""Pause after switching, s: the unit's in-rush current decays, an output without load discharges."""
+"""Pause after switching, s, in which the unit's in-rush current decays or an output without load discharges."""
 
 _ERRORS_ASKED: Final = 32
 """The most errors to read from a queue: more than any queue holds."""
@@ -223,7 +225,7 @@ class WiredSupply(ABC):
         return []
 
     def _go_to_local(self) -> None:  # noqa: B027 - most need no command
-        """Return the front panel to local control, if that takes a command."""
+        """Return the front panel to local control, if the supply has a command for this."""
 
     # --- for makes ----------------------------------------------------------------------------------
 

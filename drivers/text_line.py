@@ -16,7 +16,7 @@ _NUMBER: Final = re.compile(r"[+-]? *\d+(?:\.\d*)?|[+-]? *\.\d+")
 
 
 class TextLine:
-    """A request to the instrument `name`, and its reply, in which `pattern` has the number as its `group`.
+    """A request to the instrument `name`, and the form of its reply: the group `group` of `pattern` is the number.
 
     `errors` maps lines sent instead of a number to their meanings; `remedy` says what to do then.
     """
@@ -40,7 +40,7 @@ class TextLine:
     def number(self, session: ProvedSession) -> float:
         """Return the number in the instrument's present reply.
 
-        Raises `InstrumentRefused` for an error of the bench file, `BadReading` for any other reply.
+        Raises `InstrumentRefused` for one of the `errors`, `BadReading` for a reply that does not match.
         """
         known = "|".join([f"(?:{self._pattern.pattern})", *map(re.escape, self._errors)])
         said = session.ask(self._request, known, "a line of the form in the bench file")

@@ -1,8 +1,7 @@
 """A simulated rate table with an ACUTROL controller, on the head of the world.
 
 The words of a command may be abbreviated (`:M:P 1`). Each reply is an eight-character prefix with OK, ERR or a
-number.
-Source: the public ACUTROL client of the maker's robotics group, and its GPIB twin.
+number. Source: the public ACUTROL client of the maker's robotics group, and its GPIB version.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ _WORDS: Final = {
     "read": ("position", "rate"),
 }
 _FAR_RAD: Final = 1e4
-"""The target of a table at a constant rate: so far away that it is never reached."""
+"""The target of a table at a constant rate, rad: so far away that it is never reached."""
 
 
 class _Refused(Exception):
@@ -38,8 +37,8 @@ class _Refused(Exception):
 class AcutrolTable(PlainDialect):
     """One axis of a rate table. A mode requires a closed interlock; the position mode starts to move at once.
 
-    `speed_deg_s` is the rate limit of the position mode. A demand that is sent before its mode takes effect when
-    the mode is entered.
+    `speed_deg_s` is the rate limit of the position mode. A demand sent before its mode is entered takes effect on
+    entering the mode.
     """
 
     def __init__(self, world: World, *, speed_deg_s: float = 10.0, axis: int = 1) -> None:
@@ -117,7 +116,7 @@ class AcutrolTable(PlainDialect):
             self._follow()
 
     def _follow(self) -> None:
-        """Start the motion for the demand of the present mode."""
+        """Start the motion that the present mode demands: to a position, or at a rate."""
         if self._mode == "position":
             self._world.move_head(math.radians(self._demand_deg["position"]), self._speed_rad_s)
             return

@@ -1,9 +1,9 @@
 """A simulated HP/Agilent 34401A multimeter on one channel of the world.
 
-It accepts the commands of drivers and other clients. Every function can be set, queried and measured; readings
-are as with only a DC voltage at the terminals. Of the math operations it has only the average, which does not
-change readings. Calibration and the external trigger are not simulated. Source: 34401A User's Guide
-(34401-90004), chapters 3-5; chapter 8, specifications.
+It accepts the commands of drivers and other clients. Every function can be set, queried and measured; the terminals
+carry only a DC voltage. Of the math operations it has only the average, which does not change readings. Calibration
+and the external trigger are not simulated. Source: 34401A User's Guide (34401-90004), chapters 3-5; chapter 8,
+specifications.
 """
 
 from __future__ import annotations
@@ -339,7 +339,7 @@ class Trigger(MeasuringCycle):
         return self._converter.settling_s(self._configuration) if stated_s is None else stated_s
 
     def _schedule(self, triggers: int) -> None:
-        """Schedule the samples of the next triggers: each after its delay, at the middle of its integration."""
+        """Schedule the samples of the next triggers, each at the middle of its integration after the delay."""
         start_s, delay_s = self._clock.now_s(), self.delay_s
         step_s = delay_s + self._converter.sample_s(self._configuration)
         middle_s = delay_s + self._converter.integration_s(self._configuration) / 2.0
@@ -471,8 +471,8 @@ class Agilent34401A(LineMeter):
     It measures `source` at the time of `clock`. See `LineMeter` for `interface`, `Converter` for `noise`,
     `accuracy` and `flaws`. `firmware` is the end of its identity; "3-1-1" prints a comma after the last reading.
     `errors_at_start` are errors in its queue at switch-on, as an adapter's own *IDN? causes (xyphro/UsbGpib issue
-    41). `real_port` is the port of the User's Guide, pages 151-152: its buffer has some 100 characters;
-    characters sent between a query and its reply are lost, even Ctrl-C; after ten idle minutes it is silent until
+    41). `real_port` is the port of the User's Guide, pages 151-152: its buffer has some 100 characters; characters
+    sent between a query and its reply are lost, even Ctrl-C; after ten idle minutes it sends nothing until
     SYSTem:REMote.
     """
 
@@ -519,7 +519,7 @@ class Agilent34401A(LineMeter):
 
     @property
     def line_ends(self) -> LineEnds:
-        """The line ends; a real RS-232 port's have its small buffer, which overflows while a reply is due."""
+        """The line ends, with the small buffer of a real RS-232 port, which overflows while a reply is due."""
         return _REAL_PORT if self._real_port else LineEnds()
 
     def handle(self, message: bytes, interrupted: Callable[[], bool] = never) -> bytes | None:

@@ -55,7 +55,7 @@ class SimulatedMeter:
 
 
 class Elsewhere:
-    """A world for a thermometer away from the block: its block has the temperature of that place.
+    """The world as a thermometer away from the block observes it: block and air have the temperature at its place.
 
     `at_c` returns the temperature there at a time, s.
     """
@@ -79,13 +79,13 @@ class SimulatedBench:
     """A context manager that serves the instruments of a world.
 
     `instruments` maps each name on the bench to a meter or to any dialect over the world; a dialect may state its
-    `model`. Each instrument gets a TCP port on `host` (any free port, or consecutive ports from `first_port`),
-    and a pseudo-terminal if `with_terminals` names it or is True. `buses` puts instruments on the GPIB bus of an
-    adapter, `{"adapter": {"voltmeter.x": 22, …}}`; they share the adapter's port. `adapter_options` are options
-    of the `GpibAdapter`. Each of the `faults` is armed for the instrument that it names, or for every instrument
-    that can have it. Within the context `resources` maps names to VISA resources, `dialects` to the instruments,
-    `faulty` and `wired` to the layers around them, `servers` and `terminals` to their wires. If the world has a
-    virtual clock, it advances only after every command that is on a wire has been carried out.
+    `model`. Each instrument gets a TCP port on `host` (any free port, or consecutive ports from `first_port`), and
+    a pseudo-terminal if `with_terminals` names it or is True. `buses` puts instruments on the GPIB bus of an
+    adapter, `{"adapter": {"voltmeter.x": 22, …}}`; they share the adapter's port. `adapter_options` are options of
+    the `GpibAdapter`. Each of the `faults` is armed for the instrument that it names, or for every instrument that
+    can have it. Within the context `resources` maps names to VISA resources, `dialects` to the instruments,
+    `faulty` and `wired` to the layers around them, `servers` and `terminals` to their wires. A virtual clock of the
+    world advances only after all commands on the wires have been carried out.
     """
 
     def __init__(
@@ -192,7 +192,7 @@ class SimulatedBench:
 
     @contextmanager
     def aside(self) -> Iterator[None]:
-        """Within this context, let instruments be read without changing the world; see `World.aside`."""
+        """A context in which reading instruments leaves the world unchanged; see `World.aside`."""
         with self.world.aside():
             yield
             self.traffic.settle()
@@ -254,12 +254,12 @@ class SimulatedBench:
             self.faulty[name].add(fault)
 
     def _is_of_another_wire(self, name: str, fault: Fault) -> bool:
-        """Whether this is a wire fault of an instrument on a bus, which has no wire of its own."""
+        """Whether this is a wire fault, and the instrument is on a bus and so has no wire of its own."""
         return name in self._on_bus and fault.kind not in OF_INSTRUMENT
 
 
 def _as_it_is(instrument: ScpiInstrument, clock: Clock) -> ScpiInstrument:
-    """Return the instrument unchanged and ignore `clock`, for instruments whose commands take no time."""
+    """Return the instrument unchanged, without the `clock`: its commands take no time."""
     return instrument
 
 

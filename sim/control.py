@@ -57,7 +57,7 @@ _DIRECTIONS: Final[dict[str, Direction]] = {"rising": 1, "falling": -1}
 
 
 CRANK_RAD_S: Final = math.radians(20.0)
-"""How fast the head is turned where an encoder watches, rad/s."""
+"""The rate at which a head with an encoder is turned, rad/s."""
 
 
 class ControlError(Exception):
@@ -168,7 +168,7 @@ class BenchControl(PlainDialect):
         self._bench.world.head_fault = fault
 
     def _rail(self, words: list[str]) -> None:
-        """Disturb the output named, or all outputs that feed the block: `sag P25V size=0.3 seconds=20`."""
+        """Disturb the named output, or all outputs that feed the block: `sag P25V size=0.3 seconds=20`."""
         named = [word for word in words if "=" not in word]
         values = dict(word.split("=", 1) for word in words if "=" in word)
         if not 1 <= len(named) <= 2 or named[0] not in DISTURBANCES or values.keys() - {"size", "seconds"}:

@@ -48,11 +48,11 @@ class Counter(PlainDialect):
         self.referenced = self.failed = False
 
     def cross_reference(self) -> None:
-        """Cross the reference mark: the values are angles again."""
+        """Cross the reference mark: from then on, the values are angles of the scale."""
         self._lost_deg, self.referenced, self.failed = 0.0, True, False
 
     def lose_counts(self, lost_deg: float) -> None:
-        """Lose counts without any message, degrees."""
+        """Lose counts worth `lost_deg` without any message."""
         self._lost_deg += lost_deg
 
     def fail(self) -> None:
@@ -132,7 +132,7 @@ class MitutoyoMux10(Counter):
         self._channel = str(channel)
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Return a reading for the number of the channel, and None for anything else."""
+        """Return a reading for the channel's number; None for any other message."""
         if message.strip() != self._channel.encode():
             return None
         return b"911" if self.failed else f"0{self._channel}A{self.shown_deg:+09.4f}".encode("ascii")
@@ -153,7 +153,7 @@ class _Reply:
         self._example = example[first:last]
 
     def to(self, message: bytes, value: float, failed: bool) -> bytes | None:
-        """Return a line for the request, the first of the errors if `failed`, and None for anything else."""
+        """Return the reply to the request, an error line if `failed`; None for any other message."""
         if message.removesuffix(b"\r") != self._request:
             return None
         begin, end = self._around
@@ -198,7 +198,7 @@ class EncoderLine(Counter):
         self._reply = _Reply(request, pattern, example, errors, text_line.ANGLE)
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Return a line for the request, and None for anything else."""
+        """Return the reply to the request; None for any other message."""
         return self._reply.to(message, self.shown_deg * self._per_deg, self.failed)
 
 
@@ -228,5 +228,5 @@ class LineThermometer(PlainDialect):
         """Switch off and on, which changes nothing."""
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Return a line for the request, and None for anything else."""
+        """Return the reply to the request; None for any other message."""
         return self._reply.to(message, self._world.block_c + self._error_c, self.failed)

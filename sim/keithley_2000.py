@@ -112,7 +112,7 @@ class Buffer(MeasuringCycle):
         return self._outcome()
 
     def settle(self) -> None:
-        """Collect a measurement that has ended, without waiting for one in progress."""
+        """Store the readings of a measurement that has ended; do not wait for one in progress."""
         if self._times_s and not self.in_progress:
             self._collect()
 
@@ -196,7 +196,7 @@ class Keithley2000(ScpiInstrument):
         self._converter.overloaded = overloaded
 
     def admit(self, command: Command) -> None:
-        """Collect a measurement that has ended; wait for one in progress if the command requires it."""
+        """Store the readings of an ended measurement; wait for one in progress if the command requires it."""
         self.buffer.settle()
         if command.notation in _WAITING:
             self.buffer.complete()

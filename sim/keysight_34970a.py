@@ -347,7 +347,7 @@ def _set_function(_channel: ChannelConfiguration, name: Value) -> None:
 
 
 _PLACE: Final = 3
-"""The index after those of the three voltmeters."""
+"""The index of this meter on the bench; the three voltmeters have 0 to 2."""
 _LEADS_OHM: Final = 0.5
 _OHM_PER_K: Final = 0.385
 
@@ -398,7 +398,8 @@ class Probe:
     def shown_c(self, configured: str, time_s: float) -> float:
         """Return the temperature, °C, shown by a meter configured for the sensor `configured`, such as "FRTD,85".
 
-        A four-wire Pt100 measured with two wires includes its leads. Any other mismatch gives an overload.
+        A four-wire Pt100 measured with two wires shows the resistance of its leads, too. Any other mismatch gives
+        an overload.
         """
         block_c = self._world.block_c_at(time_s)
         felt_c = block_c + self._air_share * (self._world.chamber_c - block_c) + self._error_c
@@ -421,7 +422,7 @@ def meter_with_probe(
     probes: Mapping[int, Probe] | None = None,
     **options: object,
 ) -> Keysight34970A:
-    """Return a meter with only a temperature sensor, on `channel`; `options` are options of the meter.
+    """Return a meter with a temperature sensor on `channel` as its only signal; `options` are those of the meter.
 
     `probes` replaces this sensor by several sensors, keyed by channel.
     """

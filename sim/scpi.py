@@ -54,8 +54,8 @@ def never() -> bool:
 class Command:
     """One line of an instrument's command table.
 
-    `notation` is the manual's ("[SENSe:]VOLTage:DC:RANGe?"). `action` is called with the values of the parameters
-    that were sent; it returns the reply of a query, else None.
+    `notation` is that of the manual, such as "[SENSe:]VOLTage:DC:RANGe?". `action` is called with the values of the
+    parameters that were sent; it returns the reply of a query, else None.
     """
 
     notation: str
@@ -89,8 +89,8 @@ class ScpiInstrument:
     def handle(self, message: bytes, interrupted: Callable[[], bool] = never) -> bytes | None:
         """Carry out one message (without its terminator) and return the reply line, or None if there is none.
 
-        A waiting command polls `interrupted` for a device clear. After a syntax error the rest of the message is
-        discarded; after an execution error it is still carried out.
+        A waiting command polls `interrupted` for a device clear. After a syntax error the remaining commands of the
+        message are discarded; after an execution error they are carried out.
         """
         self._interrupted = interrupted
         replies: list[str] = []
@@ -334,7 +334,9 @@ def number_lines(
     get: Callable[[], float],
     put: Callable[[float], None],
 ) -> list[Command]:
-    """Return the command and the query of a number; MIN and MAX stand for the two `ends`, in the query too."""
+    """Return the command and the query of a number; The command and the query accept MIN and MAX, which mean the
+    two `ends`.
+    """
     words = dict(zip((MIN, MAX), ends, strict=True))
     return [
         Command(notation, lambda v: put(words[v] if isinstance(v, str) else v), (Number(unit),)),

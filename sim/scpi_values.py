@@ -68,7 +68,7 @@ class ScpiError(Exception):
 
 
 class ErrorQueue:
-    """A first-in, first-out queue; an error that finds it full is lost and turns the newest entry into -350."""
+    """A first-in, first-out queue. If it is full, a new error is lost and the newest entry becomes -350."""
 
     DEPTH: Final = 20
 
@@ -97,8 +97,8 @@ class ErrorQueue:
 class StatusRegisters:
     """The standard event and questionable data registers with their enable masks, and the status byte.
 
-    A power cycle sets POWER_ON in the event register. If `power_on_clear` (*PSC) is False, it keeps the masks of
-    the standard events and of service requests.
+    A power cycle sets POWER_ON in the event register. It clears the masks of the standard events and of service
+    requests, unless `power_on_clear` (*PSC) is False.
     """
 
     def __init__(self) -> None:

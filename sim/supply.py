@@ -63,7 +63,7 @@ class Outputs:
         return self._world.power.stage(name, self._now_s)
 
     def shown(self, name: str) -> OutputReading:
-        """Return the voltage and current of an output as the supply measures them, rounded to its resolution."""
+        """Return the voltage and current that the supply measures at an output, rounded to its resolution."""
         shown, limits = self._world.power.shown(name, self._now_s), self.limits[name]
         return replace(
             shown,

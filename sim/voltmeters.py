@@ -58,7 +58,7 @@ class Function:
 
     @property
     def default_resolution(self) -> float:
-        """The resolution for DEF: the one that 10 power-line cycles, or a gate time of 0.1 s, give."""
+        """The resolution for DEF: that of 10 power-line cycles, or of a gate time of 0.1 s."""
         return 1e-5 if self.has_aperture else 1e-6
 
 
@@ -111,7 +111,7 @@ Accuracy = Literal["90 days"] | Mapping[float, tuple[float, float]]
 _NOISE_OF_RANGE: Final = {
     200.0: 0.8e-7, 100.0: 1e-7, 20.0: 2e-7, 10.0: 2.5e-7, 2.0: 6e-7, 1.0: 8e-7, 0.2: 3e-6, 0.02: 3e-5,
 }  # fmt: skip
-"""Standard deviation of one sample as a fraction of the range, by NPLC."""
+"""Standard deviation of one sample, a fraction of the range, by integration time in NPLC."""
 
 _NOISE_OF_INPUT_V: Final = 0.4e-6
 """Noise of the input amplifier at 1 NPLC, V, which dominates in the 100 mV range."""
@@ -201,7 +201,7 @@ class InputFlaws:
 
 
 _FLICKER_DECADES: Final = (-5, -4, -3, -2, -1)
-"""The decades of frequency, log10 of Hz, in which the 1/f noise of an input has its power."""
+"""The decades of frequency, as log10 of Hz, of the 1/f noise of an input."""
 _INPUT_OHM: Final = 10e6
 _HIGH_IMPEDANCE_OHM: Final = 10e9
 
@@ -285,7 +285,9 @@ class Converter:
                 return 0.0
 
     def _at_input_v(self, configuration: Measurement, time_s: float) -> float:
-        """Return the voltage that is converted: the signal as loaded by the input, plus errors of the input."""
+        """Return the voltage to be converted, V: the signal, reduced by the input resistance, plus errors of the
+        input.
+        """
         signal_v, flaws = self._source.signal_v(time_s), self._flaws
         if flaws is None:
             return signal_v
@@ -448,8 +450,8 @@ class MeasuringCycle(ABC):
     """The trigger system: idle, start, wait for a trigger, measure; `source` is the trigger source.
 
     The latest `memory_depth` readings are kept. `interrupted` returns whether a device clear has arrived. A
-    measurement whose client has left is given up when another client would have to wait for it, except on a
-    virtual clock, where waiting takes no time.
+    measurement whose client has left is aborted when another client would have to wait for it; not on a virtual
+    clock, where a wait takes no real time.
     """
 
     memory_depth: int
@@ -480,11 +482,11 @@ class MeasuringCycle(ABC):
         self._keeps = False
 
     def sent_by(self, left: Callable[[], bool]) -> None:
-        """Take `left` as the test whether the client that sends the following commands has disconnected.
+        """Store `left`, which returns whether the client that sends the following commands has disconnected.
 
         If the client that started a measurement has disconnected by now, this aborts that measurement.
         """
-        if self._forsaken:
+        if self._client_has_left:
             self.abort()
         self._sender_left = left
 
@@ -495,7 +497,7 @@ class MeasuringCycle(ABC):
         return ",".join(self._memory) + self.after_last
 
     def trigger(self, source: str) -> None:
-        """Measure on one trigger from "BUS" or "EXT". Raises `ScpiError` -211 if the meter does not wait for it."""
+        """Measure on one trigger from "BUS" or "EXT". Raises `ScpiError` -211 if the meter awaits none."""
         if self.state is not TriggerState.WAITING or self.source != source:
             raise ScpiError(-211)
         self._schedule(1)
@@ -507,7 +509,7 @@ class MeasuringCycle(ABC):
         """
         if self.state is not TriggerState.MEASURING:
             return
-        if wait_until(self._clock, self._finish_s, lambda: self._interrupted() or self._forsaken):
+        if wait_until(self._clock, self._finish_s, lambda: self._interrupted() or self._client_has_left):
             self._collect()
         elif self._interrupted():
             raise DeviceClear
@@ -516,12 +518,12 @@ class MeasuringCycle(ABC):
 
     @property
     def in_progress(self) -> bool:
-        """Whether samples are still being taken."""
+        """Whether a measurement is still in progress."""
         return self.state is TriggerState.MEASURING and self._clock.now_s() < self._finish_s
 
     @property
-    def _forsaken(self) -> bool:
-        """Whether samples are being taken for a client that has left (always False on a virtual clock)."""
+    def _client_has_left(self) -> bool:
+        """Whether a measurement is in progress for a client that has left; always False on a virtual clock."""
         return self._beginner_left() and self.in_progress and not isinstance(self._clock, VirtualClock)
 
     @abstractmethod

@@ -37,7 +37,7 @@ def heard_by(listener: Listener | None) -> Iterator[None]:
 
 
 def tracked(parts: Iterable[_T], what: str, total: int | None = None) -> Iterator[_T]:
-    """Yield the parts of the computation `what` and report progress to the listener, unless there is one part only.
+    """Yield the parts of the computation `what`; report progress to the listener if there is more than one part.
 
     `total` is the number of parts, if `parts` has no length.
     """
@@ -67,7 +67,7 @@ def one_thread() -> None:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Pause the garbage collector while many small objects are made and kept, because its passes would take long.
+    """Pause the garbage collector while many small objects are made and kept: its passes over them would take long.
 
     Objects without reference cycles are freed as usual. Also usable as a function decorator.
     """
@@ -100,7 +100,7 @@ def versions() -> dict[str, str]:
 
 
 # --- packages that come with extras -----------------------------------------------------------------
-# Modules import these packages where needed, without a guard; `bench.services.explained` reports a missing one.
+# Modules import these packages where they need them; `bench.services.explained` reports a missing one.
 
 EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
     "pandas": ("pandas",),

@@ -26,7 +26,7 @@ _KINDS: Final = (
     (stat.S_ISBLK, "this is a device, not a file"),
 )
 DISK_FULL: Final = frozenset({errno.ENOSPC, errno.EDQUOT})
-"""Error numbers of a write for which the disk, or the user's share of it, has no space."""
+"""Error numbers of a failed write: the disk is full, or the user's quota is used up."""
 
 _CHUNK: Final = 65_536
 _AT_ONCE: Final = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
@@ -73,7 +73,7 @@ def read_given(path: Path) -> bytes:
     """Return the content of a path that a person named: a file, the standard input, or a pipe with a writer.
 
     A pipe can be read only once. Raises `OSError`, whose `strerror` says that the path is a folder or the like, or
-    that the pipe has no writer; it does not wait for a writer.
+    that the pipe has no writer. It never waits for a writer.
     """
     try:
         about = path.stat()

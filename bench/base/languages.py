@@ -1,10 +1,10 @@
 """Languages of pages and prompts: texts are made in English, and a view translates them when it shows them.
 
 Results, records and JSON therefore stay English, and the page of an old record can be in another language.
-`message` marks a text in the code; in an f-string the values become numbered blanks: `message(f"{n} rows")` is
-"{0} rows" in the catalogue (`catalogues/uk.po`). A view calls `translated`, which finds the entry that gives the
-text when its blanks are filled. It translates the values that are texts, and writes numbers with the decimal sign
-of the language. Templates are translated as a whole (`bench.base.template_texts`).
+`message` marks a text in the code. The values of an f-string become numbered blanks: `message(f"{n} rows")` is the
+entry "{0} rows" of the catalogue (`catalogues/uk.po`). A view calls `translated`, which finds the entry that
+matches a text with filled blanks. It translates values that are texts, and writes numbers with the decimal sign of
+the language. Templates are translated as a whole (`bench.base.template_texts`).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def language() -> str:
 
 
 def known_language(name: str) -> str:
-    """Return the language of `LANGUAGES` in a name such as "uk" or "uk_UA.UTF-8"; empty for another language."""
+    """Return the code of the language in a name such as "uk_UA.UTF-8"; empty if it is not one of `LANGUAGES`."""
     code = re.split(r"[-_.]", name.strip().lower())[0]
     return code if code in LANGUAGES else ""
 
@@ -136,9 +136,9 @@ def local_number(text: str) -> str:
 # --- catalogues --------------------------------------------------------------------------------------
 
 _AROUND: Final = re.compile(r"([\s:;,.([«»✓✗–·]*)(.*?)([\s:;,.)\]]*)", re.DOTALL)
-"""Signs around a text, its core, and signs after it."""
+"""Three groups: the signs before a text, the text, the signs after it."""
 _SURE, _SHORT = 5, 60
-"""A match with a text of so many letters is certain; with fewer, values may have up to `_SHORT` signs."""
+"""In an entry of fewer than `_SURE` letters, a value may have at most `_SHORT` characters."""
 _WORD: Final = re.compile(r"\b[a-z]{3,}\b")
 _BLANK: Final = re.compile(r"\{(\d+)\}")
 
@@ -154,13 +154,13 @@ class Entry:
     plural: str = ""
     context: str = ""
     files: str = field(default="", compare=False)
-    """The files that use it, separated by spaces."""
+    """The files that use the text, separated by spaces."""
 
     @property
     def of_modules(self) -> bool:
-        """Whether a module uses the text, so that it must be recognised with its blanks filled.
+        """Whether a module uses the text; the text must then be recognised with its blanks filled.
 
-        Templates need no recognition: they look the text up with its blanks.
+        A template looks its text up with the blanks unfilled.
         """
         return not self.files or any(not file.endswith((".j2", ".js")) for file in self.files.split())
 
@@ -189,7 +189,7 @@ class Catalogue:
             (one.context, text): one for one in self.entries for text in (one.english, one.plural) if text
         }
         copies = [one for one in self.entries if _BLANK.search(one.english) and one.of_modules]
-        # what begins with words of its own, and has many, is stated before others
+        # entries that begin with a word, and those with many letters, are compared first
         copies.sort(
             key=lambda one: (one.english.startswith("{"), -_letters(one), -len(_BLANK.findall(one.english)))
         )
@@ -212,14 +212,16 @@ class Catalogue:
         return _DECIMAL.sub(rf"\1{self.decimal}\2", text)
 
     def fill(self, entry: Entry, values: Mapping[str, str], count: float | None = None) -> str:
-        """Return a translation with its blanks filled; `count`, else the first whole number, chooses the plural."""
+        """Return a translation with blanks filled; `count`, or the first whole number of `values`, selects the
+        plural.
+        """
         if count is None:
             count = next((int(value) for value in values.values() if value.isdecimal()), 2)
-        form = self._form(entry, int(count) if float(count).is_integer() else 2)  # a fraction goes as 2 does
+        form = self._form(entry, int(count) if float(count).is_integer() else 2)  # fraction: form of 2
         return _BLANK.sub(lambda blank: values.get(blank[1], blank[0]), form)
 
     def forms(self, entry: Entry) -> list[str]:
-        """Return the translation of a text, or its forms for one, for few and for many."""
+        """Return the translation of an entry or, for a plural, its forms for one, few and many."""
         return [self._form(entry, n) for n in ((1, 2, 5) if entry.plural else (1,))]
 
     def _form(self, entry: Entry, n: int) -> str:
@@ -276,8 +278,8 @@ class Catalogue:
     def _filled(self, text: str, *, sure: bool = True) -> str | None:
         """Return the translation of a text with filled blanks, by the entry that it matches; None if none does.
 
-        With `sure` false, the entries are those with few letters, such as "{0} in {1}", and only short values
-        match.
+        `sure` selects the entries with at least `_SURE` letters. The others, such as "{0} in {1}", match short
+        values only.
         """
         for literal, entry, pattern in self._patterns[sure]:
             if literal in text and (found := pattern.fullmatch(text)) is not None:
@@ -299,7 +301,7 @@ _OF_PROMPTS: Final = ("drivers/", "procedures/")
 
 
 def texts_for_scripts(name: str) -> str:
-    """Return a script with the translations that the scripts of the panel may show in a language."""
+    """Return JavaScript source that defines the translations into a language for the panel's scripts."""
     found = catalogue(name)
     texts = [
         (one.english, one.plural, found.forms(one))

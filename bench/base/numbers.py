@@ -98,7 +98,7 @@ def uncertainty(u: float) -> str:
     """Return an uncertainty u or U with two significant digits, rounded up if rounding would lower it by over 3 %.
 
     So 10.47 gives 11 and 28.05 gives 28, as in JCGM 100:2008, 7.2.6. `rounded` rounds the estimate to the same
-    decimal place, as rounding up never reaches the next power of ten.
+    decimal place.
     """
     if not math.isfinite(u) or u <= 0.0:
         return two_digits(u)
@@ -108,7 +108,7 @@ def uncertainty(u: float) -> str:
 
 
 def figures(value: float, digits: int = 3, *, down: bool = False) -> str:
-    """Return a number with this many significant digits; large numbers have no power of ten: "1860".
+    """Return a number with this many significant digits, without an exponent: "1860".
 
     `down` rounds a positive number down, for a limit that must not be exceeded.
     """

@@ -4,7 +4,7 @@
         \"\"\"A straight line through points.\"\"\"
 
         slope: float = Field(description="V/s")
-        u: Real = Field(description="standard uncertainty of the slope; null where two points tell it")
+        u: Real = Field(description="standard uncertainty of the slope; null for two points, without residual")
         notes: list[str] = []
 
     Line(slope=1.0, u=math.nan).to_dict()        # {"slope": 1.0, "u": None}
@@ -55,7 +55,7 @@ class ResultModel(BaseModel):
 
     @classmethod
     def from_object(cls, computed: object, **others: Any) -> Self:
-        """Return the model with the members in `others`, and the rest from attributes of `computed` by name."""
+        """Return the model with the members in `others`; the other members are attributes of `computed`."""
         names = [name for name in cls.model_fields if name not in others and hasattr(computed, name)]
         return cls(**{name: getattr(computed, name) for name in names}, **others)
 

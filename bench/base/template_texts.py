@@ -1,9 +1,9 @@
 """Texts of page templates: found in the HTML, without marks, for the catalogue and for the translated pages.
 
-A text is what stands between block elements and Jinja statements. Inline elements belong to it, and its
-expressions are numbered blanks: `<p>Page <b>{{ n }}</b> of {{ m }}</p>` has the text `Page <b>{0}</b> of {1}`. An
-expression such as `{{ "" if n == 1 else "s" }}` makes it a text with a plural. Within expressions, `_("…")` marks
-a text. English pages are rendered from the template as it is.
+A text is the content between block elements and Jinja statements, inline elements included. Its expressions become
+numbered blanks: `<p>Page <b>{{ n }}</b> of {{ m }}</p>` has the text `Page <b>{0}</b> of {1}`. A text with an
+expression such as `{{ "" if n == 1 else "s" }}` has a plural. Within expressions, `_("…")` marks a text. English
+pages are rendered from the template as it is.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _INLINE: Final = frozenset(
 )
 _RAW: Final = frozenset({"script", "style", "pre", "textarea"})
 _AS_IS: Final = frozenset({"code", "kbd", "time"})
-"""Elements whose values are names or addresses, as are those of class "name": their numbers stay as they are."""
+"""Elements that hold names or addresses, whose numbers stay unchanged; the class "name" has the same effect."""
 
 _JINJA: Final = r"\{\{.*?\}\}|\{%.*?%\}|\{#.*?#\}"
 _QUOTED: Final = rf'"(?:{_JINJA}|[^"])*"'
@@ -40,7 +40,7 @@ _ATTRIBUTE: Final = re.compile(
 )
 _ENDING: Final = re.compile(r'\{\{\s*"(\w*)" if (.+?) == 1 else "(\w*)"\s*\}\}')
 _ATTRIBUTE_ALONE: Final = re.compile(r'\s*[a-z-]+="')
-"""The beginning of an attribute that a macro makes."""
+"""The beginning of an attribute, such as `href="`, whose value a macro writes."""
 _MARKED: Final = re.compile(r"(?<![\w.])_\(")
 _LITERAL: Final = re.compile(r'"((?:[^"\\]|\\.)*)"')
 _CONTEXT: Final = re.compile(r'context="(\w+)"')
@@ -51,7 +51,7 @@ _LETTER: Final = re.compile(r"[^\W\d_]{2}")
 class _Segment:
     """The tokens, as (kind, source), of one text of a template.
 
-    `raw` has the indices of values that are shown without translation and local decimal sign.
+    `raw` holds the indices of tokens whose values are shown unchanged: not translated, no local decimal sign.
     """
 
     tokens: list[tuple[str, str]] = field(default_factory=list)
@@ -110,7 +110,7 @@ def _parts(source: str) -> Iterator[str | _Segment]:
             segment.tokens.append((kind, told))
         else:
             yield segment
-            # the text of an option without a value is what the form sends
+            # a form sends the text of an <option> without a value, so this text is not translated
             sent = name == "option" and "value=" not in told and not told.startswith("</")
             segment, names = _Segment(), 1 if sent or name in _AS_IS or 'class="name"' in told else 0
             yield told
@@ -164,7 +164,7 @@ def _trimmed(segment: _Segment) -> tuple[str, _Segment, str]:
         if kind == "tag" and not told.startswith(VOID):
             closed += told.startswith("</") and not opened
             opened += 1 if not told.startswith("</") else -1 if opened else 0
-    # tags around the text stay with it where their other ends are in it; a statement may stand between the two
+    # a tag before or after the text belongs to the text if its counterpart is within the text
     for _ in range(closed):
         if around := re.fullmatch(r"(.*)(<[^/][^<]*)", before, re.DOTALL):
             before, start = around.groups()

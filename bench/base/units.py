@@ -47,7 +47,7 @@ _DEFINITIONS: Final = (
     "percent = 0.01",
     "ppm = 1e-6",
 )
-"""Only the units that a bench needs: a short list rejects slips (kg, mT) that a general one would accept."""
+"""Only the units that a bench needs, so that slips (kg, mT) are rejected."""
 
 _UNITS: Final = ("V", "mV", "uV", "A", "mA", "uA", "deg", "arcmin", "arcsec", "rad", "mrad", "urad", "rev", "s",
                  "ms", "min", "h", "d", "year", "Hz", "m", "mm", "degC", "K", "g", "mg", "ug", "ppm",
@@ -275,16 +275,16 @@ def quantity_of(annotation: Any, metadata: Sequence[Any]) -> QuantityKind | None
     return None
 
 
-_FRIENDLIER: Final[Mapping[str, tuple[str, float]]] = {
+_WRITTEN_UNITS: Final[Mapping[str, tuple[str, float]]] = {
     "rad": ("arcsec", 206264.80624709636),
     "rad/s": ("deg/s", 57.29577951308232),
 }
-"""The units that people write in place of SI units, and how many of them one SI unit is."""
+"""By SI unit: the unit that people write instead, and its number in one SI unit."""
 
 
 def written_quantity(value: float, kind: QuantityKind) -> str:
     """Return a value in SI units as people write it in files: "30 arcsec", "5 min"."""
-    unit, factor = _FRIENDLIER.get(kind.si, (kind.si, 1.0))
+    unit, factor = _WRITTEN_UNITS.get(kind.si, (kind.si, 1.0))
     if kind.si == "rad" and abs(value * factor) >= 3600.0 - 1e-6:
         unit, factor = "deg", 57.29577951308232
     if kind.si == "s" and value >= 60.0 and value % 60.0 == 0.0:

@@ -37,7 +37,7 @@ Place = tuple[str | int, ...]
 """A place in a file: keys and positions in lists (from 0), such as ("steps", 0, "turn")."""
 
 MOST_TOLD: Final = 200
-"""The most mistakes reported for one file; the rest are reported once these are corrected."""
+"""The most mistakes reported for one file; further mistakes are reported once these are corrected."""
 
 _EXPECTED: Final = {
     "int_parsing": "a whole number",
@@ -95,7 +95,7 @@ def explained(
 
 
 def unknown_word(word: str, known: list[str], what: str) -> str:
-    """Return the error sentence for a word of the sort `what` ("key") that is unknown, or known but misplaced.
+    """Return the error sentence for a `what` ("key") whose `word` is unknown, or known but misplaced.
 
     For an unknown word it suggests the nearest in `known`.
     """
@@ -114,9 +114,9 @@ def _nearest(word: str, known: Iterable[str]) -> str | None:
 
 
 def _written(location: tuple[int | str, ...], lines: Mapping[Place, int]) -> Place:
-    """Return the location of a pydantic error as a place in the file.
+    """Return the location of a pydantic error as a place in the file, without the steps that are not in the file.
 
-    Steps that are not in the file are left out: pydantic adds the names of alternative models.
+    Such steps are the names of alternative models, which pydantic adds.
     """
     place: Place = ()
     for step in location:
@@ -280,7 +280,7 @@ class _Reader:
             self._slip(_line(event), place, f"the tag {tag!r} is not allowed; remove it")
         if isinstance(event, ScalarEvent):
             text = event.value
-            is_nothing = tag == _NULL or (text in _NULLS and tag in _UNTOLD and event.implicit[0])
+            is_nothing = tag == _NULL or (text in _NULLS and tag in _NEUTRAL_TAGS and event.implicit[0])
             return None if is_nothing else text
         if isinstance(event, MappingStartEvent):
             return self._mapping(place, deep + 1)
@@ -301,15 +301,15 @@ class _Reader:
         while not isinstance(key := self._next(), MappingEndEvent):
             if not isinstance(key, ScalarEvent):
                 self._slip(_line(key), place, "a key must be a plain word")
-                self._pass_over(key, deep)
-                self._pass_over(self._next(), deep)
+                self._skip(key, deep)
+                self._skip(self._next(), deep)
                 continue
             if key.anchor is not None:
                 self._anchor(key)
             name, inside = sys.intern(key.value), place
             if name in mapping:
                 self._slip_again(_line(key), place, name)
-                self._pass_over(self._next(), deep)
+                self._skip(self._next(), deep)
                 continue
             if self._noting is not None:
                 inside = (*place, name)
@@ -317,7 +317,7 @@ class _Reader:
             mapping[name] = self._value(self._next(), inside, deep)
         return mapping
 
-    def _pass_over(self, event: Any, deep: int) -> None:
+    def _skip(self, event: Any, deep: int) -> None:
         """Skip the value that begins with `event`, but record its anchors."""
         open_ones = 0
         while True:
@@ -361,7 +361,7 @@ def _too_deep(event: Any) -> TooDeep:
     return TooDeep(problem=problem, problem_mark=event.start_mark)
 
 
-_UNTOLD: Final = (None, "!")
+_NEUTRAL_TAGS: Final = (None, "!")
 """Tags without effect, which are accepted."""
 
 
@@ -370,7 +370,7 @@ _UNTOLD: Final = (None, "!")
 # convert them, `3e-4 g` to a quantity.
 
 _SHORT: Final = 100_000
-"""An invalid text of at most so many characters is parsed again by PyYAML, for a better error message."""
+"""An invalid text of at most this many characters is parsed again by PyYAML, for a better error message."""
 
 
 @dataclass(frozen=True, order=True)
@@ -466,8 +466,8 @@ def sha256_of_file(path: Path) -> str:
 def load_document(path: Path, most_bytes: int = MEGABYTE) -> Document:
     """Parse a file; duplicate keys, aliases and tags are noted in `mistakes`.
 
-    Raises `FileMistakes` if the file is missing, is not a regular file, has more than `most_bytes`, or is not
-    UTF-8 text, is empty or invalid YAML.
+    Raises `FileMistakes` if the file is missing, irregular, larger than `most_bytes`, not UTF-8 text, empty, or
+    invalid YAML.
     """
     return document_of(path, _content(path, most_bytes))
 

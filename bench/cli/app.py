@@ -93,7 +93,7 @@ def explain(error: Exception, command: str = "bench") -> str:
     from bench.services.errors import expected, kind_and_words, sentence
 
     if isinstance(error, typer.TyperException):
-        return error.format_message()  # with the option's name
+        return error.format_message()  # the message names the option
     if isinstance(error, Refused | OSError) or expected(error):
         return sentence(error)
     return (

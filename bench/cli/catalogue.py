@@ -1,4 +1,4 @@
-"""catalogue: many run folders in a database, and questions to it."""
+"""catalogue: a database of many run folders, and queries on it."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command_from_info, get_group
 
 MORE: Final = "More options"
-"""Heading of the options that only the whole help shows; an option is marked with it as its `rich_help_panel`."""
+"""Heading of the options that only the whole help shows; such an option has it as `rich_help_panel`."""
 WHOLE: Final = "--help-all"
 HELP_FLAGS: Final = ("--help", "-h", WHOLE)
 _ASKED: Final = "bench.cli.whole_help"
@@ -176,19 +176,19 @@ HEADINGS: Final = {
     "budget": "Plan",
     "help": "Help",
 }
-"""Headings in the whole help, by the first command below each."""
+"""The headings of the whole help; each key is the first command under its heading."""
 
 COMMON: Final[Mapping[str, tuple[str, ...]]] = {
     "Prepare": ("init", "instruments", "check", "panel"),
     "Measure": ("run", "resume", "abort", "runs", "show"),
     "Evaluate": ("calibrate", "verify", "report", "diagnose", "confirm", "certificate"),
 }
-"""The commands that `bench --help` lists, by heading."""
+"""The commands that `bench --help` lists, under their headings."""
 
 _WIDTH: Final = max(len(name) for names in COMMON.values() for name in names)
 
 KNOWN: Final[dict[Any, Any]] = {}
-"""What the library knows of each command, by its function."""
+"""The library's settings of each command, by the function of the command."""
 
 COMPLETED_BY: Final[list[Callable[[Any], Any]]] = []
 """Holds the function that adds the shared options to a command. `bench.cli.options` appends it when it is

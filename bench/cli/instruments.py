@@ -267,7 +267,7 @@ def _held(host: str, port: int | None) -> Iterator[None]:
 
 @contextmanager
 def _announced(serving: Serving, ready_file: Path | None) -> Iterator[None]:
-    """Write the ready file atomically; delete it at the end if its content is still that of this program."""
+    """Write the ready file atomically; delete it at the end, unless another program has replaced it."""
     from bench.results.records import ReadyResult, ServedPart
 
     if ready_file is None:
@@ -294,7 +294,7 @@ def _announced(serving: Serving, ready_file: Path | None) -> Iterator[None]:
 
 @contextmanager
 def _ended_by_signal() -> Iterator[threading.Event]:
-    """Yield an event that Ctrl-C, SIGTERM or a closed terminal sets, in place of ending the program."""
+    """Yield an event that is set by Ctrl-C, SIGTERM or a closed terminal, which then do not end the program."""
     from bench.run.interrupts import SIGNALS
 
     ended = threading.Event()

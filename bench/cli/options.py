@@ -67,7 +67,7 @@ def _folder_or_file(name: str, metavar: str, words: str, use: Callable[..., None
 
 
 def _own_option(name: str, metavar: str, words: str, use: Callable[..., None], of: Any) -> Any:
-    """Return an option of the type `of`, which the library makes from the parameter of a temporary function."""
+    """Return an option whose values have the type `of`, derived by the library from a temporary function."""
     told = typer.Option(
         f"--{name}", metavar=metavar, help=words, expose_value=False, callback=use, rich_help_panel=MORE
     )
@@ -272,7 +272,7 @@ def _older(field: RequestField) -> inspect.Parameter:
 
 
 def _in_either_way(field: RequestField, argument: Any, option: Any) -> Any:
-    """Return the value of a command's argument that may also be given as an option.
+    """Return the value of an argument or, if it was given in its older spelling, of the option.
 
     Raises `Refused` if both are given.
     """

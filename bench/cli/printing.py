@@ -51,7 +51,7 @@ def table(*headings: str, no_wrap: bool = False) -> Table:
 
 
 def aside(*lines: str) -> None:
-    """Print lines on standard error, beside a result on standard output."""
+    """Print lines on standard error, because the result is on standard output."""
     for line in lines:
         print(visible(line), file=sys.stderr)
 
@@ -102,7 +102,7 @@ def told(
 def failed(results: Sequence[object]) -> bool:
     """Print a line for each source that could not be evaluated; return whether there is any.
 
-    Raises `Refused` if several failed for the same reason, because the sources are then not its cause.
+    Raises `Refused` if several sources failed for one reason, whose cause is then not in the sources.
     """
     from bench.services.source import failures
 
@@ -156,7 +156,7 @@ def write_files(files: Iterable[tuple[str, Path, str | bytes]], out: Console, *,
 
 
 def written(what: str, file: Path, out: Console | None = None) -> None:
-    """Print where a file was written; for a what-if result, also that the run's own result is unchanged."""
+    """Print where a file was written; for a what-if result, add that the run's own result is unchanged."""
     from bench.services.source import WHAT_IF
 
     of = "" if file.parent.name != WHAT_IF else " of this what-if (the run's own stays)"

@@ -20,9 +20,9 @@ _SAID = "stopped by Ctrl-C"
 def main() -> None:
     """Run the command line of `sys.argv` and exit with its status.
 
-    Even the import of the commands takes long enough to be interrupted. A second Ctrl-C ends the program at once;
-    those that arrive while the message is printed are ignored. Code that must leave a bench safe handles signals
-    itself (`bench.run.interrupts`).
+    Even the import of the commands takes long enough to be interrupted. A second Ctrl-C ends the program at once; a
+    Ctrl-C while the message is printed is ignored. Code that must leave a bench safe handles signals itself
+    (`bench.run.interrupts`).
     """
     gc.set_threshold(50_000, 20, 20)  # garbage collection in imports would take a tenth of a short command
     try:

@@ -120,7 +120,7 @@ class _DimensionReading:
 
 
 def _how(left: tuple[float | None, Dimension], right: tuple[float | None, Dimension]) -> str:
-    """Return the remedy for operands of different units: give a bare number the unit of the other operand."""
+    """Return the remedy for operands of different units, such as a unit for a plain number."""
     for (number, own), (_, other) in ((left, right), (right, left)):
         if number is not None and not own and [power for _, power in other] == [1.0]:
             return f"; write the number with its unit, such as '{abs(number):g} {_told(other)}'"

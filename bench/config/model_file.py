@@ -64,8 +64,8 @@ class EffectEntry(FileModel):
 
 class OpenShape(FileModel):
     """A part of an effect's shape whose size is uncertain: the sum of `changes`, multiplied by the factor `times` ±
-    `u`. `of` names the effect. Given the readings in which they were found, the factors of different parts are
-    uncorrelated. `says` describes the part for the reader of the file; nothing is computed from it.
+    `u`. `of` names the effect. The readings that determine the factors of different parts leave them uncorrelated.
+    `says` describes the part for the reader of the file; nothing is computed from it.
     """
 
     of: str
@@ -122,9 +122,9 @@ class WithEffects(FileModel):
 class ModelFile(WithEffects):
     """A model file; `parent` names the model that it extends, `data_sha256` the readings that it was derived from.
 
-    `evidence` is text for the reader of the file; nothing is computed from it. `dark_uncertainty` is the part of
-    each reading (1 σ) that unnamed terms leave unexplained; users of the file are warned of it. `left_open` lists
-    the parts of the effects' shapes whose sizes are uncertain.
+    `evidence` is text for the reader of the file; nothing is computed from it. `dark_uncertainty` is the scatter of
+    a reading (1 σ) that the effects, unnamed terms included, do not explain; a note warns users of the file.
+    `left_open` lists the parts of the effects' shapes whose sizes are uncertain.
     """
 
     model_file: Literal["1"]
@@ -391,7 +391,7 @@ def _written_left_open(applied: AppliedEffect) -> dict[str, Any]:
 
 
 def _said_of_open(effect: InPart, times: float, u: float) -> str:
-    """Return the description of an entry of `left_open`: each change times `times`, ± its part of `u`."""
+    """Return the description of an entry of `left_open`: each change multiplied by `times` ± `u`."""
     listed = []
     for one in effect.parts:
         sizes = [
@@ -448,12 +448,12 @@ def _written_value(parameter: Parameter, value: Any, u: Any) -> str | dict[str, 
 
 UNNAMED: Final = "unnamed_"
 WIDENED: Final = ("tau", "lag")
-"""Shapes for which a named effect tries two more values: half and twice the value found."""
+"""Shape parameters whose grid in a named effect also has half and twice the value found."""
 
 
 @dataclass(frozen=True)
 class AcceptedTerms:
-    """The result of naming unnamed terms: the new effect, and the effects of the model with it instead of them."""
+    """The result of naming unnamed terms: the new effect, and the model's effects with it in place of the terms."""
 
     effect: FormulaEffect
     effects: tuple[AppliedEffect, ...]
@@ -501,7 +501,7 @@ def _joined(
         renamed = _new_names(formula, parameters, number if len(chosen) > 1 else 0)
         expressions.append(_with_names(formula.expression, renamed))
         complete = applied.complete_values()
-        # the phase of a wave is arbitrary: any of its sizes may become as large as the largest one
+        # the phase of a wave is arbitrary: each of its sizes may become as large as the largest of them
         largest = max(float(np.max(np.abs(complete[p.name]))) for p in formula.parameters if not p.is_shape)
         for parameter in formula.parameters:
             new = renamed[parameter.name]
@@ -536,7 +536,7 @@ def _with_names(expression: str, names: dict[str, str]) -> str:
 
 
 def _widened(parameter: Parameter, largest: float) -> Parameter:
-    """Return the parameter for searches: its plausible size at least `largest`, or a grid around a shape.
+    """Return the parameter with a plausible size of at least `largest` or, for a shape, a grid around its value.
 
     Shapes that are not in `WIDENED` are returned unchanged.
     """

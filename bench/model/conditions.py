@@ -41,8 +41,8 @@ class Mounting(NamedTuple):
 class HeadTurns:
     """The rotation of the head accumulated up to each reading, rad, shape (n,).
 
-    The head is assumed to take the shortest way between consecutive angles. A reading without an angle repeats the
-    values of the reading before it and does not count as a remount. The accumulation restarts with every run.
+    The head is assumed to turn by the shortest way from each angle to the next. A reading without an angle repeats
+    the values of the reading before it and does not count as a remount. The accumulation restarts with every run.
     """
 
     def __init__(self, conditions: Conditions) -> None:
@@ -75,7 +75,7 @@ class HeadTurns:
 
 
 def _last_of(begins: Mask) -> Ints:
-    """Return for each row the index of the latest row up to it where `begins` is true; 0 if there is none."""
+    """Return for each row i the largest index j ≤ i with `begins[j]`; 0 if there is none."""
     return (
         np.maximum.accumulate(np.where(begins, np.arange(len(begins)), 0))
         if len(begins)
@@ -285,10 +285,10 @@ class Conditions:
 
 
 PAST_RAD: Final = np.radians(5.0)
-"""Rotation past a setting to approach it from the other side, and before the first setting of a mounting."""
+"""Rotation beyond a setting that is approached from the other side, and before a mounting's first setting, rad."""
 
 SAME_RAD: Final = 1e-3
-"""Settings that differ by less than this count as the same: the head was not turned."""
+"""Settings that differ by less than this, rad, count as equal: the head was not turned."""
 
 
 class HeadPath(NamedTuple):

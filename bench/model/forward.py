@@ -65,10 +65,10 @@ class ForwardModel:
     ) -> Floats:
         """Return the predicted readings in V, shape (n, 3), for a mixture of signal, shorted and reference rows.
 
-        All rows are needed in the order of measurement, because an effect may depend on earlier rows. Where
-        `force` (n, 3), in g, is not NaN, it replaces the force of the installation. Where `voltage_v` (n, 3) is
-        not NaN, it replaces the block's signal at the meter inputs. A row in an unknown installation with neither
-        reads NaN. Other arguments are as for `specific_force`.
+        All rows are needed in the order of measurement, because an effect may depend on earlier rows. Where `force`
+        (n, 3), in g, is not NaN, it replaces the force of the installation. Where `voltage_v` (n, 3) is not NaN, it
+        replaces the block's signal at the meter inputs. A row in an unknown installation is NaN if both are NaN.
+        Other arguments are as for `specific_force`.
         """
         acting = self._force_of_stand(conditions, stand_rad, block, setting_error_rad)
         if force is not None:

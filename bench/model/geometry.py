@@ -152,7 +152,7 @@ COEFFICIENTS: Final = (
 """The twelve coefficients, in the order of every coefficient vector and covariance matrix of this project."""
 
 HIDDEN: Final = 1e-3
-"""A singular value up to this fraction of the largest counts as zero, and so does a null-space component."""
+"""Singular values up to this fraction of the largest count as zero; so do null-space components up to this size."""
 
 
 def linear_columns(force: Floats) -> Floats:

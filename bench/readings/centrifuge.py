@@ -22,8 +22,8 @@ EXAMPLE: Final = ",".join((*FORCES, *UNCERTAIN, *SIGNALS))
 class CentrifugePoints:
     """Signals (n, 3), V, at specific forces (n, 3) on the block's axes, m/s^2; NaN where no signal was read.
 
-    The magnitude of a force is uncertain, not its direction: by `u_ms2` (n,), independent from point to point,
-    and by the fraction `u_relative` (n,) from an error that all points share, such as that of a radius.
+    Only the magnitude of a force is uncertain: by `u_ms2` (n,), independent between points, and by the fraction
+    `u_relative` (n,), from an error common to all points, such as the radius.
     """
 
     source: str

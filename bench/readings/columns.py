@@ -159,7 +159,7 @@ def _quoted(cell: str) -> str:
 ANGLES: Final = ("alpha1_arcsec", "alpha2_arcsec", "u_alpha1_arcsec", "u_alpha2_arcsec")
 """The columns of the platform's tilt angles during a mounting and of their standard uncertainties."""
 DRIFTS: Final = ("drift_alpha1_arcsec_h", "drift_alpha2_arcsec_h")
-"""The columns of the platform's rms tilt rate, from repeated level readings: equal in all rows of a run."""
+"""The columns of the rms rate of tilt of the platform, from repeated level readings; one value for a run."""
 LEVEL_COLUMNS: Final = (*ANGLES, *DRIFTS)
 
 

@@ -121,7 +121,7 @@ FOUNDATION: Final = Distribution(2.0 * ARCSEC / DAY, "rectangular")
 """Prior of a foundation's tilt rate if not measured, rad/s; the paper states 1 to 2 arcseconds a day."""
 FOUNDATION_ARCSEC_H: Final = FOUNDATION.u * HOUR / ARCSEC
 REFUTED: Final = 3.0
-"""If two readings differ by more than so many standard uncertainties, the prior `FOUNDATION` is discarded."""
+"""The prior `FOUNDATION` is discarded if two readings differ by more than this many standard uncertainties."""
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,7 @@ def _mounting_level(seen: Sequence[LevelReading], mounting: tuple[int, str]) -> 
 def _middle_and_rate(
     alpha: tuple[float, float], u: tuple[float, float], hours: float
 ) -> tuple[float, float, float]:
-    """Return an angle midway between two readings of it, its standard uncertainty, and the rms of its rate.
+    """Return the angle at the middle time between two readings, its standard uncertainty, and the rms of its rate.
 
     The angle is assumed to change linearly. The rate has the prior 0 ± u of `FOUNDATION`; if the readings refute
     it (`REFUTED`), the prior's u is the observed rate.
@@ -210,7 +210,7 @@ def _middle_and_rate(
 
 
 # --- mistakes made at a bench -----------------------------------------------------------------------
-# Shared by the early warning, which tests for these mistakes during a run, and the diagnosis, which tests a table.
+# The early warning tests a run for these mistakes, the diagnosis a table of readings.
 # The scale-reading mistakes are those for which a person is asked to read again (`drivers.angles.SLIPS`).
 
 
@@ -228,15 +228,15 @@ class MistakeName(StrEnum):
     ANOTHER_BLOCK = "another_block"
     STUCK_CHANNEL = "stuck_channel"
     OTHER_MOUNTING = "other_mounting"
-    """The block was mounted differently in an unknown way; other mistakes may look like this."""
+    """The block was mounted in some other orientation; other mistakes may resemble this one."""
 
 
 @dataclass(frozen=True)
 class Wiring:
     """The connection of the three signals to the channels; a mistake may have swapped or reversed some.
 
-    For the true signals x, y, z, `order` holds the channel (0, 1, 2) that shows each signal, and `signs` the
-    factor that corrects its sign.
+    `order` holds, for each true signal x, y, z, the channel (0, 1, 2) that shows it; `signs` holds its sign there,
+    +1 or -1.
     """
 
     order: tuple[int, int, int] = (0, 1, 2)
@@ -259,7 +259,7 @@ class Wiring:
 
 
 RIGHT: Final = Wiring()
-"""The right wiring: each channel shows its own signal."""
+"""The correct wiring: each channel shows its own signal."""
 
 EXCHANGED: Final = tuple(Wiring(order) for order in ((1, 0, 2), (2, 1, 0), (0, 2, 1), (2, 0, 1), (1, 2, 0)))
 """Wirings with two channels exchanged, or all three in turn."""

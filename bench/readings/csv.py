@@ -120,7 +120,7 @@ def read_frame(
 
 
 def _cell(value: object) -> str:
-    """Return a value of a frame as a cell; 3.0 becomes "3", as pandas makes integers floats if one is missing."""
+    """Return a value of a frame as a cell; 3.0 becomes "3", as pandas converts integers if a value is missing."""
     if value is None or value != value or str(value) == "<NA>":  # noqa: PLR0124 - NaN is not itself
         return ""
     return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
@@ -181,10 +181,10 @@ def _read(
 def _completed(
     header: list[str], body: list[tuple[int, list[str]]]
 ) -> tuple[list[str], list[tuple[int, list[str]]], frozenset[str]]:
-    """Return a record at a known input with the columns that it may lack, and its unused signal columns.
+    """Return header and rows with missing columns added, and the signal columns among these.
 
-    Such a record has rows R only: pass and point may be absent, and one or two of the three signals. Other tables
-    are returned unchanged.
+    Columns may be missing only in a record at a known input (rows R only): pass, point, angle, and one or two of
+    the three signals. Other tables are returned unchanged.
     """
     label = header.index("installation") if "installation" in header else len(header)
     if not body or any(cells[label : label + 1] != [REFERENCE] for _, cells in body):
@@ -277,7 +277,7 @@ def _example_header() -> str:
 def _row(
     header: list[str], cells: list[str], signals: list[str], labels: Collection[str], unused: Collection[str]
 ) -> dict[str, float]:
-    """Return the numbers of one row by column name; the cells of `unused` signals are empty.
+    """Return the numbers of one row by column name; cells of the signals `unused` may be empty.
 
     Raises `BadCell` for the first invalid cell.
     """

@@ -156,7 +156,7 @@ class Reading:
 
 
 _WHERE_KNOWN: Final = ("rails", "temperature_source", "chamber_c", METER_C, ROOM_C)
-"""Fields that are left out of the record if empty: they need a power supply or a further thermometer."""
+"""Fields that are omitted from the record if empty, because most benches lack the instrument that fills them."""
 
 _KEYS: Final = {"pass_number": "pass"}
 """Fields with a different name in the record."""

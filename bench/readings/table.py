@@ -32,7 +32,7 @@ SCAN_ORDER: Final = "scan_order"
 
 REFERENCE_V: Final = "reference_v"
 REFERENCE_SD_V: Final = "reference_sd_v"
-"""The extra column with the voltage at a reference input."""
+"""The extra columns with the voltage at a reference input and its standard deviation, V."""
 
 TEMPERATURE_SOURCE: Final = "temperature_source"
 """The extra column with the sensor that measured the temperature of the block, if it has its own thermometer."""
@@ -44,7 +44,7 @@ MOST_DECIMALS: Final = 8
 """Decimals in a 34401A's reply: a signal with more was computed, not read from a meter."""
 
 UNITS: Final[Mapping[str, str]] = {"v": "V", "counts": "counts", "g": "g", "ms2": "m/s^2"}
-"""Suffix of the signal columns (ux_v, ux_counts, ux_g, ux_ms2) to the printed unit."""
+"""The printed unit by suffix of the signal columns (ux_v, ux_counts, ux_g, ux_ms2)."""
 
 
 @dataclass(frozen=True)
@@ -52,14 +52,13 @@ class Readings:
     """A table of n settled readings as columns, in the order of measurement.
 
     `signal` (n, 3) is in `unit`; `angle_rad` is read back from the scale, `target_rad` is the requested angle;
-    both, `time_s` and `temperature_c` are NaN if not given; `direction` is +1, -1 or 0 (unknown);
-    `signal_sd` (n, 3) is the standard deviation of a reading's samples, NaN if not given.
-    `extra` keeps further columns as text; `notes` are remarks for the user of the table;
-    `skipped` lists rows that were left out on request, with the reason; `verification_missing` counts the
-    planned verification points that are not among the rows. `corrected` says that known instrument
-    errors are corrected; `resolution_read` is then the resolution before correction, in `unit`.
-    In a table of several runs, `began_s` (n,) is the start of each row's run on the clock of `time_s`, and
-    `block` (n,) the number of the block measured; None means a single run or block.
+    these angles, `time_s` and `temperature_c` are NaN if not given; `direction` is +1, -1 or 0 (unknown);
+    `signal_sd` (n, 3) is the standard deviation of a reading's samples, NaN if not given. `extra` keeps further
+    columns as text; `notes` are remarks for the user of the table; `skipped` lists rows that were left out on
+    request, with the reason; `verification_missing` counts the planned verification points that are not among the
+    rows. `corrected` says that known instrument errors are corrected; `resolution_read` is then the resolution
+    before correction, in `unit`. In a table of several runs, `began_s` (n,) is the start of each row's run on the
+    clock of `time_s`, and `block` (n,) the number of the block measured; None means a single run or block.
     """
 
     source: str

@@ -58,10 +58,10 @@ LARGE_G: Final = 0.02
 """Least slip (rad) and channel error (g) that stop a run; no genuine effect of a block or a stand is as large."""
 
 FEW: Final = 4
-"""Number of readings that establish how a mounted block sits; later ones suppose no new orientation."""
+"""Number of readings of a mounting that establish the block's orientation; for later ones no other is supposed."""
 
 MOST_CANDIDATES: Final = 12
-"""Greatest number of earlier readings suspected at once; it limits the computing time in a long run."""
+"""Greatest number of earlier readings tested for a mistake at once; it limits the computing time in a long run."""
 
 
 AS_RECORDED: Final = Member(Supposition("", Kind.EARLIER))
@@ -91,7 +91,8 @@ class Inquiry:
     def of_reading(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
         """Return the suspected mistakes that affect this reading alone and explain it.
 
-        `state` is the expectation with a single member; `before` is the cost of all earlier readings.
+        `state` is the expectation with a single member; `before` is the cost (-2 ln likelihood) of earlier
+        readings.
         """
         return [
             *self._cabling_now(sighting, state, before),
@@ -161,7 +162,7 @@ class Inquiry:
         ]
 
     def _others(self, sighting: Sighting, *, few: bool) -> dict[str, Supposition]:
-        """Return suppositions on how the block may sit instead, by label; with `few`, other orientations, too."""
+        """Return, by label, the suppositions of other installations; with `few`, also of other orientations."""
         label = sighting.installation
         otherwise = self.otherwise.get(label, ()) if few else ()
         known = {at: other_installation(at, label, sighting.sat_before) for at in self._installations(label)}
@@ -207,7 +208,7 @@ class Inquiry:
         ], replay
 
     def _wrong_before(self, sighting: Sighting, k: int) -> list[Member]:
-        """Return the members in which reading `k` is wrong: left out, shifted, or taken at another setting.
+        """Return the members in which reading `k` is wrong: left out, shifted, or at another setting.
 
         A member is a supposed mistake.
         """
@@ -232,8 +233,8 @@ class Inquiry:
     ) -> ReplayedReadings:
         """Replay all readings for each member, that is, for each supposed mistake.
 
-        The default is one member that uses the readings as recorded. A reading that a member leaves out costs as
-        much as a reading that does not fit.
+        The default is one member that uses the readings as recorded. A reading that a member leaves out has the
+        cost of a reading that does not fit.
         """
         state = self.prior.repeated(len(members))
         cabling = np.stack([member.cabling for member in members])
@@ -269,7 +270,7 @@ class Inquiry:
         return sighting.poses
 
     def _shifts(self, sighting: Sighting, state: Expectation) -> Floats:
-        """Return the prior standard deviations (5, 3), V: block turned, block tilted, channels x, y, z off."""
+        """Return the signals' prior standard deviations (5, 3), V: block turned, tilted, x off, y off, z off."""
         scale = state.scale_factors[0]
         turn = self.model.installations[sighting.installation].block_from_platform
         return np.stack(
@@ -312,14 +313,14 @@ def _chosen(pose: ExpectedPose, index: NDArray[np.int64]) -> ExpectedPose:
 
 
 STOP_ALARM: Final = 1e-6
-"""Probability that chance alone makes any reading of a run on a good bench misfit enough to stop the run."""
+"""Probability that a run on a good bench is stopped because of a misfit by chance alone."""
 
 CLEARLY: Final = 5.0
 """A mistake stops the run only if its misfit, in volts, is this many times the largest unexplained misfit."""
 
 
 class Confidence:
-    """Decides for each early sign whether it stops the run, and keeps the mistakes that a person accepted."""
+    """Decides whether an early sign stops the run; remembers the mistakes despite which a person continued."""
 
     def __init__(self, readings: int) -> None:
         self._sure = float(chdtri(3, STOP_ALARM / max(readings, 1)))
@@ -330,9 +331,7 @@ class Confidence:
         self._undecided: tuple[Sighting, list[Suspect]] | None = None
 
     def mounted(self) -> None:
-        """Note that the block was mounted again: early signs may stop the run again, and no reading is left
-        undecided.
-        """
+        """Note a new mounting: forget accepted mistakes and the undecided reading."""
         self._silent, self._undecided = False, None
 
     def forget(self) -> None:

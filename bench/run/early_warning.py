@@ -45,7 +45,7 @@ from drivers.angles import format_dms
 SCALE_FACTOR_U: Final = 0.03
 CROSS_AXIS_U: Final = 0.03
 BIAS_U_G: Final = 0.3
-"""Prior standard deviations about the nominal block: parts of the scale factor, and bias in g."""
+"""Prior standard deviations about the nominal block: of K (two) relative to its scale factors, of the bias in g."""
 
 FALSE_ALARM: Final = 0.005
 """Probability that a whole run on a good bench raises any warning."""
@@ -58,22 +58,22 @@ BIAS_PER_ROOT_HOUR_G: Final = 30e-6
 SCALE_PER_ROOT_HOUR: Final = 20e-6
 BIAS_PER_KELVIN_G: Final = 180e-6
 SCALE_PER_KELVIN: Final = 300e-6
-"""Plausible changes of a good block, 1 σ; for the temperature, three times the plausible value."""
+"""The five constants above are changes of a good block, 1 σ; those per kelvin are thrice the plausible size."""
 
 TEMPERATURE_STEP_K: Final = 0.5
-"""Smaller changes of temperature are ignored: they are the thermometer's noise, or too small to matter."""
+"""Least change of temperature that is taken into account, K; a smaller one may be the thermometer's noise."""
 
 GROWN: Final = 1.25
-"""If the noise turns out larger by this factor, the model relearns all readings with the larger noise."""
+"""If the estimated noise grows by this factor, the model is fitted to all readings again, with the larger noise."""
 
 NOISY: Final = 2.0
-"""If repeats scatter more than stated in the bench file by this factor, one early sign reports it."""
+"""If repeats scatter by more than this multiple of the stated noise, an early sign reports it once."""
 
 LEAST_NOISE_G: Final = 10e-6
 """Smallest noise assumed (in g), even if the bench file states no voltmeter error."""
 
 POORLY_KNOWN: Final = 3.0
-"""An expectation this many times less certain than a reading cannot reveal a small mistake in the reading."""
+"""If the u of an expectation exceeds this multiple of a reading's noise, a mistake may go unnoticed."""
 
 Place = tuple[int, str, int, int]
 """The identity of a reading: series, installation, pass and point."""
@@ -138,7 +138,7 @@ class EarlyWarning:
         return self._repeats.sizes
 
     def remounted(self) -> None:
-        """Note that the block was mounted again, in case the next reading has the same installation and series."""
+        """Note that the block was mounted again, even if the next reading has the same installation and series."""
         self._mounted_anew = True
         self._confidence.mounted()
         self._visits.clear()  # later differences come from the remounting, not from noise
@@ -159,7 +159,7 @@ class EarlyWarning:
             self._confidence.went_on(self._history[-1])
 
     def foresee(self, reading: Reading) -> ReadingJudgement:
-        """Return the judgement of a possible reading without learning from it, to assess how a mistake shows."""
+        """Return the judgement of a hypothetical reading; the model does not learn from it."""
         ahead = copy.deepcopy(self)
         sighting = ahead._sight(reading)
         if sighting.new_mount:
@@ -168,7 +168,7 @@ class EarlyWarning:
         return ahead._state.judge(sighting.signal_v, sighting.pose, ahead.noise)
 
     def expect(self, reading: Reading) -> ExpectedSignals | None:
-        """Return the signals expected of a reading that is not taken yet; None without a known orientation."""
+        """Return the signals expected at a reading not yet taken; None if its orientation is unknown."""
         if reading.angle_deg is None or reading.installation not in self._oriented:
             return None
         ahead = copy.deepcopy(self)
@@ -218,7 +218,7 @@ class EarlyWarning:
     # --- the reading ---------------------------------------------------------------------------------
 
     def _sight(self, reading: Reading) -> Sighting:
-        """Return the `Sighting` of a reading, with what earlier readings and the plan say about its situation."""
+        """Return the `Sighting` of a reading: possible poses, and its place among earlier and planned readings."""
         conditions = readings_of([reading], "").conditions()
         before = self._history[-1] if self._history else None
         new_mount = self._mounted_anew or before is None or before.row.mounts != conditions.mounts
@@ -285,7 +285,7 @@ class EarlyWarning:
             self._go_through_again()
 
     def _go_through_again(self) -> None:
-        """Judge and learn all readings again, with the present estimate of the noise, without struck readings."""
+        """Judge all readings again and learn from them, with the present noise estimate, except struck readings."""
         replay = self._inquiry().replay(self._history)
         self._adopt(replay.taken[:, 0], replay.state)
 
@@ -297,8 +297,8 @@ class EarlyWarning:
     def _learn_noise(self, now: Sighting) -> None:
         """Increase the noise estimate if repeats scatter more than stated.
 
-        A pair of repeats counts only if both readings fit or neither does. Otherwise the jump of a slipped
-        block would be mistaken for noise.
+        A pair of repeats counts only if both readings fit or both do not. Otherwise a slip of the block between
+        them would count as noise.
         """
         row = now.row
         key = (row.mounts[0], int(row.point[0]), int(row.direction[0]))
@@ -347,7 +347,7 @@ class EarlyWarning:
         return self._sign(sighting, judged, channels, words, causes, at_fault, confident=confident)
 
     def _wrong_before(self, judged: ReadingJudgement) -> list[EarlySign]:
-        """Return the sign for the previous reading, if its mistake shows only now, because this one fits."""
+        """Return the sign for the previous reading, if the fit of the present one shows that it was wrong."""
         found = self._confidence.fits()
         if found is None:
             return []
@@ -403,11 +403,11 @@ class EarlyWarning:
         wrong.struck = True
         self._in_a_row = 0
         if wrong.row.mounts != self._history[-1].row.mounts:
-            return []  # the state no longer holds the stand's angles of that mounting
+            return []  # the state holds the stand's angles of the present mounting only
         return likeliest(self._inquiry().of_reading(wrong, self._state, 0.0))
 
     def _lasting(self, sighting: Sighting, suspects: Sequence[Suspect]) -> list[Suspect]:
-        """Return a lasting slip as the only cause if the previous reading was off by the same angle, else []."""
+        """Return a lasting slip as the only cause if the previous reading had the same angle error; else []."""
         now = next((s for s in suspects if s.moved_rad is not None), None)
         before, self._moved = self._moved, None
         if now is None or now.moved_rad is None:

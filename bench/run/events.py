@@ -66,7 +66,7 @@ class CheckedBefore(TypedDict, total=False):
 
 
 class OperatorPerson(TypedDict):
-    """What the laboratory's register of persons said of the operator; `register` is the hash of its last line."""
+    """The operator's entry in the laboratory's register of persons; `register` is the hash of its last line."""
 
     role: str
     may: list[str]
@@ -77,11 +77,11 @@ class Manifest(TypedDict, total=False):
     """The inputs and settings with which a run was begun (`run.json`), in this order.
 
     `files` holds the SHA-256 of each input by name. `seed` is None for a run on real instruments. A run imported
-    from a readings file (`imported`) states the number of `readings` and has no procedure. `living` marks a dry
-    run whose questions a person answers. `bench_why` is the reason for the choice of the bench file. `devices`
-    is the origin of drivers from outside the bench software. `verdict` overrides the bench file's decision
-    settings; `default_rule` applies where neither states a rule. `until` lists the goals at which the run ends.
-    `check_block` is the state of the check block. Empty fields are omitted.
+    from a readings file (`imported`) states the number of `readings` and has no procedure. `living` marks a dry run
+    whose questions a person answers. `bench_why` is the reason for the choice of the bench file. `devices` is the
+    origin of drivers from outside the bench software. `verdict` overrides the bench file's decision settings;
+    `default_rule` applies where neither states a rule. `until` lists the goals at which the run ends. `check_block`
+    is the state of the check block. Fields without a value are omitted.
     """
 
     format: int
@@ -271,96 +271,97 @@ def result_from_json(data: Mapping[str, Any]) -> Result | None:
 
 
 class EventType(StrEnum):
-    """The types of events, each with the names of its data fields.
+    """The types of events; the docstring of each describes the fields of `Event.data`.
 
     An event caused by a wish states the author in `by`, `role` and `where`, as far as known.
     """
 
     RUN_STARTED = "run_started"
-    """`step`, the first one; `instruments`, their identities by name; `serials`, if certificates are checked."""
+    """Data: `step`, the first step; `instruments`, identities by name; `serials`, if certificates are checked."""
     RUN_RESUMED = "run_resumed"
-    """The same data as `run_started`; the author who resumed it, if named, or if there is a register of persons."""
+    """Data: those of `run_started`; also the author who resumed the run, if known."""
     RUN_PAUSED = "run_paused"
-    """`reason`."""
+    """Data: `reason`."""
     RUN_CONTINUED = "run_continued"
     RUN_FINISHED = "run_finished"
     RUN_FAILED = "run_failed"
-    """`error`, a sentence; `instrument`."""
+    """Data: `error`, a sentence; `instrument`, the name of the failed instrument."""
     RUN_INTERRUPTED = "run_interrupted"
     RUN_ABORTED = "run_aborted"
-    """`reason`."""
+    """Data: `reason`."""
     LEFT_SAFE = "left_safe"
-    """`to_do`, the tasks left for a person, by instrument."""
+    """Data: `to_do`, the tasks left for a person, by instrument."""
     STEP_STARTED = "step_started"
-    """`step`, its index in the plan from 0; `key`; `attempt`, from 1."""
+    """Data: `step`, the index of the step in the plan, from 0; `key`, its key; `attempt`, from 1."""
     STEP_DONE = "step_done"
-    """The data of `step_started` and the step's result."""
+    """Data: those of `step_started`, and the step's result."""
     STEP_FAILED = "step_failed"
-    """`step`, `key`; `error`, a sentence."""
+    """Data: `step` and `key`, as in `step_started`; `error`, a sentence."""
     SKIPPED = "skipped"
-    """`first` and `last`, the range of steps; `reason`."""
+    """Data: `first` and `last`, the range of skipped steps; `reason`."""
     REDO = "redo"
-    """`first` and `last`, the range of steps; `wish`."""
+    """Data: `first` and `last`, the range of steps to repeat; `wish`, the wish that asked for it."""
     REMOUNTED = "remounted"
-    """`installation`, `series`, and `now_series`, the series number of the later readings.
+    """Data: `installation`; `series`; `now_series`, the series number of the later readings.
 
     With `why`, the block stayed mounted but lost power in between, which also begins a new visit.
     """
     POWER = "power"
-    """`power`: the block was switched "on" or "off", was "found on", or a check found a "fault".
+    """Data: `power`, which is "on" or "off" after switching, "found on", or "fault" after a failed check.
 
-    `rails` are the supply's measurements at each rail; a fault has phrases in `wrong` instead.
+    Also `rails`, the supply's measurements by rail or, for a fault, `wrong`, phrases that describe it.
     """
     WARMED_UP = "warmed_up"
-    """`after_s`, s since switching on; `at`, the settled signals, V, if the warm-up waited for settling."""
+    """Data: `after_s`, time since switch-on, s; `at`, the settled signals, V, if the warm-up waited for them."""
     EARLY_SIGN = "early_sign"
-    """`step` and the fields of an early sign."""
+    """Data: `step`, and the fields of the early sign."""
     SAME_SERIAL = "same_serial"
-    """`words`, a sentence: several instruments report the same serial number."""
+    """Data: `words`, a sentence on instruments that report the same serial number."""
     CERTIFICATE = "certificate"
-    """`words`, a sentence: a certificate has expired, or belongs to another instrument than the connected one."""
+    """Data: `words`, a sentence on a certificate that has expired, or that is of another instrument."""
     WENT_ON = "went_on"
-    """`step` and `causes` of the early sign that stopped the run; `reason` for continuing."""
+    """Data: `step` and `causes` of the early sign that stopped the run; `reason`, why a person continued."""
     WISH_REFUSED = "wish_refused"
-    """`wish`; `why`, a sentence."""
+    """Data: `wish`, the refused wish; `why`, a sentence."""
     ASKED = "asked"
-    """A prompt that can be answered from several places: its `id`, unique in the record, and its fields.
+    """A prompt that can be answered from several places.
 
-    The fields are `kind`, `text`, `default`, `unit`, `choices`, `minimum`, `maximum`, `action`, `picture`.
-    The question stays open until it is answered, or until the run continues or stops without an answer.
+    Data: `id`, unique in the record; the fields of the prompt: `kind`, `text`, `default`, `unit`, `choices`,
+    `minimum`, `maximum`, `action`, `picture`. The question stays open until it is answered, or until the run
+    continues or stops without an answer.
     """
     ANSWERED = "answered"
-    """`id` of the prompt; `answer`, the accepted one; `by`, `role` and `where`; `line`, from 1.
+    """Data: `id` of the prompt; `answer`, the accepted answer; its author in `by`, `role` and `where`; `line`.
 
-    `line` is the line number in the run folder's file of answers; other answers have none.
+    `line` is the line number, from 1, in the run folder's file of answers; it is missing for other answers.
     """
     ANSWER_REFUSED = "answer_refused"
-    """The data of `answered`, with `answer` as entered; `why`, a sentence."""
+    """Data: those of `answered`, with `answer` as entered; `why`, a sentence."""
     CHAMBER_SLOW = "chamber_slow"
-    """`chamber`, its name; air temperature `start_c` at the start and `air_c` now; `target_c`; `after_s`."""
+    """Data: `chamber`, its name; `start_c` and, `after_s` later, `air_c`, temperatures of the air; `target_c`."""
     CLOCK_JUMPED = "clock_jumped"
-    """`ahead_s`: by how many seconds civil time has gained on bench time since the previous event."""
+    """Data: `ahead_s`, the gain of civil time on bench time since the previous event, s."""
     CHOSEN = "chosen"
     """The choice of the next points, in a run that continues until its goals are reached.
 
-    `visit` is the number of the mounting. `left_out` lists ranges [first, last] of steps that are not needed;
-    `taken_up` lists ranges dropped earlier that are needed after all. `now` is the state of the goal furthest
-    from being reached (None until the readings determine the coefficients). `settings` and `repeats` are the
-    counts so far. `next` holds the next points, their time and their gain; `in_all` is what remains until
-    the end. `undecided` are the steps left to later choices, with their expected time. `stop` is the reason
-    for ending the measurement.
+    Data: `visit` is the number of the mounting. `left_out` lists ranges [first, last] of steps that are not needed;
+    `taken_up` lists ranges dropped earlier that are needed after all. `now` is the state of the goal furthest from
+    being reached (None until the readings determine the coefficients). `settings` and `repeats` are the counts so
+    far. `next` holds the next points, their time and their gain; `in_all` holds the number and duration of all
+    points that remain. `undecided` are the steps left to later choices, with their expected time. `stop` is the
+    reason for ending the measurement.
     """
     IMPORTED = "imported"
-    """`file`; `readings`, their number."""
+    """Data: `file`, the name of the imported file; `readings`, the number of readings."""
 
 
 MOST: Final = 1_000_000
 """Upper limit of the steps of a plan and the mountings of a run; a record with greater numbers is invalid."""
 
-_Told = tuple[tuple[str, type[object]], ...]
-_STEP: Final[_Told] = (("step", int),)
-_STEPS: Final[_Told] = (("first", int), ("last", int))
-_TOLD: Final[Mapping[str, _Told]] = {
+_DataTypes = tuple[tuple[str, type[object]], ...]
+_STEP: Final[_DataTypes] = (("step", int),)
+_STEPS: Final[_DataTypes] = (("first", int), ("last", int))
+_REQUIRED_DATA: Final[Mapping[str, _DataTypes]] = {
     EventType.RUN_STARTED: (*_STEP, ("instruments", dict)),
     EventType.RUN_RESUMED: (*_STEP, ("instruments", dict)),
     EventType.LEFT_SAFE: (("to_do", dict),),
@@ -417,7 +418,7 @@ class Event:
             raise ValueError("its number, time or type is invalid")
         if type(bench_s) not in _NUMBERS or not math.isfinite(bench_s):
             raise ValueError("its bench time is not a number")
-        for name, kinds in _TOLD.get(kind, ()):
+        for name, kinds in _REQUIRED_DATA.get(kind, ()):
             value: Any = data[name]
             if type(value) is not kinds or (isinstance(value, int) and not 0 <= value < MOST):
                 raise ValueError(f"its {name} is invalid")
@@ -425,7 +426,7 @@ class Event:
 
     @property
     def step(self) -> int:
-        """The index of the step to which the event belongs."""
+        """The index of the event's step."""
         return int(self.data["step"])
 
     @property
@@ -462,7 +463,7 @@ _OPEN: Final[Mapping[str, RunState]] = {
     EventType.RUN_INTERRUPTED: RunState.INTERRUPTED,
     EventType.RUN_ABORTED: RunState.ABORTED,
 }
-"""Events possible in every run that has not ended, whatever state the last program left it in."""
+"""Events possible in every state of a run that has not ended."""
 
 
 def _stopped(state: RunState) -> Mapping[str, RunState]:

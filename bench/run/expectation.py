@@ -85,8 +85,8 @@ class NoiseSizes:
 class RepeatNoise:
     """The noise sizes estimated from repeats, never below the sizes stated in the bench file.
 
-    The stated sizes include errors that repeats do not reveal (the meters' gain, the head's graduation). They
-    count as much as `STATED_WORTH` degrees of freedom of repeats.
+    The stated sizes include errors that repeats do not reveal (the meters' gain, the head's graduation). They have
+    the weight of `STATED_WORTH` degrees of freedom of repeats.
     """
 
     def __init__(self, stated: NoiseSizes) -> None:
@@ -130,7 +130,7 @@ class ReadingJudgement(NamedTuple):
 
     @property
     def sigma(self) -> Floats:
-        """The residuals in standard deviations, shape (m, 3)."""
+        """The residuals divided by their standard deviations, shape (m, 3)."""
         return self.residual / np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1))
 
     @property
@@ -144,7 +144,7 @@ class ReadingJudgement(NamedTuple):
 
 
 class Expectation:
-    """Kalman-filter states for m members, each of which supposes another mistake or none.
+    """States of m Kalman filters ("members"), each of which supposes a different mistake or none.
 
     `mean` (m, 17) and `covariance` are for the coefficients, V/g and V, then the stand's angles, rad.
     """
@@ -239,7 +239,7 @@ class ExpectedSignals:
     covariance: Floats
 
     def deviation_rad(self, signals: Floats) -> tuple[float, float]:
-        """Return the angle of the head beyond the commanded one, and its standard uncertainty (GLS), both rad."""
+        """Return the head's deviation from the commanded angle, and its standard uncertainty (GLS), rad."""
         weighted = np.linalg.solve(self.covariance, self.slope)
         information = float(self.slope @ weighted)
         if information <= 0.0:
@@ -248,7 +248,7 @@ class ExpectedSignals:
 
 
 MOST_LISTED: Final = 3
-"""Greatest number of causes named in a sign; if there are more, the sign states their number as well."""
+"""Greatest number of causes named in a sign; if there are more, the sign also states their number."""
 
 
 @dataclass(frozen=True)
@@ -258,10 +258,10 @@ class EarlySign:
     `sentence` is the complete message. `sigma` are the residuals of x, y, z in standard deviations of the
     expectation; `channels` are the channels with large residuals. `p` is the probability of so large a misfit by
     chance. `causes` are the mistakes that explain it equally well, likeliest first, empty if none does; `kinds` are
-    the kinds of these causes. `in_a_row` counts consecutive readings that did not fit. `at_fault` is the place of
-    an earlier reading found to be wrong; the present reading fits without it, and `in_a_row` is 0. If `confident`,
-    the run has to stop and ask (`bench.run.causes`); `wrong` then identifies the reading at fault (series,
-    installation, pass, point).
+    the kinds of these causes. `in_a_row` is the number of consecutive readings that did not fit. `at_fault` is the
+    place of an earlier reading found to be wrong; the present reading fits without it, and `in_a_row` is 0. If
+    `confident`, the run has to stop and ask (`bench.run.causes`); `wrong` then identifies the reading at fault
+    (series, installation, pass, point).
     """
 
     sentence: str
@@ -340,7 +340,7 @@ UNLIKELY: Final[Mapping[str, float]] = {Kind.ORIENTATION: 5.0, Kind.SLIP: 1.0, K
 """Prior cost of each kind: -2 ln of the odds relative to the most common mistakes."""
 
 FIRST_ORIENTATION: Final = 3.0
-"""Additional prior cost in the first mounting, where no earlier reading separates orientation from wrong cables."""
+"""Additional prior cost in the first mounting, where wrong cables and a wrong orientation look the same."""
 
 OTHER_INSTALLATION: Final = 4.0
 """Prior cost of an installation other than that of the previous mounting."""
@@ -352,10 +352,10 @@ If only the sign of one channel's signal changes, a head that was not turned is 
 """
 
 SAT_RIGHT: Final = 12.0
-"""Prior cost of a block sitting differently for one reading, after others of its mounting have fitted."""
+"""Prior cost of another orientation at a single reading, after other readings of the mounting have fitted."""
 
 SAME_RAD: Final = float(np.radians(0.5))
-"""Angles that differ by less than this count as the same supposition."""
+"""Suppositions of angles that differ by less than this, rad, count as one."""
 
 
 @dataclass(frozen=True)
@@ -387,7 +387,7 @@ def _said(wiring: Wiring) -> str:
 
 
 CABLINGS: Final[Mapping[str, Floats]] = {_said(wiring): wiring.matrix for wiring in (*EXCHANGED, *REVERSED)}
-"""Possible wiring mistakes, each with the matrix (3, 3) that corrects the signals."""
+"""Possible wiring mistakes, each with the matrix (3, 3) that turns the recorded signals into the true ones."""
 
 REVERSALS: Final = frozenset(_said(wiring) for wiring in REVERSED)
 """The phrases of `CABLINGS` in which the wires of one channel are reversed."""
@@ -421,7 +421,7 @@ QUARTER_TURNS: Final = _quarter_turns()
 
 
 def orientations(installations: Mapping[str, Installation], label: str) -> dict[str, Installation]:
-    """Return the other orientations in which a block may sit on the platform, keyed by a sentence on each.
+    """Return the other possible orientations of a block on the platform, each under a sentence that describes it.
 
     They are the quarter turns of installation `label`, without those that equal a known installation.
     """
@@ -497,12 +497,12 @@ SHIFTS: Final = 5
 """Number of shifts of unknown size: block turned about the shaft, block tilted, and each of three channels off."""
 
 AS_IT_IS, ABSENT = SHIFTS, SHIFTS + 1
-"""Special shift numbers: the reading as recorded, and the reading left out."""
+"""Special values of a shift number: the reading is used as recorded, or left out."""
 
 
 @dataclass
 class Sighting:
-    """A reading as the early warning keeps it.
+    """A reading with its data for the early warning.
 
     `new_mount` says that the block was mounted just before the reading. `loosened` (12,) are the variances by
     which the coefficients may have changed since the previous reading. `taken` means that the model has learnt
@@ -546,9 +546,9 @@ class Sighting:
 class Suspect:
     """A supposed mistake that explains a reading, and its cost (-2 ln likelihood plus prior cost).
 
-    `earlier` is the index of the earlier reading at fault, if any. `moved_rad` and its standard uncertainty
-    `u_rad` are set if the mistake is that head or block is off by an angle. `stops` means that no genuine
-    effect resembles this mistake, so that it may stop the run; `free`, that it is a shift of unknown size.
+    `earlier` is the index of the earlier reading at fault, if any. `moved_rad`, with standard uncertainty `u_rad`,
+    is the angle by which head or block is off, if that is the mistake. `stops` means that no genuine effect
+    resembles this mistake, so that it may stop the run; `free`, that it is a shift of unknown size.
     """
 
     text: str
@@ -563,7 +563,7 @@ class Suspect:
 
 @dataclass(frozen=True)
 class Member:
-    """A supposed mistake as followed in a replay, from reading `since` on or at one `reading` alone.
+    """A mistake supposed in a replay: at all readings from number `since` on, or at the single reading `reading`.
 
     `cabling` (3, 3) corrects the signals. `pose` is an index into the sighting's `poses`. `shift` is the number
     of a shift of unknown size, `AS_IT_IS`, or `ABSENT`.

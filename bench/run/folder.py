@@ -209,7 +209,7 @@ def all_runs(runs: Path) -> list[Run]:
 
 
 FORMAT: Final = 2
-"""Format of the cache; increase it with every change of its content or of the rules for damaged records."""
+"""Version of the cache; increase it when its content or the rules for damaged records change."""
 
 SETTLED_S: Final = 2.0
 """Least age of a run's newest file for its digest to be cached, s.

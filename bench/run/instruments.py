@@ -32,8 +32,8 @@ from drivers.person import Person, Prompt, PromptKind
 class Instruments:
     """The instruments of a bench as the runner uses them. Each of x, y, z is measured by exactly one voltmeter.
 
-    `around` maps columns of the readings to the thermometer of the meters or the room, or to "chamber" for its
-    air. `opened` holds the names of the instruments opened so far; another program may be using the others.
+    `around` maps a column of the readings to the thermometer of the meters or the room, or to "chamber" (its air).
+    `opened` holds the names of the instruments opened so far; other instruments may be in use by another program.
     """
 
     voltmeters: Sequence[Voltmeter]
@@ -118,7 +118,7 @@ def told_at_mounting(instruments: Instruments, key: str) -> float | None:
 def told_at_reading(
     instruments: Instruments, known_c: float | None, key: str
 ) -> tuple[float | None, float | None]:
-    """Return the temperatures of the block and of the chamber's air, °C; None if not measured separately.
+    """Return the temperatures of the block and of the chamber's air, °C; the air's is None if only one is measured.
 
     `known_c` is the block's temperature, if known; a person is then not asked for it. Raises `BenchError`.
     """
@@ -138,7 +138,8 @@ def told_around(
 ) -> dict[str, float]:
     """Return the temperatures of meters and room by column, °C; `air_c` is the air of the chamber, if known.
 
-    `known` are values of this mounting, for which a person is not asked again. Raises `BenchError`.
+    `known` holds values already entered in this mounting; a person is not asked for them again. Raises
+    `BenchError`.
     """
     by_column = {
         column: air_c

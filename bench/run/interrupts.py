@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and SIGHUP, handled where they do no harm. Imported first, so it imports nothing heavy."""
+"""Handling of Ctrl-C, SIGTERM and SIGHUP at harmless moments. Imported first, so it imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Final
 
 from drivers.clock import Haste, SystemClock
 
-# closing the terminal's window sends SIGHUP, where the system has that signal
+# SIGHUP, if the system has it, is sent when the terminal's window is closed
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 NOT_DONE: Final = 2
 """Exit status of a program stopped by a signal."""
@@ -36,11 +36,11 @@ def interrupt_main() -> None:
 class Interrupts:
     """A context in which the signals `numbers` raise `KeyboardInterrupt`, unless shielded or held.
 
-    Another signal, or one after `hold`, only asks the instruments to hurry (`haste`). After `release`, a signal
-    raises again, and the second signal ends the program by `end(status)`. A `KeyboardInterrupt` that Python
-    drops in a weak reference's callback or in `__del__` is raised again afterwards. `any_heard` says whether
-    any instance received a signal. After an `Exception` leaves a nested context, signals are ignored until the
-    outer context ends, so that the error is reported.
+    A further signal, or one after `hold`, raises nothing and only sets `haste`, which shortens waits for
+    instruments. After `release`, a signal raises again, and the second signal ends the program by `end(status)`.
+    Python drops a `KeyboardInterrupt` in a weak reference's callback or in `__del__`; it is raised again
+    afterwards. `any_heard` says whether any instance received a signal. After an `Exception` leaves a nested
+    context, signals are ignored until the outer context ends, so that the error is reported.
     """
 
     any_heard: ClassVar[bool] = False

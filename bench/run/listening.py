@@ -1,4 +1,4 @@
-"""Inputs to a run from outside: jumps of the computer's clock, and wishes and answers of the operator."""
+"""Inputs to a run from outside: jumps of the computer's clock; wishes and answers of the operator."""
 
 from __future__ import annotations
 
@@ -49,7 +49,9 @@ class ClockWatch:
         self._last: tuple[datetime, float] | None = None
 
     def gap_s(self) -> float:
-        """Return how far civil time gained on bench time since the last call, s; 0 for a small difference."""
+        """Return by how many seconds civil time has gained on bench time since the last call; 0 if less than
+        `GAP_S`.
+        """
         civil, now_s = self._civil(), self._now_s()
         last, self._last = self._last, (civil, now_s)
         if last is None:
@@ -112,9 +114,9 @@ class WishListener:
 LOOK_S: Final = 1.0
 """Interval between calls of `meanwhile` while a prompt is open, s."""
 READ_S: Final = 0.7
-"""Least time in which a person can read a prompt and type its answer, s.
+"""Least time in which a person can read a prompt and type an answer, s.
 
-If the previous prompt was answered elsewhere, a line typed sooner was meant for that prompt.
+If the previous prompt was answered elsewhere, a line typed within this time was meant for that prompt.
 """
 
 Tell = Callable[[EventType, dict[str, Any]], object]
@@ -136,9 +138,9 @@ class _Elsewhere(Exception):
 class Asker:
     """The person of a run, who can answer at a terminal (if any) and through files in the run's `folder`.
 
-    The first `answers_read` answers in the folder are skipped. Until `attach`, `tell` records events, and only a
-    wish to stop is obeyed. `answered_by` is the author of the last answer. The class implements
-    `drivers.interfaces.WatchingPerson`.
+    The first `answers_read` answers in the folder are skipped. Before `attach`, events are recorded by the `tell`
+    given here, and only a wish to stop is obeyed. `answered_by` is the author of the last answer. The class
+    implements `drivers.interfaces.WatchingPerson`.
     """
 
     def __init__(

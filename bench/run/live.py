@@ -25,30 +25,30 @@ from drivers.interfaces import BadReading, BenchError, Voltmeter
 from drivers.person import Prompt
 
 LIVE: Final = "live.json"
-"""The file in the run's folder with the latest value; each look replaces it, and it is no part of the record."""
+"""The file in the run's folder with the latest value. Each sample replaces it; it is not part of the record."""
 
 LOOK_S: Final = 0.25
-"""Interval between two looks, s of real time."""
+"""Interval between two samples, s of real time."""
 
 SETTLED_S: Final = 3.0
 SETTLED_G: Final = 3e-5
-"""Signals that move less within `SETTLED_S` have settled, g: a tenth of the paper's verification limit."""
+"""Signals that change by less than this within `SETTLED_S` have settled, g: a tenth of the verification limit."""
 
 QUIET_G: Final = 3e-4
-"""A scatter above this is motion, g: the noise of quick samples on the 10 V range is a third of it."""
+"""A scatter above this, g, counts as motion; the noise of quick samples on the 10 V range is a third of it."""
 
 TELLING_ARCSEC: Final = 60.0
-"""The deviation is shown if its U (k = 2) is below this, a usual graduation of a manual head."""
+"""The deviation from the commanded angle is shown if its U (k = 2) is below this, a usual scale division."""
 
 LINEAR_ARCSEC: Final = 3600.0
-"""The deviation is a linear estimate; up to this its error by curvature is below 1 %."""
+"""Up to this deviation, the error of its linear estimate is below 1 %."""
 
 SHOWN_V: Final = 5
 """Decimals of a signal in the terminal: 10 µV, about an arcsecond."""
 
 
 class LightlyRead(Protocol):
-    """A bench whose signals can be read between two readings without recording them."""
+    """A bench whose signals can be sampled between two readings, without a record."""
 
     def glance(self) -> tuple[float, ...]:
         """Return the present signals x, y, z, V, without recording them. Raises `BenchError`."""
@@ -155,7 +155,7 @@ class LiveSignals:
         self._silent = self._why_not()
 
     def look(self) -> None:
-        """Sample the signals if it is time for it; no error of an instrument reaches the caller."""
+        """Sample the signals if a sample is due. Errors of instruments are not raised."""
         now_s = self._clock.now_s()
         if self._bench is None or self._prompt is None or now_s - self._looked_s < LOOK_S:
             return
@@ -187,7 +187,7 @@ class LiveSignals:
 
     def _value(self, prompt: str, now_s: float, signals: tuple[float, ...]) -> LiveValue:
         self._recent.append((now_s, signals))
-        while len(self._recent) > 1 and now_s - self._recent[1][0] >= SETTLED_S:  # the oldest spans the time
+        while len(self._recent) > 1 and now_s - self._recent[1][0] >= SETTLED_S:  # the oldest is older
             self._recent.popleft()
         off = expanded = None
         if self._expected is not None:
@@ -197,7 +197,7 @@ class LiveSignals:
         return LiveValue(prompt, utc_now().isoformat(), signals, off, expanded, self._has_settled())
 
     def _has_settled(self) -> bool:
-        """Fit a line to the window: quick samples are too noisy to compare one by one."""
+        """Return whether scatter and slope of a line fitted to the window are within limits for all signals."""
         times = np.array([time for time, _ in self._recent])
         values = np.array([signals for _, signals in self._recent])
         if times[-1] - times[0] < SETTLED_S or len(times) < 4:
@@ -205,9 +205,9 @@ class LiveSignals:
         from_middle = times - times.mean()
         spread = math.sqrt(from_middle @ from_middle)
         slope = from_middle @ values / spread**2
-        # the median of successive differences: a motion, steady or at an end, hardly counts as noise
+        # noise from the median of successive differences, which a motion hardly affects
         noise = np.median(np.abs(np.diff(values, axis=0)), axis=0) / (0.6745 * math.sqrt(2.0))
-        # noise alone passes 5 standard deviations, estimated from few samples, in 1 % of the windows
+        # with few samples, noise alone exceeds 5 estimated standard deviations in 1 % of the windows
         limit = np.maximum(self._settled_v / SETTLED_S, 5.0 * noise / spread)
         return bool(np.all((noise <= self._quiet_v) & (np.abs(slope) <= limit)))
 
@@ -233,6 +233,6 @@ class LiveSignals:
     def _tell(self, value: LiveValue) -> None:
         self._show(value.in_a_line())
         beside = self._file.with_suffix(".tmp")
-        with suppress(OSError):  # what is only shown must not stop a run
+        with suppress(OSError):  # a failed display must not stop a run
             beside.write_text(json.dumps(value.to_json()), encoding="utf-8")
             os.replace(beside, self._file)  # noqa: PTH105 - atomic, and without the flush of a record

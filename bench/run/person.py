@@ -58,11 +58,11 @@ class WishAuthor:
 
 NOBODY_KNOWN: Final = WishAuthor()
 INSTRUMENT: Final = "instrument"
-"""The place of an author that is an instrument, which answers instead of a person."""
+"""The `where` of an author that is an instrument, such as an encoder that answers instead of a person."""
 
 
 def at_the_shell(where: str) -> WishAuthor:
-    """Return the user of this process as author, a supervisor because of shell access to the runs' folder."""
+    """Return the user of this process as author: a supervisor, because this user can write to the runs."""
     try:
         name = getpass.getuser()
     except (OSError, KeyError, ImportError):  # no such user, or no user database on this system
@@ -280,7 +280,7 @@ _WORDS: Final = {message("yes"): "yes", message("done"): "yes", message("no"): "
 
 
 def in_english(prompt: Prompt, typed: str) -> str:
-    """Return an answer typed in the language of the pages as a record states it, in English: так → yes.
+    """Return in English, as in records, an answer that was typed in the language of the pages: так → yes.
 
     The answer to a choice becomes the English name of the choice.
     """
@@ -340,7 +340,7 @@ def _asked(event: Event) -> AskedPrompt | None:
     return AskedPrompt(event, prompt)
 
 
-_STANDS: Final = {
+_KEEPS_OPEN: Final = {
     EventType.ASKED, EventType.ANSWER_REFUSED, EventType.WISH_REFUSED, EventType.POWER, EventType.CLOCK_JUMPED,
     EventType.CHAMBER_SLOW, EventType.SAME_SERIAL, EventType.CERTIFICATE,
 }  # fmt: skip
@@ -357,7 +357,7 @@ class OpenPrompt:
         """Update the open prompt with the next event."""
         if event.type == EventType.ASKED:
             self._event = event
-        elif event.type not in _STANDS:
+        elif event.type not in _KEEPS_OPEN:
             self._event = None
 
     @property
@@ -564,7 +564,7 @@ UNTOUCHED: Final = message("untouched")
 
 
 def mount_prompt(step: Mount, *, chamber: bool) -> Prompt:
-    """Return the prompt to mount the block, with a drawing of the installation where there is one.
+    """Return the prompt to mount the block, with a drawing of the installation if there is one.
 
     It has no default, so that an accidental Enter confirms nothing. With `chamber`, it asks to close the chamber.
     """

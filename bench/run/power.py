@@ -41,7 +41,7 @@ STAYED_ON: Final = message("it stayed on")
 WAS_OFF: Final = message("it was off")
 
 _PASSING: Final = (InstrumentLost, BadReading, InstrumentRefused)
-"""Failures of a check that the next check may not repeat; during a reading, they invalidate the reading."""
+"""Failures of a check that may not recur at the next check; at a reading, they invalidate the reading."""
 
 
 class RailFault(BenchError):
@@ -50,7 +50,7 @@ class RailFault(BenchError):
 
 @dataclass(frozen=True)
 class Feeding:
-    """The stated supply of the block, with the limits of the supply where they are known."""
+    """The block's supply as stated in the bench file, and the limits of the instrument, if known."""
 
     section: UnitSupplySection
     limits: SupplyLimits | None = None
@@ -61,8 +61,8 @@ class UnitPower:
     """The block's power supply during a run; `now_s` returns the bench time since the run began, s.
 
     `nap` is called repeatedly during waits and handles wishes; `tell` records events. `on` says whether the block
-    is on, by the last switching or check. `off_since_s` is the time of switching off (s since the run began, None
-    if unknown); `on_since_s` is the time of switching on, on `clock`. `in_charge` says whether this run has
+    was on after the last switching or check. `off_since_s` is the time of switching off (s since the run began,
+    None if unknown); `on_since_s` is the time of switching on, on `clock`. `in_charge` says whether this run has
     switched the block, or found it switched on and continued with it.
     """
 
@@ -270,7 +270,7 @@ class UnitPower:
                 person.meanwhile = partial(self.watch, "asked")
 
     def is_as_left(self, key: str) -> bool:
-        """Return whether the block has stayed on since the run stopped, by the supply's state or the person."""
+        """Return whether the block has stayed on since the run stopped, as the supply shows or a person says."""
         if self.supply.asks_person:
             prompt = Prompt(
                 id=f"{key}/since",
@@ -399,9 +399,9 @@ def take_up(
 ) -> None:
     """Restore the block's power state before step `first` of a resumed run.
 
-    The block is warmed up again if it was off (by the record, the supply's state or the person) or not yet warm. If
-    the block was off during a visit to an installation, the later readings of that visit form a new visit;
-    `another_visit` gets the first visit.
+    The block is warmed up again if it was not warm yet, or if it was off according to the record, the supply or the
+    person. If the block was off during a visit to an installation, the later readings of that visit form a new
+    visit, and `another_visit` is called with the next of these readings.
     """
     if not _on_at(plan, first):
         return

@@ -362,7 +362,7 @@ class Record:
     def append(self, kind: str, bench_s: float, /, **data: Any) -> Event:
         """Write one event and return it.
 
-        On return the event is on disk; one of `WITH_THE_NEXT` is written but not yet forced to disk.
+        On return the event is on disk; an event of `WITH_THE_NEXT` is written but not yet forced to disk.
 
         Raises `RecordError` (disk full, …), or `ValueError` for an event that is invalid in the present state.
         """
@@ -443,8 +443,8 @@ LOOKS: Final = 10_000
 def _lock(descriptor: int) -> bool:
     """Lock the file against a second writer; return False if another writer holds the lock.
 
-    Always return True on systems without file locks (Windows). A shared lock is not a writer's: it is held
-    for a moment by a program that checks whether the run is being written.
+    Always return True on systems without file locks (Windows). A shared lock does not indicate a writer: programs
+    hold it briefly to check whether the run is being written.
     """
     try:
         import fcntl

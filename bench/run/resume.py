@@ -18,7 +18,7 @@ from drivers.person import Person, Prompt, PromptKind
 
 @dataclass
 class PlanProgress:
-    """The progress of a plan: which steps are done or left out, and how often each was redone on request.
+    """The progress of a plan: the steps done or left out, and how often each was redone on request.
 
     `temperature_c` is the last recorded temperature; `identities` are the instruments' identities by name.
     `remounts` maps (series, installation) to the series number of the readings after an unplanned remounting.
@@ -103,14 +103,14 @@ class PlanProgress:
         self.left_out -= steps_of(chosen.get("taken_up", ()))
 
     def _note_redo(self, redo: Event) -> None:
-        """Note the reading whose point is redone for a sign; a larger redo clears such notes in its range."""
+        """Note a point that is redone because of an early sign; the redo of a whole pass clears the notes in it."""
         if redo.data.get("wish") != Wish.REPEAT_POINT:
             self.in_vain.difference_update(redo.steps)
         elif self.doubt is not None:
             self.in_vain.add(self.doubt.step)
 
     def _note_temperature(self, brought: Mapping[str, Any]) -> None:
-        """Keep the temperature last entered or read; after a new set point it is unknown.
+        """Store the last temperature entered or read; a new set point makes it unknown.
 
         The event data are read directly, because building a result object for thousands of steps takes seconds.
         """
@@ -203,7 +203,7 @@ def first_of_pass(plan: Plan, turn: int) -> int:
 
 
 def last_of_pass(plan: Plan, progress: PlanProgress, turn: int) -> int:
-    """Return the index of the last step of the last begun point in the pass of the turn at index `turn`."""
+    """Return the index of the last step of the point begun last in the pass of the turn with the index `turn`."""
     last = turn
     for index in range(turn, len(plan.steps)):
         if isinstance(plan.steps[index], Mount | SetTemperature):

@@ -47,7 +47,7 @@ from drivers.person import Person
 
 Observer = Callable[[Event], None]
 Watch = Callable[[Reading], Sequence[EarlySign]]
-"""A function that judges each new reading and returns the early signs of trouble to be recorded."""
+"""A function that judges a new reading and returns the early signs to be recorded."""
 
 WORTH_REPEATING: Final = (BadReading, InstrumentLost, InstrumentRefused)
 """Failures that may not recur on the next attempt, unlike an exceeded limit or a missing answer."""
@@ -63,10 +63,10 @@ class RunAborted(Exception):
 class People:
     """The people of a run: who answers prompts, and whose commands ("wishes") are obeyed.
 
-    `decider` is asked how to continue after an early sign; by default it is `person`. `asker` is the living
-    person behind either of them, who may answer in more than one place. `patience` is the clock used during a
-    pause: real time, even if the bench is simulated. `hold_signals` keeps later signals from raising exceptions.
-    `resumed_by` is who resumed the run, if known.
+    `decider` is asked how to continue after an early sign; by default it is `person`. `asker` is the `Asker` behind
+    `person` or `decider`, if a real person answers. `patience` is the clock used during a pause: real time, even if
+    the bench is simulated. `hold_signals` keeps later signals from raising exceptions. `resumed_by` is the person
+    who resumed the run, if known.
     """
 
     person: Person
@@ -80,7 +80,7 @@ class People:
 
 @dataclass
 class Recorder:
-    """Records a run's events: once an event is on disk, updates `progress` and then calls `observers`.
+    """Records a run's events. Once an event is on disk, it updates `progress`, then calls the `observers`.
 
     `clocks` detects jumps of civil time. `now_s` returns the bench time since the start of the run, s.
     """
@@ -108,7 +108,7 @@ class Recorder:
 
 @dataclass
 class Runner:
-    """Executor of a plan: drives the bench, consults its people and records all events.
+    """Executor of a plan: commands the bench, asks its people and records all events.
 
     `watch` judges each reading. `choose` selects the remaining steps to be measured at a step index, in runs
     that choose their points as they go. `certificates` maps the serial numbers by instrument name to sentences
@@ -132,7 +132,12 @@ class Runner:
         recorder.now_s = self._now_s
         self.progress, self._emit = recorder.progress, recorder.emit
         self._workbench = Workbench(
-            bench, people.person, self._now_s, self._hear, on_settling=self.on_settling, tell=recorder.tell
+            bench,
+            people.person,
+            self._now_s,
+            self._poll_wishes,
+            on_settling=self.on_settling,
+            tell=recorder.tell,
         )
         if people.asker is not None:
             people.asker.attach(recorder.tell, people.controls)
@@ -140,7 +145,13 @@ class Runner:
                 people.asker.live.attach(self._workbench)
         if bench.feeding is not None and (supply := bench.instruments.power_supply) is not None:
             power = UnitPower(
-                supply, bench.feeding, people.person, bench.clock, self._now_s, self._hear, recorder.tell
+                supply,
+                bench.feeding,
+                people.person,
+                bench.clock,
+                self._now_s,
+                self._poll_wishes,
+                recorder.tell,
             )
             power.watch_while_asked(people.person, people.decider)
             self._workbench.power = power
@@ -194,7 +205,7 @@ class Runner:
             try:
                 if self._ask_in_doubt():
                     continue
-                self._hear()
+                self._poll_wishes()
                 if not self.progress.settled(index):
                     self._step(index)
                 index += 1
@@ -302,7 +313,7 @@ class Runner:
 
     # --- wishes --------------------------------------------------------------------------------------
 
-    def _hear(self) -> None:
+    def _poll_wishes(self) -> None:
         """Raise `OperatorWish` or `Stopped` if a wish has arrived."""
         if self.people.asker is not None:
             self.people.asker.drain()
@@ -403,6 +414,6 @@ class Runner:
             for sign in self.watch(result) if isinstance(result, Reading) else ():
                 self._emit(EventType.EARLY_SIGN, step=index, **sign.to_json())
             return
-        # without its turn, a reading of the point would be taken at a wrong angle
+        # after a failed turn, the point's readings would be at a wrong angle
         last = end_of_point(self.plan, index) - 1 if isinstance(step, Turn) else index
         self._emit(EventType.SKIPPED, first=index, last=last, reason=f"failed {policy.repeats + 1} times")

@@ -24,7 +24,7 @@ OUTLIER_LEAST: Final = 7
 """Least number of samples for an outlier test.
 
 With fewer samples, the critical value is within 5 % of the greatest possible deviation, (n − 1)/√n; for three
-samples both are 1.155. Whether a sample exceeds it would then depend on the rounding of the others.
+samples both are 1.155. Rounding of the samples would then decide whether one is an outlier.
 """
 
 _ROUNDING: Final = 1e-13
@@ -118,7 +118,7 @@ LEAST_SAMPLES: Final = 6
 """Least number of samples in a window for an estimate of the time left."""
 
 SLOWING: Final = 0.9
-"""Greatest ratio of the later half-window's span to the earlier one's for which the time left is estimated."""
+"""The time left is estimated if the span in the window's later half is at most this fraction of the earlier."""
 
 _TIMING_S: Final = 1e-6
 """Tolerance for rounding errors when sums of intervals are compared with the window's length, s."""
@@ -214,7 +214,7 @@ class Window:
         return self._state(time_s - self._first_s)
 
     def _forget(self, now_s: float) -> None:
-        """Drop old samples; keep those within the window, and the last one before it to cover its whole length."""
+        """Drop old samples; keep the last one before the window, so that the samples cover its whole length."""
         while len(self._samples) > 1 and self._is_old(self._samples[1][0], now_s):
             self._samples.popleft()
 
@@ -315,12 +315,15 @@ SLOW_AFTER_S: Final = 300.0
 """Default time from a new set point to the check of the chamber, s."""
 LEAST_SHARE: Final = 0.2
 LEAST_WAY_K: Final = 2.0
-"""Least change of the set point that is checked, K; smaller ones are lost in noise and the air's lag."""
+"""Least change of the set point that is checked, K; a smaller one is hidden by noise and the air's lag."""
 
 
 @dataclass
 class ChamberWatch:
-    """A check `slow_after_s` after each new set point; below 20 % of the change, `tell` records `CHAMBER_SLOW`."""
+    """A check, `slow_after_s` after each new set point, that the air has covered at least 20 % of the change.
+
+    Otherwise `tell` records `CHAMBER_SLOW`.
+    """
 
     clock: Clock
     slow_after_s: float

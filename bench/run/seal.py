@@ -280,7 +280,7 @@ def is_signed(key: Ed25519PublicKey, signature: bytes, message: bytes) -> bool:
 
 
 def fingerprint(key: Ed25519PublicKey) -> str:
-    """Return the SHA-256 of a public key (32 bytes) in hexadecimal, by which people compare keys."""
+    """Return the SHA-256 of a public key (32 bytes) in hexadecimal, for comparison by people."""
     return hashlib.sha256(key.public_bytes_raw()).hexdigest()
 
 

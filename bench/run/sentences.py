@@ -70,7 +70,7 @@ def said(event: Event) -> str:
 
 
 def _of_somebody(event: Event) -> str:
-    """Return a sentence on an answer or wish from elsewhere than the terminal; empty for other events."""
+    """Return a sentence on an answer or wish that did not come from the terminal; empty for other events."""
     data, by = event.data, _by(event.data)
     match event.type:
         case EventType.WISH_REFUSED:

@@ -132,7 +132,7 @@ def typing_help(prompt: Prompt, wishes: Collection[Wish]) -> str:
 
 
 SLOW_TO_LEARN_S: Final = 1800.0
-"""Weight of the expected durations when the pace is estimated, as bench time, s."""
+"""Weight of the expected durations against the observed ones in the estimated pace, as bench time, s."""
 
 
 class TimeLeft:
@@ -274,7 +274,7 @@ class TerminalPerson:
         self._say(f"» {translated(prompt.text)}", "bold")
         self._has_live_line = self.by_hand and self._console.is_terminal
         if self._has_live_line:
-            self._console.print()  # the line in which the signals are shown
+            self._console.print()  # leave the line with the live signals
         self._say(f"  [{translated(self._hint(prompt))}] ", end="")
         line = self._reader.read(self.meanwhile, self.slice_s)
         if line and not self._answers.isatty():
@@ -370,7 +370,7 @@ class ProgressBar:
             self._time_left.choose(event.data)
             self._say_chosen(event)
         elif event.type == EventType.EARLY_SIGN and event.data.get("confident"):
-            pass  # the prompt how to continue, or else the run's error message, contains the sign
+            pass  # the next prompt, or the run's error message, contains the sign
         elif (text := sentence(event)) != event.type:
             if self._asked:
                 self._console.print()  # leave the prompt's line, where the answer is to be typed

@@ -63,7 +63,7 @@ from drivers.person import Person, Prompt, PromptKind
 MOST_ATTEMPTS: Final = 5
 MOST_PAIRS: Final = 3
 ZERO_MOVED: Final = 5.0
-"""Greatest plausible shift of the level's zero, in standard uncertainties; after a larger one, it is read again."""
+"""Greatest plausible shift of the level's zero, in units of its u; after a larger one, the level is read again."""
 
 
 @dataclass
@@ -432,8 +432,8 @@ class Workbench:
     def _end_glances(self) -> None:
         """Restore the settings that the meters had before the first glance at the signals.
 
-        The next wait does it, at no cost of time, or else the next reading. A meter that refuses is reported
-        there.
+        Called by the next wait, at no cost of time, or else by the next reading, which reports a meter that
+        refuses.
         """
         if self._before_glances is None:
             return

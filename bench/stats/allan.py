@@ -13,12 +13,12 @@ from bench.base.arrays import Floats, Ints, Mask, u_of
 from bench.base.computing import CalibrationError
 
 LONGEST_PART: Final = 4
-"""Record length over the longest averaging time: beyond it, one or two values decide."""
+"""Least ratio of record length to averaging time: longer averages would leave only one or two differences."""
 CONFIDENCE: Final = 0.95
 LAGS: Final = 100
 """Greenhall and Riley's J_max: largest number of windows whose correlations are summed one by one."""
 LONG_RECORD: Final = {0: (2.0 / 3.0, 1.0 / 3.0), -1: (0.852, 0.375), -2: (1.079, 0.368)}
-"""Greenhall and Riley's table 2 for second differences: a0, a1 of 1/edf = (a0 - a1/r)/r by power of frequency."""
+"""Greenhall and Riley's table 2 for second differences: by alpha, the a0 and a1 of 1/edf = (a0 - a1/r)/r."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def allan_curve(
         raise CalibrationError(
             f"{len(signal)} samples are too few for two differences of such averages; average fewer"
         )
-    # without the mean: in running sums a large mean would swallow the last digits of the noise
+    # subtract the mean: in running sums a large mean would cost the noise its last digits
     sums = np.concatenate([[0.0], np.cumsum(np.where(known, signal - signal[known].mean(), 0.0))])
     counts = np.concatenate([[0], np.cumsum(known)])
     whole = bool(known.all())
@@ -109,7 +109,7 @@ def _freedom(alpha: int, m: int, samples: int) -> float:
     """Return the degrees of freedom at m samples: Greenhall and Riley's cases 2 and 4, with d = 2, F = S = m."""
     windows = samples + 1 - 2 * m
     r = windows / m
-    if alpha == 2:  # white phase noise correlates windows only one and two averages apart
+    if alpha == 2:  # white phase noise correlates only differences one or two averages apart
         one, two = max(1.0 - 1.0 / r, 0.0), max(1.0 - 2.0 / r, 0.0)
         return windows / (1.0 + 2.0 * (16.0 * one + two) / 36.0)
     a0, a1 = LONG_RECORD[alpha]
@@ -155,8 +155,7 @@ class NoiseTerm:
     """A noise term: its symbol, name, unit relative to the signal's, and contribution to sigma^2.
 
     A term of size x contributes `factor` x^2 tau^`power`. `alpha` is the power of frequency in its spectrum.
-    `alike` is the correlation, from simulations, of the Allan variances at tau and 2 tau where this term
-    prevails.
+    `alike` is the correlation between the Allan variances at tau and 2 tau if this term prevails, from simulations.
     """
 
     symbol: str
@@ -221,7 +220,7 @@ class NoiseTerms:
         return np.asarray(np.sqrt(_columns(np.asarray(tau_s, dtype=np.float64)) @ self.squares))
 
     def slope(self, tau_s: Floats | float) -> Floats:
-        """Return d log sigma / d log tau at averaging times (…), such as -1/2 where white noise prevails."""
+        """Return d log sigma / d log tau at averaging times (…), such as -1/2 if white noise prevails."""
         tau = np.asarray(tau_s, dtype=np.float64)
         parts = _columns(tau) * self.squares
         powers = np.array([term.power for term in TERMS])
@@ -253,7 +252,7 @@ def fit_terms(curve: AllanCurve) -> NoiseTerms:
     weighted = (columns * weight[:, None]) / scale
     free = squares > 0
     covariance = np.zeros((len(TERMS), len(TERMS)))
-    # terms at zero do not affect the covariance of the others; their own is from a fit of all five
+    # terms at zero do not affect the covariance of the others; their own covariance is from a fit of all five
     for solved, of in ((np.ones_like(free), ~free), (free, free)):
         solver = np.zeros((len(TERMS), len(measured)))
         solver[solved] = np.linalg.pinv(weighted[:, solved]) * weight
@@ -276,7 +275,7 @@ def _columns(tau_s: Floats) -> Floats:
 
 
 def _start(curve: AllanCurve, columns: Floats, measured: Floats) -> Floats:
-    """Return start values with equal contributions at the middle of the curve, so that none starts at zero."""
+    """Return start values, none zero: the terms contribute equally at the middle of the curve."""
     middle = len(measured) // 2
     return np.asarray(measured[middle] / columns[middle] / len(TERMS), dtype=np.float64)
 

@@ -40,8 +40,8 @@ def shewhart_arl(k: float, shift: float = 0.0) -> float:
 def ewma_arl(smoothing: float, k: float, shift: float = 0.0) -> float:
     """Return the ARL of a two-sided EWMA chart that starts at the centre, with asymptotic limits throughout.
 
-    The limits are k sqrt(smoothing/(2 - smoothing)) standard deviations of one value from the centre; the mean is
-    off by `shift` standard deviations from the first value on (Crowder 1987, equation 3).
+    The limits are k sqrt(smoothing/(2 - smoothing)) standard deviations of one value from the centre; the mean
+    differs from the centre by `shift` standard deviations from the first value on (Crowder 1987, equation 3).
     """
     if smoothing == 1.0:
         return shewhart_arl(k, shift)
@@ -97,7 +97,7 @@ def mewma_limit(smoothing: float, arl: float, dimensions: int) -> float:
 
 
 def _root(length: Callable[[float], float], arl: float, most: float) -> float:
-    """Return the limit at which the increasing run length is `arl`; `most`, the limit without memory, bounds it."""
+    """Return the limit for which `length`, which increases with the limit, is `arl`; the limit is below `most`."""
     return float(
         scipy.optimize.brentq(lambda limit: np.log(length(limit) / arl), 0.2 * most, 1.01 * most, xtol=1e-6)
     )
@@ -105,7 +105,7 @@ def _root(length: Callable[[float], float], arl: float, most: float) -> float:
 
 Basis = Literal["stated", "scaled", "scatter"]
 BASES: Final = ("stated", "scaled", "scatter")
-"""Bases of limits: stated u of a run; stated u times a factor from the baseline; scatter of the baseline."""
+"""Bases of control limits: stated u of a run; stated u times a factor from the baseline; the baseline's scatter."""
 
 
 @dataclass(frozen=True)
@@ -226,8 +226,8 @@ def judge(
     """Judge runs (…, n, p), in their order, with covariances (n, p, p) against a centre.
 
     With `smoothing` below 1 their EWMA is judged: Z_t = smoothing r_t + (1 - smoothing) Z_{t-1} of the deviations r
-    from the centre, Z_0 = 0. `shared` (n, p, q) is the change of each run by q errors, each of size u, that all
-    runs share. With `settled` the EWMA has its asymptotic variance from the first value on, as in published tables.
+    from the centre, Z_0 = 0. `shared` (n, p, q) is the effect on each run of q errors common to all runs, each 1 u
+    in size. With `settled` the EWMA has its asymptotic variance from the first value on, as in published tables.
     """
     weight = 1.0 - smoothing
     deviation = _filtered(values - centre.value[..., None, :], smoothing, weight, -2)
@@ -279,7 +279,7 @@ def _filtered(values: Floats, gain: float, weight: float, axis: int) -> Floats:
 
 
 STATISTICS: Final = 3
-"""Number of rejecting statistics: T² of the run, T² of the EWMA, and its short-term standard deviation."""
+"""Number of statistics that can reject a run: its T², the T² of the EWMA, its short-term standard deviation."""
 DEFAULT_ARL: Final = 370.0
 DEFAULT_SMOOTHING: Final = 0.2
 
@@ -303,7 +303,7 @@ class ChartDesign:
 
     @property
     def alpha(self) -> float:
-        """False-alarm probability per run of T² of a run, and of the run's short-term standard deviation."""
+        """False-alarm probability per run, of T² of the run, and of its short-term standard deviation."""
         return 1.0 / self.each_arl
 
     def alpha_ewma(self, dimensions: int) -> float:
@@ -327,7 +327,7 @@ class ChartDesign:
 
 
 ALIKE_P = 0.01
-"""P-value below which baseline and stated u contradict each other."""
+"""P-value below which the scatter of the baseline contradicts the stated u."""
 
 
 @dataclass(frozen=True)
@@ -353,7 +353,7 @@ class ShortTerm:
 
 
 def short_term(s: Floats, dof: Floats, baseline_s: Floats, baseline_dof: Floats) -> ShortTerm:
-    """Compare standard deviations with those of a baseline, pooled by their degrees of freedom.
+    """Compare standard deviations with the baseline's, which are pooled with their degrees of freedom as weights.
 
     Source: NIST/SEMATECH e-Handbook, 2.2.3.1 and 2.3.5.1.
     """
@@ -371,10 +371,10 @@ class Components:
 
     `noise` is the part from reading noise (level 1). `stated` is the u of one run from all errors that differ
     between runs, `scatter` the standard deviation between runs, with `runs` - 1 degrees of freedom. `f` is the
-    squared ratio of `scatter` to `stated`; `p` is the one-sided p-value of `f`. `between` is the standard
-    deviation between runs in excess of `stated`; `between_most` is its upper 95 % limit. `birge2` is the squared
-    ratio for all coefficients together, with `birge_dof` and two-sided p-value `birge_p`. `alike_p` is the
-    p-value of the hypothesis that one factor on the stated u suits all directions.
+    squared ratio of `scatter` to `stated`; `p` is the one-sided p-value of `f`. `between` is the standard deviation
+    between runs in excess of `stated`; `between_most` is its upper 95 % limit. `birge2` is the squared ratio for
+    all coefficients together, with `birge_dof` and two-sided p-value `birge_p`. `alike_p` is the p-value of the
+    hypothesis that the stated u of all coefficients is wrong by one common factor.
     """
 
     runs: int
@@ -445,7 +445,8 @@ class DriftSeen:
 def drift_of(
     years: Floats, values: Floats, u: Floats, dof: float, u_known: Floats | float = 0.0
 ) -> DriftSeen:
-    """Return straight lines through coefficients (n, p) at times (n,); each value has u (p,) with `dof`.
+    """Return the slopes of straight lines through coefficients (n, p) at times (n,); each value has u (p,) and
+    `dof`.
 
     `u_known` is the standard uncertainty, per year, of a known drift that the values no longer contain.
     """

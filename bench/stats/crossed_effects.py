@@ -3,8 +3,8 @@
 value = mean of its group + unit effect + bench effect + excess + calibration error of stated u, all normal and
 independent. A group is a type of unit on a connected set of benches. The sizes maximise the restricted likelihood.
 
-Units are many, benches few. Units are eliminated one by one (Woodbury), which leaves a matrix of groups and benches
-(Schur complement). So the work is proportional to the number of values.
+There are many units and few benches. Units are eliminated one by one (Woodbury), which leaves a matrix of groups
+and benches (Schur complement). So the work is proportional to the number of values.
 
 Sources: S. R. Searle, G. Casella, C. E. McCulloch, Variance Components (1992), ch. 6 and 7 (equations, prediction);
 A. R. Gilmour, R. Thompson, B. R. Cullis, Biometrics 51 (1995) 1440 (average information); R. N. Kackar, D. A.
@@ -26,9 +26,9 @@ from bench.stats.reml import profile_of
 
 UNIT, BENCH, EXCESS = 0, 1, 2
 LEAST_PART: Final = 1e-3
-"""A size below this part of its scale counts as zero."""
+"""A size below this fraction of its scale (see `scales_of`) counts as zero."""
 TRIED: Final = 0.1
-"""A size below this part of its scale is set to zero if that does not lower the likelihood."""
+"""A size below this fraction of its scale is set to zero, unless that lowers the likelihood."""
 
 
 @dataclass(frozen=True)
@@ -142,17 +142,17 @@ class MixedModelEquations:
         return np.asarray(self.sizes[BENCH] ** 2 * own)
 
     def unit(self, y: Floats) -> tuple[Floats, Floats]:
-        """Return the predicted effects of units (U,) and the variance of the predictions, not of their errors."""
+        """Return the predicted effects of units (U,) and the variances of the predictions, not of their errors."""
         fixed = self.solution[self.crossing.groups :] * self.sizes[BENCH]
         left = y - self.solution[self.crossing.group[self.crossing.unit]] - fixed[self.crossing.bench]
         sums = np.bincount(self.crossing.unit, self.w * left, self.crossing.units)
         variance = self.sizes[UNIT] ** 2
         part = variance / (1.0 + variance * self.W)
-        # errors of groups and benches are small beside a unit's own error, and neglected
+        # errors of group means and bench effects are neglected: they are small compared with a unit's own error
         return part * sums, variance - part
 
     def project(self, x: Floats) -> Floats:
-        """Return P x (n, k) for x (n, k): V^-1 x after removal of the part that the means of groups explain."""
+        """Return P x (n, k) for x (n, k): V^-1 times the residual of x after a GLS fit of the means of groups."""
         own = self._without_units(x)
         crossing = self.crossing
         right = np.stack([_sums(crossing, column, self.sizes[BENCH]) for column in own.T], axis=1)
@@ -340,7 +340,9 @@ def most(found: Crossed, which: int) -> float:
 
 
 def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
-    """Return rough sizes (3,): the spread of unit means, and for benches and excess the scatter within units."""
+    """Return rough sizes (3,): of units, the spread of their means; of benches and excess, the scatter within
+    units.
+    """
     count = np.bincount(crossing.unit, minlength=crossing.units)
     mean = np.bincount(crossing.unit, y, crossing.units) / count
     kind = crossing.group

@@ -67,7 +67,7 @@ class Mixed:
 
     @cached_property
     def columns(self) -> ComponentColumns:
-        """All components side by side."""
+        """The columns of all components, joined into one sparse matrix."""
         return ComponentColumns.of(self.Z)
 
     def covariance(self, theta: Floats) -> Floats:
@@ -89,7 +89,7 @@ class Projection:
 
     @classmethod
     def at(cls, mixed: Mixed, theta: Floats) -> Projection:
-        """Return the projection for variances (k,). Raises `numpy.linalg.LinAlgError` where V is singular."""
+        """Return the projection for variances (k,). Raises `numpy.linalg.LinAlgError` if V is singular."""
         lower = linalg.cholesky(mixed.covariance(theta), lower=True, check_finite=False)
         half, _ = linalg.lapack.dpotri(lower, lower=1)
         inverse = np.tril(half) + np.tril(half, -1).T
@@ -144,7 +144,7 @@ def scoring_step(
     curvature = np.where(both, information * theta[..., :, None] * theta[..., None, :], 0.0)
     own = np.diagonal(curvature, axis1=-2, axis2=-1)
     wider = damping * own + ridge * own.sum(axis=-1, keepdims=True) + 1e-300
-    # a variance that is held gets the equation step = 0
+    # the equation of a fixed variance is step = 0
     curvature = curvature + np.where(free, wider, 1.0)[..., None] * np.eye(theta.shape[-1])
     step = np.linalg.solve(curvature, np.where(free, slope, 0.0)[..., None])[..., 0]
     return np.asarray(np.maximum(theta * np.clip(1.0 + step, 1 / most_change, most_change), least))
@@ -156,7 +156,7 @@ def maximise(
     """Return the non-negative variances (k,) that maximise the restricted likelihood, and the projection P at the
     maximum.
 
-    `start` (k,) are start values. A variance below 1e-5 of `scale` (k,) counts as zero. `believed` (k,) are lower
+    `start` (k,) are start values. A variance below 1e-5 of `scale` (k,) counts as zero. `believed` (k,) holds lower
     limits of the variances, by default zero.
     """
     bottom = np.zeros_like(start) if believed is None else believed
@@ -190,12 +190,11 @@ def asked_for(at: Projection, Z: ComponentColumns, inside: int, dof: float) -> C
     """Return the tests of the components after the first `inside`.
 
     The variances of the first `inside` components are estimates from the repeats alone, which do not maximise the
-    likelihood. Score and information are therefore corrected for them (the C(alpha) test: J. Neyman, in
-    Probability and Statistics: The Harald Cramer Volume (1959) 213). A quadratic form divided by its mean is
-    treated as chi-square divided by its degrees of freedom, which match its mean and variance (Satterthwaite,
-    Biometrics Bull. 2 (1946) 110). It is tested as F, with at most `dof` denominator degrees of freedom, because
-    those variances are estimates. If the chi-square or the denominator has few degrees of freedom, as for a drift
-    or few repeats, large values are not rare.
+    likelihood. Score and information are therefore corrected for them (the C(alpha) test: J. Neyman, in Probability
+    and Statistics: The Harald Cramer Volume (1959) 213). A quadratic form divided by its mean is treated as
+    chi-square divided by its degrees of freedom, which match its mean and variance (Satterthwaite, Biometrics Bull.
+    2 (1946) 110). It is tested as F, with at most `dof` denominator degrees of freedom, because the first variances
+    are estimates.
     """
     scores, traces, whole = at.moments(Z)
     scale = np.sqrt(np.diag(whole)[:inside])
@@ -208,13 +207,13 @@ def asked_for(at: Projection, Z: ComponentColumns, inside: int, dof: float) -> C
     told = left > 1e-6 * own
     size = np.where(told, score / np.sqrt(np.where(told, left, 1.0)), -np.inf)
     freedom = traces[inside:] ** 2 / (2.0 * own)
-    # if the score is F - 1, these denominator degrees of freedom leave just this part of its information
+    # denominator degrees of freedom with which an F-distributed score has this part of its information
     part = np.clip(np.where(told, left / own, 1.0), 0.0, 1.0 - 1e-6)
     within = np.minimum(freedom * part / (1.0 - part), dof)
     ratio = np.maximum(1.0 + size * np.sqrt(2.0 / freedom + 2.0 / within), 0.0)
     chance = special.fdtrc(freedom, within, ratio)
     u = 1.0 / np.sqrt(np.where(told, left, np.inf))
-    # the mean of a normal distribution that ends at zero; far below zero its tail is that of u/|size|
+    # mean of a normal distribution truncated at zero; for a mode far below zero it tends to u/|size|
     tail = np.exp(-0.5 * size**2 - special.log_ndtr(size)) / np.sqrt(2.0 * np.pi)
     expected = np.where(told, u * np.maximum(np.where(told, size, 0.0) + tail, 0.0), 0.0)
     return ComponentsAsked(chance, expected)
@@ -225,7 +224,7 @@ def asked_for(at: Projection, Z: ComponentColumns, inside: int, dof: float) -> C
 ONE_SIDED: Final = 0.5 * 1.6449**2
 """Loss of log likelihood at a one-sided 95 % limit."""
 GONE: Final = 8.0
-"""Loss of log likelihood beyond which sizes are neglected."""
+"""Loss of log likelihood beyond which a size is left out of integrals over the likelihood."""
 NODES: Final = 24
 MOST_TIMES: Final = 1e3
 LIMIT_AT_REST: Final = 0.01
@@ -234,7 +233,8 @@ LIMIT_AT_REST: Final = 0.01
 
 @dataclass(frozen=True)
 class Profile:
-    """The profile of the restricted likelihood along one size, 1 sigma; other variances follow it linearly.
+    """The profile of the restricted likelihood over one size, 1 sigma; the other variances are linear in its
+    square.
 
     The linear relation is exact near the maximum, which is at `variances` (k,). `follow` (k,) is the change of
     each variance per change of the variance of size `which`; `scale` is a start value.
@@ -303,7 +303,7 @@ def profile_of(
     free: Sequence[int],
     scale: float,
 ) -> Profile:
-    """Return the profile along size `which`; the variances `free` were estimated, all others are fixed.
+    """Return the profile along size `which`; the variances `free` were estimated, the others are fixed.
 
     `information` (k, k) is the information on the variances at the maximum of the likelihood.
     """

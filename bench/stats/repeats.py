@@ -1,9 +1,8 @@
 """Repeats of quantities against their stated uncertainty: how far they scatter, and how u must be widened.
 
 Three terms can widen u. `restart` is an error that is drawn again for each repeat; `drift` is a random walk from
-one repeat to the next; `scale` multiplies u by one factor everywhere (Birge ratio), as if each repeat drifted
-within itself. The term chosen is the one with which a repeat left out is best predicted from the remaining
-repeats.
+one repeat to the next; `scale` multiplies every u by one factor (Birge ratio). The term chosen is the one with
+which a repeat left out is best predicted from the remaining repeats.
 """
 
 from __future__ import annotations
@@ -17,17 +16,17 @@ from scipy import optimize, special
 from bench.base.arrays import Floats
 
 TOO_SMALL: Final = 1.5
-"""u counts as too small if repeats left out scatter by more than this multiple of it."""
+"""u counts as too small if the scatter of repeats left out exceeds this multiple of u."""
 LEAST: Final = 3
-"""Fewest repeats of which each can be left out in turn."""
+"""Least number of repeats for a test that leaves out each repeat in turn."""
 LEVEL: Final = 0.95
 NORMAL: Final = float(special.ndtri(0.5 + LEVEL / 2.0))
 FINE: Final = 1e-4
 COARSE: Final = 1e5
-"""Sizes of a term that are tried, in median stated uncertainties."""
+"""Range of trial sizes of a term, in units of the median stated u."""
 
 PLAIN: Final = 3.0
-"""Another term replaces `restart`, the plainest, only if its ln p is larger by more than this."""
+"""`drift` or `scale` replaces `restart`, the simplest term, only if its ln p is larger by more than this."""
 
 TermName = Literal["restart", "drift", "scale"]
 
@@ -58,7 +57,7 @@ class Term:
 
 @dataclass(frozen=True)
 class Repeats:
-    """How values scatter between repeats, compared with their u.
+    """The scatter of values between repeats, compared with their u.
 
     `scatter` is about the means of all repeats. `held_before` and `held_after` are for repeats left out, with u
     as stated and with the term; None for fewer than three repeats. `term` widens u; it is None if u is large
@@ -100,7 +99,7 @@ def compare_repeats(value: Floats, u: Floats) -> Repeats:
 
 
 def _ratio(squares: Floats) -> Ratio:
-    """Return the pooled ratio for squared errors over their variances (g, r, c).
+    """Return the pooled ratio from squared errors divided by their variances (g, r, c).
 
     The interval allows for errors that all values of one repeat share.
     """
@@ -121,7 +120,7 @@ def _term(value: Floats, u: Floats, name: TermName) -> Term:
 
 
 def _widening(freedom: float) -> float:
-    """Return the factor on an estimated standard deviation with which two of it cover 95 %."""
+    """Return the 95 % quantile of Student's t with `freedom` degrees of freedom, divided by the normal quantile."""
     return float(special.stdtrit(freedom, 0.5 + LEVEL / 2.0)) / NORMAL
 
 
@@ -143,7 +142,7 @@ def _kernel(u: Floats, name: TermName | None) -> Floats:
 def _known(value: Floats, u: Floats) -> tuple[Floats, Floats]:
     """Return values (g, r) and stated covariances (g, r, r).
 
-    A missing repeat gets so large a u that it has no weight.
+    The u of a missing repeat is so large that the repeat has no weight.
     """
     there = np.isfinite(value)
     wide = np.where(there, u, 1e6 * np.nanmax(u))

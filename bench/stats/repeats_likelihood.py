@@ -2,9 +2,9 @@
 
 In each group the deviations of repeats from their mean have a covariance R = diag(v_x, v_y, v_z) + v_phi d d^T.
 Fisher scoring uses the information 1/2 tr(R^-1 R_k R^-1 R_l) and the score 1/2 tr(R^-1 R_k R^-1 (S - f R)), with
-R^-1 in closed form (Sherman and Morrison). A score test, at equal sizes, decides whether the channels have one
-size. Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320, sections 4 and 5; C. R. Rao, Proc. Camb. Phil.
-Soc. 44 (1948) 50; Y. Chung, S. Rabe-Hesketh et al., Psychometrika 78 (2013) 685, for priors of sizes that go to
+R^-1 in closed form (Sherman and Morrison). A score test of equal sizes decides whether one size is used for all
+channels. Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320, sections 4 and 5; C. R. Rao, Proc. Camb. Phil.
+Soc. 44 (1948) 50; Y. Chung, S. Rabe-Hesketh et al., Psychometrika 78 (2013) 685, for priors that keep sizes from
 zero.
 """
 
@@ -20,7 +20,7 @@ from bench.base.arrays import Floats, Ints, Mask
 from bench.stats.reml import scoring_step
 
 LEAST_DOF: Final = 4.0
-"""Least degrees of freedom of a noise size in use: a prior supplies those that the readings lack.
+"""Least degrees of freedom of a noise size; if the readings give fewer, a prior adds the difference.
 
 A size with four degrees of freedom is known to about 35 % (JCGM 100:2008, G.4.2).
 """
@@ -33,13 +33,13 @@ COMMON: Final = np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 LEAST_SETTING: Final = 1e-6
 """Least variance of the setting, as seen in the signals, as a fraction of the variance of the reading."""
 LEAST_CHANNEL: Final = 1e-6
-"""Least variance of a channel as a fraction of the mean of the three: below it the sums cancel."""
+"""Least variance of a channel as a fraction of the mean of the three; below it, digits are lost by cancellation."""
 ROUNDS: Final = 60
 EQUAL_P: Final = 0.2
-"""P-value from which channels count as of one size; it is high, as a wrong size would enter every u."""
+"""Channels count as equally noisy from this p-value on; it is high, because a wrong size would enter every u."""
 
 DIGITS: Final = 4.0
-"""A variance below this multiple of the squared last digit shows rounding, not the channel."""
+"""A variance below this multiple of the squared last digit is due to rounding, not to the channel's noise."""
 
 AT_REST: Final = 1e-4
 """Convergence limit: no parameter moves by more than this part of itself."""
@@ -68,7 +68,7 @@ def sizes_of(
     if start is None:
         own = np.maximum(np.einsum("rgii->ri", scatter) / weight.sum(), least[:, None])
         start = np.concatenate([own, _shown(own.mean(axis=1) / 3, slope2)[:, None]], axis=1)
-    # a parameter starts at the mean of the variances that it stands for
+    # a parameter starts at the mean of the variances that it represents
     theta = start @ (by / by.sum(axis=0))
     least = np.maximum(least, LEAST_CHANNEL * (theta @ by.T)[:, :3].mean(axis=1))
     bottom = np.repeat(least[:, None], theta.shape[1], axis=1)
@@ -91,8 +91,8 @@ def sizes_of(
 class Sizes:
     """The accepted variances (runs, 4) of x, y, z and the setting, with the channels' degrees of freedom (runs, 3).
 
-    `p_equal` (runs,) is the p-value of equal channels; if it is at least `EQUAL_P`, a run has one size for all
-    three.
+    `p_equal` (runs,) is the p-value of the hypothesis that the channels have one size; if it is at least `EQUAL_P`,
+    a run has one size for all three.
     """
 
     variances: Floats
@@ -138,7 +138,7 @@ def believed_sizes(
 
 
 def equality(scatter: Floats, freedom: Ints | Floats, slope: Floats, common: Floats) -> Floats:
-    """Return the p-value (runs,) of channels of one size, by Rao's score test.
+    """Return the p-value (runs,) of the hypothesis that the channels have one size, by Rao's score test.
 
     The test is at the sizes `common` (runs, 4) that maximise the likelihood with one size. The setting's variance
     is left out of the test if it is at its lower bound.
@@ -157,13 +157,13 @@ def equality(scatter: Floats, freedom: Ints | Floats, slope: Floats, common: Flo
 def freedom_of(freedom: Ints | Floats, slope: Floats, variances: Floats, prior_dof: float = 0.0) -> Floats:
     """Return the degrees of freedom of the variances (runs, 4) of x, y, z and the setting, shape (runs, 4).
 
-    They are 2 v^2/var(v), with var(v) from the information on all four: what the setting error uses up is not
-    counted. Each channel has `prior_dof` in addition.
+    They are 2 v^2/var(v), with var(v) from the information on all four variances, so that degrees of freedom spent
+    on the setting error do not count. Each channel has `prior_dof` in addition.
     """
     information = _information(_Inverse.of(variances, slope), freedom.astype(np.float64))
     scaled = information * variances[:, :, None] * variances[:, None, :]
     places = np.arange(4)
-    # a small ridge: a setting variance without slope, or at its bound, must not affect the others
+    # a small ridge keeps a setting variance without slope, or at its bound, from affecting the others
     scaled[:, places, places] += 1e-9 * scaled.max(axis=(1, 2))[:, None]
     scaled[:, places[:3], places[:3]] += prior_dof
     inverted = np.linalg.inv(scaled)

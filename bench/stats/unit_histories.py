@@ -20,11 +20,11 @@ from bench.stats.reml import ONE_SIDED, Profile, profile_of
 BENCH, SCATTER, RATE, WALK = 0, 1, 2, 3
 STEADY: Final = (BENCH, SCATTER)
 SHOWN_P: Final = 0.05
-"""P-value below which a drift of units is significant, and separated from the scatter."""
+"""P-value below which a drift of units counts as significant; only then is it separated from the scatter."""
 LONGEST: Final = (128, 64, 32, 16)
-"""Candidates for the most runs used of a unit, evenly spaced: the first within `MOST_WORK` is taken."""
+"""Candidates for the largest number of runs used per unit; the first within `MOST_WORK` is used."""
 MOST_WORK: Final = 5e7
-"""Largest sum of the cubes of runs over all units: a likelihood then takes about a tenth of a second."""
+"""Largest sum, over units, of the cubed number of runs; a likelihood then takes about a tenth of a second."""
 LEAST_PART: Final = 1e-6
 """A variance below this part of its scale counts as zero."""
 
@@ -103,7 +103,7 @@ class HistoryLikelihood:
 
 
 Weighed = tuple[SameLength, Floats, Floats, Floats]
-"""For units of one length: contrasts of values and benches, their inverse covariance, and the product of both."""
+"""For units of equal length: units, contrasts X of values and benches, inverse covariance W of X, and W X."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class Within:
 
     @cached_property
     def _data(self) -> list[tuple[SameLength, Floats, Floats]]:
-        """For each number of runs per unit: contrasts of values and of benches (m, r, 1 + B), and covariance.
+        """For each number of runs per unit: units, contrasts of values and benches (m, r, 1 + B), and covariance.
 
         The stated covariance of the contrasts has the shape (m, r, r).
         """
@@ -145,7 +145,7 @@ class Within:
     def at(self, variances: Floats) -> HistoryLikelihood:
         """Return the likelihood, its gradient and the information at variances (4,)."""
         likelihood, kept, G, h, X = self._solved(variances)
-        return HistoryLikelihood(variances, likelihood, *_curved(kept, G, h, X))
+        return HistoryLikelihood(variances, likelihood, *_gradient_and_information(kept, G, h, X))
 
     def likelihood(self, variances: Floats) -> float:
         """Return the restricted log likelihood at variances (4,), up to a constant."""
@@ -167,7 +167,7 @@ class Within:
             weight = np.linalg.inv(V)
             logs += float(np.sum(np.linalg.slogdet(V)[1]))
             weighed = weight @ seen
-            sums += _over(seen, weighed)
+            sums += _summed_products(seen, weighed)
             kept.append((one, seen, weight, weighed))
         G, h = sums[1:, 1:], sums[1:, 0]
         A = np.eye(size) + bench * G
@@ -202,12 +202,14 @@ class Within:
         )
 
 
-def _over(a: Floats, b: Floats) -> Floats:
+def _summed_products(a: Floats, b: Floats) -> Floats:
     """Return the sums over units and contrasts of the products of `a` (m, r, i) and `b` (m, r, j), (i, j)."""
     return np.asarray(a.reshape(-1, a.shape[2]).T @ b.reshape(-1, b.shape[2]))
 
 
-def _curved(kept: Sequence[Weighed], G: Floats, h: Floats, X: Floats) -> tuple[Floats, Floats]:
+def _gradient_and_information(
+    kept: Sequence[Weighed], G: Floats, h: Floats, X: Floats
+) -> tuple[Floats, Floats]:
     """Return gradient (4,) and average information (4, 4) by the variances, from the results of `_solved`."""
     size = len(h)
     traces, squares = np.zeros(4), np.zeros(4)
@@ -223,14 +225,14 @@ def _curved(kept: Sequence[Weighed], G: Floats, h: Floats, X: Floats) -> tuple[F
         moved = np.stack([seen[..., 1:] @ left, p, one.time * along[:, None], walked], axis=-1)
         squares[1:] += np.sum(p**2), np.sum(along**2), np.sum(p * walked)
         rates = (one.time[:, None, :] @ z)[:, 0, :]
-        traces[SCATTER] += np.einsum("mrr->", weight) - np.sum(X * _over(z, z))
+        traces[SCATTER] += np.einsum("mrr->", weight) - np.sum(X * _summed_products(z, z))
         traces[RATE] += np.sum(one.time * (weight @ one.time[..., None])[..., 0])
         traces[RATE] -= np.sum(X * (rates.T @ rates))
         traces[WALK] += np.sum(weight * one.walk)
-        traces[WALK] -= np.sum(X * _over(z, one.walk @ z))
+        traces[WALK] -= np.sum(X * _summed_products(z, one.walk @ z))
         weighed_moves = weight @ moved
-        inner += _over(moved, weighed_moves)
-        across += _over(moved, z)
+        inner += _summed_products(moved, weighed_moves)
+        across += _summed_products(moved, z)
     return 0.5 * (squares - traces), 0.5 * (inner - across @ X @ across.T)
 
 
@@ -260,7 +262,7 @@ class CalibrationSpread:
 
 
 def spread_of(within: Within, *, several: bool, drifts: bool = True) -> CalibrationSpread:
-    """Return the scatter, and the spread of the benches if there are `several`, apart from the drift of units.
+    """Return the scatter without the drift of units and, if there are `several` benches, their spread.
 
     A rate or walk that is not significant counts as scatter. Without `drifts`, as for units with too few runs,
     any drift counts as scatter.
@@ -269,7 +271,7 @@ def spread_of(within: Within, *, several: bool, drifts: bool = True) -> Calibrat
     steady = within.fit(first)
     moving = within.fit((*first, RATE, WALK)) if drifts else steady
     gained = _gained(moving, steady)
-    # two variances at their bound of zero: chi-square with 0, 1, 2 degrees, weighted 1/4, 1/2, 1/4
+    # two variances at their bound zero: mixture of chi-square with 0, 1, 2 degrees of freedom (1/4, 1/2, 1/4)
     p = 0.5 * float(special.chdtrc(1, gained)) + 0.25 * float(special.chdtrc(2, gained)) if gained else 1.0
     chosen, free = (moving, (*first, RATE, WALK)) if p < SHOWN_P else (steady, first)
     for kept in (RATE, WALK) if p < SHOWN_P else ():
@@ -292,7 +294,7 @@ def _gained(more: HistoryLikelihood, fewer: HistoryLikelihood) -> float:
 
 
 def _least(within: Within, moving: HistoryLikelihood, first: Sequence[int], mean: float) -> float:
-    """Return the lower 95 % limit of the scatter, at the drift that explains most of it; 0 if not significant."""
+    """Return the lower 95 % limit of the scatter by the profile likelihood over drift; 0 if not significant."""
     others = [j for j in (*first, RATE, WALK) if j != SCATTER]
     end = float(np.sqrt(moving.variances[SCATTER]))
 

@@ -13,7 +13,7 @@ TCP_PORT: Final = 9888
 READ_TERMINATION: Final = "\r\n"
 WRITE_TERMINATION: Final = "\r\n"
 PREFIX_CHARACTERS: Final = 8
-"""Length of the arbitrary prefix at the start of every reply."""
+"""Length of the prefix of every reply; its characters are arbitrary."""
 
 STARTUP_GAP_S: Final = 0.25
 """Pause that the controller needs after each command of its start-up, s."""

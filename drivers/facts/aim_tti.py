@@ -35,8 +35,9 @@ OUTPUTS: Final = {
     "CPX200DP": {"1": _CPX200, "2": _CPX200},
     "CPX400DP": {"1": _CPX400, "2": _CPX400},
 }
-"""By model and output number. The outputs are floating: for a negative rail, ground the + terminal; its voltage
-is still stated as positive."""
+"""Limits of the outputs, by model and output number. The outputs are floating: for a negative rail, ground the +
+terminal and state the voltage as positive.
+"""
 TRACKS: Final = ("CPX200DP", "CPX400DP")
 """The models that report by CONFIG? whether their outputs are independent or track each other."""
 INDEPENDENT: Final = "2"
@@ -45,17 +46,19 @@ REGULATING: Final = 1
 LIMITING: Final = 2
 OVER_VOLTAGE: Final = 4
 OVER_CURRENT: Final = 8
-"""Bits of the limit event register, LSR<n>?, which collects the events since it was last read."""
+"""The four constants above are bits of the limit event register (LSR<n>?); it holds the events since its last
+reading.
+"""
 
 POWER_ON: Final = 128
 QUERY_ERROR: Final = 4
 EXECUTION_ERROR: Final = 16
 COMMAND_ERROR: Final = 32
-"""Bits of *ESR?."""
+"""The four constants above are bits of the standard event register (*ESR?)."""
 EXECUTION_ERRORS: Final = {
     100: "out of range",
     103: "no such output",
     104: "not while an output is on",
     200: "read only",
 }
-"""Error numbers in the reply to EER?."""
+"""The meanings of error numbers in the reply to EER?."""

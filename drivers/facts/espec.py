@@ -16,6 +16,6 @@ WRITE_TERMINATION: Final = "\r\n"
 SERIAL: Final = {
     "baud_rate": 19200, "data_bits": 8, "parity": "none", "stop_bits": 1, "flow": "none", "device_clear": b"",
 }  # fmt: skip
-"""Factory settings of a P300; an SCP-220 has 9600 baud."""
+"""Factory settings of a P300's serial port; an SCP-220 has 9600 baud."""
 
 RESOLUTION_C: Final = 0.1

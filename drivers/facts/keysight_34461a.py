@@ -16,7 +16,7 @@ INTERFACES: Final = ("lan", "gpib")
 """The meters have no RS-232; "lan" includes USB."""
 
 MEMORY_OF_MODEL: Final = {"34461A": 10_000, "34460A": 1_000, "34465A": 50_000, "34470A": 50_000}
-"""Readings that each model can store without the memory option; later readings overwrite the oldest."""
+"""The memory of each model without the memory option, in readings; later readings overwrite the oldest."""
 MEMORY_READINGS: Final = MEMORY_OF_MODEL[MODEL]
 MOST_SAMPLES: Final = 1_000_000
 """The most samples per trigger, even if the memory cannot hold them all."""

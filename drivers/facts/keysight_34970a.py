@@ -36,16 +36,16 @@ NPLC_BY_RESOLUTION: Final = {
 RESOLUTION: Final = {nplc: part for part, nplc in NPLC_BY_RESOLUTION.items()}
 NPLC: Final = tuple(sorted(RESOLUTION))
 MEMORY_READINGS: Final = 50_000
-"""Shared by all channels."""
+"""Size of the memory, in readings; all channels share it."""
 LEAST_SAMPLES: Final = line.LEAST_SAMPLES
 
 SAMPLE_OVERHEAD_S: Final = 0.03
-"""Overhead of a sample: relay closing and meter overhead; a card scans at most 60 channels/s."""
+"""Time of a sample beyond its integrations, s: relay and meter; a card scans at most 60 channels/s."""
 
 _SHARED: Final = RANGES_V[:-1]
 ACCURACY_90_DAYS: Final = {r: line.ACCURACY_90_DAYS[r] for r in _SHARED} | {300.0: (35e-6, 20e-6)}
 ACCURACY_1_YEAR: Final = {r: line.ACCURACY_1_YEAR[r] for r in _SHARED}
-"""The one-year limits of the 300 V range were not available."""
+"""Limits of error within a year of calibration; those of the 300 V range were not available."""
 TEMPERATURE_COEFFICIENT: Final = {r: line.TEMPERATURE_COEFFICIENT[r] for r in _SHARED} | {300.0: (5e-6, 3e-6)}
 REFERENCE_C: Final = line.REFERENCE_C
 REFERENCE_WIDTH_C: Final = line.REFERENCE_WIDTH_C
@@ -58,7 +58,7 @@ SLOTS: Final = (1, 2, 3)
 CARD_CHANNELS: Final = tuple(range(1, 21))
 CURRENT_CHANNELS: Final = (21, 22)
 CHANNELS_TEXT: Final = "101 to 120, 201 to 220, 301 to 320"
-"""The channels of a 34901A in each slot that measure volts."""
+"""The channels for volts of a 34901A in slots 1, 2 and 3."""
 LONGEST_CHANNEL_DELAY_S: Final = 60.0
 CHANNEL_DELAY_STEP_S: Final = 1e-3
 """Resolution of the channel delay, the time from the closing of a relay to its sample."""
@@ -113,5 +113,5 @@ SENSORS: Final = {
 }
 """The probes by their names in a bench file."""
 PAIRED: Final = range(1, 11)
-"""The channels of a card for four-wire measurements; the sense wires are ten channels higher."""
+"""The channels of a card that may measure with four wires; the sense wires are ten channels higher."""
 OPEN_C: Final = 9.0e37

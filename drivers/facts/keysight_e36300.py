@@ -38,10 +38,10 @@ OUTPUTS: Final = {
     "E36312A": {"1": _output(6.0, 5.0), "2": _output(25.0, 1.0), "3": _output(25.0, 1.0)},
     "E36313A": {"1": _output(6.0, 10.0), "2": _output(25.0, 2.0), "3": _output(25.0, 2.0)},
 }
-"""By model and output number; output 3 of an E36311A is negative."""
+"""Limits of the outputs, by model and output number; output 3 of an E36311A is negative."""
 
 LIMITING: Final = 1
 REGULATING: Final = 2
 OVER_VOLTAGE: Final = 512
 OVER_CURRENT: Final = 1024
-"""Bits of STATus:QUEStionable:INSTrument:ISUMmary<n>:CONDition?."""
+"""The four constants above are bits of STATus:QUEStionable:INSTrument:ISUMmary<n>:CONDition?."""

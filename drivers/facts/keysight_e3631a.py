@@ -19,10 +19,10 @@ BAUD_RATES: Final = (300, 600, 1200, 2400, 4800, 9600)
 SERIAL: Final = {
     "baud_rate": 9600, "data_bits": 8, "parity": "none", "stop_bits": 2, "flow": "dtr_dsr", "device_clear": b"\x03",
 }  # fmt: skip
-"""Factory settings. Over RS-232 the first command must be SYSTem:REMote."""
+"""Factory settings of the RS-232 port, over which the first command must be SYSTem:REMote."""
 
 SWITCHED_TOGETHER: Final = True
-"""OUTPut[:STATe] switches all three outputs."""
+"""Whether one switch controls all outputs: OUTPut[:STATe] switches all three."""
 _P6V = {
     "voltage_v": (0.0, 6.18),
     "current_a": (0.0, 5.15),
@@ -37,11 +37,13 @@ _P25V = {
 }
 _N25V = {**_P25V, "voltage_v": (-25.75, 0.0)}
 OUTPUTS: Final = {"E3631A": {"P6V": _P6V, "P25V": _P25V, "N25V": _N25V}}
-"""By model and output identifier; no output has an over-voltage protection."""
+"""Limits of the outputs, by model and output identifier; no output has an over-voltage protection."""
 DEFAULT_CURRENT_A: Final = {"P6V": 5.0, "P25V": 1.0, "N25V": 1.0}
 """The current limits after power-on and *RST, which also set 0 V and switch the outputs off."""
 
 LIMITING: Final = 1
 REGULATING: Final = 2
 FAILED: Final = 3
-"""Replies to STATus:QUEStionable:INSTrument:ISUMmary<n>:CONDition?; 0 means off or unregulated."""
+"""The three constants above are replies to STATus:QUEStionable:INSTrument:ISUMmary<n>:CONDition?; 0 is off or
+unregulated.
+"""

@@ -1,9 +1,9 @@
 """Facts about the Leica Nivel210 (RS-232) and Nivel220 (RS-485) two-axis inclination sensors.
 
-Sources: NIVEL200 Technical Reference Manual 1.0 (748340), chapters 2 (blocks, check sum, worked examples), 3, 4
-and 6, appendix A; NIVEL200 User Manual, chapters 4.2 (offset by half a turn) and 8 (technical data). The public
-program DfAC/Nivel includes both manuals and a log of a real sensor; the public library applied-geodesy/nivel sends
-the same commands. The manuals do not say what X and Y hold when the sensor is out of range: `G P` reports this.
+Sources: NIVEL200 Technical Reference Manual 1.0 (748340), chapters 2 (blocks, check sum, worked examples), 3, 4 and
+6, appendix A; NIVEL200 User Manual, chapters 4.2 (offset by half a turn) and 8 (technical data). The public program
+DfAC/Nivel includes both manuals and a log of a real sensor; the public library applied-geodesy/nivel sends the same
+commands. The manuals do not state the values of X and Y of a sensor out of range, which `G P` reports.
 """
 
 from typing import Final
@@ -14,13 +14,13 @@ MODEL: Final = "Nivel200"
 # --- blocks -----------------------------------------------------------------------------------------
 
 START: Final = "\x16\x02"
-"""<SYN><STX> begins a block."""
+"""The beginning of a block: <SYN><STX>."""
 END: Final = "\x03"
-"""<ETX> ends the text of a block; the two bytes of the check sum follow."""
+"""The end of a block's text: <ETX>. The two bytes of the check sum follow."""
 READ_TERMINATION: Final = END
 READ_TAIL: Final = 2
 WRITE_TERMINATION: Final = "\r\n"
-"""Takes the place of the check sum: the sensor accepts any two characters."""
+"""Two characters sent in place of a check sum, because the sensor accepts any."""
 HOST: Final = "C1"
 """The address of the computer."""
 SERIAL: Final = {
@@ -28,16 +28,16 @@ SERIAL: Final = {
 }  # fmt: skip
 BAUD_RATES: Final = (1200, 2400, 9600, 19200, 38400)
 SLOWEST_REPLY_S: Final = 2.0
-"""The sensor replies within 0.1 to 2 s; send nothing before."""
+"""The sensor replies within 0.1 to 2 s; send nothing before its reply."""
 
 # --- measurement ------------------------------------------------------------------------------------
 
 MRAD: Final = 1e-3
 RESOLUTION_RAD: Final = 1e-6
 RANGE_RAD: Final = 3.00e-3
-"""Range C, the widest."""
+"""Measuring range, rad: range C, the widest."""
 ACCURACY_RAD: Final = ((1.51e-3, 4.7e-6), (2.51e-3, 14.1e-6), (3.00e-3, 47.1e-6))
-"""The ranges A, B and C, rad, each with the standard deviation of an angle, rad."""
+"""Upper ends of the ranges A, B and C, rad, each with the standard deviation of an angle in this range, rad."""
 SCALE_ERROR: Final = 0.005
 DIRECTION_ERROR_DEG: Final = 1.0
 ORTHOGONAL_ERROR_DEG: Final = 2.0

@@ -22,7 +22,7 @@ SERIAL: Final = {
 }  # fmt: skip
 """Factory settings of RS-232; the protocol has no device clear."""
 BAUD_RATES: Final = (19200, 921600)
-"""Of RS-232, and of USB, which appears as a serial port."""
+"""The baud rates of RS-232, and of USB, which appears as a serial port."""
 
 MOST_AXES: Final = 3
 DEGREES: Final = 7
@@ -32,7 +32,7 @@ MOST_ERRORS: Final = 10
 """Size of the error buffer; `TB?` removes the oldest message."""
 NO_ERROR: Final = 0
 AXIS_ERRORS: Final = 100
-"""The number of an axis error is the axis number times this, plus one of the codes below."""
+"""The number of an axis error is `AXIS_ERRORS` times the number of the axis, plus one of the codes below."""
 
 # errors of the controller
 UNKNOWN_COMMAND: Final = 6
@@ -44,7 +44,7 @@ PARAMETER_MISSING: Final = 38
 # errors of an axis
 FOLLOWING_ERROR: Final = 3
 LIMITS: Final = (4, 5, 6, 7)
-"""Hardware limits, positive and negative, then software limits, positive and negative."""
+"""Error codes of limits: positive and negative hardware limit, positive and negative software limit."""
 NOT_CONNECTED: Final = 8
 TOO_FAST: Final = 10
 MOTOR_OFF: Final = 13

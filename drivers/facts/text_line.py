@@ -1,4 +1,4 @@
-"""Facts about instruments that answer a request with one line of text; their bench file states the rest.
+"""Facts about instruments that answer a request with one line of text; the bench file states the other facts.
 
 The port has the settings of most serial adapters. Set the instrument to them, or state its baud rate.
 """
@@ -13,7 +13,7 @@ SERIAL: Final = {
 }  # fmt: skip
 ANGLE: Final = "angle"
 TEMPERATURE: Final = "temperature"
-"""The named groups of a pattern that hold the number of a counter and of a thermometer."""
+"""The named group of a pattern for the number: `ANGLE` for a counter, `TEMPERATURE` for a thermometer."""
 ENDS: Final = {"CR": "\r", "LF": "\n", "CR LF": "\r\n"}
 PER_TURN: Final = {"degrees": 360.0, "arcsec": 1296000.0}
 """Number of each unit in a turn; for counts the bench file states it."""

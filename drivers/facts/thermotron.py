@@ -12,13 +12,13 @@ IDENTITY: Final = r"2800|3800|8200|8800"
 TCP_PORT: Final = 8888
 READ_TERMINATION: Final = "\n"
 WRITE_TERMINATION: Final = "\n"
-"""An 8200 expects and sends CR."""
+"""The line termination; that of an 8200 is CR."""
 SERIAL: Final = {
     "baud_rate": 9600, "data_bits": 8, "parity": "none", "stop_bits": 1, "flow": "none", "device_clear": b"",
 }  # fmt: skip
 
 BUSY_S: Final = 1.0
-"""Time after a command without reply in which the controller loses later commands."""
+"""Time after a command without reply during which the controller ignores commands, s."""
 RESOLUTION_C: Final = 0.1
 
 # bits of MODE?

@@ -18,10 +18,10 @@ SERIAL: Final = {
 """Factory settings of a serial port; the protocol has no device clear."""
 
 RESOLUTION: Final = 64
-"""Microsteps per full step, factory setting."""
+"""The setting `resolution`, in microsteps per full step; factory setting."""
 MOST_STEPS: Final = 2**31 - 1
 SPEED_UNITS: Final = 1.6384
-"""The setting maxspeed is this many per microstep/s."""
+"""The value of the setting `maxspeed` for a speed of 1 microstep/s."""
 MOST_DEVICES: Final = 99
 MOST_AXES: Final = 9
 MOST_NUMBERS: Final = 99

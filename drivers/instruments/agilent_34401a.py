@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class SingleChannelDialect:
-    """What differs between a 34401A and related meters: two command headers and the limits (memory size)."""
+    """The differences between a 34401A and related meters: two command headers and the limits (memory size)."""
 
     autozero: str
     high_impedance: str

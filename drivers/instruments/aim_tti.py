@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _NUMBER: Final = r"-?\d{1,3}\.\d{1,4}"
 _TRIPPED: Final = facts.OVER_VOLTAGE | facts.OVER_CURRENT
 _NEAR_STEPS: Final = 3.0
-"""A current within so many steps of its limit, with the voltage so many steps below its setting, is limited."""
+"""A current this many steps from its limit, or a voltage from its setting, still counts as equal to it."""
 
 
 class AimTti(WiredSupply):
@@ -64,7 +64,7 @@ class AimTti(WiredSupply):
         )
 
     def _limits_current(self, output: str, settings: OutputSettings, given_v: float, given_a: float) -> bool:
-        """Return whether an output limits its current now; the event register shows only past events."""
+        """Return whether an output now limits its current; the event register shows past events only."""
         steps = self._limits.outputs[output]
         at_limit = given_a >= settings.current_limit_a - _NEAR_STEPS * steps.current_step_a
         return at_limit and given_v < settings.voltage_v - _NEAR_STEPS * steps.voltage_step_v

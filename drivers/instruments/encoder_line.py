@@ -22,7 +22,8 @@ class EncoderLine(ReadOutHead):
     """A `DividingHead` with an encoder on a counter that its bench file describes; `model` names it in the record.
 
     The counter answers `request` with one line, which must match `pattern`. The group `angle` of the pattern is the
-    number; `per_turn` units make a turn. `errors` maps lines instead of an angle to their meanings.
+    number; `per_turn` units make a turn. `errors` maps each line that the counter sends instead of an angle to its
+    meaning.
     """
 
     def __init__(
@@ -61,6 +62,6 @@ class EncoderLine(ReadOutHead):
     def _shown_rad(self) -> float:
         """Return the value of the counter, rad.
 
-        Raises `InstrumentRefused` for an error of the bench file, `BadReading` for any other reply.
+        Raises `InstrumentRefused` for one of the `errors`, `BadReading` for a reply that does not match.
         """
         return self._line.number(self._session) * self._rad

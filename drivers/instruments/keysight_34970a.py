@@ -38,9 +38,9 @@ class Keysight34970A(ScpiVoltmeter):
     """A `Voltmeter` with one signal per multiplexer channel (see `ScpiVoltmeter` for the other arguments).
 
     `channels` maps signals to channels, `{"x": 101, "y": 102, "z": 103}`, or lists them as pairs; the attribute
-    `channels` holds the signals in scan order. A sample is one scan. `channel_delay_s`, in whole milliseconds,
-    passes between the closing of a relay and its sample. Raises `LimitExceeded` for channels that a 34901A
-    does not have, for duplicates, and for an invalid delay.
+    `channels` holds the signals in scan order. A sample is one scan. `channel_delay_s` is the time from the closing
+    of a relay to its sample, in whole milliseconds. Raises `LimitExceeded` for channels that a 34901A does not
+    have, for duplicates, and for an invalid delay.
     """
 
     not_live = "a scanner's relays wear with every query, so it is read at readings only"
@@ -156,7 +156,7 @@ def _wrong_delay(delay_s: float) -> list[str]:
 # Source: see `SENSORS` and the rest of `drivers.facts.keysight_34970a`.
 
 _TEMPERATURE: Final = VoltmeterSettings(range_v=1.0, nplc=10.0, samples=1)
-"""Settings for a temperature; the range is a dummy, as the meter chooses its own."""
+"""Settings for a temperature reading; the range has no effect, because the meter selects its range."""
 
 
 class _Probe(ScpiVoltmeter):
@@ -198,7 +198,7 @@ class _Probe(ScpiVoltmeter):
         return identity
 
     def renew(self) -> None:
-        """Have the channel configured again before its next reading."""
+        """Configure the channel again before its next reading."""
         self._connection = None
 
     def _setup(self, settings: VoltmeterSettings) -> list[ProvenSetting]:
@@ -269,7 +269,7 @@ class Keysight34970AThermometer:
     def open(self) -> Identity:
         """Connect and verify meter and card. Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`."""
         identity = self._probe.open()
-        # with a shared meter, the serial number belongs to the voltmeter alone
+        # a shared meter's serial number is reported by the voltmeter only
         return identity if self._meter is None else replace(identity, serial="")
 
     def close(self) -> str:

@@ -1,7 +1,7 @@
 """A Keysight E36311A, E36312A or E36313A over LAN or USB.
 
-The outputs are switched one by one; each has an over-voltage protection that is always active. The over-current
-protection is left as set: it may trip at the current limit, which is reported like any other trip.
+The outputs are switched one by one; each has an over-voltage protection that is always active. The driver does not
+change the over-current protection, which may trip at the current limit; such a trip is reported like any other.
 Sources: see `drivers.facts.keysight_e36300`; VOLTage, CURRent, VOLTage:PROTection, OUTPut with channel lists,
 STATus:QUEStionable.
 """
@@ -37,7 +37,7 @@ class KeysightE36300(WiredSupply):
         self._session.write("*CLS")
 
     def _states(self) -> dict[str, OutputState]:
-        """Query the whole state of all outputs in one message; the replies come in the order of the queries."""
+        """Query the state of all outputs in one message; the replies have the order of the queries."""
         questions = [f"{header}? (@{self._listed})" for header in (*_SWITCHES, *_NUMBERS)]
         questions += [f"STAT:QUES:INST:ISUM{output}:COND?" for output in self.outputs]
         switches, numbers = self._row("[01]"), self._row(NUMBER)

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 class LineThermometer:
     """A `Thermometer` described in the bench file by its `request` and the `pattern` of its reply.
 
-    The group `temperature` of the pattern is the value, °C. `errors` maps lines instead of a value to their
-    meanings. `line_hz` is not used.
+    The group `temperature` of the pattern is the value, °C. `errors` maps each line that the thermometer sends
+    instead of a value to its meaning. `line_hz` is not used.
     """
 
     asks_person = False
@@ -61,8 +61,8 @@ class LineThermometer:
     def block_c(self, key: str) -> float:
         """Return the temperature, °C.
 
-        Raises `BadReading` for another line or a value out of range, `InstrumentRefused` for one of the `errors`,
-        `InstrumentLost`.
+        Raises `BadReading` for a line that does not match or a value out of range, `InstrumentRefused` for one of
+        the `errors`, `InstrumentLost`.
         """
         shown_c, (low_c, high_c) = self._line.number(self._session), self._range_c
         if not low_c <= shown_c <= high_c:

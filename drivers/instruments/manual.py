@@ -240,9 +240,9 @@ def ask_temperature(
 _YES: Final = frozenset({"y", "yes", "ok", "done"})
 _NO: Final = frozenset({"n", "no"})
 _MAX_WAITS: Final = 1000
-"""The most prompts to confirm a set point: "no" means to wait, but so many mean that nobody reads the question."""
+"""Limit of prompts to confirm a set point; "no" repeats the prompt. So many mean that nobody reads it."""
 _PLAUSIBLE_K: Final = 20.0
-"""A reading may lie this far outside the chamber's range (a room, a chamber not yet switched on)."""
+"""A reading may lie this far outside the chamber's range, K, because the chamber may not be on yet."""
 
 
 class ManualChamber(ByHand):

@@ -49,7 +49,7 @@ class MitutoyoMux10(ReadOutHead):
         self._shown_rad()
 
     def _shown_rad(self) -> float:
-        """Return the value of the channel, rad. Raises `BadReading` for any other reply."""
+        """Return the value of the channel, rad. Raises `BadReading` for a reply of another form."""
         begin = f"0{self._channel}A"
         form = rf"{begin}(?=.{{{facts.VALUE_CHARACTERS + 1}}}\Z)[+-]\d+\.\d+"
         said = self._session.ask(str(self._channel), form, f"a reading such as {facts.EXAMPLE}")

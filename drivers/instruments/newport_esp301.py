@@ -178,7 +178,7 @@ class NewportHead(MotorisedHead):
         return self._session.ask(f"{self._axis}{command}", pattern, expected)
 
     def _oldest_error(self) -> str:
-        """Remove and return the oldest error; after a lost reply, the next one."""
+        """Remove and return the oldest error. If the reply is lost, the repeated query returns the next error."""
         return self._session.ask("TB?", _ERROR, _ERROR_EXAMPLE)
 
     def _forget_errors(self) -> None:

@@ -1,9 +1,8 @@
 """A rotary stage with a Zaber controller as dividing head: the ASCII protocol over a serial port or TCP.
 
-Each command has a message number, which its reply repeats, so that a late reply is never taken for
-another's. Alerts are switched off. If an unsolicited line (`!` alert, `#` information) still arrives, the
-connection is dropped and the query repeated over a new one.
-Source: see `drivers.facts.zaber`; section "Warning Flags".
+Each command has a message number, which its reply repeats, so that a late reply is never assigned to another
+command. Alerts are switched off. If an unsolicited line (`!` alert, `#` information) still arrives, the connection
+is dropped and the query repeated over a new one. Source: see `drivers.facts.zaber`; section "Warning Flags".
 """
 
 from __future__ import annotations
@@ -118,7 +117,10 @@ class ZaberHead(MotorisedHead):
         return math.radians(int(self._ask("get pos", _INTEGER).data) / self._steps_per_degree)
 
     def start(self, target_rad: float) -> None:
-        """Begin to move to the step nearest to an angle. The command is not repeated: it would interrupt itself."""
+        """Begin to move to the step nearest to an angle.
+
+        The command is not repeated after a lost reply, because a repeat would interrupt the move.
+        """
         self._exchange(f"move abs {round(math.degrees(target_rad) * self._steps_per_degree)}")
 
     def moving(self) -> bool:
@@ -211,7 +213,7 @@ class ZaberHead(MotorisedHead):
         message = f"{self._device} {addressed} {self._number:02d} {text}".rstrip()
         if self._checksums:
             message += f":{checksum(message)}"
-        # The reply to a rejected command has a word for the reason instead of the data.
+        # The reply to a rejected command contains a word for the reason in place of the data.
         pattern = (
             rf"@{self._device:02d} {addressed} {self._number:02d} "
             rf"(?:(OK) (BUSY|IDLE) (\S\S) ({data})|(RJ) (BUSY|IDLE) (\S\S) ([A-Z]+))(:[0-9A-F]{{2}})?"
@@ -259,7 +261,10 @@ def _with_flag(flag: str) -> str:
 
 
 def _checked(steps_per_degree: float, travel: Travel) -> float:
-    """Return `steps_per_degree`. Raises `ValueError` if whole steps cannot express the limits or the tolerance."""
+    """Return `steps_per_degree`.
+
+    Raises `ValueError` if the limits exceed the step counter, or if a step is coarser than the tolerance.
+    """
     if not math.isfinite(steps_per_degree) or steps_per_degree == 0.0:
         raise ValueError(f"state a number of steps per degree for the head, not {steps_per_degree:g}")
     farthest_deg = math.degrees(max(abs(travel.minimum_rad), abs(travel.maximum_rad)))

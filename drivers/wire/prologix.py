@@ -48,9 +48,9 @@ _SETTINGS: Final = (
 )
 _VERSION: Final = re.compile(rb"[\x20-\x7e]*(?:GPIB|AR488|Prologix)[\x20-\x7e]*", re.IGNORECASE)
 _SAVES_EVERY_SETTING: Final = re.compile(rb"(?!.*AR488).*Prologix.*", re.IGNORECASE)
-"""A Prologix itself; an AR488 may also be named after it."""
+"""Matches the version text of a genuine Prologix; an AR488 may also have the word in its text."""
 _ATTEMPTS: Final = 4
-"""An adapter built on an Arduino restarts when its port is opened, and loses what it is sent meanwhile."""
+"""Queries for the version after opening: an Arduino adapter restarts then, and loses what it receives meanwhile."""
 _ESCAPED: Final = re.compile(rb"([\r\n\x1b+])")
 _SERIAL: Final = SerialSettings(baud_rate=115200, stop_bits=1, flow="none")
 _MOST_BYTES: Final = 1 << 20
@@ -88,7 +88,7 @@ class AdapterConnection:
     def stands(self) -> bool:
         """Whether the adapter still has this connection's link.
 
-        Another instrument behind the adapter may have lost it.
+        A failure at another instrument behind the adapter also drops the link.
         """
         return self._adapter.has_link(self._link_number)
 
@@ -103,7 +103,7 @@ class AdapterConnection:
             self._adapter.leave()
 
     def interrupt(self) -> None:
-        """End another thread's wait at its next read; the other instruments are not disturbed."""
+        """End another thread's wait for this instrument at its next read; other instruments are not affected."""
         self._interrupted.set()
 
     def send(self, data: bytes, timeout_s: float) -> bool:
@@ -228,7 +228,7 @@ class _Adapter:
         return link
 
     def _first_version(self, link: Connection) -> bytes:
-        """Return the adapter's version, asked for several times until it answers or the timeout passes."""
+        """Query the adapter's version, repeatedly until it replies or the timeout passes; return the version."""
         for _ in range(_ATTEMPTS if link.by_bytes else 1):
             link.send(b"++ver\n", self.timeout_s)
             if link.by_bytes and link.wait(self.timeout_s / _ATTEMPTS):
@@ -280,7 +280,9 @@ def _join(link_resource: str, timeout_s: float) -> _Adapter:
 
 
 def _is_quiet(link: Connection) -> bool:
-    """Return whether nothing but NUL waits to be read; else the link broke, or another program uses the adapter."""
+    """Return whether no received bytes but NUL are waiting; others show a broken link or another program at the
+    adapter.
+    """
     while link.by_bytes and link.wait(0.0):
         chunk = link.take_all()
         if not chunk or chunk.strip(_NUL):

@@ -1,8 +1,8 @@
 """A connection through pyvisa-py with workarounds for defects of the library.
 
-As of pyvisa-py 0.8.1: a refused connection counts as open until the first write; VI_ATTR_TCPIP_NODELAY
-cannot be set; a read from a socket whose peer has gone busy-waits for the whole timeout; opening may
-block as long as a name server does; a closed session is never freed. Foreign exceptions pass through.
+As of pyvisa-py 0.8.1: a refused connection counts as open until the first write; VI_ATTR_TCPIP_NODELAY cannot be
+set; a read from a socket whose peer has closed busy-waits for the whole timeout; opening may block as long as a
+name server does; a closed session is never freed. Foreign exceptions pass through.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from drivers.clock import Clock, SystemClock
 # --- causes of transport exceptions -----------------------------------------------------------------
 
 Cause = tuple[str, str]
-"""What happened, and what to do about it."""
+"""The cause of a failure and its remedy, as texts."""
 
 _PORT_GONE: Final = (
     "was lost: the port failed",
@@ -206,7 +206,7 @@ _PSEUDO_TERMINALS: Final = ("/dev/pts/", "/dev/ttys")
 
 
 class Connection:
-    """An open VISA resource. `by_bytes` tells whether it delivers single bytes (True) or whole messages.
+    """An open VISA resource. `by_bytes` says whether it delivers single bytes (True) or whole messages.
 
     Sockets and serial ports are read as bytes arrive; GPIB, USB and VXI-11 deliver whole messages.
     """
@@ -253,7 +253,7 @@ class Connection:
                     raise
 
     def interrupt(self) -> None:
-        """End another thread's wait on a socket, which closing alone would not do. Never raises."""
+        """End another thread's wait on a socket, which closing the socket would not end. Never raises."""
         if self._socket is not None:
             with contextlib.suppress(OSError):
                 self._socket.shutdown(socket.SHUT_RDWR)
@@ -306,7 +306,7 @@ class Connection:
     def resynchronise(self, device_clear: bytes, timeout_s: float) -> bool:
         """Discard a late reply on GPIB or a serial port; return False if data keeps arriving for `timeout_s`.
 
-        A socket needs nothing: a new one is a new stream, and clearing it may never end.
+        A socket is not cleared, because that might never end; a new socket begins a new stream anyway.
         """
         if isinstance(self._visa, GPIBInstrument):
             self._visa.clear()

@@ -8,9 +8,9 @@
             assert meter.open().model == "34401A"
 
 `session` is a complete `MessageSession`, with its checks and reconnections, over the log instead of a wire. The
-driver must send the logged commands in order, and receives the logged replies and failures. A different command,
-or a line left over at the end, raises `Deviation`. Nothing is opened and nothing sleeps: `clock` advances with the
-lines of the log; `clock.catch_up()` advances it to the next line before a call of the driver.
+driver must send the logged commands in order, and receives the logged replies and failures. A different command, or
+an unused line at the end, raises `Deviation`. Nothing is opened and nothing sleeps: `clock` advances with the lines
+of the log; `clock.catch_up()` advances it to the next line before a call of the driver.
 
     python -m drivers.wire.replay wire.log --instrument voltmeter.x
 
@@ -230,8 +230,8 @@ def exchanges(lines: Iterable[Logged]) -> list[Exchange]:
 def replayed(log: Path, instrument: str, **settings: Any) -> Iterator[tuple[MessageSession, Replay]]:
     """Yield a session that replays one instrument's lines of a log, and its clock.
 
-    `settings` are arguments of `MessageSession`, such as `timeout_s` or `serial`. Raises `Deviation` if the
-    driver deviated (even if it swallowed the error) or lines are left over; also `WireLogError`, `OSError`.
+    `settings` are arguments of `MessageSession`, such as `timeout_s` or `serial`. Raises `Deviation` if the driver
+    deviated (even if it caught the error) or lines are unused; also `WireLogError`, `OSError`.
     """
     replay = Replay(f"{log}", instrument, read_log(log, instrument), settings.get("read_termination", "\n"))
     session = _ReplayedSession(replay, **settings)
@@ -254,8 +254,7 @@ def replayed(log: Path, instrument: str, **settings: Any) -> Iterator[tuple[Mess
 class Replay(Connection):
     """The replay of a log: a `Connection` for the session and the `Clock` for the driver.
 
-    `left` holds the lines still to come. The time is the time of the last line, plus the driver's sleeps since
-    then.
+    `left` holds the lines not yet used. The time is the time of the last line, plus the driver's sleeps since then.
     """
 
     def __init__(self, log: str, instrument: str, lines: Sequence[Logged], read_termination: str) -> None:

@@ -127,10 +127,10 @@ _NO_LOCKS: Final = (OSError, NotImplementedError)
 def normalised(resource: str) -> str:
     """Return one name for all usual spellings of a resource.
 
-    Case, parts that VISA lets one omit, hexadecimal numbers, and localhost for 127.0.0.1 make no difference.
-    Leading zeros do (`GPIB0::022` is not `GPIB0::22`), and so do host names in place of addresses, which are not
-    resolved. Instruments behind one adapter share the adapter's name. A serial port is named after the device to
-    which its symbolic links resolve.
+    Spellings that differ in case, in optional parts, in hexadecimal or decimal numbers, or in localhost or
+    127.0.0.1 get the same name. Different names result from leading zeros (`GPIB0::022`, `GPIB0::22`), and from the
+    name and the address of a host, because host names are not resolved. Instruments behind one adapter share the
+    adapter's name. A serial port is named after the device to which its symbolic links resolve.
     """
     if (adapter := _ADAPTER.fullmatch(resource)) is not None:
         place = adapter[1]
@@ -191,7 +191,7 @@ class Holding:
             self._held[path] = (lock, times + 1)
 
     def release(self, resource: str) -> None:
-        """Release a resource taken before. Never raises."""
+        """Release a resource locked by `take`. Never raises."""
         path = self._path(resource)
         with self._guard, suppress(*_NO_LOCKS):
             lock, times = self._held.pop(path, (None, 0))

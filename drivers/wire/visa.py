@@ -46,12 +46,12 @@ _SLICE_S: Final = 0.5
 class MessageSession:
     """A session with one instrument: it sends text commands and returns one line of text per query.
 
-    `name` is the instrument's name on the bench. `resource` is a VISA resource string or, behind a GPIB adapter,
-    such as `prologix://192.0.2.10:1234/22`. The terminations and `serial` apply to sockets and serial ports; GPIB,
-    USB and VXI-11 mark the end of a message themselves. `read_tail` is the number of bytes, such as a check sum,
-    that follow the termination of each reply; the reply then includes termination and tail, one character per byte.
-    `haste` can shorten the wait for replies. `holding` keeps other programs away while the session is open.
-    Thread-safe; open only one session per resource.
+    `name` is the instrument's name on the bench. `resource` is a VISA resource string or, behind a GPIB adapter, a
+    text such as `prologix://192.0.2.10:1234/22`. The terminations and `serial` apply to sockets and serial ports;
+    GPIB, USB and VXI-11 mark the end of a message themselves. `read_tail` is the number of bytes, such as a check
+    sum, that follow the termination of each reply; the reply then includes termination and tail, one character per
+    byte. `haste` can shorten the wait for replies. `holding` locks the instrument against other programs while the
+    session is open. Thread-safe; open only one session per resource.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class MessageSession:
         A driver stores this number with the settings that it sent; if the number has changed, it verifies them
         again.
         """
-        return self._count if self._stands() else None
+        return self._count if self._is_connected() else None
 
     def open(self) -> None:
         """Connect, unless connected already.
@@ -105,7 +105,7 @@ class MessageSession:
                 self._holding.take(self.name, self.resource)
                 self._holds = True
             self._wanted = True
-            if self._connection is not None and not self._stands():
+            if self._connection is not None and not self._is_connected():
                 self._give_up()
             self._connected()
 
@@ -182,7 +182,7 @@ class MessageSession:
                 self._refuse_leftovers(connection, command)
                 when = AFTER_SENDING
                 yield connection
-            except BaseException as error:  # Ctrl-C in an exchange leaves a reply behind as well
+            except BaseException as error:  # after Ctrl-C in an exchange, its reply may arrive late
                 self._give_up()
                 failure = self._failed(when, error, f" at {command}")
                 if failure is error:
@@ -206,7 +206,7 @@ class MessageSession:
             self._connection = connection
         return self._connection
 
-    def _stands(self) -> bool:
+    def _is_connected(self) -> bool:
         """Return whether there is a connection that no other instrument on the same adapter has lost."""
         connection = self._connection
         return connection is not None and not (
@@ -287,11 +287,11 @@ class MessageSession:
         begun_s = self._clock.now_s()
         data = b""
         while not self._whole(data, end, lines):
-            if len(data) > _MAX_REPLY_BYTES or not self._comes(connection, begun_s, allowed_s):
+            if len(data) > _MAX_REPLY_BYTES or not self._data_arrives(connection, begun_s, allowed_s):
                 raise self._incomplete(command, data, self._haste.limited_s(allowed_s))
             if self._read_tail or lines > 1:
                 chunk = connection.take_all()
-                data, more = data + chunk, self._behind(data + chunk, end, lines) > 0
+                data, more = data + chunk, self._bytes_after(data + chunk, end, lines) > 0
             else:
                 chunk, more = connection.take()
                 data += chunk
@@ -309,11 +309,11 @@ class MessageSession:
 
     def _whole(self, data: bytes, end: bytes, lines: int) -> bool:
         if self._read_tail or lines > 1:
-            return self._behind(data, end, lines) >= 0
+            return self._bytes_after(data, end, lines) >= 0
         return data.endswith(end)
 
-    def _behind(self, data: bytes, end: bytes, lines: int) -> int:
-        """Return how many bytes follow a reply of `lines` lines in `data`; negative if the reply is incomplete."""
+    def _bytes_after(self, data: bytes, end: bytes, lines: int) -> int:
+        """Return the number of bytes in `data` after a reply of `lines` lines; negative if it is incomplete."""
         at = -1
         for _ in range(lines):
             at = data.find(end, at + 1)
@@ -321,7 +321,7 @@ class MessageSession:
                 return -1
         return len(data) - at - len(end) - self._read_tail
 
-    def _comes(self, connection: Connection, begun_s: float, allowed_s: float) -> bool:
+    def _data_arrives(self, connection: Connection, begun_s: float, allowed_s: float) -> bool:
         """Wait for bytes, in slices so that `haste` takes effect; return False if none arrive in time."""
         while True:
             left_s = begun_s + self._haste.limited_s(allowed_s) - self._clock.now_s()
@@ -353,7 +353,7 @@ class MessageSession:
         )
 
     def _refuse_leftovers(self, connection: Connection | AdapterConnection, command: str) -> None:
-        """Raise an error if unsolicited data waits or the peer has gone, which a write would not notice."""
+        """Raise an error if unsolicited data is waiting or the peer has closed; a write would not detect this."""
         if not isinstance(connection, Connection) or not connection.by_bytes or not connection.wait(0.0):
             return
         data, _ = connection.take()
@@ -391,8 +391,8 @@ _T = TypeVar("_T")
 class ProvedSession:
     """Commands and queries over a `MessageSession`; the instrument is verified first on every new connection.
 
-    `prove`, which verifies it, identifies the instrument through this session and raises an error if it is not
-    the expected one. `write_gap_s` is the pause that the instrument needs after a command without reply.
+    `prove` identifies the instrument through this session, and raises an error if it is not the expected one.
+    `write_gap_s` is the pause that the instrument needs after a command without reply.
     """
 
     def __init__(
@@ -469,7 +469,7 @@ class ProvedSession:
         return self._session.query(command, timeout_s, pattern, expected, lines)
 
     def urgent(self, command: str, pattern: str, expected: str) -> str:
-        """Send a command at once, even to an instrument not yet verified, and return its reply. Stops use it."""
+        """Send a command at once, such as a stop, even to an instrument not yet verified; return its reply."""
         return self._session.query(command, pattern=pattern, expected=expected)
 
     def write(self, command: str) -> None:

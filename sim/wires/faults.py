@@ -114,8 +114,8 @@ OF_INSTRUMENT: Final = frozenset({*_NEEDS, FaultKind.HANG})
 class Fault:
     """One kind of fault and the condition under which it strikes.
 
-    Only exchanges whose command contains `matching` (in any case) count. Of these the fault strikes each with
-    `probability`, or only the `at`-th (from 1), or every one if neither is given. A fault of the reply needs a
+    Only exchanges whose command contains `matching` (in upper or lower case) count. The fault strikes each of these
+    with `probability`, or only the `at`-th (from 1), or all if neither is given. A fault of the reply needs a
     reply: if the `at`-th command has none, it strikes the next reply. `instrument` is a name on the bench, empty
     for all.
     """
@@ -236,7 +236,7 @@ class _Armed:
 
 
 class FaultyInstrument:
-    """A dialect with injected faults: itself a `Dialect`, and by `wire_fault` the `FaultHook` of its wires.
+    """A `Dialect` with injected faults; its `wire_fault` is the `FaultHook` of its wires.
 
     `seed` and `name` determine the random numbers. Only one thread at a time may call it, which
     `sim.wires.session.ServedInstrument` ensures. Raises `ValueError` for a fault that the instrument cannot have.
@@ -341,9 +341,9 @@ class FaultyInstrument:
     # --- as a fault hook ----------------------------------------------------------------------------
 
     def wire_fault(self, message: bytes, reply: bytes | None) -> WireFault | None:
-        """Return the effect of the wire on this exchange, or None.
+        """Return the wire fault that strikes this exchange, or None.
 
-        All wire faults count the exchange; the first that strikes acts.
+        Every wire fault counts the exchange; if several strike, the first takes effect.
         """
         struck = [a for a in self._armed if a.fault.kind not in OF_INSTRUMENT and a.strikes(message, reply)]
         if self._hangs_now or not struck:

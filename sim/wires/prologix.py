@@ -65,10 +65,10 @@ class AdapterSettings:
 
 
 class LookaheadClock(VirtualClock):
-    """The time of one instrument on a bus, which may be ahead of the bench's time.
+    """The clock of one instrument on a bus, which may be ahead of the bench's clock.
 
-    The instrument carries out commands at once and without waiting. Its own time then tells when the reply will be
-    ready; the bench's time advances only while the adapter waits for that reply.
+    The instrument carries out commands at once and without waiting. Its clock then shows the time at which the
+    reply is ready. The bench's time advances only while the adapter waits for that reply.
     """
 
     def __init__(self, bench: Clock) -> None:
@@ -77,7 +77,7 @@ class LookaheadClock(VirtualClock):
         self._ahead_s = -math.inf
 
     def now_s(self) -> float:
-        """Return the instrument's time, s: the bench's time, or a later one."""
+        """Return the later of the instrument's time and the bench's time, s."""
         return max(self._bench.now_s(), self._ahead_s)
 
     def sleep(self, duration_s: float) -> None:
@@ -89,7 +89,7 @@ class LookaheadClock(VirtualClock):
         self._ahead_s = max(self._ahead_s, time_s)
 
     def return_to_present(self) -> None:
-        """Return to the bench's time, after the instrument was cleared."""
+        """Set this clock back to the bench's time, after a clear of the instrument."""
         self._ahead_s = -math.inf
 
 
@@ -125,7 +125,7 @@ class _BusDevice:
         self.ready_s = self._clock.now_s()
 
     def return_to_present(self) -> None:
-        """Return to the bench's time."""
+        """Set the instrument's clock back to the bench's time."""
         self._clock.return_to_present()
         self.ready_s = min(self.ready_s, self._clock.now_s())
 
@@ -202,7 +202,7 @@ class GpibAdapter(PlainDialect):
         return instrument
 
     def return_to_present(self) -> None:
-        """Have all instruments return to the bench's time."""
+        """Set the clocks of all instruments back to the bench's time."""
         for device in self._devices.values():
             device.return_to_present()
 
@@ -269,7 +269,7 @@ class GpibAdapter(PlainDialect):
         if not arguments:
             wait_until(self._clock, deadline_s, self._interrupted)
         reply, device.reply = device.reply, None
-        # The wire appends one LF, which is the instrument's own; `eot_enable` adds another at EOI.
+        # The wire appends one LF, which stands for the instrument's LF; `eot_enable` adds another at EOI.
         return reply + b"\n" if self.settings.eot_enable else reply
 
     def _clear(self, _arguments: list[str]) -> None:

@@ -293,8 +293,8 @@ class TerminalTransport:
 class TerminalServer(InstrumentServer):
     """A pseudo-terminal for one instrument; a context manager. Clients open `path`.
 
-    Several clients may open and close it, in turn or at once; the terminal stays. Dropping the connections
-    discards the data on the wire. While connections are refused, the wire is dead.
+    Several clients may open and close it, in turn or at once; the terminal stays. Dropping the connections discards
+    the data on the wire. While connections are refused, nothing is read or sent.
     """
 
     def __init__(self, instrument: ServedInstrument) -> None:
@@ -353,7 +353,7 @@ class TerminalServer(InstrumentServer):
                 self._discard()
 
     def refuse(self, duration_s: float = 0.0) -> None:
-        """Ignore the wire from now on, for `duration_s` or (0) until `accept_again`."""
+        """Neither read nor send, for `duration_s` or (0) until `accept_again`."""
         self._accepts.clear()
         self._accept_later(duration_s, self.accept_again)
         self.drop_connections()

@@ -1,4 +1,4 @@
-"""Client sessions: from bytes to messages, from replies to bytes, and a record of which sessions are busy."""
+"""Client sessions: splitting of bytes into messages, sending of replies, and a register of busy sessions."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ class Busy(Protocol):
 
 
 class Traffic:
-    """The activities of all sessions of a bench; a virtual clock advances only when no session has work left.
+    """A register of what each session of a bench is doing; a virtual clock advances only if no session has work.
 
-    Without this record, a virtual clock could skip a measurement whose start command is still on another wire.
+    Without it, a virtual clock could advance past a measurement whose start command is still on another wire.
     """
 
     def __init__(self) -> None:
@@ -99,7 +99,7 @@ TERMINATOR: Final = b"\n"
 
 _INPUT_BUFFER: Final = 65536
 _WITHIN_HOLD_OFF: Final = 10
-"""The characters that an instrument still accepts after it has set its hold-off."""
+"""Number of characters that an instrument still accepts after it has signalled its hold-off."""
 _LATE_SLICE_S: Final = 0.02
 _LOOK_S: Final = 0.05
 LEAVING_S: Final = 2.0
@@ -159,7 +159,7 @@ class Forsakable(Protocol):
     """A dialect whose commands may run for hours and must stop when their client leaves."""
 
     def sent_by(self, left: Callable[[], bool]) -> None:
-        """Store `left`, which returns at any time whether the sender of the next message has left.
+        """Store `left`, a function that returns whether the sender of the next message has left.
 
         A command whose client has left is given up, also while a message of another client waits for it.
         """
@@ -242,12 +242,12 @@ REFUSE: Final = WireFault(drop=True, refuse=True)
 FaultHook = Callable[[bytes, bytes | None], WireFault | None]
 """Called with each request and its reply (or None); returns the fault of the wire, or None.
 
-It is called once at a time per instrument, in the order in which the messages were carried out.
+Calls for one instrument never overlap; they have the order in which its messages were carried out.
 """
 
 
 class Overflow:
-    """A marker for a message that was too long."""
+    """Stands for a message that was too long."""
 
 
 class Framer:
@@ -352,7 +352,7 @@ class ServedInstrument:
     def _held(self, session: Session) -> Iterator[None]:
         if not self._lock.acquire(blocking=False):
             self.traffic.mark(session, Doing.WAITING)
-            # The lock's holder may be waiting for a measurement that this client began: note if it has left.
+            # The holder of the lock may be waiting for a measurement of this client, which may have left.
             while not self._lock.acquire(timeout=_LOOK_S):
                 session.look_whether_left()
             self.traffic.mark(session, Doing.WORKING)

@@ -21,7 +21,7 @@ def keyed_generator(seed: int, *key: object) -> np.random.Generator:
 
 
 class KeyedNumbers:
-    """Random generators keyed by seed, purpose and step; `told_scan` is the scan order stated for the step."""
+    """Random generators keyed by seed, purpose and step; `told_scan` is the scan order given to `begin_step`."""
 
     def __init__(self, seed: int, lock: threading.RLock) -> None:
         self._seed = seed
@@ -31,7 +31,7 @@ class KeyedNumbers:
         self.told_scan: tuple[int, ...] = ()
 
     def begin_step(self, key: str, scan: tuple[int, ...] = ()) -> None:
-        """Key random numbers by this step of the procedure (with its attempt) from now on.
+        """Use this step of the procedure, and its attempt, as key of random numbers from now on.
 
         `scan` lists the channels 0, 1, 2 in the order in which the step reads them. If it is empty, the order of
         the triggers is used, which is not reproducible for several meters on separate wires.

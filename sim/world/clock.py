@@ -47,7 +47,7 @@ class VirtualClock:
             self._now_s = max(self._now_s, time_s)
 
     def return_to(self, time_s: float) -> None:
-        """Go back to `time_s`: what was done since then took no time."""
+        """Set the simulated time back to `time_s`, so that actions since then take no time."""
         self._settle()
         with self._lock:
             self._now_s = float(time_s)

@@ -42,10 +42,10 @@ def work_supply(world: World, action: SetSupply | SwitchSupply | ReadSupply) -> 
 
 
 LOOK_S: Final = 10.0
-"""Interval between calls of `meanwhile` during a task, s."""
+"""Interval between calls of `meanwhile` during any other task, s."""
 REST_LOOK_S: Final = 0.5
 LONGEST_WAIT_S: Final = 60.0
-"""Interval of these calls while the person waits for an encoder, and how long the person waits, s."""
+"""Interval between calls of `meanwhile` while the person waits for an encoder, and longest such wait, s."""
 _SLIPS_ARCSEC: Final = (3600.0, -3600.0, 600.0, -600.0, 60.0, -60.0)
 
 
@@ -140,12 +140,13 @@ class ScriptedOperator:
     def turn_to(
         self, prompt_id: str, angle_rad: float, direction: Direction, backoff_rad: float | None = None
     ) -> None:
-        """Turn the head until its scale shows `angle_rad`; it takes as long as when `ask` handles this prompt.
+        """Turn the head until its scale shows `angle_rad`; the duration is the same as if `ask` handled this
+        prompt.
 
-        If an encoder watches, the head first goes beyond `backoff_rad` before the angle, then to the angle.
+        If an encoder reads the head, it first turns to more than `backoff_rad` before the angle, then to the angle.
         """
         generator = self._generator("turn", prompt_id.partition("#")[0])
-        generator.normal()  # skip the setting error: the next number, the time, is that of `_turn`
+        generator.normal()  # skip the setting error, so that the next number is the duration, as in `_turn`
         duration_s = float(generator.uniform(*self._settings.turn_time_s))
         if backoff_rad is not None:
             self._approach(angle_rad, direction * backoff_rad, duration_s)

@@ -64,7 +64,7 @@ class Visit(NamedTuple):
 def switched_on_since(
     pose: Pose, visits: Sequence[Visit], switchings: Sequence[tuple[float, bool]], time_s: float
 ) -> int:
-    """Return the number of power cycles up to `time_s` since the block was first read in the mounting of `pose`.
+    """Return the number of power cycles between the first reading in the mounting of `pose` and `time_s`.
 
     `visits` are the visits read so far, `switchings` the times at which the block gained (True) or lost power.
     Power cycles without a reading between them count once.
@@ -161,7 +161,9 @@ class HeadFault:
     runs_away: bool = False
 
     def end_rad(self, start_rad: float, target_rad: float) -> tuple[float, bool]:
-        """Return the angle at which a movement really ends, and whether the head is stuck (or ran away)."""
+        """Return the angle at which a movement ends with this fault, and whether the head is then stuck or ran
+        away.
+        """
         if self.runs_away:
             return start_rad + math.copysign(_ENDLESS_RAD, start_rad - target_rad), True
         end_rad = target_rad + self.stops_off_rad

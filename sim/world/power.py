@@ -116,7 +116,7 @@ class Violation:
 
 
 _CLOSE_S: Final = 1e-6
-"""The tolerance of the time at which a rail crosses a limit."""
+"""The tolerance of the time at which a rail crosses a limit, s."""
 
 
 def dead_v(settings: PowerSettings, numbers: KeyedNumbers, channel: str, time_s: float) -> float:
@@ -309,7 +309,7 @@ class Power:
         return math.inf, None
 
     def _watch(self, begin_s: float, end_s: float) -> None:
-        """Record limit violations and power changes of the rails between two times without an event."""
+        """Record limit violations and power changes of the rails in a period without switching or disturbance."""
         for rail in self.settings.rails:
             volts = [self._rail_v(rail, time_s) for time_s in (begin_s, end_s)]
             low_v, high_v = rail.absolute_v
@@ -335,7 +335,9 @@ class Power:
         self.violations.append(violation)
 
     def _crossing(self, beyond: Callable[[float], bool], begin_s: float, end_s: float) -> float:
-        """Return, by bisection, when `beyond` becomes true, which it is at the end but not at the beginning."""
+        """Return, by bisection, the time at which `beyond` becomes true; it is false at `begin_s` and true at
+        `end_s`.
+        """
         while end_s - begin_s > _CLOSE_S:
             middle_s = (begin_s + end_s) / 2.0
             begin_s, end_s = (begin_s, middle_s) if beyond(middle_s) else (middle_s, end_s)

@@ -39,14 +39,15 @@ if TYPE_CHECKING:
 
 
 _LEAST_SPREAD: Final = 1e-6
-"""Smallest relative difference between the two lags: the formula for the block divides by their difference."""
+"""Smallest relative difference between the lags of air and block, because a formula divides by their difference."""
 
 
 @dataclass(frozen=True)
 class _Stretch:
-    """A period from `since_s` in which the air is base + slope·s + Re(excess·exp(-s/lag)), s the time elapsed.
+    """A period from `since_s` in which the air is base + slope·s + Re(excess·exp(-s/lag)), °C, s after its
+    beginning.
 
-    A complex lag is an air that rings. `block_c` is the block's temperature at the beginning.
+    With a complex lag the air rings. `block_c` is the block's temperature at the beginning.
     """
 
     since_s: float
@@ -263,9 +264,9 @@ class World(KeyedNumbers):
 
     @contextmanager
     def aside(self) -> Iterator[None]:
-        """Let instruments be read without consequences: afterwards time, history and random numbers are as before.
+        """Let instruments be read within this context; at its end time, history and random numbers are restored.
 
-        Random numbers drawn meanwhile belong to no step. It needs a virtual clock, because no other can go back.
+        Random numbers drawn in it belong to no step. The clock must be virtual, because no other can be set back.
         """
         with self._lock:
             now_s, kept = self.clock.now_s(), (self._step, self._counts.copy(), self._aside)
@@ -293,9 +294,7 @@ class World(KeyedNumbers):
             self._pose_on(installation=installation, series=series, stand_rad=stand_rad)
 
     def level_platform(self, installation: str, series: int) -> None:
-        """Give the platform the tilt and zero offset that it has in a mounting, as when it is levelled before that
-        mounting.
-        """
+        """Set tilt and zero offset of the platform to those of a mounting, as levelling before it does."""
         with self._lock:
             stand_rad = self._poses[-1].stand_rad.copy()
             stand_rad[:2] = self._stand_rad(installation, series)[:2]
@@ -400,7 +399,7 @@ class World(KeyedNumbers):
         in which channels are begun is the scan order, unless the step stated one.
         """
         with self._lock:
-            if self._aside:  # the meter's error and the history stay those of the last reading
+            if self._aside:  # keep the meter's error and the history of the last reading
                 return self.count("reading", channel)
             now_s, pose = self.clock.now_s(), self._poses[-1]
             index, before = CHANNELS.index(channel), self._triggered.get(id(pose), ())
@@ -428,7 +427,7 @@ class World(KeyedNumbers):
         input_v: float | None = None,
         scan: tuple[int, ...] = (0, 1, 2),
     ) -> None:
-        """Add a setting that was read before the world was rebuilt to the history on which effects depend.
+        """Add a reading from before the world was rebuilt to the history on which effects depend.
 
         Arguments are as recorded; without an installation the block stays as in the setting recalled before. Call
         it in the order of measurement, before the first new reading.
@@ -579,7 +578,7 @@ class World(KeyedNumbers):
         )
 
     def _past_s(self, time_s: float) -> float:
-        """Return `time_s` or, if it is later than now, now: a meter on a bus may be ahead of the bench.
+        """Return the earlier of `time_s` and now, s: the clock of a meter on a bus may be ahead of the bench's.
 
         The power supply is simulated only up to now.
         """

@@ -20,13 +20,13 @@ from bench.readings.table import UNORIENTED
 from drivers.interfaces import OutputSettings, SupplyLimits
 
 _OVER_RANGE: Final = 1.2
-"""The fraction of its range up to which a voltmeter with an unknown driver is assumed to read."""
+"""Largest reading that a voltmeter with an unknown driver is assumed to support, as a fraction of its range."""
 
 _LACKS: Final = {"sensor_noise": "a sensor without noise"}
 
 
 FURTHER: Final[tuple[Role, ...]] = ("head", "chamber", "level", "thermometer", "power_supply")
-"""The roles that at most one instrument of a bench has, without thermometers away from the block."""
+"""The roles of which a bench has at most one instrument; thermometers away from the block are not included."""
 _THERMOMETERS: Final = ("thermometer", *SURROUNDINGS)
 
 
@@ -122,7 +122,7 @@ def _with_pair(sensor: Any) -> set[str]:
 
 
 def _surrounding_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Check the thermometers of meters and room: they need no certificate, and `chamber` needs a chamber."""
+    """Check the thermometers of meters and room: no certificate, no gradient, `chamber` only with a chamber."""
     for key in SURROUNDINGS:
         stated = part(data, "instruments", key)
         chamber = part(data, "instruments", "chamber")
@@ -285,7 +285,7 @@ def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 
 @dataclass(frozen=True)
 class _Rail:
-    """The numbers of a rail as written, V and A, by key; None if unreadable, a mistake that pydantic reports."""
+    """The numbers of a rail by key, V and A; None for an unreadable number, which pydantic reports."""
 
     numbers: dict[Place, float | None]
 

@@ -286,7 +286,7 @@ class Standing:
 
     @property
     def correction(self) -> str:
-        """What the certificate corrects in the readings, in words; empty if it corrects nothing."""
+        """The corrections by the certificate in words; empty if there are none."""
         certificate = self.certificate
         if isinstance(self.section, VoltmeterForm):
             return ", ".join(self._of_the_meter(self.section))

@@ -238,7 +238,7 @@ Row = Annotated[tuple[float, ...], Field(min_length=len(COEFFICIENTS), max_lengt
 
 
 class PriorCoefficient(FileModel):
-    """The prior of one coefficient of a further unit: its `mean` and standard uncertainty `u`.
+    """The prior of one coefficient of a new unit: its `mean` and standard uncertainty `u`.
 
     `between_units` is the standard deviation between units, `u_mean` the standard uncertainty of the mean.
     """

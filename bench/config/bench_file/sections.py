@@ -47,7 +47,7 @@ from bench.readings.columns import METER_C, ROOM_C
 InstrumentForm = VoltmeterForm | HeadForm | ChamberForm | LevelForm | ThermometerForm | SupplyForm
 
 SURROUNDINGS: Final = {"meter_thermometer": METER_C, "room_thermometer": ROOM_C}
-"""The column of the readings that each thermometer away from the block fills, by its key."""
+"""The column of the readings for each thermometer away from the block, by the thermometer's key."""
 
 
 def _around(key: str, *, recorded: bool = False) -> BeforeValidator:
@@ -58,7 +58,8 @@ class InstrumentsSection(FileModel):
     """The instruments of a bench; the `driver` of each determines the other keys of its section.
 
     `thermometer` is at the block. `meter_thermometer` and `room_thermometer` record the temperatures of voltmeters
-    and room with each reading; the word `chamber` takes the air of the chamber, for meters that stand in it.
+    and room with each reading. The word `chamber` instead of a section records the chamber's air, for meters inside
+    the chamber.
     """
 
     voltmeters: Annotated[
@@ -93,7 +94,7 @@ class InstrumentsSection(FileModel):
 
     @property
     def thermometers(self) -> tuple[ThermometerForm, ...]:
-        """Every thermometer, that at the block first."""
+        """All thermometers, beginning with the one at the block."""
         at_block = () if self.thermometer is None else (self.thermometer,)
         return (*at_block, *self.around.values())
 
@@ -166,7 +167,7 @@ class OperatorTruth(FileModel):
 
     `setting_deviation` is the standard deviation of the set angle from its target; the scale is read to
     `resolution`. A turn takes a time between the two values of `turn_time`. `slip_probability` is the probability
-    that a typed angle contains a classic slip.
+    that a typed angle contains a common mistake (`drivers.angles.SLIPS`).
     """
 
     setting_deviation: SizeRad = 2 * ARCSEC
@@ -289,7 +290,7 @@ class BaselineDaysSection(FileModel):
 
 
 class CheckBlockSection(FileModel):
-    """A block of known history that is measured before a day's work, and the rules of its control chart.
+    """The check block, which is measured before a day's work, and the rules of its control chart.
 
     The block is identified by its serial number and `type` (default: the type in `unit_under_test`). The baseline
     is its first `baseline` accepted runs on this bench. Instead, it can be the runs of `baseline_days`, or those

@@ -158,7 +158,7 @@ class UnitSupplySection(FileModel):
 
 
 LARGEST_RAD: Final = math.radians(2.0)
-"""The largest accepted limit of a stand error; for comparison, 0.01 g along a level axis is 0.6°."""
+"""The largest accepted limit of a stand error, rad; for comparison, a tilt of 0.6° is 0.01 g on a level axis."""
 
 SizeG = Annotated[float, not_negative(ACCELERATION)]
 
@@ -254,7 +254,7 @@ def _of_a_bench(limit_rad: float) -> float:
 
 
 class AngleError(ErrorSize):
-    """A stand error that is an angle, rad; it is so small that its sine equals the angle."""
+    """A stand error that is an angle, rad, small enough for sin α = α."""
 
     limit: Annotated[SizeRad, AfterValidator(_of_a_bench)]
 
@@ -339,7 +339,7 @@ class UnitUnderTest(FileModel):
 
 
 class PopulationSection(FileModel):
-    """The normal distribution over blocks of this type of Δg, the error of measured gravity, in g."""
+    """The normal distribution of Δg, the error of measured gravity, among blocks of this type, in g."""
 
     mean: AccelerationG = 0.0
     standard_deviation: Annotated[
@@ -418,7 +418,8 @@ class TemperatureError(ErrorSize):
 
 
 class RoomError(ErrorSize):
-    """The limit of the changes of the room's temperature, K, which the voltmeters follow after the time `lag`.
+    """The limit of the changes of the room's temperature, K, which the voltmeters follow with the time constant
+    `lag`.
 
     The lag is 100 min by default, as a published record of a 34420A in an air bath shows.
     """
@@ -474,10 +475,10 @@ _Factor = Annotated[float, Field(ge=0.0)]
 
 
 class ZeroRepeats(FileModel):
-    """How the zeros of x, y, z scatter from repeat to repeat, as `bench diagnose --together` finds it.
+    """The scatter of the zeros of x, y, z between repeats, as found by `bench diagnose --together`.
 
-    `restart` and `drift` are standard deviations in g, of each repeat or from one repeat to the next; `scale` are
-    factors of the u of the readings. One of them is stated.
+    `restart` is the standard deviation of each repeat, `drift` that of the change from one repeat to the next, in
+    g; `scale` holds factors on the u of the readings. Exactly one of the three is stated.
     """
 
     restart: tuple[_ZeroG, _ZeroG, _ZeroG] | None = None

@@ -60,7 +60,7 @@ class DeviceSection(FileModel):
 
     @classmethod
     def alternatives(cls) -> Iterable[type[FileModel]]:
-        """Return the section classes of all instruments of a role if this class is the form of the role, else
+        """Return the section classes of all instruments of the role, if this class is the role's form; else
         nothing.
         """
         return cls.sections_of(cls.role) if "role" in cls.__dict__ else ()
@@ -84,8 +84,8 @@ class Device:
     `name` is the instrument's `driver` in bench files. `driver` and `simulation` name classes as "module:Class"; a
     leading dot means a module in the folder of the declaration. `simulation` is None for an instrument that a
     person operates. `example` is a bench-file section of the instrument (for a voltmeter with one signal, the
-    section of channel x). `simulated` lists the keys of the role's simulation section that take effect. `place`
-    orders the instruments of a role in lists; equal places are ordered by name.
+    section of channel x). `simulated` lists the keys of the role's simulation section that this instrument's
+    simulation uses. `place` orders the instruments of a role in lists; equal places are ordered by name.
     """
 
     name: str
@@ -252,9 +252,9 @@ OFFSET_DRIFT: Final = QuantityKind("a drift of the zero", "10 uV/year", "V/year"
 
 LARGEST_GAIN: Final = 0.01
 LARGEST_OF_SCALE_RAD: Final = math.radians(1.0)
-"""Larger corrections are typing errors, or belong to a faulty instrument."""
+"""The largest accepted corrections: of a gain, and of a head's scale. Larger ones are typing errors or faults."""
 WIDEST_GAP_RAD: Final = math.radians(45.0)
-"""The largest gap between angles of a head's table, across which corrections are interpolated linearly."""
+"""The largest accepted gap between angles of a head's table; corrections are interpolated linearly across it."""
 _ROUNDING_RAD: Final = 1e-6
 
 

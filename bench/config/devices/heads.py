@@ -85,7 +85,7 @@ _ACUTROL = Device(
 
 
 _BEYOND_DEG: Final = 5.0
-"""How far a simulated stage can turn beyond the limits in the bench file, degrees."""
+"""Travel of a simulated stage beyond the limits in the bench file, degrees."""
 
 
 def _on_a_wire_it_has(resource: str) -> str:
@@ -340,7 +340,7 @@ class MitutoyoMux10Section(ReadOutHeadForm):
 class EncoderLineSection(ReadOutHeadForm, LineForm):
     """A counter that answers `request` with one line of text, which holds the angle in the `unit`.
 
-    `counts_per_turn` is required if the unit is counts, and else refused.
+    `counts_per_turn` is required for the unit counts, and refused for any other.
     """
 
     facts: ClassVar = text_line

@@ -48,7 +48,7 @@ class ManualHeadSection(HeadForm):
 
 
 class ManualChamberSection(ChamberForm):
-    """A chamber that a person sets and reads; after a run it is set to `safe`, or switched off without it."""
+    """A chamber that a person sets and reads; after a run it is set to `safe` or, without `safe`, switched off."""
 
     by_hand: ClassVar = True
 
@@ -71,8 +71,7 @@ class ManualLevelSection(LevelForm):
 
     `division` is the angle of one graduation of the vial, which has `divisions` graduations on either side.
     `reading` is the standard uncertainty of a reading, in graduations. `scale` is the relative standard uncertainty
-    of `division`, `turn` the standard uncertainty with which the level is aligned with an axis or turned end for
-    end.
+    of `division`. `turn` is the standard uncertainty of the level's alignment with an axis, and of its half turn.
     """
 
     by_hand: ClassVar = True

@@ -92,7 +92,7 @@ class Devices:
         return None if place.startswith(str(Path(__file__).parent) + os.sep) else place
 
     def why_not(self, name: object) -> str | None:
-        """Return why the device of this name may have failed to load; None if it is known, or nothing failed."""
+        """Return the failed import that may be the reason why this name is unknown; else None."""
         if not isinstance(name, str) or name in self.found:
             return None
         if name in self.doubled:
@@ -350,7 +350,7 @@ class UnknownThermometer(ThermometerForm):
 
     @property
     def tolerance_k(self) -> float:
-        """The limit of the thermometer's error, K: that of an ordinary thermometer, because its own is unknown."""
+        """The limit of the thermometer's error, K: unknown, so that of an ordinary thermometer is assumed."""
         return 0.5
 
 

@@ -57,8 +57,8 @@ class VoltmeterKind:
     `over_range` is the fraction of a range up to which the meter reads. `accuracy` gives, by range, the error
     limits of DC volts within 90 days at 23 ± 5 °C, as fractions of reading and of range; `accuracy_of_year` gives
     the limits within a year where they are known. `linearity` gives the limits of integral nonlinearity in the same
-    form. `resolution` gives the resolved fraction of the range by integration time (in NPLC; it holds from that
-    time on), where known.
+    form. `resolution` gives the resolution, as a fraction of the range, from each integration time (in NPLC) on; it
+    is empty if unknown.
     """
 
     limits: VoltmeterLimits
@@ -103,12 +103,12 @@ class VoltmeterTruth(FileModel):
     """The errors of the simulated voltmeters: whether they have noise, and whether they have errors.
 
     `accuracy` chooses random errors within the 90-day limits of the maker, or the errors in the certificates. The
-    further keys are flaws of a real input: a source of `source_ohm` is loaded by 10 MΩ unless the high impedance
-    is on; `mains` is the amplitude of the mains on the signal, which whole power-line cycles cancel; `zero_drift`
-    is the drift of the zero per hour with autozero off; `flicker` is the standard deviation of 1/f noise per
-    decade of frequency. `firmware` names the versions of the meters in turn; "3-1-1" sends a comma after the last
-    reading. `errors_at_start` are errors in the queue at switch-on. With `real_port`, an RS-232 meter loses
-    messages sent between a query and its reply, and stops responding after ten idle minutes.
+    further keys are flaws of a real input: a source of `source_ohm` is loaded by 10 MΩ unless the high impedance is
+    on; `mains` is the amplitude of the mains voltage on the signal, which an integration over whole cycles cancels;
+    `zero_drift` is the drift of the zero per hour with autozero off; `flicker` is the standard deviation of 1/f
+    noise per decade of frequency. `firmware` names the versions of the meters in turn; "3-1-1" sends a comma after
+    the last reading. `errors_at_start` are errors in the queue at switch-on. With `real_port`, an RS-232 meter
+    loses messages sent between a query and its reply, and stops responding after ten idle minutes.
     """
 
     noise: bool = True
@@ -383,7 +383,7 @@ SizeK = Annotated[float, not_negative(DIFFERENCE)]
 RateKS = Annotated[float, not_negative(TEMPERATURE_RATE)]
 
 OF_THE_AIR: Final = ("rate", "lag", "off_lag", "ringing", "room_share")
-"""Keys of the simulation section that affect any simulated chamber."""
+"""Keys of the simulation section that every simulated chamber uses."""
 
 
 _NO_CHAMBER: Final = "state a value above 0: every chamber takes time"
@@ -394,8 +394,8 @@ class ChamberTruth(FileModel):
 
     The set point of the air moves at `rate`, and the air follows with the time constant `lag`. When the chamber is
     off, the air returns to ambient with the time constant `off_lag`. `sensor_noise` is the standard deviation of
-    its readings. With a period `ringing` the air overshoots the set point and rings. The block settles at the air
-    plus `room_share` of the difference between the room and the air, as the platform conducts heat.
+    the chamber's readings. With a period `ringing` the air overshoots the set point and rings. The block settles at
+    the air plus `room_share` of the difference between the room and the air, as the platform conducts heat.
     """
 
     rate: Annotated[RateKS, above_zero(_NO_CHAMBER)] = 4.0 / 60.0
@@ -475,7 +475,7 @@ class LevelForm(DeviceSection):
 
     role: ClassVar[Role] = "level"
     certificate: ClassVar[None] = None
-    """None: at a few arcseconds, the scale error of a level is below its resolution."""
+    """Levels have no certificate: for tilts of a few arcseconds, the scale error is below the resolution."""
 
     name: str = "level"
 
@@ -520,9 +520,10 @@ class SupplyTruth(FileModel):
     """The load that the simulated unit presents to its supply, and its signals without power.
 
     Each rail draws `current` at 23 °C (default: the middle of its stated window), changing by the fraction
-    `current_by_temperature` per kelvin. At switch-on it draws `in_rush` times as much, decaying with the time
-    constant `in_rush_time`. Below the fraction `brown_out` of a rail's voltage the unit stops working. Its signals
-    are then random: `dead_offset` is their standard deviation between channels, `dead_noise` between readings.
+    `current_by_temperature` per kelvin. At switch-on it draws `in_rush` times this current, which decays with the
+    time constant `in_rush_time`. Below the fraction `brown_out` of a rail's voltage the unit stops working. Its
+    signals are then random: `dead_offset` is their standard deviation between channels, `dead_noise` between
+    readings.
     """
 
     current: SizeA | None = None
@@ -535,7 +536,7 @@ class SupplyTruth(FileModel):
 
 
 OF_THE_UNIT: Final = tuple(SupplyTruth.model_fields)
-"""Keys of the simulation section that describe the unit, and so work with any supply."""
+"""Keys of the simulation section that describe the unit; they apply to every supply."""
 
 
 class SupplyForm(DeviceSection):
@@ -544,7 +545,7 @@ class SupplyForm(DeviceSection):
     role: ClassVar[Role] = "power_supply"
 
     certificate: ClassVar[None] = None
-    """None: no reading depends on the display of a supply."""
+    """Supplies have no certificate: no reading depends on their display."""
 
     name: str = "power_supply"
 

@@ -1,4 +1,4 @@
-"""Checks of a plan against a bench before anything moves: the problems, and the effort that the plan takes."""
+"""Checks of a plan against a bench before anything moves; the effort of the plan."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _BYTES_OF_REPORT: Final = 1_500_000
 _BYTES_OF_STEP: Final = 800
 _BYTES_OF_READING: Final = 800
 _BYTES_OF_SAMPLE: Final = 40
-"""Sizes measured on the folders of dry runs, rounded up: report, steps, readings, samples of three channels."""
+"""Sizes in bytes of a report, a step, a reading, and a sample of three channels; from dry runs, rounded up."""
 
 
 def check(plan: Plan, bench: BenchFile, *, dry_run: bool = False) -> list[str]:
@@ -118,7 +118,7 @@ def _scan_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
 
 
 def _turn_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
-    """Check the head's limits for each target, and for the place from which a motorised head approaches it."""
+    """Check each target, and the start of a motorised head's approach to it, against the head's limits."""
     if bench.head_limits_rad is None:
         return
     low_rad, high_rad = bench.head_limits_rad
@@ -224,7 +224,7 @@ def prompts_without_default(plan: Plan) -> Iterator[str]:
             yield f"step {step.key}: the prompt '{step.text}' has no default, which a dry run needs; state one"
 
 
-# --- what it takes ----------------------------------------------------------------------------------
+# --- effort -----------------------------------------------------------------------------------------
 
 
 def operator_actions(plan: Plan, bench: BenchFile) -> int:
@@ -278,7 +278,7 @@ def disk_needed_bytes(plan: Plan) -> int:
     )
 
 
-# --- what it tells ----------------------------------------------------------------------------------
+# --- what a calibration can determine ----------------------------------------------------------------
 
 
 def orientations(plan: Plan, bench: BenchFile) -> dict[float | None, Floats]:

@@ -49,7 +49,7 @@ _INPUTS: Final[Mapping[str, str]] = {"short": SHORTED, "reference": REFERENCE}
 
 @dataclass(frozen=True)
 class _Context:
-    """The position in the procedure at which a step is expanded: mounting, pass, point and what encloses it.
+    """The position in the procedure at which a step is expanded: mounting, pass, point and the enclosing verbs.
 
     Fields of verbs that do not enclose the step have defaults.
     """
@@ -91,7 +91,7 @@ class _Context:
         )
 
     def failure(self, *nearer: FailureSection | None) -> OnFailure:
-        """Return the handling of a failed step, from the first section that is stated: nearest first."""
+        """Return the handling of a failed step: the first one stated in `nearer`, else that of this context."""
         said = next((section for section in (*nearer, self.on_failure) if section is not None), None)
         return OnFailure() if said is None else said.to_plan()
 
@@ -303,11 +303,11 @@ class Expansion:
             self._since_power[mounted] = None
 
     def _since_switched(self, context: _Context) -> _Context:
-        """Return the context with the series of its mounting since the last time the block was switched on."""
+        """Return the context with the series number that its mounting has since the block was last switched on."""
         series = context.series
         while (mounted := (context.installation, series)) in self._since_power:
             following = self._since_power[mounted]
-            if following is None:  # the first step since the block was switched on
+            if following is None:  # first step since the switch-on
                 following = self._since_power[mounted] = self._next_series(context.installation)
                 self._mounted.add((context.installation, following))
             series = following

@@ -222,7 +222,7 @@ class InstallationVerb(FileModel):
 
 
 class RepeatVerb(FileModel):
-    """Do the steps in several passes: `times` of them, or one for each of `directions`.
+    """Do the steps in several passes: `times` passes, or one for each of the `directions`.
 
     `directions` gives the direction of the turns in each pass; `scans` gives the order in which each pass reads the
     channels, such as [xyz, zyx].
@@ -296,7 +296,7 @@ class TurnVerb(FileModel):
 
 
 class ReadVerb(FileModel):
-    """Take a reading, or several `times`, with a `pause` in between; each is a point with the next number.
+    """Take one or several (`times`) readings, with a `pause` in between; each is a point, numbered in sequence.
 
     The defaults are in the section `reading`.
     """

@@ -40,7 +40,7 @@ __all__ = ["SETTLING", "Ask", "InputSource", "Level", "Mount", "OnFailure", "Ope
 KINDS: Final[tuple[type[Step], ...]] = (
     Mount, Turn, Wait, Settle, Read, SelectInput, Ask, SetTemperature, Level, Power,
 )  # fmt: skip
-"""All kinds of step, in the order of counts; add a kind from a separate module here."""
+"""All kinds of step, in the order of `Plan.counts`; add a kind from a separate module here."""
 
 _STEPS: Final[Mapping[str, Callable[..., Step]]] = {kind.NAME: kind for kind in KINDS}
 _FIELDS: Final = {kind: tuple(f.name for f in fields(kind)) for kind in KINDS}

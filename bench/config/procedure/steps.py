@@ -408,15 +408,15 @@ _Meter = TypeVar("_Meter", bound=_HasChannels)
 
 
 def in_scan_order(meters: Sequence[_Meter], scan: str) -> list[_Meter]:
-    """Return the meters in the order in which a scan such as "zyx" triggers them; as listed for an empty scan.
+    """Return the meters in the order in which a scan such as "zyx" starts them; unchanged for an empty scan.
 
-    A meter with several channels is placed by its first channel; it reads its channels in an order of its own.
+    A meter with several channels is placed by its first channel; the order of its channels is fixed.
     """
     return sorted(meters, key=lambda meter: scan.find(meter.channels[0])) if scan else list(meters)
 
 
 def read_order(meters: Sequence[_HasChannels]) -> str:
-    """Return the order in which the meters, triggered one after the other, read the channels, such as "xyz"."""
+    """Return the order in which the meters, started one after the other, read the channels, such as "xyz"."""
     return "".join(channel for meter in meters for channel in meter.channels)
 
 
@@ -441,7 +441,7 @@ def scan_in_words(step: Read) -> str:
     return message(f", the channels in the order {', '.join(step.scan)}") if step.scan else ""
 
 
-# --- how long ---------------------------------------------------------------------------------------
+# --- durations --------------------------------------------------------------------------------------
 
 
 def power_duration_s(step: Power, supply: UnitSupplySection | None) -> float:

@@ -39,7 +39,7 @@ MODULES: Final = ("block", "stand", "voltmeter")
 """The modules of this folder that define effects, in the order of the catalogue."""
 
 TEMPERATURE_EFFECTS: Final = ("thermal_bias", "thermal_scale", "thermal_settling", "thermal_emf")
-"""Effects by which a model takes temperature out of the coefficients."""
+"""Effects that describe the influence of temperature, so that a fit does not absorb it in the coefficients."""
 
 GROUP: Final = "triaxial_bench.effects"
 

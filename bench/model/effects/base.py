@@ -88,12 +88,11 @@ class Seen:
 class Effect(ABC):
     """An effect of the forward model. Stateless: the values of its parameters are passed in.
 
-    `sentence` describes the effect; `shown_by` names a measurement that would show it. A `per_mount` effect may
-    act in single mountings; if it `lasts`, it acts from that mounting to the end of the run. A `per_pass` effect
-    may act in single passes of a mounting; if it `outlasts_mount`, it may continue through remounts. `apart`
-    lists sets of parameters that may occur without the others; if it is empty, the sets follow from the names.
-    `needs_history` is true if a reading depends on earlier rows, `needs_path` if it depends on the path of the
-    head to the setting.
+    `sentence` describes the effect; `shown_by` names a measurement that would show it. A `per_mount` effect may act
+    in single mountings; if it `lasts`, it acts from that mounting to the end of the run. A `per_pass` effect may
+    act in single passes of a mounting; if it `outlasts_mount`, it may continue through remounts. `apart` lists sets
+    of parameters that may be nonzero while the others are zero; if empty, the names imply them. `needs_history` is
+    true if a reading depends on earlier rows, `needs_path` if it depends on the path of the head to the setting.
     """
 
     name: str
@@ -163,8 +162,8 @@ def wave(values: Values, phase: Floats, prefix: str = "") -> Floats:
 def lagged(signal: Floats, time_s: Floats, lag_s: float) -> Floats:
     """Return a signal (n,) after a first-order lag that was in equilibrium at its first value.
 
-    The solution is exact for a signal linear between the times. The result keeps its value where the time is equal,
-    and restarts from the signal where the time falls (a new run).
+    The solution is exact for a signal linear between the times. The result is unchanged from one row to the next at
+    equal times, and restarts from the signal if the time falls (a new run).
     """
     if lag_s <= 0.0 or len(signal) == 0:
         return signal
@@ -295,7 +294,7 @@ class AppliedEffect:
 # with one size, of standard deviation 1.
 
 PART: Final = "part"
-"""The only parameter of an `InPart` effect: the multiple of its sum."""
+"""The only parameter of an `InPart` effect: the factor on the sum of its parts."""
 
 
 @dataclass(frozen=True)
@@ -328,7 +327,7 @@ class InPart(Effect):
 
     @property
     def title(self) -> str:
-        """The label of its size in results: "warm_up in other shapes (1)"."""
+        """The name of the effect in results: "warm_up in other shapes (1)"."""
         return f"{self.of} in other shapes ({self.name.rpartition('_')[2]})"
 
     def addition(self, values: Values, seen: Seen) -> Floats:

@@ -116,11 +116,11 @@ class CrossQuadratic(BlockEffect):
 
 
 ROUNDED_G: Final = 0.01
-"""Half-width, g, over which a step at zero force is smoothed: arcseconds of the stand must not flip its sign."""
+"""Half-width, g, over which a step at zero force is smoothed, so that tilts of arcseconds do not flip its sign."""
 
 
 class BiasAsymmetry(BlockEffect):
-    """Asymmetry (K0'/2) sign(a_i) of the bias; a dead band of half-width w leaves K0' = -2 w beyond it."""
+    """Asymmetry (K0'/2) sign(a_i) of the bias; beyond a dead band of half-width w, K0' is -2 w."""
 
     name = "bias_asymmetry"
     parameters = (_size("K0p", "ug", 20e-6),)
@@ -134,7 +134,7 @@ class BiasAsymmetry(BlockEffect):
 
 # --- hysteresis -------------------------------------------------------------------------------------
 # Between two settings the head takes the shortest way; to approach from the other side it overshoots the setting
-# first. Angles are scale readings and installations nominal, so that small errors of the stand do not flip a
+# first. Scale readings and nominal installations are used, so that small errors of the stand do not flip a
 # branch of the loop.
 
 SLOW: Final = 0.05
@@ -174,7 +174,7 @@ class Hysteresis(BlockEffect):
 
 
 def state(conditions: Conditions, width_g: float) -> Floats:
-    """Return the position of each channel within its hysteresis loop, -1 to 1, shape (n, 3); +1 after a long rise.
+    """Return the position in each channel's hysteresis loop, -1 to 1, shape (n, 3); +1 after a large rise of force.
 
     Rows without an angle or in an unknown installation have 0 and do not count as settings.
     """
@@ -219,7 +219,7 @@ def _extremes(start: Floats, end: Floats, sine: Floats, cosine: Floats) -> Float
     """
     amplitude, phase = np.hypot(sine, cosine), np.arctan2(sine, cosine)
     sense = np.sign(end - start)[:, None]
-    # in half turns from an extreme, along the sense of the turn
+    # number of half turns from an extreme, positive in the sense of rotation
     first = np.ceil(sense * (start[:, None] - phase) / np.pi)
     last = np.where(sense == 0.0, -np.inf, sense * (end[:, None] - phase) / np.pi)
     at_end = amplitude * np.cos(end[:, None] - phase)
@@ -399,7 +399,7 @@ class ThermalSettling(BlockEffect):
 # --- supply -----------------------------------------------------------------------------------------
 
 MOST_RAILS: Final = 3
-"""The largest number of supply rails; the diagnosis tries one after the other."""
+"""The largest number of supply rails."""
 
 
 class SupplySensitivity(BlockEffect):

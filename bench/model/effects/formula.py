@@ -22,7 +22,7 @@ from bench.model.geometry import STAND_ANGLES
 MOST_CHARACTERS: Final = 1000
 """The longest permitted expression; no formula for human readers is longer."""
 MOST_NESTED: Final = 100
-"""The deepest permitted nesting; a sum of that many terms is as deep."""
+"""The deepest permitted nesting; a sum of n terms has n levels."""
 
 FUNCTIONS: Final[Mapping[str, Callable[..., Any]]] = {
     "sin": np.sin, "cos": np.cos, "tan": np.tan, "exp": np.exp, "log": np.log, "sqrt": np.sqrt, "abs": np.abs,
@@ -212,8 +212,8 @@ def _as_float(value: int | float) -> float:
 class ValueReading:
     """The numeric value of an expression.
 
-    `names` maps variables and parameters to values; `lagged` is the lag function. numpy warns of results that are
-    not finite; the caller silences it once for the whole expression.
+    `names` maps variables and parameters to values; `lagged` is the lag function. The caller suppresses numpy's
+    warnings of results that are not finite.
     """
 
     def __init__(self, names: Mapping[str, Floats], lagged: Callable[[Floats, Floats], Floats]) -> None:
@@ -248,7 +248,7 @@ _OPERATIONS: Final[Mapping[str, Callable[[Floats, Floats], Any]]] = {
 
 
 class DegreeReading:
-    """The degree of an expression in the size parameters: 0 or 1. An effect must have degree 1 in every term."""
+    """The degree of an expression in the size parameters: 0 or 1. Every term of an effect must have degree 1."""
 
     def __init__(self, sizes: frozenset[str]) -> None:
         self._sizes = sizes

@@ -36,7 +36,7 @@ class ConstantAngle(StandEffect):
     per_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the angle in the column of `STAND_ANGLES` that it changes, zero elsewhere, rad, shape (n, 5)."""
+        """Return the angle in its column of `STAND_ANGLES`, zero in the other columns, rad, shape (n, 5)."""
         return into(self.column, values["angle"], seen.signal)
 
 
@@ -93,7 +93,7 @@ class MountingRoll(ConstantAngle):
 # --- the head ---------------------------------------------------------------------------------------
 
 MARKS_DEG: Final = tuple(range(0, 360, 15))
-"""The scale marks, each with an error of its own."""
+"""The angles of the scale marks, each of which has an error."""
 
 
 class HeadEccentricity(HeadEffect):
@@ -129,7 +129,7 @@ class HeadGraduation(HeadEffect):
 
     name = "head_graduation"
     parameters = tuple(angle(f"at_{mark:03d}", 4) for mark in MARKS_DEG)
-    apart = (tuple(parameter.name for parameter in parameters),)  # no mark is displaced by itself
+    apart = (tuple(parameter.name for parameter in parameters),)  # the errors of marks occur together only
     sentence = "marks of the head's scale are displaced, equally in every pass"
     shown_by = "24 angles in a turn; a polygon and autocollimator"
 
@@ -174,7 +174,7 @@ class AxisWobble(StandEffect):
 
 
 class BracketTilt(ConstantAngle):
-    """A tilt out of the plane of rotation, alpha1 of one mounting: constant in it, and changed by a remount."""
+    """A tilt alpha1 out of the plane of rotation, constant during a mounting and changed by each remount."""
 
     name = "bracket_tilt"
     column = "axis_tilt"

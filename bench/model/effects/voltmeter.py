@@ -80,13 +80,15 @@ _SHAPES: Final = (
     lag_of(5, 10, 15, 20, 30, 45, 60, 75, 90, 105, 120, 150, 180),
     Parameter("width", "K", 1.0, plausible=1.0, per_channel=False, grid=(0.0, 0.5, 1.0, 2.0, 4.0)),
 )
-"""A lag, as found in a 34420A in an air bath (90 to 110 min), or a hysteresis of half-width `width`."""
+"""Shape parameters: a lag (90 to 110 min were measured on a 34420A in an air bath), or a hysteresis of half-width
+`width`.
+"""
 
 
 def _followed(values: Values, seen: Seen) -> Floats:
-    """Return the temperature that gain and zero of the meters follow, K above the reference, shape (n,).
+    """Return the meters' temperature minus the reference, after the effect's lag and hysteresis, K, shape (n,).
 
-    It is the meters' temperature after the lag and the hysteresis of the effect.
+    Gain and zero of the meters are proportional to it.
     """
     conditions = seen.conditions
     behind = lagged(conditions.meter_warmth_k, conditions.elapsed_s, float(values["lag"]))
@@ -132,7 +134,7 @@ class VoltmeterThermalOffset(VoltmeterEffect):
 
 
 class VoltmeterMove(VoltmeterEffect):
-    """A jump of the zero of each channel's meter at the time `at` since the start of the run, as after a move."""
+    """A jump of the zero of each channel's meter, as if it was moved, at the time `at` since the run began."""
 
     name = "voltmeter_move"
     parameters = (
@@ -178,7 +180,7 @@ class ReferenceSupply(VoltmeterEffect):
 
 
 class RangeOffset(VoltmeterEffect):
-    """A zero and gain of each channel's meter that differ on the range used by autorange below 1.2 V."""
+    """Additional zero and gain of each channel's meter on the lower range, which autorange uses below 1.2 V."""
 
     name = "range_offset"
     parameters = (

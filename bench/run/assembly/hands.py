@@ -21,10 +21,10 @@ from sim.world.operator import OperatorSettings, ScriptedOperator
 from sim.world.world import World
 
 LOOK_S: Final = 0.2
-"""Interval between two looks at the folder of runs, s."""
+"""Interval between two readings of the folder of runs, s."""
 
 LAST_BYTES: Final = 1 << 16
-"""How much of the end of a record is read: it holds the open question."""
+"""Number of bytes read from the end of a record; they contain the open question."""
 
 _BRISK: Final = OperatorSettings(mount_time_s=0.0, task_time_s=0.0, display_time_s=0.0, slip_probability=0.0)
 
@@ -33,8 +33,7 @@ class SimulatedHands:
     """Hands that work at the simulated bench of `world` for the real runs in the folder `runs`.
 
     They turn the head, mount the block, set a manual chamber, and report through `tell` what they did or what a
-    display shows. They leave the answers to a person. Where an encoder watches, the head moves at `CRANK_RAD_S`
-    of real time.
+    display shows. They leave the answers to a person. A head with an encoder turns at `CRANK_RAD_S` in real time.
     """
 
     def __init__(self, world: World, runs: Path, tell: Callable[[str], None], speed: float = 1.0) -> None:
@@ -59,14 +58,14 @@ class SimulatedHands:
             over.set()
 
     def look(self) -> None:
-        """Do the tasks asked since the last look; of each kind, only the latest."""
+        """Do the tasks asked since the last call; of each kind, only the latest."""
         for record in self._runs.glob(f"*/{EVENTS}"):
             if is_being_written(record.parent) and not Run(record.parent).simulated:
-                for prompt in self._put(record):
+                for prompt in self._new_prompts(record):
                     with suppress(NoAnswer, KeyError):  # nothing to do, or an installation of another bench
                         self._do(prompt)
 
-    def _put(self, record: Path) -> list[Prompt]:
+    def _new_prompts(self, record: Path) -> list[Prompt]:
         """Return the questions asked since the last call, and those whose answer by an encoder was refused."""
         asked, put = OpenPrompt(), dict[str, Prompt]()
         with suppress(OSError, ValueError), open_regular(record) as file:

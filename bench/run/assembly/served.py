@@ -86,10 +86,10 @@ class LivingOperator:
     def ask(self, prompt: Prompt) -> Answer:
         """Ask the person and carry out the task in the world; return the person's answer.
 
-        If the task is to read a display, the operator looks first, and the prompt contains what it shows. If the
-        task is to turn a head with an encoder, the operator's answer is returned; hands-free, the operator turns
-        while the question is open. After an invalid or refusing answer the task is not carried out. Raises the
-        errors of the person's `ask`.
+        If the task is to read a display, the prompt contains the displayed value. If the task is to turn a head
+        with an encoder, the scripted operator answers; with a hands-free encoder, it turns the head while the
+        question is open. After an invalid or refusing answer the task is not carried out. Raises the errors of the
+        person's `ask`.
         """
         action = prompt.action
         if action["do"] in _LOOKED_AT:
@@ -104,7 +104,7 @@ class LivingOperator:
             return answer  # invalid, so the caller asks again
         if action["do"] == "turn":
             typed = answer.text.strip() or prompt.default or ""
-            if prompt.kind is PromptKind.CONFIRM:  # an encoder reads the head that the hands turn now
+            if prompt.kind is PromptKind.CONFIRM:  # an encoder reads the angle while the hands turn the head
                 return self._hands.ask(prompt) if typed.lower() not in NO else answer
             angle_rad = typed_angle(typed, action["target_rad"])
             self._hands.turn_to(prompt.id, angle_rad, action["direction"], action.get("backoff_rad"))
@@ -138,9 +138,9 @@ def held_instruments() -> Holding:
 class Assembly:
     """An assembled bench: instruments, the person who answers prompts, the clock, and observers of the run.
 
-    `sessions` are the sessions of the wired instruments; `simulated` is the simulated bench of a dry run.
-    `aside` surrounds readings that leave no trace in a simulated world.
-    `at_resumed_time` sets the simulated clock to the bench time at which a run is resumed, s.
+    `sessions` are the sessions of the wired instruments; `simulated` is the simulated bench of a dry run. `aside`
+    returns a context in which readings leave a simulated world unchanged. `at_resumed_time` sets the simulated
+    clock to the bench time at which a run is resumed, s.
     """
 
     instruments: Instruments
@@ -181,7 +181,7 @@ def dry_bench(
     taken: Sequence[Reading] = (),
     living: WatchingPerson | None = None,
 ) -> Iterator[Assembly]:
-    """Yield a simulated bench whose truth is the bench file's stand and block, with the effects of `model`.
+    """Yield a simulated bench with the true stand and block of the bench file, and the effects of `model`.
 
     `living` is a person who answers instead of the scripted operator. `plan` determines the order in which each
     step reads the channels. `taken` are the recorded readings of a resumed run, for effects that depend on
@@ -315,7 +315,7 @@ TASK_TIME_S = 30.0
 
 
 class ScriptedHand:
-    """A `Person` at a simulated bench who handles cables, and leaves other tasks to the scripted operator."""
+    """A `Person` at a simulated bench who handles cables; the scripted operator does all other tasks."""
 
     def __init__(self, operator: Person, simulated: SimulatedBench) -> None:
         self._operator = operator
@@ -342,7 +342,7 @@ class ScriptedHand:
 def real_evening(
     file: BenchFile, person: Person, log: Wire | None, haste: Haste | None = None
 ) -> CommissioningSession:
-    """Return a commissioning session on a real bench, with nothing opened. `haste` cuts waiting times short."""
+    """Return a commissioning session on a real bench; nothing is opened yet. `haste` shortens waiting times."""
     watch, watched_person = WireWatch(log), CommissioningPerson(person)
     assembly = real_bench(file, watched_person, watch, haste)
     watch.time_s = assembly.clock.now_s

@@ -19,7 +19,7 @@ CABLE: Final = "cable pulled"
 AGAIN: Final = "cable plugged in again"
 
 TRIES: Final = 3
-"""Number of attempts after which a driver gives up a connection; each costs a timeout and a reconnection."""
+"""Attempts that a driver makes before it reports a lost connection; each takes a timeout and a reconnection."""
 PATIENCE_S: Final = 30.0
 """Time within which a replugged network port or serial adapter must respond again, s."""
 PAUSE_S: Final = 2.0
@@ -76,13 +76,13 @@ def _pulled(evening: CommissioningSession, cable: Cable, first: Instrument) -> F
     evening.confirm(
         f"Pull {cable.text}. Is it out?", action={"do": "cable", "instrument": name, "plugged": False}
     )
-    told_s, why = _loss(evening, look)
+    told_s, why = _time_to_loss(evening, look)
     evening.confirm(
         f"Plug {cable.text} in again, and wait until it shows a link. Is it in?",
         action={"do": "cable", "instrument": name, "plugged": True},
     )
     most_s = TRIES * 2.0 * evening.timeout_s(name)
-    back_s, still = _back(evening, [_look(evening, one) for one in cable.instruments])
+    back_s, still = _wait_until_back(evening, [_look(evening, one) for one in cable.instruments])
     figures = (
         Figure("loss reported after", told_s, "s", f"{most_s:.3g} s is the most"),
         Figure("answers again after", back_s, "s", f"{PATIENCE_S:g} s is the most"),
@@ -124,7 +124,7 @@ def _look(evening: CommissioningSession, instrument: Instrument) -> Callable[[],
     return instrument.open
 
 
-def _loss(evening: CommissioningSession, look: Callable[[], object]) -> tuple[float, str]:
+def _time_to_loss(evening: CommissioningSession, look: Callable[[], object]) -> tuple[float, str]:
     """Query an instrument whose cable is out; return the time until its error, s, and the error, "" if none.
 
     Every exception is caught, because the session has to continue until the cable is back in.
@@ -139,7 +139,7 @@ def _loss(evening: CommissioningSession, look: Callable[[], object]) -> tuple[fl
     return evening.time_s() - begun_s, failure
 
 
-def _back(
+def _wait_until_back(
     evening: CommissioningSession, looks: Sequence[Callable[[], object]]
 ) -> tuple[float, BenchError | None]:
     """Query repeatedly until all instruments respond; return the time taken, s, and the last error or None."""
@@ -174,7 +174,7 @@ def _identities(evening: CommissioningSession) -> None:
         evening.carry_out(IDENTITY, instrument, partial(who, evening, instrument))
     meters.check_settings(evening)
     if not evening.simulated:  # all simulated meters of a model have the same serial number
-        _tell_twins(evening)
+        _report_equal_serials(evening)
 
 
 def who(evening: CommissioningSession, instrument: Instrument) -> Finding:
@@ -184,7 +184,7 @@ def who(evening: CommissioningSession, instrument: Instrument) -> Finding:
     return Finding(IDENTITY, instrument.name, State.WORKS, said)
 
 
-def _tell_twins(evening: CommissioningSession) -> None:
+def _report_equal_serials(evening: CommissioningSession) -> None:
     """Report instruments of one model that state the same serial number."""
     for words in same_serials(evening.identities):
         remedy = "compare the serial numbers with those on the instruments, and correct the addresses"

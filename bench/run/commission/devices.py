@@ -35,14 +35,14 @@ STOP: Final = "stop"
 
 BEYOND_K: Final = 1.0
 BEYOND_V: Final = 1.0
-"""Distance of the test demands to chamber and supply beyond their limits, K and V."""
+"""How far test demands exceed the limits of chamber (K) and supply (V)."""
 WAY_IN_BACKOFFS: Final = 2.0
-"""Length of a small move in backoffs: long enough to approach the target from one side without overshoot."""
+"""Length of a small move, in multiples of the backoff; the head then approaches its target without overshoot."""
 STOPPED_AFTER_S: Final = 1.0
-"""Intended time from the start of the motion to the stop, s; the target is twice as far away."""
+"""Intended time from the start of the motion to the stop, s; the stop is half way to the target."""
 TIME_MARGIN: Final = 2.0
 TIME_MARGIN_S: Final = 2.0
-"""Margins of a move's duration for acceleration, braking and polling: a factor, and a time in s."""
+"""A move may last its nominal time times the factor, plus the time in s: acceleration, braking, polling."""
 MANUAL_WAY_RAD: Final = math.radians(5.0)
 _MOST_LOOKS: Final = 40
 _LOOK_S: Final = 0.25

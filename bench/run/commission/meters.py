@@ -27,11 +27,11 @@ SLOW_NPLC: Final = 10.0
 """Longest integration time used in the checks, in line periods; calibrations seldom use a longer one."""
 TIME_MARGIN: Final = 1.05
 TIME_MARGIN_S: Final = 0.25
-"""Margins of a reading's duration for commands on the wire: a factor, and a time in s."""
+"""A reading may last its expected time times the factor, plus the time in s: commands on the wire."""
 START_PART: Final = 0.1
-"""Greatest difference of the meters' starts, as a part of a reading, at which they sample the same signal."""
+"""Greatest difference between the meters' start times, as a fraction of a reading's duration."""
 SIGNIFICANCE: Final = 1e-3
-"""Probability that a channel within its scatter limit is reported as outside by chance."""
+"""Probability that chance alone puts the scatter of a good channel above its limit."""
 
 
 @runtime_checkable
@@ -69,8 +69,8 @@ def _settings(
 ) -> VoltmeterSettings:
     """Return settings with the longest supported integration time up to `nplc` line periods.
 
-    The time is one that all meters support, or else one that this meter supports. The number of samples is
-    clipped to the limits of the bench file.
+    The time is one that all meters support or, if there is none, one that this meter supports. The number of
+    samples is clipped to the limits of the bench file.
     """
     has = evening.file.nplc_supported or _form(evening, meter).kind.limits.nplc
     near = [one for one in has if one <= nplc] or [min(has)]
@@ -301,7 +301,7 @@ def _of_channel(
 
 
 def largest_scatter_v(sigma_v: float, n: int) -> float:
-    """Return the largest standard deviation of `n` samples that chance explains, V; `sigma_v` is the true one."""
+    """Return the upper limit of the standard deviation of `n` samples, V, for the true value `sigma_v`."""
     from scipy.stats import chi2
 
     return sigma_v * math.sqrt(float(chi2.isf(SIGNIFICANCE, n - 1)) / (n - 1)) if n > 1 else sigma_v

@@ -29,14 +29,14 @@ CHECK_BLOCK: Final = "check block"
 WAY_RAD: Final = math.radians(45.0)
 SAMPLES: Final = 10
 SIGMAS: Final = 3.0
-"""A return that differs by more than this number of standard deviations is reported."""
+"""After the head's return, a difference of more than this many standard deviations is reported."""
 LEAST_P: Final = 0.0027
-"""A setting of the check block is reported below this probability, once in 370 good mornings."""
+"""A reading of the check block with a smaller p-value is reported; by chance, once in 370 mornings."""
 
 
 @dataclass(frozen=True)
 class MorningCourse:
-    """The course of a morning check; its fields say what is checked beyond the instruments.
+    """The course of a morning check: the instruments, and the checks that the fields select.
 
     `reference_v` is the voltage of the reference, None without one. `judge` compares a reading of the check block
     in `installation` with its control chart; if it is None, `no_chart` says why. `serial` is "" for a bench
@@ -80,7 +80,7 @@ class MorningCourse:
             evening.carry_out(REFERENCE, meter, partial(_held, evening, meter, volts), by_answers=False)
 
     def _head(self, evening: CommissioningSession) -> None:
-        """Turn the head home, away and home again; judge the last reading as a setting of the check block."""
+        """Turn the head home, away and home again; compare the last reading with the check block's chart."""
         last: list[Reading] = []
         head, voltmeters = evening.instruments.head, evening.instruments.voltmeters
         evening.carry_out(

@@ -154,7 +154,7 @@ ONLY_THESE: Final = "Only :skip REASON and :abort work here. "
 MOST_LOSSES: Final = 2
 """Number of losses after which an instrument is no longer checked, because each loss costs several timeouts."""
 SLOW_PART: Final = 0.5
-"""Greatest part of the timeout that a response may take; slower responses leave too little reserve."""
+"""Greatest fraction of the timeout that a response may take; a slower one is reported."""
 _CHECK_WIRE: Final = "check cable and power; the wire log shows the failed command"
 
 
@@ -360,7 +360,7 @@ class CommissioningSession:
     def _with_wire(
         self, found: Finding, name: str, mark: tuple[int, int], before: int | None, by_answers: bool
     ) -> Finding:
-        """Return the finding with faults on a wire added: failures that the driver overcame, slow responses."""
+        """Return the finding with faults on a wire added: failures followed by success, slow responses."""
         failures, after = self.watch.failures(mark, name), self._connection(name)
         if failures:
             said = f"{found.said}, but its wire failed on the way ({failures[0]})"
