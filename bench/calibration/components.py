@@ -29,7 +29,7 @@ HARDLY_ANY: Final = 0.01
 MOST_SIGNALS: Final = 1500
 """Above this number of signals no components are searched for: the matrices would take minutes."""
 WAVES: Final = 8
-"""Number of principal components of a random walk that are kept: the rest holds 1 % of its variance."""
+"""Number of principal components of a random walk that are kept: the others have 1 % of its variance."""
 NOISE: Final = "noise"
 SETTING: Final = "setting error"
 ANGLE: Final = "angle of a setting"

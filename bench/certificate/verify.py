@@ -275,7 +275,7 @@ def _agree(verdict: Verdict, shown: ShownValues, attached: dict[str, bytes], tit
 
 
 def _hold_together(verdict: Verdict, file: bytes, document: bytes, name: str) -> None:
-    """Verify the PDF in the folder of an XML, and compare the XML inside the PDF with the separate one.
+    """Verify the PDF in the folder of an XML, and compare the XML inside the PDF with that XML.
 
     Raises `NotIntact`.
     """

@@ -523,7 +523,7 @@ def _common(linear: LinearSystem, whitened: Whitened, data: Data, naming: Naming
 def _look_in_each(
     candidates: Candidates, runs: Sequence[_Run], in_all: Floats, limit: Threshold
 ) -> tuple[Candidates, tuple[FoundEffect, ...]]:
-    """Return the candidates with the single-run finds, and these finds; `in_all` (N,) is the common signal.
+    """Return the candidates with the single-run finds added, and these finds.
 
     `in_all` (N,) is the signal of the finds common to all runs. The threshold computed for the first run serves
     for all runs, with a share of the probability of a false alarm for each. Coefficients are free in every run,

@@ -1,4 +1,6 @@
-"""Excursions of a record, held out in turn: whether the rest predicts them, and with which kind of shape."""
+"""Excursions of a record, held out in turn: whether the other readings predict them, and with which kind of
+shape.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +35,9 @@ class Rival:
 
 
 PLATEAU: Final = 0.15
-"""Fraction of the range that counts as one level; an evenly spread quantity is there this fraction of the time.
+"""Largest difference within one level, as a fraction of the range of the quantity that an effect follows.
 
-In an excursion, what an effect follows is farther than this from its rest level.
+In an excursion, the quantity differs from its rest level by more than this.
 """
 
 

@@ -31,7 +31,10 @@ LEAST_SPAN: Final = timedelta(days=1)
 """Calibrations within a shorter time show scatter, not drift."""
 MOST_CONDITION: Final = 1e12
 ALIKE: Final = 0.01
-"""Independent calibrations agree within this fraction of u in all twelve coefficients once in 10^25 times."""
+"""Two calibrations that agree within this fraction of u in all coefficients are not independent.
+
+Independent calibrations agree so closely once in 10^25 times.
+"""
 SECONDS_PER_YEAR: Final = 365.25 * 86400.0
 
 
@@ -99,9 +102,9 @@ class Snapshot:
 
     @property
     def _gone_on(self) -> Floats:
-        """The covariance (12, 12) of the change of the biases between the start of the run and its mean.
+        """The covariance (12, 12) of the wander of the biases between the mean of the run and its start.
 
-        For a random walk with rms s about its mean over a run, this change has the standard deviation sqrt(2) s.
+        For a random walk with rms s about its mean over a run, this wander has the standard deviation sqrt(2) s.
         """
         between = np.zeros(len(self.vector))
         if self.wander is not None:
@@ -460,7 +463,7 @@ def joint_of(snapshots: Sequence[Snapshot]) -> Joint:
 
 
 def _still_alike(first: Snapshot, other: Snapshot) -> float:
-    """Return the correlation of the meters' errors by whole days: 1 on one day, 0 for different meters."""
+    """Return the correlation of the meters' errors, by whole days: 1 within a day, 0 for different meters."""
     if not first.meters or first.meters != other.meters or first.when is None or other.when is None:
         return 0.0
     apart = abs(_day(first.when) - _day(other.when))

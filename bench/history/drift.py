@@ -27,12 +27,14 @@ LEAST_SIZE: Final = 0.02
 MOST_SIZE: Final = 30.0
 PRIOR_DOF: Final = 3.0
 PRIOR_WIDTH: Final = (1.0, 4.0)
-"""Widths of the priors of scatter and walk, in their scales; a line absorbs part of a walk, hence the larger."""
+"""Prior widths of scatter and walk, as multiples of their scales; the walk's is larger, since a line absorbs
+part.
+"""
 FORGOTTEN: Final = 12.0
-"""Grid points are discarded if their log density is below the maximum by more than this."""
+"""Grid points are discarded if their log density is less than the maximum minus this."""
 LEVEL: Final = 0.95
 PRODUCTS: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-"""Index pairs of the products of the values (0) and the two columns of a line (1, 2)."""
+"""Index pairs of products: 0 is the values, 1 and 2 are the columns (level and rate) of a line."""
 
 
 @dataclass(frozen=True)

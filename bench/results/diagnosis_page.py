@@ -62,7 +62,7 @@ MOST_DRAWN: Final = 12
 """Largest number of mountings that are all drawn; if there are more, only `DRAWN` of them are drawn."""
 
 STATES: Final = {"agrees": "passed", "named": "none", "confounded": "none"}
-"""The style of the verdict box for each verdict; that of a failure for any other verdict."""
+"""The style of the verdict box for each verdict; any other verdict has the style of a failure."""
 
 
 def render_diagnosis(
@@ -317,7 +317,7 @@ def gap_bars(gap: Gap) -> str:
 
 
 def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
-    """Return a bar chart of the ln odds of an effect and its rivals; a bracket joins tied ones."""
+    """Return a bar chart of the ln odds of an effect and its rivals; a bracket joins the tied effects."""
     ordered = sorted(rows, key=lambda rival: rival.evidence)
     places = np.arange(len(ordered), dtype=float)
     alike = [i for i, rival in enumerate(ordered) if rival.family == named or rival.tied]
@@ -397,7 +397,9 @@ def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
 
 
 def most_telling(shown: ModelComparison) -> list[int]:
-    """Return the indices of the mountings, those first whose signals the effects found change most."""
+    """Return the indices of the mountings, ordered by the change of their signals by the effects found, largest
+    first.
+    """
     before, last = shown.before.calibration, shown.last.calibration
     missing = before.residuals - last.residuals
     sizes = [float(np.mean(missing[rows] ** 2)) for _, rows in mounts_of(before)]

@@ -58,10 +58,10 @@ WHOLE_UG: Final = 9.95
 """Smallest size in µg that is printed without decimals."""
 
 MUCH_LESS_CERTAIN: Final = 2.0
-"""Factor by which u of a coefficient must grow for the coefficient to be listed."""
+"""Coefficients whose u grows by more than this factor are listed."""
 
 LEAST_P: Final = 1e-9
-"""Smallest probability that is stated; a smaller one would rely on noise that is normal far into its tails."""
+"""Smallest probability that is stated: below it, the noise would have to be normal far into its tails."""
 
 STILL_MISSING: Final = message(
     "readings and simulated bench still differ by more than the scatter of repeats (level 1 %): "

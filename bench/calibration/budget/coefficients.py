@@ -305,7 +305,7 @@ class AnyReadings(Protocol):
 
 
 _Patterns = Sequence[tuple[Floats, Ints]]
-"""Changes of the signals by a unit of a source, V (n, 3), with labels of draws as in `Influence.of`."""
+"""Patterns (n, 3), V per unit of a source, each with its labels of shared draws as in `Influence.of`."""
 
 _SAME_ANGLE_RAD: Final = math.radians(0.05)
 """Settings at most this far apart share the error of one angle of the head."""
@@ -353,7 +353,8 @@ def _temperature(source: ErrorSource, seen: AnyReadings) -> _Patterns:
 def _room(source: ErrorSource, seen: AnyReadings) -> _Patterns:
     """Return the patterns of meter gains that follow the temperature of the room with a lag.
 
-    The temperature is the recorded one; without a record it may take any course within its limits.
+    Without a recorded temperature, the patterns are the principal components of an unknown temperature within its
+    limits.
     """
     conditions = seen.conditions
     if conditions.meter_c is not None and source.u > 0:
@@ -373,7 +374,9 @@ def _supply(source: ErrorSource, seen: AnyReadings) -> _Patterns:
 
 
 def _off_and_known(source: ErrorSource, seen: AnyReadings, recorded: Floats) -> _Patterns:
-    """Return the patterns of an unknown course in time within its limits, and of the course `recorded` (n,)."""
+    """Return the patterns of a quantity that varies over time: an unknown variation within limits, and
+    `recorded` (n,).
+    """
     courses = list(_unknown(seen.conditions.elapsed_s, source.correlation_s).T)
     known = recorded - recorded.mean()
     if source.u > 0 and np.any(known):
@@ -538,9 +541,9 @@ def sizes_by_name(sources: Iterable[ErrorSource]) -> dict[str, float]:
 
 
 def parts_of(source: ErrorSource, setup: AnyReadings, functionals: Floats) -> Floats:
-    """Return the changes of m linear functionals (m, n, 3) of the n readings, (m, q).
+    """Return the changes (m, q) of m linear functionals (m, n, 3) of the n readings due to a source.
 
-    Column j is the change by draw j of the source, of the size of its u.
+    Column j is the change due to draw j of the source, with the size of one standard uncertainty.
     """
     parts = [influence.through(functionals) for influence in influences(source, setup)]
     return source.acting(np.concatenate(parts, axis=1))

@@ -149,7 +149,9 @@ class TermSearch:
 
 @dataclass(frozen=True)
 class _Beside:
-    """`seen`: the readings at each noise ratio, known columns projected out; `weight` (ratios,): ln of its odds."""
+    """The readings at each noise ratio with known columns projected out, `seen`, and ln of the ratios' odds,
+    `weight`.
+    """
 
     seen: tuple[ProjectedReadings, ...]
     weight: Floats
