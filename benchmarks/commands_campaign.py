@@ -213,7 +213,7 @@ class Desk:
         raise TimeoutError(f"{name}: {prompt_id} cannot be answered at the panel: {reply}")
 
     def _do(self, action: Any) -> None:
-        """Do at the simulated bench what a person is asked to do."""
+        """Carry out a task of the operator at the simulated bench."""
         if action["do"] == "mount":
             self.served.world.mount(action["installation"], action["series"])
         elif "target_rad" in action:

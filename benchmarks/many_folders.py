@@ -334,7 +334,7 @@ class Writer:
         self, own: dict[str, Any], found: Floats, residual: dict[str, float], scatter: float, head: str,
         serials: tuple[str, ...], bench: int,
     ) -> bytes:  # fmt: skip
-        """Return calibrate.json: the template's, with the values of this run."""
+        """Return calibrate.json of a run: the template's file with this run's values."""
         before = self.template.calibrated
         coefficients = {
             name: {**before["coefficients"][name], "value": value}
@@ -361,7 +361,7 @@ class Writer:
         return ("{" + ", ".join(f'"{k}": {v}' for k, v in texts.items()) + "}\n").encode()
 
     def _verified(self, g_p: Floats, angles: Floats, name: str, bench: int, digest: str) -> bytes:
-        """Return verify.json: Δg of this run, with the template's u."""
+        """Return verify.json of a run: its Δg with the u of the template."""
         before, points = self.template.verified, []
         for was, value, angle in zip(before["points"], g_p.tolist(), angles.tolist(), strict=True):
             beyond = [float(special.ndtr((-LIMIT_G - s * (value - 1.0)) / was["u"])) for s in (-1, 1)]

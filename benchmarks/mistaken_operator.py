@@ -1,8 +1,7 @@
 """A scripted operator who makes one mistake, and corrects it when the run stops and asks.
 
-`Mistake` states what goes wrong, where, and which names are right. The operator's hands are between
-`sim.world.operator.ScriptedOperator` and the world: cables, mountings and turns are mistaken until the run asks how
-to continue.
+`Mistake` states what goes wrong, where, and which names are right. `_Hands` replaces the world for
+`sim.world.operator.ScriptedOperator`: cables, mountings and turns are wrong until the run asks how to continue.
 """
 
 from __future__ import annotations

@@ -300,7 +300,7 @@ class Outcome:
 
 
 class Place:
-    """A folder of runs beside a secret file, with one run in progress and persons of each role."""
+    """A folder of runs and a secret file outside it, with one run in progress and persons of each role."""
 
     def __init__(self, folder: Path) -> None:
         self.outside = folder / "outside"

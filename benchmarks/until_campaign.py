@@ -99,7 +99,7 @@ def table_of(points: list[PlannedPoint], signal: np.ndarray) -> Readings:
 class Ended:
     """The end of a run: z of the twelve coefficients, whether it reached the goal, settings, and times, s.
 
-    The times are the total, and that of settings and mountings alone.
+    The times are the total time, and the time of settings and mountings.
     """
 
     scale: float

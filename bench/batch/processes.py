@@ -59,7 +59,7 @@ class _Pool:
         self._job, self._runs, self._count, self._recycled = job, runs, count, recycled
         self._again: deque[str] = deque()
         self._deaths: Counter[str] = Counter()
-        self._stillborn = 0
+        self._early_deaths = 0
         self._context = _context()
         self._workers: list[_Worker] = []
         self._next: deque[str] = deque()
@@ -96,10 +96,10 @@ class _Pool:
         for worker in [w for w in self._workers if w.ready and not w.at_hand and w.given >= self._recycled]:
             self._let_go(worker)
         while len(self._workers) < self._count:
-            if not self._there_is_more(1 + sum(not worker.ready for worker in self._workers)):
+            if not self._has_more(1 + sum(not worker.ready for worker in self._workers)):
                 break
             self._begin()
-        if not any(worker.at_hand for worker in self._workers) and not self._there_is_more(1):
+        if not any(worker.at_hand for worker in self._workers) and not self._has_more(1):
             return False
         return bool(self._workers)
 
@@ -108,7 +108,7 @@ class _Pool:
             return self._again.popleft()
         return self._next.popleft() if self._next else next(self._runs, None)
 
-    def _there_is_more(self, count: int) -> bool:
+    def _has_more(self, count: int) -> bool:
         """Whether at least `count` runs are left to hand out."""
         while len(self._again) + len(self._next) < count:
             run = next(self._runs, None)
@@ -127,16 +127,16 @@ class _Pool:
             OSError,
         ) as problem:  # the fork server has died: another one will start
             ours.close()
-            self._came_to_nothing(f"{type(problem).__name__} {problem}".strip())
+            self._count_early_death(f"{type(problem).__name__} {problem}".strip())
         else:
             self._workers.append(_Worker(process, ours))
         finally:
             its.close()
 
-    def _came_to_nothing(self, how: str) -> None:
+    def _count_early_death(self, how: str) -> None:
         """Count a process that died before it was ready. Raises `Refused` if too many processes died so."""
-        self._stillborn += 1
-        if self._stillborn >= TRIES * self._count:
+        self._early_deaths += 1
+        if self._early_deaths >= TRIES * self._count:
             raise Refused(f"the worker processes end before they start ({how}); try --workers 1")
 
     def _let_go(self, worker: _Worker) -> None:
@@ -151,7 +151,7 @@ class _Pool:
             while worker.wire.poll():
                 row = worker.wire.recv()
                 if row is None:
-                    worker.ready, self._stillborn = True, 0
+                    worker.ready, self._early_deaths = True, 0
                     continue
                 worker.at_hand.popleft()
                 yield row
@@ -166,7 +166,7 @@ class _Pool:
         how = _how(worker.process.exitcode)
         self._let_go(worker)
         if not worker.ready:
-            self._came_to_nothing(how)
+            self._count_early_death(how)
             return
         if not worker.at_hand:
             return

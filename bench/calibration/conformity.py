@@ -31,7 +31,7 @@ RULES: Final = (SIMPLE, GUARDED, NON_BINARY)
 FALSE_ACCEPTANCE: Final = 0.05
 """Largest probability of a false acceptance at a point under the default decision rule."""
 NOMINAL_BAND: Final = float(special.ndtri(1.0 - FALSE_ACCEPTANCE)) / 2.0
-"""Guard band of the default rule, in U, for a normal distribution far from the other limit: 1.645 u."""
+"""Guard band of the default rule in units of U, for a normal distribution far from the other limit: 1.645 u."""
 
 COVERAGE_FACTOR: Final = 2.0
 """Coverage factor k of U = k u for infinite degrees of freedom."""

@@ -203,8 +203,8 @@ def linearise(
 class _Places:
     """Indices that place the unknowns of one step of the fit.
 
-    `unknowns` are their indices among all 12 + q; `own` and `shifts` are the indices, within the step, of the
-    active coefficients and of the shifts.
+    `unknowns` are the indices of these unknowns among all 12 + q; `own` and `shifts` are the indices, within the
+    step, of the active coefficients and of the shifts.
     """
 
     unknowns: Ints

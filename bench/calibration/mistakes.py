@@ -428,7 +428,7 @@ def _sizes(signal: Floats, force: Floats) -> Floats:
 
 
 def _unexplained(force: Floats, signal: Floats) -> float:
-    """Return the largest unexplained fraction of a channel's variance, fitted at the nominal geometry."""
+    """Return the largest fraction of a channel's variance that a fit at the nominal geometry leaves unexplained."""
     _, left = least_squares(linear_columns(force), signal)
     whole = np.sum((signal - signal.mean(axis=0)) ** 2, axis=0)
     return float(np.max(np.sum(left**2, axis=0) / np.maximum(whole, 1e-300)))

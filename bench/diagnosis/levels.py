@@ -25,7 +25,7 @@ MOSTLY: Final = 0.5
 NEGLIGIBLE: Final = 1e-12
 """Relative size below which a number is only rounding: some thousand times the precision of a float."""
 FAR: Final = 6.0
-"""Least deviation, in units of its u, that is reported by itself: noise alone gives it in 2 of 1e9 readings."""
+"""Least deviation of a reading, in units of its u, that is reported: noise gives it in 2 of 1e9 readings."""
 ONE_DIRECTION: Final = 0.01
 """Angle, rad, below which directions of one mounting, or stops of the head, are the same.
 

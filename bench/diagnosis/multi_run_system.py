@@ -276,7 +276,7 @@ def _searched_together(readings: Readings, model: ForwardModel) -> Iterator[tupl
 
 
 def _of_run(mistake: Mistake, run: Readings, runs: int) -> Mistake:
-    """Return a mistake of one of several runs. It names the mountings of a whole run, and its p counts all runs."""
+    """Return a mistake found in one of several runs, with the mountings of that run and a p-value for all runs."""
     p = min(runs * mistake.p, 1.0)
     if mistake.installations:
         return replace(mistake, p=p)

@@ -35,7 +35,7 @@ It is worth `ALIAS`**2 / 2 in ln of the odds. Noise and measurements that differ
 
 @dataclass(frozen=True)
 class FamilyOdds:
-    """The posterior probability that the family `name` is what was found."""
+    """The posterior probability that the family `name` is the effect found."""
 
     name: str
     probability: float

@@ -117,10 +117,11 @@ def _predicted(
     rows: Mask,
     noises: Sequence[Noise],
 ) -> HeldOut:
-    """Predict the `rows` held out, with the likeliest of the `shapes` given the other rows, or without any shape.
+    """Predict the held-out `rows` with the shape among `shapes` that is most probable given the other rows, if
+    any.
 
     A straight line in the rows is subtracted from the errors, as slow noise sets the level after an excursion.
-    The chi-square of all rows less that of the other rows is the chi-square of the prediction, with all
+    The chi-square of the prediction is the chi-square of all rows minus that of the other rows, and includes all
     uncertainties.
     """
     rest = np.flatnonzero(~rows)

@@ -199,8 +199,8 @@ SMOOTHED: Final = 41
 def _relative(spread: Floats) -> Floats:
     """Return the relative size (n,) of the noise from the scatter (n, c) of the readings in each mean.
 
-    If its size varies by less than the factor `LARGER`, the noise counts as even; it varies by at most `LARGER`
-    squared.
+    Noise whose size varies by less than the factor `LARGER` counts as uniform. The sizes are limited to the
+    factor `LARGER` squared about their median.
     """
     middle = np.median(spread, axis=0)
     if np.any(middle == 0.0):

@@ -101,7 +101,7 @@ class Snapshot:
         return self.covariance if self.same_meters is None else self.same_meters
 
     @property
-    def _gone_on(self) -> Floats:
+    def _wander_from_start(self) -> Floats:
         """The covariance (12, 12) of the wander of the biases between the mean of the run and its start.
 
         For a random walk with rms s about its mean over a run, this wander has the standard deviation sqrt(2) s.
@@ -120,7 +120,7 @@ class Snapshot:
         never cancel. K2 and K3 of the same block cancel where their effects are equal.
         """
         theirs = _of_block(first.block_terms, len(self.vector))
-        own = self.without_meters + self._gone_on
+        own = self.without_meters + self._wander_from_start
         if self is first:
             return replace(self, covariance=own - theirs)
         part = _drifted(first, self)
@@ -408,7 +408,9 @@ def joint_covariances(snapshots: Sequence[Snapshot]) -> Floats:
         found[:, i, i] = np.diag(first.covariance)
         for j in range(i):
             other = snapshots[j]
-            alike = _still_alike(first, other) * meters[i] * meters[j] + _shared_block_terms(first, other)
+            alike = _meter_correlation(first, other) * meters[i] * meters[j] + _shared_block_terms(
+                first, other
+            )
             found[:, i, j] = found[:, j, i] = alike
     return found
 
@@ -457,12 +459,12 @@ def joint_of(snapshots: Sequence[Snapshot]) -> Joint:
         names.setdefault((s.block, one.shape[1]), len(names))
         for s, one in zip(snapshots, listed, strict=True)
     ]
-    alike = np.array([[1.0 if a is b else _still_alike(a, b) for b in snapshots] for a in snapshots])
+    alike = np.array([[1.0 if a is b else _meter_correlation(a, b) for b in snapshots] for a in snapshots])
     own = np.array([s.without_meters for s in snapshots]) - terms @ terms.swapaxes(1, 2)
     return Joint(own, roots, alike, terms, np.array(block, dtype=np.int64))
 
 
-def _still_alike(first: Snapshot, other: Snapshot) -> float:
+def _meter_correlation(first: Snapshot, other: Snapshot) -> float:
     """Return the correlation of the meters' errors, by whole days: 1 within a day, 0 for different meters."""
     if not first.meters or first.meters != other.meters or first.when is None or other.when is None:
         return 0.0

@@ -106,7 +106,7 @@ class States:
     left: Floats
 
     @cached_property
-    def _foretold(self) -> tuple[Floats, Floats]:
+    def _prediction(self) -> tuple[Floats, Floats]:
         """Coefficients of polynomials in years since the last calibration: mean (2, 12), variance (3, 12).
 
         They average over all pairs of sizes. For each pair the mean is linear in time, and its variance quadratic.
@@ -128,13 +128,13 @@ class States:
     def predicted(self, years: Floats) -> tuple[Floats, Floats]:
         """Return the means and variances (d, 12) at times (d,) in years since the first calibration."""
         further = (years - self.last_year)[:, None]
-        mean, variance = self._foretold
+        mean, variance = self._prediction
         return mean[0] + further * mean[1], variance[0] + further * (variance[1] + further * variance[2])
 
     @property
     def rate(self) -> tuple[Floats, Floats]:
         """The mean and the variance (12,) of the rate, per year."""
-        mean, variance = self._foretold
+        mean, variance = self._prediction
         return mean[1], variance[2]
 
 
@@ -193,7 +193,9 @@ def unit_drift(when: Dates, vector: Floats, covariance: Floats, common: Floats |
 
 
 def history_drift(when: Dates, values: Floats, variance: Floats, common: Floats | None = None) -> UnitDrift:
-    """Return the drift of any m quantities, `values` (n, m) with `variance` (n, m); otherwise as `unit_drift`."""
+    """Return the drift of any m quantities, `values` (n, m) with `variance` (n, m); for all else see
+    `unit_drift`.
+    """
     order = np.argsort(when, kind="stable")
     dates = np.asarray(when, dtype="datetime64[s]")[order]
     seconds = (dates - dates[0]).astype(float) if len(dates) else np.zeros(0)

@@ -386,7 +386,7 @@ def told_by_runs(body: RunSums, layout: Layout, free: Beliefs) -> tuple[Beliefs,
             beliefs, reasons[kind] = _holding(beliefs, layout, j), "no reading of these runs shows it"
     while True:
         theta = fitted(body, beliefs)
-        untold = _untold(body, theta, beliefs, layout)
+        untold = _undetermined(body, theta, beliefs, layout)
         if not untold:
             return beliefs, reasons
         j, why = min(untold.items(), key=lambda one: layout.stated[one[0]])
@@ -410,7 +410,7 @@ def _shown(body: RunSums, j: int) -> bool:
     return bool(np.max(own, initial=0.0) > SHOWN)
 
 
-def _untold(body: RunSums, theta: Floats, beliefs: Beliefs, layout: Layout) -> dict[int, str]:
+def _undetermined(body: RunSums, theta: Floats, beliefs: Beliefs, layout: Layout) -> dict[int, str]:
     """Return the kinds whose variance these runs do not determine, by index, with the reason."""
     information = at(body, theta, beliefs).information
     k = len(layout.kinds)

@@ -27,7 +27,7 @@ FIGURES: Final = {
     "residuals-in-time": b"residuals-order",
     "verification": b"verification",
 }
-"""The figures of the report, each with the beginning of the identifiers in it, by which it is found."""
+"""The figures of the report by name, each with a prefix of the identifiers in its SVG, which identifies it."""
 
 _STATES: Final = {
     "pass": "passed",

@@ -188,7 +188,7 @@ NOTHING_KNOWN: Final = NoiseScale()
 def scale_of(stand: Stand, readings: Readings) -> NoiseScale:
     """Return the noise scale of readings, from the residuals of a linear fit of block and stand.
 
-    The readings need not determine all coefficients; even those of a single mounting leave residuals.
+    The readings need not determine all coefficients; readings of a single mounting leave residuals, too.
     """
     own = readings.oriented()
     if not len(own):
@@ -564,7 +564,7 @@ def telling_apart(
     chosen: list[int] = []
     first = 0.0
     while len(chosen) < min(MOST, len(candidates)):
-        told = _told_apart(every, rows[len(done) :], known)
+        told = _information_gain(every, rows[len(done) :], known)
         told[chosen] = -np.inf
         best = int(np.argmax(told))
         first = first or float(told[best])
@@ -575,7 +575,7 @@ def telling_apart(
     return chosen
 
 
-def _told_apart(information: Floats, rows: Floats, known: int) -> Floats:
+def _information_gain(information: Floats, rows: Floats, known: int) -> Floats:
     """Return the information (c,) that each of c readings adds on the unknowns from index `known` on.
 
     `rows` (c, 3, p) are derivatives of the readings by the p unknowns. The measure is the increase of the log

@@ -170,7 +170,7 @@ def _require_positive(name: str, size: float) -> None:
 
 
 _POWERS: Final = (8.0, 40.0)
-"""Exponents of the power mean that approximates the largest ratio: first smooth, then nearly the maximum."""
+"""Exponents of the power mean that replaces the largest ratio: first a smooth score, then nearly the maximum."""
 _WITHIN_REACH: Final = 1.05
 """Greatest ratio of u to required u at which exchanges are tried: they lower the ratio by a few percent only."""
 _GAIN: Final = 1e-6

@@ -59,7 +59,7 @@ DRAWN: Final = 4
 """Number of mountings whose residuals are visible at once; those of further mountings are collapsed."""
 
 MOST_DRAWN: Final = 12
-"""Largest number of mountings that are all drawn; if there are more, only `DRAWN` of them are drawn."""
+"""Up to this number of mountings all are drawn; of more, only `DRAWN`."""
 
 STATES: Final = {"agrees": "passed", "named": "none", "confounded": "none"}
 """The style of the verdict box for each verdict; any other verdict has the style of a failure."""
@@ -127,7 +127,9 @@ def render_alone(
     provenance: Mapping[str, str],
     **content: Any,
 ) -> str:
-    """Return the page of a diagnosis of free positions or of a record; `content` is what only one of them has."""
+    """Return the page of a diagnosis of free positions or of a record; `content` are the values for the template
+    that only one of the two has.
+    """
     lines = [(words.effect_title(one), one, list(words.parameters_in_words(one))) for one in found.effects]
     return page(
         template,

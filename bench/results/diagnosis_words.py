@@ -309,7 +309,7 @@ def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
 def odds_in_words(effect: NamedEffect) -> str:
     """Return the posterior probabilities of an effect's names: "97 % cubic_nonlinearity, 2 % scale_asymmetry".
 
-    Names below 1 % are in the JSON alone.
+    Only the JSON has names below 1 %.
     """
     shown = [one for one in effect.odds if one.probability >= BY_CHANCE]
     return ", ".join(f"{_percent(one.probability)} {one.name}" for one in shown)

@@ -1,10 +1,10 @@
 """The blind trial's command line.
 
-    python -m benchmarks.blind_trial --short
+python -m benchmarks.blind_trial --short
     python -m benchmarks.blind_trial --seed 7 --workers 2 --json score.json --ledger ledger.jsonl
     python -m benchmarks.blind_trial --seed 7 --page
     python -m benchmarks.blind_trial --seed 7 --page --share 0.1      # every row, a tenth of its cases
-    python -m benchmarks.blind_trial --seed 7 --page --keep trial.txt # goes on there when called again
+    python -m benchmarks.blind_trial --seed 7 --page --keep trial.txt # a later call continues from this file
 
 Cases are made from the seed, sealed (SHA-256 of the readings and of the answer) and diagnosed. Only then are the
 answers opened and checked against their seals. The score is printed as Markdown, each share with the counts and its

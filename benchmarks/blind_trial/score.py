@@ -281,9 +281,9 @@ def judge(
 ) -> Marks:
     """Return the marks of a diagnosis, right or wrong, by column of the table.
 
-    Only applicable marks are present: for example, a lone name is judged only if one was given. `likeness` gives
-    the largest cosine of an effect outside the catalogue with a member of it; those above 0.8 are counted
-    separately.
+    Only applicable marks are present: for example, a lone name is judged only if one was given. `likeness`
+    returns the largest cosine between an effect outside the catalogue and an effect of the catalogue; effects
+    with a cosine above 0.8 are counted separately.
     """
     marks = _judge_kind(case, answer, diagnosis, can_tell, likeness)
     if diagnosis["verdict"] == "named":

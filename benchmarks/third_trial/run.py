@@ -49,7 +49,7 @@ def records(path: Path) -> list[Record]:
 
 
 def carried_out(trial: str, seed: int, count: int, workers: int, folder: Path) -> list[Record]:
-    """Diagnose the cases that are missing in the folder; return all."""
+    """Diagnose the cases that are missing in the folder; return the records of all cases."""
     path = folder / f"{trial}-{seed}.jsonl"
     known = records(path)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -181,8 +181,8 @@ def report(trial: str, found: Sequence[Record]) -> tuple[str, int]:
 
 
 def _coefficients(found: Sequence[Record]) -> list[str]:
-    """Judge the twelve coefficients: of null cases, which checks this trial, and of cases with the right name
-    alone.
+    """Judge the twelve coefficients of null cases, as a check of the trial, and of cases with only the right
+    name.
     """
     right = [
         one

@@ -347,7 +347,7 @@ def _same_angle(setup: AnyReadings) -> Ints:
 
 
 def _temperature(source: ErrorSource, seen: AnyReadings) -> _Patterns:
-    return _off_and_known(source, seen, seen.conditions.warmth_k)
+    return _unknown_and_recorded(source, seen, seen.conditions.warmth_k)
 
 
 def _room(source: ErrorSource, seen: AnyReadings) -> _Patterns:
@@ -368,12 +368,12 @@ def _room(source: ErrorSource, seen: AnyReadings) -> _Patterns:
 
 def _supply(source: ErrorSource, seen: AnyReadings) -> _Patterns:
     rail, above_v = int((source.factors or {})["rail"]) - 1, seen.conditions.above_nominal_v
-    return _off_and_known(
+    return _unknown_and_recorded(
         source, seen, above_v[:, rail] if rail < above_v.shape[1] else np.zeros(len(above_v))
     )
 
 
-def _off_and_known(source: ErrorSource, seen: AnyReadings, recorded: Floats) -> _Patterns:
+def _unknown_and_recorded(source: ErrorSource, seen: AnyReadings, recorded: Floats) -> _Patterns:
     """Return the patterns of a quantity that varies over time: an unknown variation within limits, and
     `recorded` (n,).
     """
@@ -411,8 +411,8 @@ HARDLY_ANY: Final = 1e-3
 def _unknown(time_s: Floats, correlation_s: float) -> Floats:
     """Return the principal components (n, q) of a stationary process of unit variance.
 
-    Without a correlation time (infinite) the process is a constant: limits alone say nothing of the course within
-    them, and averaging over passes does not reduce a constant offset (GUM, 4.3.7).
+    Without a correlation time (infinite) the process is a constant: limits do not state how a quantity varies
+    within them, and averaging over passes does not reduce a constant (GUM, 4.3.7).
     """
     if math.isinf(correlation_s):
         return np.ones((len(time_s), 1))
@@ -526,9 +526,9 @@ def make_budget(
 ) -> Budget:
     """Return the uncertainty budget of the estimator named `estimator`.
 
-    It weighs the readings by the standard uncertainties `stated`, by default those of the sources (see
-    `estimator_map`). If `known`, prior knowledge from other runs, is given, it uses that instead. Raises
-    `CalibrationError` if the readings do not determine the coefficients.
+    The estimator weighs the readings by the standard uncertainties `stated`, by default those of the sources (see
+    `estimator_map`). Prior knowledge from other runs, `known`, replaces them. Raises `CalibrationError` if the
+    readings do not determine the coefficients.
     """
     gain = estimator_map(estimator, setup, sizes_by_name(sources) if stated is None else stated, known)
     contributions = tuple(Contribution(source, parts_of(source, setup, gain)) for source in sources)

@@ -188,7 +188,7 @@ def joint_errors(
         return "they contradict certificates or makers' limits: have the voltmeters calibrated"
     gain = kept * prior @ basis @ np.linalg.inv(expected)
     found = JointErrors(gain @ difference, prior - kept * gain @ basis.T @ prior)
-    found = _never_over(found, prior, certified)
+    found = _as_certified(found, prior, certified)
     covariance = found.covariance.copy()
     for number in np.unique(group):
         same = group == number
@@ -201,7 +201,7 @@ def joint_errors(
     return JointErrors(found.mean[:n], covariance)
 
 
-def _never_over(found: JointErrors, prior: Floats, certified: Mask) -> JointErrors:
+def _as_certified(found: JointErrors, prior: Floats, certified: Mask) -> JointErrors:
     """Return joint errors in which certified meters keep their certified u and have no mean error.
 
     The errors of the other meters are their conditional distribution, given the errors of the certified meters.
