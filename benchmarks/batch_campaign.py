@@ -48,9 +48,7 @@ _TICKS: Final = os.sysconf("SC_CLK_TCK")
 
 @dataclass
 class Seen:
-    """Observations of a process: times (s) of the first and the last one, CPU and queue times (s) then, and
-    memory.
-    """
+    """Observations of a process: times (s) of the first and the last one; CPU and queue times (s), and memory."""
 
     first: tuple[float, float, float]
     last: tuple[float, float, float]

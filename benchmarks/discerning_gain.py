@@ -1,5 +1,4 @@
-"""Compare the procedure `discerning` with `paper` and `calibration`: the numbers of effects named, and named
-without a tie.
+"""Compare how many effects the procedures `discerning`, `paper` and `calibration` name, and name without a tie.
 
 Usage: python -m benchmarks.discerning_gain [--draws 300] [--seed 1]
 
@@ -56,8 +55,9 @@ TIES: dict[str, tuple[str, str]] = {
     "axis_wobble (twice, sine) – cross_coupling yz": ("axis_wobble.sine*2", "cross_coupling.Kpo[yz]"),
     "channel_crosstalk – cross_coupling, all terms": ("channel_crosstalk.fraction", "cross_coupling.all[xyz]"),
 }  # fmt: skip
-"""Pairs of forms that are hard to distinguish: effect, parameter (or all), `*` harmonic, channels, `@`
-installation.
+"""Pairs of forms that are hard to distinguish.
+
+A form is written as effect, parameter (or all), `*` harmonic, channels, `@` installation.
 """
 _FORM = re.compile(r"(\w+)\.(\w+)(?:\*(\d))?(?:\[(\w+)\])?(?:@(\d))?")
 

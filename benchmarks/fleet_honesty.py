@@ -192,8 +192,9 @@ Rates are per year, walks are in a year.
 def laboratory(
     rng: np.random.Generator, units: int, runs: int, benches: int, sizes: Sequence[float]
 ) -> ComparedCalibrations:
-    """Draw calibrations with u = 1 of all twelve coefficients; `sizes` are those of scatter, rates, walks,
-    benches.
+    """Draw calibrations with u = 1 of all twelve coefficients.
+
+    `sizes` are those of scatter, rates, walks and benches.
     """
     scatter, rate, walk, between = sizes
     steps = rng.uniform(0.5, 1.5, (units, runs))

@@ -1,4 +1,4 @@
-"""Test the program with twenty thousand invalid or unusual inputs: each must give a sentence, and no worse.
+"""Test that the program accepts each of 20,000 invalid or unusual inputs, or refuses it in a sentence.
 
     python -m benchmarks.fuzz_campaign --inputs 20000 --seed 1 --jobs 2
 

@@ -428,6 +428,7 @@ MADE: Final[dict[str, Callable[[random.Random], Case]]] = {
     "result": json_case,
     "record": record_case, "names": name_case,
 }  # fmt: skip
-"""Functions that make the inputs of commands, by kind; the inputs `scpi` and `answers` are made when they are
-tried.
+"""Functions that make the inputs of commands, by kind.
+
+The inputs `scpi` and `answers` are made when they are tried.
 """

@@ -74,9 +74,7 @@ def scores(found: Learned, bench: Bench) -> list[tuple[str, float, float, float]
 def next_blocks(
     rng: np.random.Generator, bench: Bench, found: Learned, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return z (count, 12) of further calibrations with the learned sizes, and (12,) the ratio of u with and
-    without them.
-    """
+    """Return z (count, 12) of further calibrations with the learned sizes, and u over that without them, (12,)."""
     runs = simulate(rng, bench, count)
     with_it, without = ([calibrated(one, known) for one in runs.tables()] for known in (found.known, None))
     u, plain = (np.array([one.u for one in each]) for each in (with_it, without))

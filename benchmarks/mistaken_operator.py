@@ -36,7 +36,7 @@ REDO: Final = {
     "not remounted": "mount again", "remounted wrongly": "mount again", "cables swapped": "redo pass",
     "wrong direction": "redo pass",
 }  # fmt: skip
-"""Answers at the question how to continue, by mistake; the point is repeated for all other mistakes."""
+"""The answer to the question how to continue, for each mistake; for all other mistakes the point is repeated."""
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
-"""Test the early warning: after an operator's mistake, a run stops in time and for the right reason; without
-one, it never stops.
+"""Test the early warning.
+
+After an operator's mistake, a run stops in time and for the right reason; without one, it never stops.
 
     python -m benchmarks.mistakes_campaign watcher --runs 200 --clean 3000 --jobs 2 --out watcher.json
     python -m benchmarks.mistakes_campaign whole --runs 20 --clean 500 --jobs 2 --out whole.json

@@ -51,8 +51,9 @@ IGNORED: Final = (
     r"(^|[._])(path|folder|file|files|page|report|model_file)$",
     r"[Ss]ignature|[Ii]dentifier|release|[Tt]imestamp|free_bytes$|\.prev$",
 )
-"""Patterns of members whose values are not compared, only their presence: times, versions, identifiers,
-signatures.
+"""Patterns of members whose values are not compared, only their presence.
+
+They are times, versions, identifiers, places and signatures.
 """
 _NUMBER: Final = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 _CLOCK: Final = r"\d\d:\d\d(?::\d\d(?:\.\d+)?)?"
@@ -216,9 +217,7 @@ def _leaves(element: ElementTree.Element, path: str = "") -> Iterator[tuple[str,
 
 
 COMPARED: Final = (".json", ".html", ".xml", ".csv", ".jsonl", ".status", ".h")
-"""Suffixes of the files that are compared; of all other files (PDF, logs, output), only the presence is
-compared.
-"""
+"""Suffixes of the files that are compared; of other files (PDF, logs, output), only the presence counts."""
 
 
 def compare(one: Path, other: Path) -> Differences:

@@ -383,8 +383,9 @@ QUESTIONS: Final[tuple[tuple[str, list[str], str], ...]] = (
     ("ask", ["bench=bench-07"], "instruments"), ("folders", ["bench=bench-07"], ""),
     ("table", ["bench=bench-07"], ""), ("unit", ["triaxial block A 00000"], ""),
 )  # fmt: skip
-"""Questions to the catalogue: for answers, folders of a batch, coefficients as arrays, and a unit with its due
-date.
+"""Questions to the catalogue.
+
+They ask for answers, folders of a batch, coefficients as arrays, and a unit with its due date.
 """
 
 

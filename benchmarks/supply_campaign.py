@@ -168,8 +168,9 @@ def values_of(run: Run) -> dict[Place, tuple[float, ...]]:
 
 
 class Watch:
-    """A substitute for the class `SimulatedBench` in the composition root; it keeps the bench and disturbs its
-    world.
+    """A substitute for the class `SimulatedBench` in the composition root.
+
+    It keeps the bench and disturbs its world.
     """
 
     power: Power

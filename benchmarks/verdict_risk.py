@@ -108,9 +108,7 @@ def run(seed: int, number: int, noise: float, joint: int) -> tuple[Decided, Deci
 
 
 def steps(runs: list[Decided]) -> Iterator[tuple[float, float, int, float, float, float]]:
-    """Yield for each step of the stated risk: its ends, number of decisions, mean stated risk, fraction wrong,
-    and u.
-    """
+    """Yield for each step of the stated risk: its ends, number of decisions, mean risk, fraction wrong, and u."""
     for low, high in pairwise(STEPS):
         chosen = [(one.stated >= low) & (one.stated < high) for one in runs]
         count = sum(int(c.sum()) for c in chosen)

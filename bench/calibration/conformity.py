@@ -149,8 +149,7 @@ class DecisionRule:
         )
 
     def rejects(self, statement: Statement) -> bool:
-        """Return whether the rule rejects a value with this statement, given that the rule does not accept the
-        value.
+        """Return whether the rule rejects a value that it does not accept and to which it gives this statement.
 
         An inconclusive value is not rejected, nor is a conditional pass under the non-binary rule. A conditional
         fail is rejected, because nonconformity is more likely than conformity; the result states the probability

@@ -25,8 +25,9 @@ INTRINSIC: Final = ("Sx", "Sy", "Sz", "theta_xy", "theta_xz", "theta_yz", "bx", 
 
 PAIRS: Final = tuple(combinations(range(3), 2))
 HELD: Final = 0.1
-"""A number depends on limits if a change of K that no reading shows, of relative size 1, changes the number
-more.
+"""Least change, as a part of a number, by which the number counts as dependent on limits.
+
+The change is that due to a change of K that no reading shows, of relative size 1.
 """
 JOINT_LEVEL: Final = 0.95
 

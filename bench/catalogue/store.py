@@ -149,9 +149,10 @@ CALIBRATIONS: Final = Table(
     Column("p", Float),
     Column("used", Integer),
 )
-"""Results of `calibrate.json`: `vector` (12,) in `unit`/g, `covariance` (12, 12); `u_meters` (12,) is the part
-of u due to errors that the same meters repeat. `of_record` states whether the result names the present head
-of the record; it is NULL if the result names no head.
+"""Results of `calibrate.json`: `vector` (12,) in `unit`/g, and `covariance` (12, 12).
+
+`u_meters` (12,) is the part of u due to errors that the same meters repeat. `of_record` states whether the result
+names the present head of the record; it is NULL if the result names no head.
 """
 
 VERIFICATIONS: Final = Table(

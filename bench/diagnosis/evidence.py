@@ -221,8 +221,10 @@ class Search:
 
     @cached_property
     def _together(self) -> tuple[Ints, Ints, Floats]:
-        """Three arrays: the indices (v,) of the v variants of all groups; the position (v,) of each variant's
-        first eigenvalue in the third array; all e eigenvalues at each noise ratio (ratios, e).
+        """The variants of all groups, as three arrays.
+
+        They are: the indices (v,) of the v variants; the position (v,) of each variant's first eigenvalue in the
+        third array; all e eigenvalues at each noise ratio (ratios, e).
         """
         values = [group.values for group in self.groups]
         counts = np.concatenate([np.full(of.shape[1], of.shape[2]) for of in values])

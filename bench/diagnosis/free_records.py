@@ -40,8 +40,9 @@ The unit is the largest change of one block between runs (`OTHER_BLOCK`).
 In nine records of each of four real sensors, records of one sensor differ by at most 1.0, of two by at least 2.2.
 """
 AT_REST_G: Final = 0.1
-"""Largest root mean square of |a| - 1 g, after the fit, of positions at rest. Errors of sensors cause a tenth of
-this.
+"""Largest root mean square of |a| - 1 g, after the fit, of positions at rest.
+
+Errors of sensors cause a tenth of this.
 """
 OWN: Final = len(UPPER)
 ZEROS: Final = (6, 7, 8)

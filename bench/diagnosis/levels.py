@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 OFTEN: Final = 0.05
-"""Level of tests whose errors cost little: in folds, for upper limits of scatter, ties of a mistake, single
-names.
+"""Level of tests whose errors cost little.
+
+They are tests in folds, upper limits of scatter, ties of a mistake, and single names.
 
 The simulated tail of a threshold begins here, too.
 """

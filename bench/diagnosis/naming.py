@@ -26,8 +26,7 @@ from bench.model.effects import CATALOGUE
 MOST_EFFECTS: Final = 5
 """Largest number of effects that one search finds: one run can hardly confirm more."""
 ALIAS: Final = 1.0
-"""Largest part of another effect's signature, in units of noise, that an alias of that effect leaves
-unexplained.
+"""Largest part of an effect's signature, in units of noise, that an alias of the effect leaves unexplained.
 
 It is worth `ALIAS`**2 / 2 in ln of the odds. Noise and measurements that differ by less are not preferred.
 """

@@ -186,8 +186,7 @@ def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whi
 
 
 def _wide(linear: LinearSystem) -> Mask:
-    """Return the mask (q,) of the columns of `random` that are nonzero in most rows, or in more rows than a run
-    has.
+    """Return the mask (q,) of `random` columns that are nonzero in most rows, or in more rows than a run has.
 
     Such a column is fitted: as a covariance, it would join all these rows in one dense block.
     """

@@ -1,6 +1,4 @@
-"""Excursions of a record, held out in turn: whether the other readings predict them, and with which kind of
-shape.
-"""
+"""Excursions of a record, held out in turn, and their prediction from the other readings by kind of shape."""
 
 from __future__ import annotations
 
@@ -117,8 +115,7 @@ def _predicted(
     rows: Mask,
     noises: Sequence[Noise],
 ) -> HeldOut:
-    """Predict the held-out `rows` with the shape among `shapes` that is most probable given the other rows, if
-    any.
+    """Predict the held-out `rows` with that of the `shapes`, if any, that is most probable given the other rows.
 
     A straight line in the rows is subtracted from the errors, as slow noise sets the level after an excursion.
     The chi-square of the prediction is the chi-square of all rows minus that of the other rows, and includes all

@@ -193,7 +193,7 @@ def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Fl
 
 
 SMOOTHED: Final = 41
-"""Means over which the size of the noise is smoothed: an odd number, a seventh of a full record (`BINS`)."""
+"""Number of means over which the size of the noise is smoothed: odd, and a seventh of a full record (`BINS`)."""
 
 
 def _relative(spread: Floats) -> Floats:

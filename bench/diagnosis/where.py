@@ -227,8 +227,7 @@ MOST_PER_TURN: Final = 72
 
 
 def looking_like(angle_rad: Floats, order: int) -> tuple[int, ...]:
-    """Return the numbers of periods per turn that are indistinguishable from `order` periods per turn at the
-    angles (n,).
+    """Return the numbers of periods per turn that are indistinguishable from `order` at the angles (n,).
 
     Order 0 is a constant: a wave that equals a constant at these angles is absorbed by the coefficients. Angles
     that differ by less than 0.1 deg, or by whole turns, count as one.

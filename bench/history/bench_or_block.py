@@ -70,9 +70,7 @@ SHOWN_P: Final = 0.05
 ALLOTTED_P: Final = 0.01
 LITTLE_SCATTER_P: Final = 0.01
 WELL_KNOWN: Final = 0.15
-"""Below this relative u, the upper limit of a size is value + 1.645 u; above it, the profile likelihood gives
-it.
-"""
+"""Relative u of a size below which its upper limit is value + 1.645 u, not from the profile likelihood."""
 ONE_SIDED: Final = 1.645
 
 

@@ -27,8 +27,9 @@ LEAST_SIZE: Final = 0.02
 MOST_SIZE: Final = 30.0
 PRIOR_DOF: Final = 3.0
 PRIOR_WIDTH: Final = (1.0, 4.0)
-"""Prior widths of scatter and walk, as multiples of their scales; the walk's is larger, since a line absorbs
-part.
+"""Prior widths of scatter and walk, as multiples of their scales.
+
+The width of the walk is larger, because a line absorbs part of a walk.
 """
 FORGOTTEN: Final = 12.0
 """Grid points are discarded if their log density is less than the maximum minus this."""
@@ -193,9 +194,7 @@ def unit_drift(when: Dates, vector: Floats, covariance: Floats, common: Floats |
 
 
 def history_drift(when: Dates, values: Floats, variance: Floats, common: Floats | None = None) -> UnitDrift:
-    """Return the drift of any m quantities, `values` (n, m) with `variance` (n, m); for all else see
-    `unit_drift`.
-    """
+    """Return the drift of any m quantities, `values` (n, m) with `variance` (n, m); see also `unit_drift`."""
     order = np.argsort(when, kind="stable")
     dates = np.asarray(when, dtype="datetime64[s]")[order]
     seconds = (dates - dates[0]).astype(float) if len(dates) else np.zeros(0)

@@ -16,7 +16,7 @@ from bench.model.geometry import COEFFICIENTS, Block
 from bench.stats.control_charts import ChartDesign
 
 LEAST_G: Final = 0.9
-"""An axis counts as turned if it was read at more than this, up and down."""
+"""Least specific force, g, upwards and downwards, at which an axis counts as turned."""
 BASELINE: Final = 5
 
 

@@ -207,9 +207,7 @@ LANGUAGE: Final = "bench-language"
 
 
 def _language_of(request: Request) -> str | None:
-    """Return the language in the cookie, else the first known one of Accept-Language; None for the program's
-    language.
-    """
+    """Return the language in the cookie, else the first known one of Accept-Language; None for the default."""
     accepted = request.headers.get("accept-language", "")[:200].split(",")
     wanted = [request.cookies.get(LANGUAGE, ""), *(one.partition(";")[0] for one in accepted)]
     return next(filter(None, map(known_language, wanted)), None)

@@ -157,9 +157,7 @@ BELIEVED: Final = 6.0
 """Prior weight of the stated noise, in degrees of freedom; measured noise soon outweighs it."""
 
 SURE: Final = 0.8
-"""Confidence level of the noise bound at which a mounting must have enough visits before the run leaves it for
-good.
-"""
+"""Confidence level of the noise bound with which a mounting must have enough visits before the run leaves it."""
 
 
 @dataclass(frozen=True)

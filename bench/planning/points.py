@@ -220,8 +220,7 @@ def cheapest(
 
 
 def _floored(stand: Stand, sites: Sites, goals: Sequence[Goal]) -> tuple[list[Goal], list[Goal]]:
-    """Return the goals with loose goals relaxed, then the same goals with their floors for readings at all
-    angles.
+    """Return the goals with loose goals relaxed, and these goals with their floors for readings at all angles.
 
     Both lists are the given goals if all settings together do not determine the block.
     """

@@ -268,9 +268,7 @@ def reached_by(aim: Aim, readings: Floats, combined: Floats) -> tuple[Reached, .
 
 @dataclass(frozen=True)
 class Floor:
-    """The standard uncertainty `u` of a goal in the limit of infinitely many readings, and its largest parts by
-    source.
-    """
+    """The standard uncertainty `u` of a goal for infinitely many readings, and its largest parts by source."""
 
     wanted: UntilGoal
     u: float

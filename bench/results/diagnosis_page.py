@@ -127,8 +127,9 @@ def render_alone(
     provenance: Mapping[str, str],
     **content: Any,
 ) -> str:
-    """Return the page of a diagnosis of free positions or of a record; `content` are the values for the template
-    that only one of the two has.
+    """Return the page of a diagnosis of free positions or of a record.
+
+    `content` are the values for the template that only one of the two has.
     """
     lines = [(words.effect_title(one), one, list(words.parameters_in_words(one))) for one in found.effects]
     return page(
@@ -399,9 +400,7 @@ def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
 
 
 def most_telling(shown: ModelComparison) -> list[int]:
-    """Return the indices of the mountings, ordered by the change of their signals by the effects found, largest
-    first.
-    """
+    """Return the indices of the mountings, those whose signals the effects found change most first."""
     before, last = shown.before.calibration, shown.last.calibration
     missing = before.residuals - last.residuals
     sizes = [float(np.mean(missing[rows] ** 2)) for _, rows in mounts_of(before)]

@@ -126,9 +126,7 @@ def _blocks(sources: list[Source], one_block: bool | None) -> list[int | None]:
 
 
 def _of_the_stand(source: Source) -> dict[str, float]:
-    """Return the standard uncertainties of the stand, rad, without that of the voltmeter, which has another
-    unit.
-    """
+    """Return the standard uncertainties of the stand, rad; that of the voltmeter is left out."""
     return {name: u for name, u in source.stand_u.items() if name != "voltmeter_error"}
 
 
@@ -178,8 +176,7 @@ class _Named:
 
 
 def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
-    """Return the readings of a source, corrected for the mistakes that the early warning found, and these
-    mistakes.
+    """Return the readings of a source, corrected for mistakes that the early warning found, and these mistakes.
 
     The readings are returned unchanged if the early warning found no sign of a mistake during the run.
     """
@@ -200,9 +197,7 @@ def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
 
 
 def told_in_words(run: Run) -> list[str]:
-    """Return sentences on the mistakes that the early warning found in a run, and on warnings that were
-    overruled.
-    """
+    """Return sentences on the mistakes that the early warning found in a run, and on overruled warnings."""
     if not run.history.progress.signs:
         return []
     named: Counter[str] = Counter()

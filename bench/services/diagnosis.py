@@ -52,9 +52,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class MistakesResult(BodyResult):
-    """A diagnosis that ended after the search for mistakes: the other readings do not determine the
-    coefficients.
-    """
+    """A diagnosis that ended with mistakes: the other readings do not determine the coefficients."""
 
     found: MistakesAlone
 
@@ -211,7 +209,7 @@ class DiagnosisAlone(ResultWithPage):
         return self.found.verdict
 
     def models_of(self, *, accept_first: bool = False) -> list[tuple[AppliedEffect, ...]]:
-        """Return the effects of each model file to write, one file for each sensor that differs; empty without a
+        """Return the effects of each model file to write, one file for each differing sensor; empty for no
         model.
         """
         if not _named(self.found, accept_first=accept_first):
@@ -268,9 +266,7 @@ class DiagnosisAlone(ResultWithPage):
         return tuple(paths)
 
     def corrected(self) -> dict[int, Readings]:
-        """Return the corrected readings of each affected source, by its number: as read, without outlying
-        positions.
-        """
+        """Return the corrected readings of each affected source, by its number: without outlying positions."""
         return {}
 
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
@@ -321,9 +317,7 @@ class FreeDiagnosisResult(DiagnosisAlone):
     write_model = DiagnosisAlone.write_models
 
     def corrected(self) -> dict[int, Readings]:
-        """Return the corrected readings of each affected source, by its number: as read, without outlying
-        positions.
-        """
+        """Return the corrected readings of each affected source, by its number: without outlying positions."""
         kept = {}
         for number in np.unique(self.found.left_out[:, 0]).tolist():
             source = self.body.sources[number]

@@ -294,8 +294,9 @@ def commission(setting: CommissioningPlan) -> dict[str, Any]:
 
 
 def _take(folder: Path) -> None:
-    """Create the folder of a commissioning. Raises `Refused` if it cannot, or if the folder has another
-    commissioning.
+    """Create the folder of a commissioning.
+
+    Raises `Refused` if it cannot be created, or if it has another commissioning.
     """
     if (folder / PAGE).exists() or (folder / WIRE_LOG).exists():
         raise Refused(f"{folder}: already holds a commissioning; name another folder with --out")

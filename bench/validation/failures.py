@@ -31,8 +31,9 @@ KINDS: Final = frozenset(
         EventType.LEFT_SAFE,
     }
 )  # fmt: skip
-"""Events that are failures, stops, refused answers, repeated readings or alarms; a "fault" of the power supply
-also counts.
+"""Events that are failures, stops, refused answers, repeated readings or alarms.
+
+A "fault" of the power supply also counts.
 """
 
 

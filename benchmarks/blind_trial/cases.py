@@ -109,8 +109,7 @@ TRIES: Final = 5
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the score table: the hidden effect, its design, its visibility, the noise, and the number of
-    cases.
+    """A row of the score table: the hidden effect, its design, its visibility, the noise, the number of cases.
 
     `kind` is null, single, pair, outside, hidden, equal_k2, mounting_roll, one of `SLIPS`, `KNOWN`, `SUPPLIED` or
     mistake:NAME, or one of `FREE`, which has its own noise and design. `noise_v` is the noise that the bench file
@@ -248,9 +247,7 @@ def _digest(seed: int, row: Row, index: int) -> bytes:
 
 
 def _hide(rng: np.random.Generator, row: Row, index: int) -> tuple[Run, list[Truth], Floats | None]:
-    """Return the run of a case, the hidden effects, and the rail voltages over time for cases of the supply,
-    else None.
-    """
+    """Return the run of a case, the hidden effects, and the rail voltages over time (None without a supply)."""
     run = _run(rng, row)
     if row.kind not in SUPPLIED:
         return run, _truths(rng, row, run, index), None

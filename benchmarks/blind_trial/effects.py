@@ -479,8 +479,9 @@ SEEN_IN_VERIFICATION: Final = "mounting_roll"
 CATALOGUE: Final[dict[str, Draw]] = {
     name: draw for name, draw in {**BLOCK, **STAND, **VOLTMETER}.items() if name != SEEN_IN_VERIFICATION
 }
-"""Effects that residuals of a calibration can show, with their draws; only verification points show
-`mounting_roll`.
+"""Effects that residuals of a calibration can show, with their draws.
+
+Only verification points show `mounting_roll`.
 """
 
 CLASSES: Final[dict[str, tuple[str, ...]]] = {

@@ -340,8 +340,7 @@ def _judge_kind(
 
 
 def _lone_name(answer: Answer, cosine: float, verdict: str) -> Marks:
-    """Return whether a single name was given, keyed by the part that the nearest catalogue effect leaves
-    unexplained.
+    """Return whether a single name was given, by the part that the nearest catalogue effect leaves.
 
     This part is in units of noise.
     """

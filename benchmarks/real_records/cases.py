@@ -84,8 +84,7 @@ def require_sealed() -> None:
 
 
 def twin_of(readings: Readings, found: RecordDiagnosis, seed: int = SEED) -> Readings:
-    """Return simulated readings at the times of a record, with the effects found in it and noise of the fitted
-    size.
+    """Return simulated readings at the times of a record, with the effects and the noise found in it.
 
     Before the first mean of the record, the effects continue as straight lines.
     """

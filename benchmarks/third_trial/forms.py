@@ -157,8 +157,9 @@ NAMES: Final = {name: [k for k, family in enumerate(FAMILIES) if family[0] == na
 HIDDEN: Final = [
     name for name in NAMES if name not in {"mounting_error", "mounting_offset", "zero_offset", "bracket_tilt"}
 ]
-"""Names that may be hidden: without those within the stand's errors of up to 3′, and a second name of the axis
-tilt.
+"""Names that may be hidden.
+
+Not among them are those within the stand's errors of up to 3′, and a second name of the axis tilt.
 """
 
 
@@ -265,9 +266,7 @@ def spaces(number: int) -> dict[str, list[Floats]]:
 
 
 def left_by(names: Sequence[str], seen: Floats, number: int) -> float:
-    """Return the part of a residual, in units of noise, that the effects `names` leave unexplained at their best
-    fit.
-    """
+    """Return the part of a residual, in units of noise, that the effects `names` leave unexplained."""
     for name in names:
         parts = [seen - base @ (base.T @ seen) for base in spaces(number)[name]]
         seen = min(parts, key=lambda part: float(np.linalg.norm(part)))

@@ -181,9 +181,7 @@ def report(trial: str, found: Sequence[Record]) -> tuple[str, int]:
 
 
 def _coefficients(found: Sequence[Record]) -> list[str]:
-    """Judge the twelve coefficients of null cases, as a check of the trial, and of cases with only the right
-    name.
-    """
+    """Judge the coefficients of null cases, which checks the trial, and of cases with only the right name."""
     right = [
         one
         for one in found

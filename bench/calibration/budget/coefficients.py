@@ -374,9 +374,7 @@ def _supply(source: ErrorSource, seen: AnyReadings) -> _Patterns:
 
 
 def _unknown_and_recorded(source: ErrorSource, seen: AnyReadings, recorded: Floats) -> _Patterns:
-    """Return the patterns of a quantity that varies over time: an unknown variation within limits, and
-    `recorded` (n,).
-    """
+    """Return the patterns of an unknown variation in time within limits, and of the variation `recorded` (n,)."""
     courses = list(_unknown(seen.conditions.elapsed_s, source.correlation_s).T)
     known = recorded - recorded.mean()
     if source.u > 0 and np.any(known):

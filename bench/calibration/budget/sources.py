@@ -209,8 +209,9 @@ def _of_size(name: str, symbol: str, unit: str, common: Common, size: Size) -> E
 
 
 def _gravity_source(bench: BenchFile) -> Iterator[ErrorSource]:
-    """Yield the relative error of local gravity. For gravity stated as a plain number, u follows from rounding
-    to the last digit, and is at least 1 mGal.
+    """Yield the relative error of local gravity.
+
+    For gravity stated as a plain number, u follows from rounding to the last digit, and is at least 1 mGal.
     """
     g, stated, known = bench.gravity_m_s2, bench.uncertainty.gravity, bench.gravity
     if g is None:

@@ -254,8 +254,9 @@ def p_of(log_odds: float, log_looks: float) -> float:
 
 
 Products = dict[int, tuple[int, Floats]]
-"""Maps the number m of repeats to a count of rows with the variance reading^2 + m position^2, and their X^T X
-(7, 7).
+"""Numbers of rows and their X^T X (7, 7), by the number m of repeats.
+
+The rows for m repeats have the variance reading^2 + m position^2.
 """
 
 
@@ -273,8 +274,7 @@ def _positions(table: OrientedRows, supposed: Reinterpretation, kept: Mask) -> t
 
 
 def _products(columns: Floats, kept: Mask, position: Ints) -> Products:
-    """Return the products of the `kept` rows of `columns` (n, 7): of means over repeats, and of deviations from
-    them.
+    """Return the products of the `kept` rows of `columns` (n, 7): means over repeats, and deviations from these.
 
     `position` has the number of each kept row's position. For the deviations, m = 0.
     """

@@ -149,8 +149,9 @@ class TermSearch:
 
 @dataclass(frozen=True)
 class _Beside:
-    """The readings at each noise ratio with known columns projected out, `seen`, and ln of the ratios' odds,
-    `weight`.
+    """The readings at each noise ratio, `seen`, and ln of the odds of each ratio, `weight` (ratios,).
+
+    Known columns are projected out of the readings.
     """
 
     seen: tuple[ProjectedReadings, ...]

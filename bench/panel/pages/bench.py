@@ -47,8 +47,9 @@ from drivers.clock import utc_now
 MOST_FIELDS: Final = 300
 LONGEST: Final = 400
 TARGETS: Final = ("x", "y", "z", "scanner", "head", "chamber")
-"""Instruments to which a found resource may be assigned: the voltmeter of a signal, the scanning one, head,
-chamber.
+"""Instruments to which a found resource may be assigned.
+
+They are the voltmeter of a signal, the scanning voltmeter, the head and the chamber.
 """
 
 
