@@ -361,7 +361,7 @@ def _written_anew(content: bytes) -> bytes:
 
 
 def _check_wrapping(data: Any, signer: Any) -> None:
-    """Raise `NotIntact` if a part of the CMS structure without a signature is not as this program writes it."""
+    """Raise `NotIntact` if an unsigned part of the CMS structure is not as this program writes it."""
     from asn1crypto.algos import DigestAlgorithm
     from asn1crypto.core import Null
 
