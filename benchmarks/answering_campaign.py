@@ -5,9 +5,9 @@
 Each dry run asks a person, and is carried out by a separate program on a terminal. The answer to each question is
 typed, left in the run's folder, or both at once. Stale, unsuitable or malformed answers precede it. At random
 moments the program is killed (SIGKILL) and the run resumed, with a terminal or without. Each typed angle deviates
-from its target by its own few seconds, so that an answer used for another question is detected.
+from its target by a few arcseconds of its own, so that an answer used for the wrong question is detected.
 
-Promised: every run ends with exactly the readings of an undisturbed run of the same seed, none twice, and with a
+Promised: Every run ends with exactly the readings of an undisturbed run of the same seed, none twice, and with a
 complete chain of hashes. No question is answered twice, only recorded answers are used, and none is lost. A
 question whose answer a kill prevented is asked again.
 """
@@ -41,10 +41,10 @@ PROCEDURE: Final = "quick"
 BEGIN: Final = ("run", PROCEDURE, "--dry-run", "--seed", "7", "--name")
 PANEL: Final = WishAuthor("Ann", "operator", "panel")
 ACT_AGAIN_S: Final = 1.5
-"""What is typed while a question is being shown is none of its answers, so it is typed again."""
+"""Time after which the operator types an answer again: text typed while a question is printed may be lost."""
 ENOUGH_S: Final = 600.0
 LONGEST_S: Final = 2.2
-"""A dry run of `quick` takes about as long on a machine of two cores, its start included."""
+"""Approximate duration of a dry run of `quick` on a machine of two cores, its start included, s."""
 
 
 def answer_to(prompt: Prompt) -> str:
@@ -158,10 +158,10 @@ def one(number: int, folder: Path, *, seed: int, kills: int, calm: bool = False)
         hands = Hands(run, rng, master if at_terminal else None, calm=calm)
         last = kills <= 0
         questions, late_s = rng.randrange(0, 14), rng.choice((0.0, rng.uniform(0.0, 0.3)))
-        # now and then at any time, before the first question as well
+        # sometimes at any time, even before the first question
         killed_s = time.monotonic() + rng.choice((math.inf, rng.uniform(0.05, LONGEST_S)))
         try:
-            # what is drawn from a finished run, which takes longest, asks nothing
+            # the evaluation of a finished run takes longest, and asks nothing
             while process.poll() is None and not hands.finished and time.monotonic() < deadline_s:
                 hands.look()
                 if not last and (hands.questions > questions or time.monotonic() > killed_s):

@@ -5,16 +5,16 @@
     python -m benchmarks.batch_campaign kills '/var/tmp/laboratory/*' --count 600 --kills 50 --seed 1
 
 `busy` carries out one batch and observes its processes every second (in /proc, so on Linux only). It reports two
-shares of the processes' life after their first row: the share in which they computed (CPU), and the share in which
-they computed or waited for a core (from `schedstat`), because other programs compete for cores. On an otherwise
-idle machine both are the share of the cores that is used. In the rest of the time they waited for work from the
-program, or for the disk. Memory is the resident set of the program and of the largest process, by tenths of the
-runs.
+shares of the processes' life after their first row: the share in which they computed (CPU), and the share in
+which they computed or waited for a core (from `schedstat`), because other programs compete for cores. On an
+otherwise idle machine both are the share of the cores that is used. At all other times they waited for work from
+the program, or for the disk. Memory is the resident set of the program and of the largest process, by tenths of
+the runs.
 
-`kills` ends processes at random moments (SIGKILL): the program itself, a computing process, or the fork server from
-which these are copied. The program is then restarted with the same command. At the end every run must be in the
-result exactly once and in one part only, no part may have been rewritten, and the rows of a sample must equal,
-number by number, those of a single calibration. The exit status is 1 if this does not hold.
+`kills` ends processes at random moments (SIGKILL): the program itself, a computing process, or the fork server
+from which these are copied. The program is then restarted with the same command. At the end every run must be in
+the result exactly once and in one part only, no part may have been rewritten, and the rows of a sample must
+equal, number by number, those of a single calibration. Otherwise the exit status is 1.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _TICKS: Final = os.sysconf("SC_CLK_TCK")
 
 @dataclass
 class Seen:
-    """Observations of a process: times (s) of the first and the last, CPU and queue times (s) then, memory."""
+    """Observations of a process: times (s) of the first and the last one; CPU and queue times (s), and memory."""
 
     first: tuple[float, float, float]
     last: tuple[float, float, float]
@@ -77,7 +77,7 @@ class Watch:
             largest = max(largest, kb)
         mine = times_of(self.program)
         if not largest:
-            return  # all have ended: what is left is the making of the tables
+            return  # all have ended: only the tables are still written
         self.memory.append((done, 0 if mine is None else mine[2], largest))
 
     def shares(self) -> tuple[float, float]:
@@ -184,7 +184,7 @@ def kills(options: argparse.Namespace, folder: Path) -> int:
                 break
             program = begin(over, runs, out, options)
         if sum(killed.values()) < options.kills and not workers_of(program.pid):
-            time.sleep(0.2)  # it is only beginning
+            time.sleep(0.2)  # the program has just started
         elif sum(killed.values()) < options.kills:
             time.sleep(chance.uniform(0.0, options.every))
             killed.update(kill_one(program, chance))
@@ -200,7 +200,7 @@ def kills(options: argparse.Namespace, folder: Path) -> int:
 
 
 def kill_one(program: subprocess.Popen[bytes], chance: random.Random) -> list[str]:
-    """Kill the program, a computing process or the fork server, whichever lives."""
+    """Kill at random one of those alive: the program, a computing process, or the fork server."""
     what = chance.choices(["the program", "a process", "the one of which they are copies"], [3, 6, 1])[0]
     pids = {
         "the program": [program.pid] if program.poll() is None else [],
@@ -226,7 +226,7 @@ def written_again(out: Path, parts: dict[str, str]) -> Iterator[str]:
             yield f"{part.name} was written again"
 
 
-# --- what must hold ---------------------------------------------------------------------------------
+# --- checks of the result --------------------------------------------------------------------------------
 
 
 def checked(out: Path, runs: list[str], chance: random.Random) -> list[str]:

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple, NoReturn, TextIO, TypeVar
 
-# the matrices are small: threads would only get in each other's way, and change the last digits
+# the matrices are small: threads would slow each other down, and change the last digits
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
@@ -34,7 +34,7 @@ from bench.model.geometry import COEFFICIENTS
 ROOT: Final = Path(__file__).resolve().parents[1]
 PROGRAM: Final = (sys.executable, "-c", "from bench.cli.program import main; main()")
 EMPTY_FIGURE: Final = '<svg viewBox="0 0 1 1"></svg>'
-"""In place of the figures of pages, which cost more than all else."""
+"""Replaces the figures of pages, which would take most of the time."""
 
 Row = Sequence[object]
 """A row of a table."""
@@ -82,7 +82,7 @@ def refuse(why: str) -> NoReturn:
 
 
 def finish(broken: Sequence[str], holds: str = "every promise holds") -> int:
-    """Print the broken promises, or `holds` if there are none; return the exit status."""
+    """Print the broken promises, or the sentence `holds` if there are none; return the exit status."""
     print("\n".join(["broken:", *broken]) if broken else holds)
     return 1 if broken else 0
 
@@ -136,7 +136,7 @@ def _measured(work: Callable[..., Any], *given: Any) -> Cost:
 
 
 class Said(NamedTuple):
-    """The result of a command: its status, its output, and its duration."""
+    """The outcome of a command: its status, its output, and its duration, s."""
 
     status: int
     out: str
@@ -225,7 +225,7 @@ def _packed(line: object) -> bytes:
     return base64.b64encode(zlib.compress(json.dumps(line).encode())) + b"\n"
 
 
-# --- what is counted ----------------------------------------------------------------------------------
+# --- shares ----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -250,7 +250,7 @@ class Share:
         """Lower and upper end of the interval; 0 and 1 for a total of zero."""
         if not self.of:
             return 0.0, 1.0
-        from scipy.stats import binomtest  # it takes long, and memory, where no share is told
+        from scipy.stats import binomtest  # scipy takes long to import, and memory; only shares need it
 
         ci = binomtest(self.successes, self.of).proportion_ci(confidence_level=0.95, method="wilson")
         return float(ci.low), float(ci.high)
@@ -309,7 +309,7 @@ def by_kind(
     kind_of: Callable[[Result], str],
     counts: Mapping[str, Callable[[Sequence[Result]], object]],
 ) -> str:
-    """Return a table of `counts` over the outcomes of each kind, and over all."""
+    """Return a table of `counts` over the outcomes of each kind, and over all outcomes."""
     of: dict[str, list[Result]] = defaultdict(list)
     for outcome in outcomes:
         of[kind_of(outcome)].append(outcome)

@@ -236,11 +236,11 @@ PDF: Final[dict[str, Change]] = {
 KINDS: Final = {**XML, **PDF}
 
 
-# --- what comes of it ---------------------------------------------------------------------------------
+# --- outcomes --------------------------------------------------------------------------------------------
 
 
 def outcome(pair: Pair, changed: bytes, kind: str, folder: Path, *, beside: bool) -> str:
-    """Return the outcome of verifying one changed form, with the unchanged other form beside it or not."""
+    """Return the outcome of verifying one changed form, with the unchanged other form in the same folder or not."""
     is_xml = kind in XML
     original, ending, other = (pair.xml, ".xml", ".pdf") if is_xml else (pair.pdf, ".pdf", ".xml")
     file = folder / f"certificate{ending}"
@@ -274,7 +274,7 @@ def trials(pair: Pair, number: int, seed: int, folder: Path) -> Iterator[tuple[s
         kind, rng = names[n % len(names)], Random(f"{seed}/{n}")  # noqa: S311 - it draws changes, not keys
         original = pair.xml if kind in XML else pair.pdf
         changed = original
-        while changed == original:  # what was drawn may be what stands there
+        while changed == original:  # the drawn change may equal the original
             changed = KINDS[kind](original, rng)
         yield kind, outcome(pair, changed, kind, folder, beside=n // len(names) % 2 == 1)
 

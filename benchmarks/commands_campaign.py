@@ -8,9 +8,10 @@ turns. A meter may be off, fail during a run, and return. A command may be inter
 stopped, paused or aborted from the panel, or killed: its record then ends at any byte after its previous end, and
 results are missing.
 
-After every step: each record only grew and `show --verify` succeeds; no reading is in it twice; whatever the
-program recommends is possible; and if all meters are on, `resume` completes a run with all its results. The counts
-of all actions are printed. The exit status is 1 after any fault, which is printed with the steps that led to it.
+After every step: each record only grew and `show --verify` succeeds; no record has a reading twice; every command
+that the program recommends is possible; and if all meters are on, `resume` completes a run with all its results.
+The counts of all actions are printed. The exit status is 1 after any fault, which is printed with the steps that
+led to it.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ steps:
   - installation: {label: 2, steps: [turn: {angles: [0 deg, 90 deg, 180 deg]}]}
 """
 SPEED: Final = 1000.0
-"""The meters' clock runs so many times faster: no reading is waited for."""
+"""Factor by which the meters' clock runs faster, so that readings take no time."""
 STOPPED: Final = 2
 OK: Final = 200
 LOOK_S: Final = 0.01
@@ -135,10 +136,10 @@ class Desk:
             stack.enter_context(mock.patch.object(listening, "LISTEN_S", 0.002))
             stack.enter_context(mock.patch("bench.results.plots._written", return_value=EMPTY_FIGURE))
             self.browser = Browser(self.runs, "anna", Role.OPERATOR)
-            stack.enter_context(self.browser.client)  # one loop, in which the panel follows runs
+            stack.enter_context(self.browser.client)  # one event loop, in which the panel follows runs
             yield self
 
-    # --- what is done ---------------------------------------------------------------------------------
+    # --- actions -----------------------------------------------------------------------------------------
 
     def command(self, *arguments: object, trouble: str = "", at: int = 0) -> Said:
         """Type a command, which is disturbed by `trouble` at its `at`-th event."""
@@ -187,7 +188,7 @@ class Desk:
             server.stop()
         self.off ^= {meter}
 
-    # --- what comes over it ---------------------------------------------------------------------------
+    # --- disturbances ------------------------------------------------------------------------------------
 
     def _follow(self, name: str, event: Event) -> None:
         """Follow the events of a run: answer its questions, and apply the disturbance of the command."""
@@ -212,7 +213,7 @@ class Desk:
         raise TimeoutError(f"{name}: {prompt_id} cannot be answered at the panel: {reply}")
 
     def _do(self, action: Any) -> None:
-        """Do at the simulated bench what a person is asked to do."""
+        """Carry out a task of the operator at the simulated bench."""
         if action["do"] == "mount":
             self.served.world.mount(action["installation"], action["series"])
         elif "target_rad" in action:
@@ -244,7 +245,7 @@ class Desk:
             if not results and not grown:
                 continue
             if not results:
-                # a power cut may take more, but never what was there before
+                # a power cut may remove more, but no older content
                 os.truncate(self.runs / name / EVENTS, len(content) - grown + at * 7919 % grown)
             for made in ("verify.json", "report.html", "calibrate.json")[: 1 + at % 3]:
                 (self.runs / name / made).unlink(missing_ok=True)
@@ -255,7 +256,7 @@ class Desk:
         found = self.runs.glob(f"*/{MANIFEST}")
         return {manifest.parent.name: manifest.with_name(EVENTS).read_bytes() for manifest in found}
 
-    # --- what must hold -------------------------------------------------------------------------------
+    # --- checks ------------------------------------------------------------------------------------------
 
     def check(self) -> list[str]:
         """Return sentences on all faults at present."""
@@ -328,12 +329,12 @@ class Typist(io.StringIO):
 
 
 AT_MOST: Final = 4
-"""So many runs in a folder: one more step is of one of these."""
+"""Largest number of runs in a folder; further steps use one of these runs."""
 
 TROUBLES: Final = (
     "", "", "", "ctrl-c", "sigterm", "meter off", "kill", "kill", "stop", "pause", "abort", "results",
 )  # fmt: skip
-"""What comes over a command, at one of its events; "results" kills it while the results are made."""
+"""Disturbances of a command at one of its events; "results" kills it while the results are made."""
 
 
 @dataclass
@@ -386,7 +387,7 @@ class Evenings(RuleBasedStateMachine):
 
     @rule(trouble=TROUBLE, at=AT)
     def run(self, trouble: str, at: int) -> None:
-        if len(self.desk.names()) >= AT_MOST:  # the oldest is brought away
+        if len(self.desk.names()) >= AT_MOST:  # the oldest run is moved away
             shutil.rmtree(self.desk.runs / (oldest := self.desk.names()[0]))
             del self.desk.kept[oldest]
         name = f"n{TOLD.done.total():06d}"

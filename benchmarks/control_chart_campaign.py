@@ -3,10 +3,10 @@
     python -m benchmarks.control_chart_campaign --runs 1000000 --seed 1
 
 The charts are of the nine intrinsic numbers, which do not depend on the mounting. `--runs` is the number of chart
-points in each row of the tables (a tenth of it in the second). Three tables are printed, or one of them. The first
-has the false rejections of charts with short baselines, for each basis of limits and for stated u that is right or
-wrong. The second has the effect of a wrong stated u of one number alone. The third has mean run lengths of
-Shewhart, EWMA and MEWMA charts, published, simulated and by the integral equation.
+points in each row of the tables (a tenth of it in the second). All three tables are printed, or one of them. The
+first lists false rejections of charts with short baselines, for each basis of limits and for a correct or wrong
+stated u. In the second, the stated u of only one number is wrong. The third compares mean run lengths of
+Shewhart, EWMA and MEWMA charts: published, simulated, and from the integral equation.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from benchmarks.campaign import Row, arguments, markdown
 
 P: Final = len(INTRINSIC)
 LATER: Final = 25
-"""Runs after each baseline: many baselines count, as what is wrong with one is wrong for all its runs."""
+"""Number of runs after each baseline; few, because an error of the baseline is common to all its runs."""
 CHARTS: Final = 200
 READING_DOF: Final = 36.0
 """Degrees of freedom of the short-term standard deviation of one run of the procedure 'paper'."""
@@ -49,10 +49,17 @@ EWMA: Final = {
     (0.05, 2.615): (500, 84.1, 28.8, 16.4, 11.4, 7.1, 5.2, 4.2, 3.5, 2.7),
 }
 SHIFTS: Final = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0)
-"""Lucas and Saccucci (1990), table 3, as D. C. Montgomery, Introduction to Statistical Quality Control, has it."""
+"""Shifts in standard deviations.
+
+Source: Lucas and Saccucci (1990), table 3, quoted in D. C. Montgomery, Introduction to Statistical Quality
+Control.
+"""
 SHEWHART: Final = {0.0: 370.4, 0.5: 155.2, 1.0: 43.9, 1.5: 15.0, 2.0: 6.3, 3.0: 2.0}
 MEWMA: Final = {(2, 0.1, 8.64): 200.0, (4, 0.1, 12.73): 200.0, (10, 0.1, 22.67): 200.0}
-"""Prabhu and Runger (1997), as Montgomery has it: dimensions, lambda, limit, in-control ARL."""
+"""Published in-control run lengths by dimension, lambda and limit.
+
+Source: Prabhu and Runger (1997), quoted in Montgomery.
+"""
 
 
 def stated_covariance(seed: int = 7) -> Floats:
@@ -79,7 +86,7 @@ def false_rejections(
 ) -> dict[str, Floats]:
     """Return the share of false rejections in each chart (charts,), by each statistic and by any.
 
-    The true u is `factor` times the stated u, and that of one number `one` times more.
+    The true u is `factor` times the stated u; for one number, it is `factor` × `one` times the stated u.
     """
     rng = np.random.default_rng(seed)
     stated = stated_covariance()
@@ -124,7 +131,7 @@ def nominal() -> dict[str, float]:
     """Return the stated rates of the default design."""
     design = ChartDesign()
     rates = {"T²": design.alpha, "EWMA": design.alpha_ewma(P), "s": design.alpha}
-    # how often any of the three is beyond its limit, were they independent
+    # rate at which any of the three exceeds its limit, if they were independent
     return rates | {"all": 1.0 - float(np.prod([1.0 - rate for rate in rates.values()]))}
 
 
@@ -159,8 +166,8 @@ def run_lengths(
 ) -> Floats:
     """Return the run lengths (count,) of charts with known parameters and asymptotic limits.
 
-    The statistic is z² of one value, or T² of `p` values, of the EWMA. `limit` is its upper limit, `shift` the
-    shift of the first coordinate, in standard deviations.
+    The statistic is z² of the EWMA of one value, or T² of the EWMA of `p` values. `limit` is its upper limit,
+    `shift` the shift of the first coordinate, in standard deviations.
     """
     state = np.zeros((count, p))
     lengths, alive = np.zeros(count), np.arange(count)

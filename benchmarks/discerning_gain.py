@@ -1,11 +1,11 @@
-"""Compare the procedure `discerning` with `paper` and `calibration`: how many effects are named, and named alone.
+"""Compare how many effects the procedures `discerning`, `paper` and `calibration` name, and name without a tie.
 
 Usage: python -m benchmarks.discerning_gain [--draws 300] [--seed 1]
 
-Readings are simulated in linear approximation. An effect of the catalogue is drawn (every family equally often, one
-of its forms, normal sizes of one or three times the plausible size), with the noise of the bench, and named as
-`bench diagnose` does. The effects are the catalogue's own forms, which favours the naming: the table compares
-procedures, and does not show how well effects of a real bench are named.
+Readings are simulated in linear approximation. An effect of the catalogue is drawn (every family equally often,
+one of its forms, normal sizes of one or three times the plausible size), with the noise of the bench, and named
+as `bench diagnose` does. The hidden effects have the catalogue's own forms, which makes naming easier: the table
+compares procedures, and does not predict how well effects of a real bench are named.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from benchmarks.campaign import Row, arguments, markdown
 PROCEDURES = ("paper", "calibration", "discerning")
 FOR_TIES = (*PROCEDURES, "turn-12", "turn-24", "remount-90")
 SIGMA_V = 15e-6
-"""Noise of a reading."""
+"""Noise of a reading, V."""
 
 
 TIES: dict[str, tuple[str, str]] = {
@@ -55,7 +55,10 @@ TIES: dict[str, tuple[str, str]] = {
     "axis_wobble (twice, sine) – cross_coupling yz": ("axis_wobble.sine*2", "cross_coupling.Kpo[yz]"),
     "channel_crosstalk – cross_coupling, all terms": ("channel_crosstalk.fraction", "cross_coupling.all[xyz]"),
 }  # fmt: skip
-"""Forms that are hardly to be told apart: effect, parameter (or all), `*` harmonic, channels, `@` installation."""
+"""Pairs of forms that are hard to distinguish.
+
+A form is written as effect, parameter (or all), `*` harmonic, channels, `@` installation.
+"""
 _FORM = re.compile(r"(\w+)\.(\w+)(?:\*(\d))?(?:\[(\w+)\])?(?:@(\d))?")
 
 
@@ -74,7 +77,7 @@ def form_of(text: str) -> Form:
 
 @dataclass
 class Score:
-    """Counts over all draws: effects named, named alone, and so on."""
+    """Counts over all draws, such as effects named, and effects named without a tie."""
 
     draws: int = 0
     named: int = 0

@@ -2,12 +2,12 @@
 
     python -m benchmarks.fault_campaign --faults 1200 --seed 1 --jobs 2
 
-Every trial is a dry run of a short procedure by the command line. Its bench file is one of `config`, with exact
-stand, voltmeters and operator, and short timeouts (0.2 s). One fault of a random kind affects one instrument at a
-random exchange; in a storm there are five. Judged are: the duration of the run; the text on standard error; the
-record's chain of hashes; every recorded sample against the forward model at the recorded angle. A stopped run must
-name the instrument, and end with all planned readings when it is resumed without faults. A table by kind of fault
-and every violation are printed; the exit status is 1 if there is one.
+Every trial is a dry run of a short procedure by the command line. Its bench file is a shipped one, without errors
+of stand, voltmeters and operator, and with short timeouts (0.2 s). One fault of a random kind affects one
+instrument at a random exchange; in a storm there are five. Judged are: the duration of the run; the text on
+standard error; the record's chain of hashes; every recorded sample against the forward model at the recorded
+angle. A stopped run must name the instrument, and end with all planned readings when it is resumed without
+faults. A table by kind of fault and every violation are printed; the exit status is 1 if there is one.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from sim.wires.session import ServedInstrument, WireFault
 
 TIMEOUT: Final = "0.2 s"
 LIMIT_S: Final = 6.0
-"""A run may take this long: a fault costs two attempts at a step, each with a few timeouts of 0.2 s."""
+"""Largest duration of a run, s: a fault costs two attempts at a step, each with a few timeouts of 0.2 s."""
 VALUE_V: Final = 1e-7
 TEMPERATURE_C: Final = 0.5
 
@@ -68,9 +68,9 @@ class Stand:
     procedure: Path
     exchanges: Mapping[str, int]
     able: Mapping[str, tuple[str, ...]]
-    """By kind of fault, the instruments that can have it."""
+    """The instruments that can have each kind of fault."""
     behind_adapter: tuple[str, ...]
-    """The meters that suffer when the GPIB adapter does."""
+    """The meters that a fault of the GPIB adapter affects."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ class WatchedWire:
         self.spoilt = 0
         self._faulty = faulty
         self._handle = faulty.handle
-        self._has_wire = wired.dialect is faulty  # one on a GPIB bus has none of its own
+        self._has_wire = wired.dialect is faulty  # a meter on a GPIB bus has no connection of its own
         faulty.handle = self._count  # type: ignore[method-assign]
         if self._has_wire:
             wired.fault = self._spoil
@@ -203,7 +203,7 @@ class WatchedWire:
 
 @dataclass
 class Watch:
-    """Injects the faults into the simulated bench of the next run, and counts."""
+    """A watch that injects faults into the simulated bench of the next run, and counts them."""
 
     faults: Sequence[Fault]
     wires: list[WatchedWire] = field(default_factory=list)
@@ -219,7 +219,7 @@ class Watch:
 
     @property
     def struck(self) -> int:
-        """The number of faults that have occurred, as far as can be seen."""
+        """The number of faults that have occurred, as far as this can be observed."""
         by_name = {wire.name: wire for wire in self.wires}
         seen = sum(wire.spoilt for wire in self.wires)
         for fault in self.faults:

@@ -12,8 +12,9 @@ the prior, also as a Mahalanobis distance.
 `drift`: histories of n calibrations, about a year apart, of u = 1, with scatter between calibrations and a random
 walk of stated sizes. Printed is z of the rate and of the value predicted for a year later.
 
-`crossed`: sizes of units, benches and excess, true and estimated, with standard errors of the mean; stated u over
-the estimated scatter; rms z of the benches' effects.
+`crossed`: calibrations of units on several benches. Printed are the true and the estimated standard deviations of
+units, benches and excess scatter, with standard errors of the mean; the ratio of the stated u to the estimated
+scatter; rms z of the benches' effects.
 
 `capability`: laboratories whose units are calibrated about once a year on random benches, with u = 1. Units differ
 by 5, drift along their own lines and walk; benches differ by 0.5; calibrations scatter by more than stated; the
@@ -77,7 +78,7 @@ def prior(runs: int, seed: int) -> Iterator[Row]:
             true = rng.normal(size=(units + 1, 12)) @ between.T
             values = true[unit] + rng.normal(size=(len(unit), 12))
             kept = prior_of(calibrations(unit, when, values))
-            # a short calibration: of three times the u of those behind the prior
+            # a short calibration, with three times the u of the calibrations behind the prior
             short = true[-1] + rng.multivariate_normal(np.zeros(12), own)
             joined = join(short, own, np.zeros((12, 12)), kept, STANDARD_GRAVITY)
             u, gap = np.sqrt(np.diag(joined.covariance)), joined.vector - true[-1]
@@ -125,7 +126,7 @@ def drift(runs: int, seed: int) -> Iterator[Row]:
 
 @dataclass(frozen=True)
 class Case:
-    """Values `y` (n,) with stated variances (n,), their units and benches, and true effects of benches (B,)."""
+    """Values `y` (n,) with their stated variances (n,), units and benches, and the true effects of benches (B,)."""
 
     crossing: Crossing
     y: Floats
@@ -137,7 +138,7 @@ def drawn(
     rng: np.random.Generator, count: int, units: int, benches: int, sizes: Sequence[float],
     *, kinds: int = 1, u: float = 1.0,
 ) -> Case:  # fmt: skip
-    """Draw values of units on benches, paired at random, with sizes of units, benches and excess, 1 sigma."""
+    """Draw values of units on benches, paired at random; `sizes` are 1 sigma of units, benches and excess."""
     unit = np.unique(rng.integers(0, units, count), return_inverse=True)[1]
     bench = np.unique(rng.integers(0, benches, count), return_inverse=True)[1]
     kind = (np.arange(unit.max() + 1) % kinds)[unit]
@@ -182,13 +183,19 @@ LABORATORIES = (
     (30, 5, 3, (1.0, 0.0, 0.0, 0.5)), (30, 5, 3, (0.0, 0.0, 0.0, 0.5)), (30, 5, 3, (1.0, 2.0, 0.0, 0.5)),
     (30, 5, 3, (1.0, 0.0, 2.0, 0.5)), (30, 5, 3, (0.0, 2.0, 1.0, 0.5)), (12, 4, 2, (1.0, 0.5, 0.0, 0.5)),
 )  # fmt: skip
-"""Units, runs of each, benches, and sizes of scatter, rates in a year, walks in a year, benches."""
+"""By laboratory: numbers of units, of runs of each, and of benches; sizes of scatter, rates, walks and benches.
+
+Rates are per year, walks are in a year.
+"""
 
 
 def laboratory(
     rng: np.random.Generator, units: int, runs: int, benches: int, sizes: Sequence[float]
 ) -> ComparedCalibrations:
-    """Draw calibrations with u = 1 of all twelve coefficients; `sizes`: of scatter, rates, walks, benches."""
+    """Draw calibrations with u = 1 of all twelve coefficients.
+
+    `sizes` are those of scatter, rates, walks and benches.
+    """
     scatter, rate, walk, between = sizes
     steps = rng.uniform(0.5, 1.5, (units, runs))
     years = np.cumsum(steps, axis=1)

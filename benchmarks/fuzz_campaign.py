@@ -1,4 +1,4 @@
-"""Test the program with twenty thousand invalid or unusual inputs: each must give a sentence, and no worse.
+"""Test that the program accepts each of 20,000 invalid or unusual inputs, or refuses it in a sentence.
 
     python -m benchmarks.fuzz_campaign --inputs 20000 --seed 1 --jobs 2
 
@@ -47,7 +47,7 @@ from benchmarks.fuzz_inputs import MADE, WEIRD, Case, spoilt_bytes, spoilt_tree,
 MAKERS: Final = {**MADE, **MADE_AT_EDGES}
 KINDS: Final = (*MAKERS, "scpi", "answers", "python")
 LONGEST_LINE: Final = 6000
-"""Characters of a line on standard error: no value is quoted at its whole length."""
+"""Largest length of a line on standard error, in characters: a message must not quote long values in full."""
 
 _UNFORESEEN: Final = re.compile(
     r"^(bench: |note: )?unexpected|mistake of the program|Traceback \(most recent", re.MULTILINE
@@ -204,7 +204,7 @@ def spoil_record(rng: random.Random, folder: Path) -> str:
         lines[rng.randrange(len(lines))]["n"] = rng.choice((math.inf, math.nan, 1e300, -1, "1", [1]))
     previous = sha256((folder / "run.json").read_bytes())
     written = b""
-    for event in lines:  # the chain is made again, as somebody would who knows of it
+    for event in lines:  # the chain of hashes is computed again, as a forger would do
         if isinstance(event, dict) and "prev" in event:
             event["prev"] = previous
         line = json.dumps(event).encode()
@@ -354,15 +354,15 @@ def own_folder(parent: Path) -> Iterator[None]:
 
 
 LIMIT_S: Final = 300.0
-"""An input hangs that takes so long: a busy machine is no fault."""
+"""Time, s, after which an input counts as hanging; it is long, because the machine may be busy."""
 TRYING: Final = "trying"
-"""The file of a process that names its input."""
+"""The file in which a process names the input that it tries."""
 
 SHARES: Final = {
     "readings": 4, "bench": 4, "procedure": 4, "model": 2, "result": 3, "record": 2, "names": 2, "scpi": 3,
     "answers": 3, "edges": 5, "special": 2, "catalogue": 1, "python": 3,
 }  # fmt: skip
-"""How many inputs of each kind there are, of 38; those that cost most are fewest."""
+"""Share of each kind among 38 inputs; kinds that take longest are rarest."""
 
 
 def inputs(count: int) -> list[tuple[str, int]]:
@@ -374,7 +374,7 @@ def inputs(count: int) -> list[tuple[str, int]]:
 @cache
 def own_place(parent: str) -> Path:
     """Return a folder for this process, and load slow modules first, so that no input's time includes this."""
-    os.environ["MPLCONFIGDIR"] = matplotlib.get_cachedir()  # a list of fonts takes half a minute to make
+    os.environ["MPLCONFIGDIR"] = matplotlib.get_cachedir()  # making the list of fonts takes half a minute
     import bench.cli.app  # noqa: F401
 
     os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(dir=parent)

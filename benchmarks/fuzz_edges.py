@@ -73,7 +73,7 @@ def _unit_case(rng: random.Random) -> Case:
     factor = rng.choice((1e3, 1e6, 1e-3))
     channels = rng.choice(((5, 6, 7), (5,), (6,), (5, 7)))
     where, value = rng.choice(((None, ""), (None, ""), (1, "1"), (1, "2"), (0, "1"), (0, "2")))
-    if where == 0:  # a channel that hardly moves in an installation has no size there
+    if where == 0:  # a channel that hardly changes in an installation does not show its unit there
         channels = (5, 6, 7)
     for row in rows[1:]:
         if where is None or row[where] == value:
@@ -118,7 +118,7 @@ def _several_case(rng: random.Random) -> Case:
     return Case([command], files, refuse="one of three", doubt="1 of 3 sources could not be evaluated")
 
 
-# --- pipes, a damaged catalogue, commands of nothing -----------------------------------------------------
+# --- pipes, a damaged catalogue, commands without input --------------------------------------------------
 
 
 def special_case(rng: random.Random) -> Case:
@@ -186,7 +186,7 @@ QUICK: Final = {
     "calibrate": "source", "verify": "source", "read_readings": "readings", "budget": "", "load_bench": "",
     "diagnose": "source", "learn": "sources", "chart": "runs", "confirm": "source", "dry_run": "procedure",
 }  # fmt: skip
-"""Functions that are called, and the parameter without which they cannot be."""
+"""Public functions to call, with the parameter that each requires ("" for none)."""
 
 
 def python_trial(rng: random.Random) -> list[tuple[str, str]]:

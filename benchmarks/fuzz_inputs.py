@@ -23,7 +23,7 @@ import yaml
 from bench.base.yaml_files import load_document
 from benchmarks.campaign import ROOT
 
-# --- how good inputs are spoilt --------------------------------------------------------------------------
+# --- damage to valid inputs ------------------------------------------------------------------------------
 
 
 WEIRD: Final = (
@@ -50,7 +50,7 @@ _FREE_TEXT: Final = {
 
 
 def spoilt_bytes(rng: random.Random, data: bytes) -> bytes:
-    """Return bytes of which some are cut, doubled, swapped or replaced."""
+    """Return bytes of which some are cut, doubled, exchanged or replaced."""
     for _ in range(rng.choice((1, 1, 2, 4))):
         at, end = sorted(rng.randrange(len(data) + 1) for _ in "ab")
         end = min(end, at + rng.choice((1, 5, 50, 500)))
@@ -170,7 +170,7 @@ def faulty_yaml(rng: random.Random, tree: Any) -> tuple[bytes, str]:
 class Case:
     """One input: files to write, commands with an input stream, and the reason why it must be refused.
 
-    `doubt` is what the program must say of it; `pipes` are names of pipes without a writer.
+    `doubt` is a text that the output must contain; `pipes` are names of pipes without a writer.
     """
 
     commands: list[list[str]]
@@ -428,4 +428,7 @@ MADE: Final[dict[str, Callable[[random.Random], Case]]] = {
     "result": json_case,
     "record": record_case, "names": name_case,
 }  # fmt: skip
-"""Kinds of input that commands take; `scpi` and `answers` are made where they are tried."""
+"""Functions that make the inputs of commands, by kind.
+
+The inputs `scpi` and `answers` are made when they are tried.
+"""

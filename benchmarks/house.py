@@ -1,4 +1,4 @@
-"""Report the size of the program and the relations of its parts, beside the budgets of its rooms; no gate.
+"""Report the size of the program and the relations of its parts, with the budgets of its rooms; nothing fails.
 
 It prints: lines, files and median file of each room; long and small files; import circles at module level, and with
 imports inside functions; modules imported by only one other, and those that import most; the files that four
@@ -34,10 +34,10 @@ BUDGETS: Final = {
     "calibration": 7500, "diagnosis": 6500, "planning": 2200, "history": 4000, "results": 5000, "services": 4500,
     "cli": 4200, "panel + certificate + catalogue + batch + exchange": 12400,
 }  # fmt: skip
-"""Lines that the rooms may have, several of them together where a plus stands."""
+"""Largest number of lines of each room; rooms joined by "+" share a number."""
 WHOLE: Final = {"lines": 82_000, "files": 340, "tests": 46_000, "benchmarks": 9_000}
 PATHS: Final = {"run paper --dry-run": 170, "calibrate": 90, "diagnose": 130, "certificate --draft": 110}
-"""Files that a command may run through."""
+"""Largest number of files that each command may execute."""
 
 COMMANDS: Final = {
     "run paper --dry-run": ("run", "paper", "--dry-run", "--seed", "1", "--name", "house"),
@@ -48,7 +48,7 @@ COMMANDS: Final = {
         *("--authorised-by", "A. Person", "--draft", "--out", "draft"),
     ),
 }
-"""The commands whose paths are followed, one after the other in one folder."""
+"""The commands whose files are counted, carried out one after the other in one folder."""
 
 PROBE: Final = """\
 import json, sys, threading
@@ -222,7 +222,7 @@ def print_shape(known: Mapping[str, Module]) -> None:
 
 
 def print_paths() -> None:
-    """Print how many files, functions and rooms each of the commands runs through."""
+    """Print how many files, functions and rooms each of the commands executes."""
     known = {str(module.path.relative_to(ROOT)): module for module in modules().values()}
     print(f"{'path of':<32}{'files':>8}{'functions':>11}{'rooms':>7}{'files, budget':>15}")
     with tempfile.TemporaryDirectory() as name:

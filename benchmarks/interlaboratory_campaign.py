@@ -10,9 +10,10 @@ every two others.
 
 Promised: the wrong laboratory is found in 95 % of the rounds, a right one accused in at most 5 %; without a wrong
 one, any is accused in at most 5 %. In a third case no laboratory is wrong, but one number of the block steps
-between the second and the third laboratory, by 6 u of the difference of two calibrations of the pilot. The pilot's
-returns show it in 95 %. With the block's scatter included in u, any laboratory is accused in at most 5 %; the share
-without it is printed beside. Limits are binomial of 99.9 %. The exit status is 1 if one is broken.
+between the second and the third laboratory, by 6 u of the difference of two calibrations of the pilot. The
+pilot's returns show the step in 95 % of the rounds. With the block's scatter included in u, any laboratory is
+accused in at most 5 %; the share without the scatter is printed, too. Each limit has a binomial margin of 99.9 %.
+The exit status is 1 if a limit is broken.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from tests.support.whole_truth import simulate_whole
 
 LABORATORIES: Final = 5
 OFF: Final = 6.0
-"""Error of the wrong laboratory, in u of its difference."""
+"""Error of the wrong laboratory, in u of its difference from the consensus of the others."""
 FOUND, ACCUSED = 0.95, 0.05
 
 
@@ -70,7 +71,7 @@ def judged(values: Floats, covariances: Floats) -> tuple[list[LaboratoryJudged],
 
 
 def rounds(seed: int, numbers: range) -> tuple[list[bool], ...]:
-    """Return for each round the six facts that `main` prints as shares."""
+    """Return, for each round, the six facts of which `main` prints the shares."""
     told: list[tuple[bool, ...]] = []
     for number in numbers:
         values, covariances = round_of(seed, number)
@@ -78,11 +79,11 @@ def rounds(seed: int, numbers: range) -> tuple[list[bool], ...]:
         rng = np.random.default_rng([seed, number])
         wrong, which = int(rng.integers(LABORATORIES)), int(rng.integers(len(INTRINSIC)))
         sign, off, moved = rng.choice([-1.0, 1.0]), values.copy(), values.copy()
-        # a pilot that is wrong is so at its returns as well
+        # a wrong pilot is wrong at its returns, too
         its = [wrong] if wrong else [0, *range(LABORATORIES, len(values))]
         off[its, which] += OFF * sign * before[wrong].u[which]
         one = [one.off for one in judged(off, covariances)[0]]
-        # the route is 0 1 2 (0) 3 4 (0): the block steps before the pilot's first return
+        # the route is 0 1 2 (0) 3 4 (0): the block changes before the pilot's first return
         step = OFF * sign * np.sqrt((covariances[0] + covariances[LABORATORIES])[which, which])
         moved[[2, 3, 4, *range(LABORATORIES, len(values))], which] += step
         after, drifts = judged(moved, covariances)

@@ -1,4 +1,4 @@
-"""Test the sizes that `bench learn` states of a bench: simulated benches with many runs each and known truth.
+"""Test the errors of a bench that `bench learn` estimates, on simulated benches with many runs and known truth.
 
     python -m benchmarks.learning_campaign --runs 200 --blocks 30 --seed 1
     python -m benchmarks.learning_campaign --runs 40 --own K2 --seed 2
@@ -6,17 +6,17 @@
     python -m benchmarks.learning_campaign --runs 400 --exchange 3 --seed 6
 
 The truth of each bench is drawn within its stated limits: means of four stand angles, the effect of a remount,
-noise of three meters, setting error, two harmonics of the head. Every run has a different block. Of three runs, one
-has all mountings repeated with a quarter turn on the platform, and one with a half turn. Promised: sizes with u <=
-10 % are within 20 % of the truth; of the others, |z| <= 2 in >= 93 %.
+noise of three meters, setting error, two harmonics of the head. Every run has a different block. Of three runs,
+one has all mountings repeated with a quarter turn on the platform, and one with a half turn. Promised: estimates
+with u <= 10 % are within 20 % of the truth; of the others, at least 93 % have |z| <= 2.
 
-`--own` gives the fourth run a K2 or a drift of its own. Printed are how often it is named, and the z of the bench's
-sizes then. `--next` calibrates that many further blocks of each bench in installations 1 and 2 with the learned
-sizes, and compares u with and without them. The benches then have no harmonics of the head, so that one model
-serves both (promised: rms z 0.93 to 1.07). `--exchange` gives each bench one block, measured that many times with
-its three voltmeters on different channels each time. The differences of their gains and zeros are compared with the
-truth, for blocks that repeat as the readings state, and for worse ones. The simulation shares no geometry with the
-model (`tests.support.learning_bench`).
+`--own` gives the fourth run a K2 or a drift of its own. Printed are the share of cases in which this run is
+named, and z of the bench's errors in these cases. `--next` calibrates that many further blocks of each bench in
+installations 1 and 2 with the learned sizes, and compares u with and without them. The benches then have no
+harmonics of the head, so that one model serves both (promised: rms z 0.93 to 1.07). `--exchange` gives each bench
+one block, measured that many times with its three voltmeters on different channels each time. The differences of
+their gains and zeros are compared with the truth, for blocks whose repeatability is as the readings state, and
+for less repeatable ones. The simulation shares no geometry with the model (`tests.support.learning_bench`).
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def exchanged_meters(rng: np.random.Generator, benches: int, runs: int, extra: f
 
 
 SCATTER = 5e-6
-"""About u of the length of a row by the readings of a run, in parts of it."""
+"""Approximate relative u of the length of a row of K by the readings of a run."""
 
 
 def _seen(found: Calibration, turn: list[int]) -> MeterRun:

@@ -2,12 +2,13 @@
 
     python -m benchmarks.levelling --levellings 1000 --runs 300
 
-Levellings by `bench.run.workbench`, with a level whose zero is 30 arcsec off in a random direction each time: how
-often α1 and α2 of the simulated platform are within U = 2 u of the recorded values. The level is electronic (noise,
-last digit, scale and axes as on the Nivel's data sheet), or a bubble that a person reads. Then calibrations of the
-paper's procedure, from the same readings with and without the measured level; the truth comes from the geometry of
-tests/support/paper_bench.py. Printed are the rms of (estimate - truth)/u of each coefficient, and the reduction of
-u, beside that of least squares with known noise and these priors. The exit status is 1 if a limit is broken.
+First, levellings by `bench.run.workbench` with a level whose zero is off by 30 arcsec in a random direction:
+printed is how often α1 and α2 of the simulated platform are within U = 2 u of the recorded values. The level is
+electronic (noise, last digit, scale and axes as on the Nivel's data sheet), or a bubble that a person reads.
+Then, calibrations of the paper's procedure from the same readings, with and without the measured level; the truth
+comes from the geometry of tests/support/paper_bench.py. Printed are the rms of (estimate - truth)/u of each
+coefficient, and the reduction of u, compared with that of least squares with known noise and these priors. The
+exit status is 1 if a limit is broken.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from tests.support.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, des
 
 ZERO_RAD = 30.0 * ARCSEC
 LEFT_RAD = 5.0 * ARCSEC
-"""What is left of the platform's tilt is uniform within this."""
+"""Half-width, rad, of the uniform distribution of the platform's tilt after levelling."""
 NOISE_V = 1e-4
 SETTINGS = 3
 LIMITS = np.array([STAND_U[name] for name in ("axis_tilt", "zero_offset", "mounting_error")])
@@ -110,7 +111,7 @@ def levellings(count: int, *, bubble: bool, settings: int = 1, seed: int = 1) ->
     return z
 
 
-# --- what it is worth -------------------------------------------------------------------------------
+# --- the benefit for calibrations ------------------------------------------------------------------------
 
 
 def calibrations(k: int, u_level: Floats, seed: int = 2) -> tuple[Floats, Floats, Floats, Floats]:
@@ -181,7 +182,7 @@ def show_levellings(count: int) -> list[str]:
 
 
 def show_calibrations(runs: int) -> list[str]:
-    """Print rms z, and the reduction of u beside theory; return the broken limits."""
+    """Print rms z, and the reduction of u with that in theory; return the broken limits."""
     u_level = np.array([0.5, 1.2]) * ARCSEC
     columns = zip(*(calibrations(k, u_level) for k in range(runs)), strict=True)
     error, u, plain_error, plain_u = (np.array(column) for column in columns)

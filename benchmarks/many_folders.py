@@ -38,7 +38,7 @@ from bench.model.geometry import (
 from benchmarks.campaign import arguments, done
 from drivers.clock import utc_now
 
-# --- the truth: units that drift, benches with effects, what their stands then read ----------------------
+# --- the truth: units that drift, benches with effects, and their readings -------------------------------
 
 
 FIRST_DAY: Final = datetime(2016, 1, 4, 6, tzinfo=UTC)
@@ -48,7 +48,7 @@ POINTS: Final = 9
 UNIT_SPREAD: Final = 2e-3
 BENCH_EFFECT: Final = 3e-5
 DRIFT_A_YEAR: Final = 3e-5
-"""Standard deviations of the truth in each coefficient, V/g and V (a year)."""
+"""Standard deviation of the drift of each coefficient, V/g and V per year."""
 STAND_SD: Final = np.array([5.0 / 3.0, 5.0 / 3.0, 30.0, 0.0, 0.0]) * ARCSEC
 VERIFIED: Final = Installation.from_axes("V", ("x", "y", "z"), np.pi / 4)
 INSTALLATIONS: Final = (INSTALLATION_1, INSTALLATION_2, VERIFIED)
@@ -194,7 +194,7 @@ OPERATORS: Final = ("A. Example", "B. Example", "C. Example", "D. Example", "E. 
 LIMIT_G: Final = 3e-4
 CHUNK: Final = 500
 ODD: Final = 33
-"""Every so manyth run has `ODD_KXZ` times the forces along x and z in its channel x, V/g²."""
+"""Interval between runs that have `ODD_KXZ` (V/g²) times the forces along x and z in channel x."""
 ODD_KXZ: Final = 4e-3
 
 
@@ -334,7 +334,7 @@ class Writer:
         self, own: dict[str, Any], found: Floats, residual: dict[str, float], scatter: float, head: str,
         serials: tuple[str, ...], bench: int,
     ) -> bytes:  # fmt: skip
-        """Return calibrate.json: the template's, with the values of this run."""
+        """Return calibrate.json of a run: the template's file with this run's values."""
         before = self.template.calibrated
         coefficients = {
             name: {**before["coefficients"][name], "value": value}
@@ -361,7 +361,7 @@ class Writer:
         return ("{" + ", ".join(f'"{k}": {v}' for k, v in texts.items()) + "}\n").encode()
 
     def _verified(self, g_p: Floats, angles: Floats, name: str, bench: int, digest: str) -> bytes:
-        """Return verify.json: Δg of this run, with the template's u."""
+        """Return verify.json of a run: its Δg with the u of the template."""
         before, points = self.template.verified, []
         for was, value, angle in zip(before["points"], g_p.tolist(), angles.tolist(), strict=True):
             beyond = [float(special.ndtr((-LIMIT_G - s * (value - 1.0)) / was["u"])) for s in (-1, 1)]

@@ -27,7 +27,7 @@ KINDS: Final = {
     "Prompt": "prompt", "Option": "help", "Argument": "help", "Field": "help", "Key": "help",
     "table": "heading", "print": "note", "note": "note", "warn": "note", "echo": "note",
 }  # fmt: skip
-"""By the function that takes a text its kind; an error is what an exception or a list of problems takes."""
+"""The kind of a text by the function that takes it; exceptions and lists of problems take errors."""
 _ERROR_TAKERS: Final = re.compile(
     "Error|Mistake|Problem|Failure|Refus|refuse|mistake|problem|"
     "InstrumentLost|LimitExceeded|WentAstray|NotConnected|NoAnswer|SetOtherwise|NotSettled|RailFault|"
@@ -37,7 +37,7 @@ _NOT_INTACT: Final = ("NotIntact", "NoCertificate")
 """Errors of a certificate, to which `bench.certificate.verify` adds its remedy."""
 _BENCH_ERROR: Final = ("instrument", "cause", "remedy")
 _OF_PROBLEMS: Final = "problems"
-"""A function whose docstring says that it returns or yields what is wrong: its texts become parts of errors."""
+"""Kind of a function whose docstring says that it returns or yields problems: its texts are parts of errors."""
 _PROBLEMS: Final = re.compile(
     r"(?:\b|_)(problem|mistake|wrong|fault|bad|failure|refus|contradict|caveat|doubt)", re.I
 )
@@ -50,7 +50,7 @@ _NO_MESSAGE: Final = re.compile(
     r"(SELECT|COPY|CREATE|FORMAT) |\{#|<\w|\w+ = (?:[\[\d…]|\w+ = )|\w+/\w+; charset=|"
     r"width=device-width|[A-Z]+( [A-Z]+)+$|'?sha256-"
 )
-"""Queries, elements, definitions of units, commands of instruments: a program reads these."""
+"""Pattern of texts for programs: queries, elements, definitions of units, commands of instruments."""
 _LITERAL: Final = re.compile(r"\"([^\"\n]*)\"|'([^'\n]*)'|`([^`]*)`")
 
 

@@ -1,8 +1,7 @@
 """A scripted operator who makes one mistake, and corrects it when the run stops and asks.
 
-`Mistake` states what goes wrong, where, and which names are right. The operator's hands are between
-`sim.world.operator.ScriptedOperator` and the world: cables, mountings and turns are mistaken until the run asks how
-to continue.
+`Mistake` states what goes wrong, where, and which names are right. `_Hands` replaces the world for
+`sim.world.operator.ScriptedOperator`: cables, mountings and turns are wrong until the run asks how to continue.
 """
 
 from __future__ import annotations
@@ -31,13 +30,13 @@ KINDS: Final = (
     "cables swapped", *MISREAD, "misread 360° - x", "typed",
 )  # fmt: skip
 TYPED: Final = (3600.0, -3600.0, 600.0, -600.0, 60.0, -60.0, None)
-"""What is typed where the head stands right, arcsec off; None for 360° - x."""
+"""Errors, arcsec, of an angle that is typed wrongly while the head is right; None for 360° - x."""
 
 REDO: Final = {
     "not remounted": "mount again", "remounted wrongly": "mount again", "cables swapped": "redo pass",
     "wrong direction": "redo pass",
 }  # fmt: skip
-"""What is answered when the run stops; the point is taken again where nothing else stands here."""
+"""The answer to the question how to continue, for each mistake; for all other mistakes the point is repeated."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +133,7 @@ def _of_turn(kind: str, plan: Plan, index: int, step: Turn, random: Random) -> M
 
 
 def _as_well(plan: Plan, index: int, stood_rad: float | None) -> tuple[str, ...]:
-    """Return further right names for a head at `stood_rad`; some mistakes give the same head angle."""
+    """Return further right names for a head at `stood_rad`, because some mistakes give the same head angle."""
     step = plan.steps[index]
     assert isinstance(step, Turn)  # noqa: S101
     assert stood_rad is not None  # noqa: S101
@@ -169,7 +168,7 @@ def _same(one: float, other: float) -> bool:
 
 
 class _Hands:
-    """The world as the operator acts on it: `work` and `mistake` decide what is really done."""
+    """The world as the mistaken operator acts on it: `work` and `mistake` determine the real actions."""
 
     def __init__(self, world: World, plan: Plan, mistake: Mistake | None) -> None:
         self._world = world
@@ -189,7 +188,7 @@ class _Hands:
         return getattr(self._world, name)
 
     def at(self, key: str) -> None:
-        """Note the step that asks."""
+        """Note the step whose prompt is open."""
         self.index = self._keys.get(key.partition("#")[0], self.index)
         mistake = self._mistake
         if mistake is not None and mistake.cables and not self.mended and self.index >= mistake.index:
@@ -268,9 +267,9 @@ class MistakenOperator(ScriptedOperator):
         if prompt.id.startswith("halt@"):
             self.asked.append(prompt.text)
             self._hands.mend()
-            self._turned_for = None  # what was turned wrongly is turned again
+            self._turned_for = None  # a wrong turn is repeated
             kind = self._mistake.kind if self._mistake else ""
-            # a point that was taken again to no purpose: the wrong one is before it
+            # this point was repeated in vain: the wrong point is an earlier one
             again = "redo pass" if len(self.asked) > 1 else "redo point"
             return Answer(prompt.id, REDO.get(kind, again))
         self._hands.at(prompt.id)

@@ -1,5 +1,6 @@
-"""Test the early warning: a run stops in time after an operator's mistake, for the right reason, and never without
-one.
+"""Test the early warning.
+
+After an operator's mistake, a run stops in time and for the right reason; without one, it never stops.
 
     python -m benchmarks.mistakes_campaign watcher --runs 200 --clean 3000 --jobs 2 --out watcher.json
     python -m benchmarks.mistakes_campaign whole --runs 20 --clean 500 --jobs 2 --out whole.json
@@ -61,11 +62,11 @@ from sim.world.clock import VirtualClock
 
 CLEAN: Final = "clean"
 LARGE: Final = 8.0
-"""Standard deviations in a reading from which a mistake counts."""
+"""Least shift of a reading by a mistake that counts, in standard deviations."""
 IN_TIME: Final = 0.99
 RIGHT: Final = 0.95
 METER_NOISE_V: Final = 5e-6
-"""Noise of a mean of ten samples, beside the voltmeter error of the bench file."""
+"""Noise of a mean of ten samples, V, in addition to the voltmeter error of the bench file."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ def is_right(causes: Sequence[str], mistake: Mistake) -> bool:
     return any(phrase in cause for cause in causes[:MOST_LISTED] for phrase in mistake.named)
 
 
-# --- the watcher alone ------------------------------------------------------------------------------
+# --- the early warning alone -----------------------------------------------------------------------------
 
 
 class Fed:
@@ -146,7 +147,7 @@ class Fed:
 
 
 def watched(kind: str, number: int, seed: int, procedure: str, bench_name: str) -> Outcome:
-    """Give the readings of a run to the early warning; stop at its first confident sign, or when it is too late."""
+    """Give the readings of a run to the early warning; stop at its first certain sign, or when it is too late."""
     plan, bench = setting(procedure, bench_name)
     run_seed = 1000 * seed + number
     mistake = None if kind == CLEAN else draw(kind, number, plan, bench.installation_models(), seed)
@@ -174,7 +175,7 @@ def watched(kind: str, number: int, seed: int, procedure: str, bench_name: str) 
             return replace(outcome, causes=stop.causes, right=right_cause)
         if (since is not None and since >= 2) or (begun and mistake and _over(plan, mistake, index)):
             break
-    if kind == "typed" and mistake is not None:  # the prompt asks again, no reading is wrong
+    if kind == "typed" and mistake is not None:  # the prompt asks again, so that no reading is wrong
         told = fed.operator.slips_told
         outcome = replace(outcome, size=math.inf, stopped=bool(told), late=0, causes=tuple(told))
         return replace(outcome, right=bool(told) and all(mistake.named[0] in text for text in told))
@@ -191,9 +192,9 @@ def _done(index: int, result: Reading | Mounted | None) -> Event:
 
 
 def _over(plan: Plan, mistake: Mistake, index: int) -> bool:
-    """Whether a mistake can have no further effect.
+    """Return whether a mistake can have no further effect.
 
-    This is two readings after it, or at the end of its mounting if it lasts.
+    That is two readings after the mistake or, if it lasts, at the end of its mounting.
     """
     since = plan.steps[mistake.index + 1 : index + 1]
     lasts = mistake.cables or mistake.kind in ("not remounted", "remounted wrongly", "wrong direction")
@@ -228,7 +229,7 @@ def whole(kind: str, number: int, seed: int, procedure: str, bench_name: str, fo
             reads = [i for i in range(begun, stops[0]["step"] + 1) if isinstance(plan.steps[i], Read)]
             late = max(len(reads) - 1, 0)
             outcome = replace(outcome, late=late, causes=causes, right=is_right(causes, mistake))
-        if mistake.kind == "typed":  # the prompt asks again: nothing is to be stopped
+        if mistake.kind == "typed":  # the prompt asks again, so that nothing must be stopped
             stopped = fed.stopped and not stops
             outcome = replace(outcome, stopped=stopped, late=0, causes=fed.causes, right=fed.right)
         again, more = _carried_out(runs, "undisturbed", plan, run_seed, procedure, bench_name, None)

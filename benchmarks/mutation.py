@@ -20,13 +20,15 @@ from collections import Counter
 from benchmarks.campaign import ROOT, arguments
 
 FIRST = "bench.calibration.linear.*__mutmut_1"
-"""A few, to have all made and the tests timed."""
+"""Name of a few mutants: they start the run, in which all mutants are made and the tests are timed."""
 
 
 def mutmut(*arguments: str) -> str:
     """Run mutmut on this tree and return its output; a failure ends the program with this output."""
     command = [sys.executable, "-m", "mutmut", *arguments]
-    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}  # the copy is to be imported
+    environment = {
+        k: v for k, v in os.environ.items() if k != "PYTHONPATH"
+    }  # so that mutmut's copy is imported
     done = subprocess.run(  # noqa: S603 - a tool of our own environment
         command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False
     )

@@ -1,4 +1,4 @@
-"""Measure a calibration by panel in Chromium: keys and clicks, the delay of live values, the cost of live reads.
+"""Measure a calibration by panel in Chromium: keys and clicks, delay of live values, duration of live reads.
 
     python -m benchmarks.panel_evening keys        # a whole 'calibration', typed, then read by an encoder
     python -m benchmarks.panel_evening live        # meters of `bench simulate` over TCP, in real time
@@ -32,7 +32,7 @@ from tests.support.browsers import find_chromium
 from tests.support.served_panel import ServedPanel, served
 
 NO_LOOKS: Final = f"import bench.run.live as l; l.LiveSignals.look = lambda self: None; {PROGRAM}"
-"""The program without live reads."""
+"""Program code without live reads."""
 
 PROCEDURE: Final = """\
 procedure: live

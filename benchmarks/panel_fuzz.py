@@ -41,7 +41,7 @@ from benchmarks.campaign import amiss, arguments
 from drivers.clock import utc_now
 from drivers.person import Prompt, PromptKind
 
-# --- requests drawn at random: most are nearly right, as those of who looks for a gap are ----------------
+# --- random requests; most are nearly valid, like those of an attacker -----------------------------------
 
 
 HOST = "127.0.0.1:8741"
@@ -105,7 +105,7 @@ class Actor:
 class Request:
     """A request in the form that the application receives.
 
-    `entitled` says whether its sender may change anything by it.
+    `entitled` says whether its sender may change anything by this request.
     """
 
     method: str
@@ -165,7 +165,7 @@ class Requests:
         self._add_rest(headers, body)
         signed_in = right_cookie and actor.person is not None and not actor.revoked
         by_session = signed_in and right_form and self._may(actor, path)
-        # who signs in makes a session, with a token of one's own
+        # signing in with one's own token makes a session
         by_token = path == "/sign-in" and bool(actor.token) and not actor.revoked
         entitled = method == "POST" and right_origin and right_host and (by_session or by_token)
         query = urlencode(self._sent(), errors="replace").encode() if draw.random() < 0.5 else b""
@@ -220,7 +220,7 @@ class Requests:
     def _sent(self) -> dict[str, str]:
         draw = self._random
         sent = {draw.choice(FIELDS): draw.choice(WORDS) for _ in range(draw.randrange(5))}
-        # the question that stands, so that what is read of an answer is reached
+        # the open question, so that the program reads the answer
         return sent | ({"id": "1@1", "text": draw.choice(WORDS)} if draw.random() < 0.2 else {})
 
     def _body(self, sent: dict[str, str], kind: str) -> tuple[bytes, ...]:
@@ -266,7 +266,7 @@ class Requests:
 
 RECORD = Path(__file__).parents[1] / "tests" / "data" / "records"
 MAY_CHANGE = {"holding.jsonl", "answers.jsonl", "control.jsonl", ".holding.jsonl.lock"}
-"""What a person with the right to may bring about in a run's folder."""
+"""Files in a run's folder that an entitled person may change."""
 
 QUESTION = Prompt(
     "1@1", PromptKind.ANGLE, "Turn to 120° 30′ 15″",
@@ -300,7 +300,7 @@ class Outcome:
 
 
 class Place:
-    """A folder of runs beside a secret file, with one run in progress and persons of each role."""
+    """A folder of runs and a secret file outside it, with one run in progress and persons of each role."""
 
     def __init__(self, folder: Path) -> None:
         self.outside = folder / "outside"
@@ -326,7 +326,7 @@ class Place:
         self.actors[1] = Actor("revoked", revoked.person, revoked.token, cookie, revoked=True)
         token = access.new_token("looker", Role.VIEWER)
         self.actors.append(Actor("looker", access.sign_in_by_token(token), token, cookie))
-        # somebody carries it out, and asks
+        # a program carries the run out, and asks a question
         self.record, history = Record.reopen(self.runs / "alive", utc_now)
         bench_s = history.events[-1].bench_s
         self.record.append("run_resumed", bench_s, step=1, instruments={})
@@ -449,7 +449,7 @@ def judged(
         wrong.append(f"{request}: showed what lies outside")
     if b"<script>\x1b" in body or b"\x1b" in body:
         wrong.append(f"{request}: a name acts on the page")
-    # a lock that is made where there was none is no change of anything
+    # a new lock file does not count as a change
     changed = {path for path in changed if not path.endswith(".lock")}
     if (changed or started) and not request.entitled:
         done = f"changed {sorted(changed)}, started {started}"

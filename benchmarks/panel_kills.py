@@ -4,7 +4,7 @@
 
 All are real processes: the program that carries out a dry run whose questions a person answers in the panel, the
 panel, and a client that answers as fast as a person might. After each kill: the program lives and its record is
-complete; the person is still signed in and in control; the question on the disk is in the panel; and no question
+complete; the person is still signed in and in control; the panel shows the question on the disk; and no question
 was answered twice. At the end the program itself is killed: the panel reports this, and resumes the run.
 """
 

@@ -1,4 +1,4 @@
-"""Compare the paper's 54 settings with chosen ones, and find how few chosen ones give the same uncertainty.
+"""Compare the paper's 54 settings with chosen settings, and with the fewest chosen ones of the same uncertainty.
 
 Both use the shipped bench of the paper: stand errors with k = 3, and its limits as one standard deviation.
 

@@ -23,7 +23,7 @@ from benchmarks.campaign import ROOT, arguments
 
 BANNED: Final = ROOT / "docs" / "banned-phrases.txt"
 LONG: Final = 25
-"""A sentence with more words than this is a long one."""
+"""Number of words above which a sentence is long."""
 
 CHECKED: Final = ("bench", "drivers", "sim", "config", "procedures", "docs/generators")
 SUFFIXES: Final = {".py", ".j2", ".js", ".typ", ".yaml"}
@@ -35,7 +35,7 @@ _LEFT_OUT: Final = re.compile(
     re.M | re.S,
 )
 _MADE: Final = re.compile(r"^<!-- [^>]*: made by [^>]* -->$.*?^<!-- end of [^>]* -->$", re.M | re.S)
-"""What a command writes into a page: tables of results, which count as little as generated pages do."""
+"""Text that a command writes into a page, such as tables of results; like generated pages, it is not counted."""
 _PICTURE: Final = re.compile(r"!\[[^\]]*\]\([^)]*\)|^```\{(?:figure|image|picture)\}.*$", re.M)
 _ITEM: Final = re.compile(r"^\s*(?:[-*+]|\d+\.|:|>)\s+", re.M)
 _END: Final = re.compile(r"(?<!\b[A-Z])(?<!e\.g)(?<!i\.e)[.!?][\"'”’)*_]*\s+(?=[\"'“‘(*_]*[^\sa-z])")
@@ -63,7 +63,7 @@ class Prose:
 
 
 def sentences(text: str) -> list[str]:
-    """Return the sentences of a page; each item of a list is at least one."""
+    """Return the sentences of a page; each item of a list has at least one sentence."""
     text = _ITEM.sub("\n\n", _PICTURE.sub("", _LEFT_OUT.sub("\n\n", text)))
     text = re.sub(r"``.*?``|`[^`]*`", "Code", text)
     text = re.sub(r"\[([^\]]*)\](?:\([^)]*\)|\[[^\]]*\])", r"\1", text)

@@ -5,13 +5,13 @@
     python -m benchmarks.same_results compare OLD NEW
     python -m benchmarks.same_results schemas /path/of/old/docs/schemas
 
-`store` makes seeded dry runs and stores the JSON, pages, records, readings and draft certificates of every command
-that evaluates them. It calls the program as a user does, so that it can store what an older version gives.
-`compare` requires that JSON and XML have the same members, texts and integers, and that numbers agree to 1e-9 of
-the largest number in the same list. Of pages it compares the numbers of the text and the plotted data. Texts that
-differ in words alone are listed as reworded, which is no difference. `IGNORED` lists what is left out. The exit
-status is 1 if anything differs. `schemas` requires that this version's JSON schemas have every member of those in a
-folder, and lists new members.
+`store` makes seeded dry runs and stores the JSON, pages, records, readings and draft certificates of every
+command that evaluates them. It calls the program as a user does, so that it can store what an older version
+gives. `compare` requires that JSON and XML have the same members, texts and integers, and that numbers agree to
+1e-9 of the largest number in the same list. Of pages it compares the numbers of the text and the plotted data.
+Texts that differ in words alone are listed as reworded, which is no difference. `IGNORED` lists the members whose
+values are not compared. The exit status is 1 if anything differs. `schemas` requires that this version's JSON
+schemas have every member of those in a folder, and lists new members.
 """
 
 from __future__ import annotations
@@ -51,12 +51,15 @@ IGNORED: Final = (
     r"(^|[._])(path|folder|file|files|page|report|model_file)$",
     r"[Ss]ignature|[Ii]dentifier|release|[Tt]imestamp|free_bytes$|\.prev$",
 )
-"""Members whose values are not compared (times, versions, identifiers, places, signatures); their presence is."""
+"""Patterns of members whose values are not compared, only their presence.
+
+They are times, versions, identifiers, places and signatures.
+"""
 _NUMBER: Final = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 _CLOCK: Final = r"\d\d:\d\d(?::\d\d(?:\.\d+)?)?"
 _TIME: Final = rf"\d{{4}}-\d\d-\d\d(?:[T ]{_CLOCK}(?:Z|[+-]\d\d:\d\d)?)?|{_CLOCK}"
 _PASSING: Final = re.compile(rf"(?<![\w.])(?=\d*[a-f])[0-9a-f]{{12,64}}\b|(?:/[\w.+-]+){{2,}}|{_TIME}")
-"""Digests, places and times within texts, which are not compared either."""
+"""Pattern of digests, places and times in texts, which are not compared."""
 
 
 def store(folder: Path, program: str, seeds: int) -> None:
@@ -184,7 +187,7 @@ def _read(path: Path) -> Any:
             return json.loads(path.read_text(encoding="utf-8"))
         case ".html":
             return Page(path.read_text(encoding="utf-8"))
-        case ".jsonl":  # event by event, without hashes and civil times
+        case ".jsonl":  # each event without hashes and civil times
             return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
         case ".csv":
             return list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
@@ -214,7 +217,7 @@ def _leaves(element: ElementTree.Element, path: str = "") -> Iterator[tuple[str,
 
 
 COMPARED: Final = (".json", ".html", ".xml", ".csv", ".jsonl", ".status", ".h")
-"""Suffixes of files that are compared. Others (PDF, logs, what is printed) are held to be there alone."""
+"""Suffixes of the files that are compared; of other files (PDF, logs, output), only the presence counts."""
 
 
 def compare(one: Path, other: Path) -> Differences:

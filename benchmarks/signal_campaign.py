@@ -56,11 +56,14 @@ steps:
 """
 TIMEOUT: Final = "1 s"
 LIMIT_S: Final = 30.0
-"""A way out takes the timeouts of what does not answer; 30 s with a busy machine in between is none that hangs."""
+"""Largest time to end, s: the timeouts of instruments that do not respond, on a busy machine."""
 
 PHASES: Final = ("start", "run_started", "temperature", "turn", "read", "run_failed", "run_finished", "any")
-"""When the first signal comes: in the start of the process, as soon as the record shows an event (or the beginning
-of a step), at any time of the run and after it."""
+"""Phases in which the first signal comes.
+
+They are: the start of the process; the first event or step of this kind in the record; any time during the run or
+after it.
+"""
 PATTERNS: Final[dict[str, tuple[float, ...]]] = {
     "single": (0.0,),
     "double": (0.0, 0.05),
@@ -91,7 +94,7 @@ class Outcome:
     ended_s: float = 0.0
     state: str = "not begun"
     too_early: bool = False
-    """Whether the signal came before the program's first line: then Python itself answers Ctrl-C."""
+    """Whether the signal came before the program's first line, so that Python itself handles Ctrl-C."""
 
 
 def draw(count: int, seed: int) -> list[Trial]:
@@ -298,7 +301,7 @@ def judge(outcome: Outcome, process: Process, served: Served, run: Path) -> None
     by_signal = {-number for number in SIGNALS}
     allowed = {"finished": {0, 2, *by_signal}, "not begun": {2, *by_signal}}.get(outcome.state, {2})
     if outcome.state in ("interrupted", "failed"):
-        # a signal after the way out, when the message stands there or is printed, ends the process as any other
+        # a signal while the last message is printed, or later, ends the process as it ends any other
         late = len(outcome.trial.signals) > 1 or "go on with 'bench resume" in said
         allowed = allowed | (by_signal if late else set())
     if status not in allowed and not outcome.too_early:

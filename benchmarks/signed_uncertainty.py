@@ -10,23 +10,24 @@
 
 The cases are those of tests/support/whole_truth.py, whose truth shares nothing with the model. Printed for each:
 root mean square of (estimate - truth)/u of each coefficient, with the combined u and with the u of the readings;
-coverage of k = 2; rms z of delta g at the verification points. For cases of known size, also the variance that a
-source adds to the estimates (the same run with and without it), over the variance that it adds to u^2. The
-temperature is off by one draw throughout a run, of which the bench file says nothing; in cases called wandering it
-is a process with the correlation time that the bench file states.
+coverage of k = 2; rms z of delta g at the verification points. For sources of known size, the variance that the
+source adds to the estimates (the same run with and without it), divided by the variance that it adds to u^2, is
+printed, too. The temperature has one error throughout a run, which the bench file does not state; in cases called
+wandering it is a process with the correlation time that the bench file states.
 
 `--pairs`: two calibrations of a remounted block (turned by 0 to 2 degrees) are compared by the joint test of the
-nine intrinsic numbers. Printed are how often they are said to differ, and how often a change in one number by six
-standard uncertainties of the difference is found. `--bound`: runs with noise and stand errors only, beside a fit
-that knows the sizes of the noise; its u is the Cramer-Rao bound.
+nine intrinsic numbers. Printed are the share of unchanged pairs that the test says to differ, and the share of
+changed pairs that it finds; one number then changes by six standard uncertainties of the difference. `--bound`:
+runs with noise and stand errors only, compared with a fit that knows the sizes of the noise, whose u is the
+Cramer-Rao bound.
 
 `--few`: that many runs of each design with hardly any degrees of freedom (2+2, 3+2, 3+3, 4+2 readings), for which
 the bench file states the noise. With noise drawn from the prior that the program states, printed are the coverage
 of U (promised: 0.93 of all coefficients, 0.91 of each) and refusals (promised: at most 1 %). At twice the stated
-noise, the result must say that it rests on the statement (promised: always), and how often it says that the
-readings disagree is printed. `--clean`: that many runs, with equal and with unequal channels, without any error
-that readings share: how often a component is found in error (promised: 1 %, within the binomial limit of 99 %). The
-exit status is 1 if a limit is broken.
+noise, the result must say that it depends on the stated noise (promised: always); printed is how often it says
+that the readings disagree. `--clean`: that many runs, with equal and with unequal channels, without any error
+that readings share: how often a component is found in error (promised: 1 %, within the binomial limit of 99 %).
+The exit status is 1 if a limit is broken.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ from tests.support.whole_truth import CASES, EVERYTHING, WANDERING, Bench, simul
 
 CHUNK = 50
 ONE_IN = 4
-"""One pair in so many is compared again with a change in it."""
+"""One of so many pairs is compared a second time, with a change of the block."""
 TODAY = datetime(2026, 1, 1, tzinfo=UTC)
 KNOWN = {
     "roll": ("mounting_roll",),
@@ -69,7 +70,7 @@ KNOWN = {
     "temperature": ("temperature",),
     "wandering": ("temperature",),
 }
-"""The sources of the cases whose sizes the bench file or a data sheet says."""
+"""The sources of error, by case, whose sizes the bench file or a data sheet states."""
 STATED = UncertaintySection.model_validate(
     {"temperature": {"limit": "0.5 K", "distribution": "rectangular", "correlation_time": "1 h"}}
 )
@@ -138,7 +139,7 @@ def _without(case: str, at: list[int], found: Calibration) -> Floats:
     rng = np.random.default_rng(at)
     Bench.drawn(rng, case)
     if case == "roll":
-        # the roll is drawn after the stand's angles and is multiplied by nothing in another case
+        # the roll is drawn after the stand's angles; cases without roll multiply it by zero
         other = simulate_whole(np.random.default_rng(at), "stand")
     else:
         other = simulate_whole(rng, case, Bench())
@@ -231,7 +232,7 @@ def show_pairs(case: str, parts: list[Any]) -> list[str]:
 
 
 def beside_bound(seed: int, numbers: range) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return errors of the fit and of a fit that knows the noise (runs, 12), u of the readings, and the bound."""
+    """Return errors of a fit and of a fit that knows the noise (runs, 12), u of the readings, and the bound."""
     known = Noise(1e-4, SETTING_U_RAD, np.inf, "given")
     rows = []
     for k in numbers:
@@ -247,7 +248,7 @@ def beside_bound(seed: int, numbers: range) -> tuple[Floats, Floats, Floats, Flo
 
 def show_bound(parts: list[Any], runs: int) -> list[str]:
     error, ideal, u, bound = (np.concatenate(column) for column in zip(*parts, strict=True))
-    # both estimate from the same readings, so the ratio of their scatters is known better than either
+    # both estimate from the same readings, so that the ratio of their scatters is more accurate than either scatter
     scatter = np.sqrt(np.mean(error**2, axis=0) / np.mean(ideal**2, axis=0))
     stated = np.mean(u, axis=0) / np.mean(bound, axis=0)
     apart = np.sqrt(np.var(error**2 - ideal**2, axis=0) / runs) / (2.0 * np.mean(ideal**2, axis=0))

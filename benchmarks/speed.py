@@ -1,4 +1,6 @@
-"""Measure the time and memory of each part of the program, beside the promised limits. A word names the part:
+"""Measure time and memory of each part of the program, and compare them with the promised limits.
+
+The first word names the part:
 
     python -m benchmarks.speed program   # start, help, a dry run, a calibration
     python -m benchmarks.speed plan      # expand, hash, check and list 100,000 steps
@@ -7,11 +9,11 @@
     python -m benchmarks.speed runs --runs 1 5 20   # one diagnosis of many runs
     python -m benchmarks.speed catalogue --folder LABORATORY --hold-back 100 [--catalogue FILE|URL]
 
-`plan`, `record`, `runs` and `catalogue` work in separate processes, whose start is part of their cost. `diagnosis`
-uses cases of the blind trial: nothing hidden, one effect, one effect outside the catalogue. Each is diagnosed first
-without a simulated threshold, then with it in the cache. In `runs`, each run hides the same effect of rho 2.3,
-which no run shows alone. `catalogue` keeps the last folders of `benchmarks.many_folders` back for a second sync.
-The exit status is 1 if a promise is broken.
+`plan`, `record`, `runs` and `catalogue` work in separate processes, whose start is part of their cost.
+`diagnosis` uses cases of the blind trial: nothing hidden, one effect, one effect outside the catalogue. Each is
+diagnosed first without a simulated threshold, then with it in the cache. In `runs`, each run has the same hidden
+effect of rho 2.3, which no single run shows. `catalogue` reserves the last folders of `benchmarks.many_folders`
+for a second sync. The exit status is 1 if a promise is broken.
 """
 
 from __future__ import annotations
@@ -50,7 +52,7 @@ REPEATS: Final = 9
 
 
 def program(given: argparse.Namespace) -> bool:
-    """Measure commands, beside the bare interpreter, which a slow machine slows down equally."""
+    """Measure commands and, for comparison on a slow machine, the bare interpreter."""
     python = (sys.executable, "-c")
     commands = {
         "python -c pass": (*python, "pass"), "import bench": (*python, "import bench"),
@@ -105,7 +107,10 @@ PLANS: Final[dict[str, tuple[dict[str, str], float, float]]] = {
         2.5, 200.0,
     ),
 }  # fmt: skip
-"""Files, CPU time (s) and memory (MB) of a plan: where each step is said, every word is an event of the parser."""
+"""Files, largest CPU time (s) and largest memory (MB), by form of the plan.
+
+In a file with a line for each step, every word is an event of the parser.
+"""
 
 
 def plan(given: argparse.Namespace) -> bool:
@@ -168,7 +173,7 @@ def record(given: argparse.Namespace) -> bool:
     with tempfile.TemporaryDirectory(dir=Path()) as name, patch.dict(os.environ):
         os.environ["XDG_CACHE_HOME"] = str(Path(name) / "cache")
         folder = Path(name).absolute() / "runs" / "long"
-        # in a process of its own as well: a child begins with the peak of its parent's memory
+        # in a separate process, because a child begins with the peak of its parent's memory
         cost_of(make_record, folder.parent, given.events)
         bare = cost_of(parsed, folder)
         bare_s = float(bare.result)
@@ -202,7 +207,7 @@ def make_record(runs: Path, events: int) -> None:
         new = new_run(RunRequest(str(file), "paper-stand", runs=runs, dry_run=True, seed=1, name="long"))
     rng = np.random.default_rng(1)
     signals = signals_of_pass()
-    with patch("os.fsync"):  # what a disk takes is none of these figures
+    with patch("os.fsync"):  # the time of the disk does not count in these figures
         written = new.record()
         written.append("run_started", 0.0, step=0, instruments={})
         angle_deg, bench_s = 0.0, 0.0
@@ -255,7 +260,7 @@ def reading_of(step: Read, angle_deg: float, time_s: float, samples: Floats) -> 
 
 
 def parsed(folder: Path) -> float:
-    """Parse and hash every line, and nothing else; return the CPU time, s."""
+    """Parse and hash every line, without anything else; return the CPU time, s."""
     begun = time.process_time()
     with (folder / "events.jsonl").open("rb") as file:
         for line in file:
@@ -334,7 +339,7 @@ def diagnosis(given: argparse.Namespace) -> bool:
 
 
 def many_runs(given: argparse.Namespace) -> bool:
-    """Print the cost of a diagnosis of many runs as one body of data, with its page, beside that of one run."""
+    """Print the cost of one diagnosis of many runs, with its page, compared with that of one run."""
     kept = True
     print("runs  blocks     CPU / s   ratio   peak / MB   ratio   verdict")
     for blocks in (False, True):
@@ -378,11 +383,14 @@ QUESTIONS: Final[tuple[tuple[str, list[str], str], ...]] = (
     ("ask", ["bench=bench-07"], "instruments"), ("folders", ["bench=bench-07"], ""),
     ("table", ["bench=bench-07"], ""), ("unit", ["triaxial block A 00000"], ""),
 )  # fmt: skip
-"""What is asked: of answers, of folders for a batch, of coefficients as arrays, of a unit with its date due."""
+"""Questions to the catalogue.
+
+They ask for answers, folders of a batch, coefficients as arrays, and a unit with its due date.
+"""
 
 
 def catalogue(given: argparse.Namespace) -> bool:
-    """Print the cost of a first sync, of a second one with the folders kept back, and of questions."""
+    """Print the cost of a first sync, of a second sync of the reserved folders, and of questions."""
     runs = sorted(path for path in given.folder.iterdir() if path.is_dir())
     aside = given.folder.parent / f"{given.folder.name}-aside"
     held = runs[-given.hold_back :] if given.hold_back else []

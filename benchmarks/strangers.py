@@ -1,12 +1,12 @@
-"""Test other people's drivers on the simulated meter and supplies: PyMeasure's, QCoDeS's and dcps's.
+"""Test the drivers of PyMeasure, QCoDeS and dcps on the simulated meter and supplies.
 
     python -m venv VENV && VENV/bin/pip install pymeasure qcodes dcps pyvisa-py pyserial
     VENV/bin/python -m benchmarks.strangers --bench-program .venv/bin/bench
 
 The shipped bench is served with its meters set to `lan`, then with each supply in turn. Each published driver is
-used over TCP and over the pseudo-terminal: every property that it has, without an instrument error after any. A
-table and every disagreement are printed; the exit status is 1 if there is one. Packages that are not installed are
-skipped. Over its serial port an E3631A must first be set to remote, which these drivers leave to their users.
+used over TCP and over the pseudo-terminal: every property is set or read, and none may cause an instrument error.
+A table and every disagreement are printed; the exit status is 1 if there is one. Packages that are not installed
+are skipped. Over its serial port an E3631A must first be set to remote, which these drivers leave to their users.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Exchange:
         try:
             answer = action()
             left = self.errors()
-        except Exception as error:  # the clients' libraries raise anything
+        except Exception as error:  # the libraries of the clients raise exceptions of any kind
             self.wrong.append(f"{what}: {type(error).__name__}: {error}")
             return
         if left:
@@ -312,7 +312,7 @@ EXCHANGES: tuple[tuple[str, str, str, str, tuple[str, ...], Callable[[str, str],
     ("pymeasure", "PL303QMD-P", "power_supply", PL303, BOTH, pymeasure_pl303),
     ("dcps", "PL303QMD-P", "power_supply", PL303, BOTH, dcps_pl303),
 )
-"""Of each: package, instrument, its name on the bench, the supply's section, over which wires, the exchange."""
+"""Exchanges: package, instrument, its name on the bench, section of the supply, wires, and function."""
 
 
 @contextmanager

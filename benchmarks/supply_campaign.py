@@ -36,9 +36,9 @@ from sim.world.power import Disturbance, Power
 
 TIMEOUT: Final = "2 s"
 READBACK_V: Final = 0.01
-"""So far may what a supply measures be from what the rail has."""
+"""Largest difference between the voltage that a supply measures and the true voltage of the rail, V."""
 LOOKS: Final = 8
-"""Times within a reading at which it is looked what the rails truly had."""
+"""Number of times within a reading at which the true voltages of the rails are read."""
 
 PROCEDURE: Final = """\
 procedure: fed
@@ -168,7 +168,10 @@ def values_of(run: Run) -> dict[Place, tuple[float, ...]]:
 
 
 class Watch:
-    """A substitute for the class `SimulatedBench` in the composition root: it disturbs the world, and keeps it."""
+    """A substitute for the class `SimulatedBench` in the composition root.
+
+    It keeps the bench and disturbs its world.
+    """
 
     power: Power
     """The supply and the rails of the world."""
@@ -318,7 +321,7 @@ def _judge_visits(run: Run, before: set[int], outcome: FedOutcome) -> None:
 
 
 SHORTEST_S: Final = 5.0
-"""A shorter drop may come and go within a reading, between the looks before it and after it."""
+"""Longest drop, s, that may begin and end within a reading, between the checks before it and after it."""
 
 
 def _lasting(generator: random.Random) -> float:

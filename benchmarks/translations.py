@@ -31,7 +31,7 @@ from bench.base.template_texts import texts_in
 ROOT: Final = Path(__file__).parents[1]
 CATALOGUES: Final = ROOT / "bench" / "base" / "catalogues"
 EFFECTS: Final = ROOT / "bench" / "model" / "effects"
-"""Effects state their texts as attributes: the sentence, and what would show it."""
+"""Folder of the effects, which state texts as attributes: the sentence, and the measurement that shows them."""
 WORDS: Final = ROOT / "bench" / "certificate" / "words.yaml"
 NAMES_SHOWN: Final = "names-shown"
 """Reference of a catalogue's entry for a name that no module states, because it comes from a record or a file."""

@@ -3,9 +3,10 @@
     python -m benchmarks.tumble_statistics --runs 300
 
 For turns of 8, 12 and 24 points it prints the root mean square of (estimate - truth)/u of every quantity of every
-axis. Stand, terms and noise are drawn for each run; u is that of the readings (promised: 0.9 to 1.1, apart from
-three standard errors). With 8 points, some estimates are sums of terms; their truth is the sum that the result
-states. The simulation shares no geometry and no term with the model. The exit status is 1 if a promise is broken.
+axis. Stand, terms and noise are drawn for each run; u is that of the readings (promised: 0.9 to 1.1, with a
+margin of three standard errors). With 8 points, some estimates are sums of terms; their truth is the sum that the
+result states. The simulation shares no geometry and no term with the model. The exit status is 1 if a promise is
+broken.
 """
 
 from __future__ import annotations

@@ -1,17 +1,18 @@
-"""Test what runs that stop at a goal state, and how long they take: simulated runs with known truth.
+"""Test the results of runs that stop at a goal, and their duration, on simulated runs with known truth.
 
     python -m benchmarks.until_campaign --runs 2500 --seed 1 --workers 2
     python -m benchmarks.until_campaign --runs 500 --seed 2 --goal vector=6.83e-5
     python -m benchmarks.until_campaign --stopping --runs 625 --seed 3
 
 Each run draws a size of the noise (a fraction of the bench file's, `--noise`, equally often), a block near the
-paper's, and a stand. It takes the readings that `bench.planning.choice` chooses from the paper's procedure, step by
-step, as `bench run --until` does; geometry and noise are not the application's. It stops by the u that a
-calibration of the readings so far states. Printed, for all runs and by noise: rms of z = (estimate - truth)/u over
-the twelve coefficients at the stop (wanted: 0.93 to 1.07) with its standard error over runs; coverage of k = 2
-(wanted: at least 0.93); the runs that reached the goal; settings; mean bench time over that of the best fixed plan
-for the same goal and known noise (wanted: at most 1.10), and the same without warm-up and verification. For every
-fourth run, z of a number of readings fixed beforehand is printed beside, to show the effect of stopping.
+paper's, and a stand. It takes the readings that `bench.planning.choice` chooses from the paper's procedure, step
+by step, as `bench run --until` does; geometry and noise are not the application's. It stops when the u from a
+calibration of the readings so far reaches the goal. Printed, for all runs and by noise: rms of z = (estimate -
+truth)/u over the twelve coefficients at the stop (wanted: 0.93 to 1.07) with its standard error over runs;
+coverage of k = 2 (wanted: at least 0.93); the runs that reached the goal; settings; mean bench time over that of
+the best fixed plan for the same goal and known noise (wanted: at most 1.10), and the same without warm-up and
+verification. For every fourth run, z of a fixed number of readings is printed, too, to show the effect of
+stopping.
 
 `--stopping`: many simultaneous runs (`--runs` for each size of the noise) that use one order of the paper's points:
 first the best fixed plan with the least number of repeats, then the points that help most, `--step` points at a
@@ -50,7 +51,7 @@ READING_V, SETTING_RAD = 1e-4, 10 * ARCSEC / 3
 TILT_RAD, MOUNT_RAD = 5 * ARCSEC / 3, 90 * ARCSEC / 3
 FIXED_EVERY = 4
 SPREAD = 0.02
-"""Of the block about the paper's, g and V."""
+"""Standard deviation of a block's coefficients about those of the paper's block, g and V."""
 LARGEST_LOOKS = 60
 
 
@@ -98,7 +99,7 @@ def table_of(points: list[PlannedPoint], signal: np.ndarray) -> Readings:
 class Ended:
     """The end of a run: z of the twelve coefficients, whether it reached the goal, settings, and times, s.
 
-    The times are the total, and that of settings and mountings alone.
+    The times are the total time, and the time of settings and mountings.
     """
 
     scale: float
@@ -194,7 +195,7 @@ def time_of(chooser: Chooser, points: list[PlannedPoint]) -> float:
 
 
 Outcome = tuple[Ended, np.ndarray | None]
-"""A run, and z of as many readings fixed before with the same noise, where that was looked at."""
+"""The end of a run, and z for a fixed number of readings with the same noise (None if not computed)."""
 
 
 def part(goals: list[str], noises: list[float], seed: int, numbers: range) -> list[Outcome]:

@@ -1,11 +1,10 @@
-"""Test `bench validate` on planted faults, which it must find, and on healthy installations, where it must be
-silent.
+"""Test `bench validate`: it must find planted faults, and no fault in healthy installations.
 
     python -m benchmarks.validation_campaign --healthy 10 --kills 200
 
-For each fault, checks are carried out (quick) until one fails and names the place. Those of the family that should
-find it come first, and files of packages are hashed again only for faults of packages. Healthy runs carry out all
-checks, with each shipped bench file in turn and a different seed for their random parts. The kills are of two
+For each fault, quick checks are carried out until one fails and names the place. The family that should find the
+fault comes first, and files of packages are hashed again only for faults of packages. Healthy runs carry out all
+checks, with each shipped bench file in turn and a different seed for their random parts. `--kills` kills two
 programs that append to one register simultaneously.
 """
 

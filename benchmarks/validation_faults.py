@@ -49,7 +49,7 @@ class PlantedFault:
 
 
 def of_kind(plant: Callable[..., Iterator[Context]]) -> Callable[..., PlantedFault]:
-    """Return a function that makes the faults of a kind; `plant(context, …)` yields the context to validate."""
+    """Return a function that makes faults of one kind; `plant(context, …)` yields the context to validate."""
 
     def made(name: str, place: str, family: str, *given: Any, **options: Any) -> PlantedFault:
         return PlantedFault(

@@ -6,12 +6,12 @@
 Each run is the paper's procedure on a stand whose errors have the sizes that the fit assumes (the limits of the
 paper as three sigma; voltmeter noise `--noise`, V, which the fit does not know), followed by readings at the
 verification points. At each point the modulus has a true error of its own, uniform within the limit plus four u:
-nothing is known of it before the measurement, and afterwards it is distributed as in JCGM 106. The program
-calibrates and verifies as usual; geometry and truth are this benchmark's own. By steps of the probability of a
-false acceptance (of accepted points) and of a false rejection (of rejected points), its stated mean and the
-fraction of wrong decisions are printed. Promised for risks of 0.5 to 50 %: agreement within 10 % or 0.002,
-whichever is more, apart from three standard errors of the counts (runs are independent, points of a run are not).
-`--joint`: the same for the four points of a pass, accepted together.
+without prior knowledge of it, its posterior distribution is that of JCGM 106. The program calibrates and verifies
+as usual; geometry and truth are this benchmark's own. The points are sorted into steps of the stated risk: of a
+false acceptance for accepted points, of a false rejection for rejected points. The mean stated risk and the
+fraction of wrong decisions are printed for each step. Promised for risks of 0.5 to 50 %: agreement within 10 % or
+0.002, whichever is more, with a margin of three standard errors of the counts (runs are independent, points of a
+run are not). `--joint`: the same for the four points of a pass, accepted together.
 
 `--blocks`: blocks with true errors from a population (`POPULATION`) that is stated to the verification, each
 calibrated and verified once, by the default rule. With `--apart`, each of the four points has its own error instead
@@ -49,9 +49,9 @@ MODEL: Final = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
 TURN: Final = np.radians(np.arange(9) * 45.0)
 CHECKED: Final = np.radians([45.0, 135.0, 225.0, 315.0])
 CHECKS: Final = 60
-"""So many passes over the verification points."""
+"""Number of passes over the verification points."""
 BEYOND_G: Final = 2.5e-4
-"""True errors reach so far beyond the limit: four u of a reading there."""
+"""Largest distance of true errors beyond the limit, g: four u of a reading there."""
 POPULATION: Final = Population(5e-5, 1.5e-4)
 BINS: Final = (0.0, 0.01, 0.04, 0.12, 0.25, 1.0)
 LEVEL: Final = 0.01
@@ -108,9 +108,7 @@ def run(seed: int, number: int, noise: float, joint: int) -> tuple[Decided, Deci
 
 
 def steps(runs: list[Decided]) -> Iterator[tuple[float, float, int, float, float, float]]:
-    """Yield for each step of the stated risk: its ends, number of decisions, mean stated risk, fraction wrong, its
-    u.
-    """
+    """Yield for each step of the stated risk: its ends, number of decisions, mean risk, fraction wrong, and u."""
     for low, high in pairwise(STEPS):
         chosen = [(one.stated >= low) & (one.stated < high) for one in runs]
         count = sum(int(c.sum()) for c in chosen)

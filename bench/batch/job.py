@@ -70,7 +70,7 @@ class Job:
     def checked(self) -> Job:
         """Return the job with absolute paths.
 
-        Options that are invalid for every run raise the same errors as in the commands.
+        Raises the errors of the commands for options that are invalid for every run.
         """
         estimator = find_estimator(self.estimator).name
         check_gravity(self.g_m_s2)

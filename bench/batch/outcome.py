@@ -22,7 +22,7 @@ DIFFERENT: Final = "verdicts.csv"
 FAILED: Final = "failed.csv"
 SUMMARY: Final = "summary.json"
 LISTED: Final = 1000
-"""The summary lists at most this many runs; the tables contain all of them."""
+"""Largest number of runs that the summary lists; the tables contain all runs."""
 _MEMORY: Final = "512MB"
 _PARTS_OF_THE_LISTED: Final = (
     "CREATE VIEW changes AS SELECT parts.* FROM read_parquet($parts) AS parts "

@@ -23,7 +23,7 @@ from bench.services.errors import Refused
 AHEAD: Final = 2
 """Number of runs queued at each process, so that it need not wait for the next one."""
 TRIES: Final = 3
-"""After this many process deaths a run is listed as failed. Repeated failures to start end the batch."""
+"""Number of process deaths after which a run counts as failed; repeated failures to start end the batch."""
 RECYCLED: Final = 2000
 RECYCLED_DIAGNOSES: Final = 100
 """A process is replaced after this many runs, to release the memory that libraries keep."""
@@ -45,7 +45,7 @@ def by_processes(job: Job, runs: Iterator[str], count: int, recycled: int | None
 
 @dataclass(eq=False)
 class _Worker:
-    """A worker process: its connection, and the runs queued for it, of which it is computing the first."""
+    """A worker process: its connection, and the runs queued for it; it computes the first of them."""
 
     process: Any
     wire: Connection
@@ -59,7 +59,7 @@ class _Pool:
         self._job, self._runs, self._count, self._recycled = job, runs, count, recycled
         self._again: deque[str] = deque()
         self._deaths: Counter[str] = Counter()
-        self._stillborn = 0
+        self._early_deaths = 0
         self._context = _context()
         self._workers: list[_Worker] = []
         self._next: deque[str] = deque()
@@ -80,7 +80,7 @@ class _Pool:
         for worker in self._workers:
             worker.process.join(_PATIENCE_S)
 
-    # --- giving -------------------------------------------------------------------------------------
+    # --- handing out runs --------------------------------------------------------------------------------
 
     def _filled(self) -> bool:
         """Hand runs to idle processes and start processes as needed; return False when all runs are done."""
@@ -91,15 +91,15 @@ class _Pool:
                     break
                 worker.at_hand.append(run)
                 worker.given += 1
-                with suppress(OSError):  # it has died: that is heard
+                with suppress(OSError):  # it has died, which `_received_rows` notices
                     worker.wire.send(run)
         for worker in [w for w in self._workers if w.ready and not w.at_hand and w.given >= self._recycled]:
             self._let_go(worker)
         while len(self._workers) < self._count:
-            if not self._there_is_more(1 + sum(not worker.ready for worker in self._workers)):
+            if not self._has_more(1 + sum(not worker.ready for worker in self._workers)):
                 break
             self._begin()
-        if not any(worker.at_hand for worker in self._workers) and not self._there_is_more(1):
+        if not any(worker.at_hand for worker in self._workers) and not self._has_more(1):
             return False
         return bool(self._workers)
 
@@ -108,7 +108,7 @@ class _Pool:
             return self._again.popleft()
         return self._next.popleft() if self._next else next(self._runs, None)
 
-    def _there_is_more(self, count: int) -> bool:
+    def _has_more(self, count: int) -> bool:
         """Whether at least `count` runs are left to hand out."""
         while len(self._again) + len(self._next) < count:
             run = next(self._runs, None)
@@ -125,25 +125,25 @@ class _Pool:
         except (
             EOFError,
             OSError,
-        ) as problem:  # the one of which they are copies has died: there will be another
+        ) as problem:  # the fork server has died: another one will start
             ours.close()
-            self._came_to_nothing(f"{type(problem).__name__} {problem}".strip())
+            self._count_early_death(f"{type(problem).__name__} {problem}".strip())
         else:
             self._workers.append(_Worker(process, ours))
         finally:
             its.close()
 
-    def _came_to_nothing(self, how: str) -> None:
-        """Count a process that died before it was ready. Raises `Refused` if too many did so."""
-        self._stillborn += 1
-        if self._stillborn >= TRIES * self._count:
+    def _count_early_death(self, how: str) -> None:
+        """Count a process that died before it was ready. Raises `Refused` if too many processes died so."""
+        self._early_deaths += 1
+        if self._early_deaths >= TRIES * self._count:
             raise Refused(f"the worker processes end before they start ({how}); try --workers 1")
 
     def _let_go(self, worker: _Worker) -> None:
         self._workers.remove(worker)
-        worker.wire.close()  # by that it ends
+        worker.wire.close()  # a closed connection ends the process
 
-    # --- hearing ------------------------------------------------------------------------------------
+    # --- receiving rows ----------------------------------------------------------------------------------
 
     def _received_rows(self, worker: _Worker) -> Iterator[Row]:
         """Yield the rows that a process has sent; if it has died, reassign the runs that it had queued."""
@@ -151,7 +151,7 @@ class _Pool:
             while worker.wire.poll():
                 row = worker.wire.recv()
                 if row is None:
-                    worker.ready, self._stillborn = True, 0
+                    worker.ready, self._early_deaths = True, 0
                     continue
                 worker.at_hand.popleft()
                 yield row
@@ -166,7 +166,7 @@ class _Pool:
         how = _how(worker.process.exitcode)
         self._let_go(worker)
         if not worker.ready:
-            self._came_to_nothing(how)
+            self._count_early_death(how)
             return
         if not worker.at_hand:
             return
@@ -192,7 +192,7 @@ def _how(code: int | None) -> str:
 
 
 def _context() -> Any:
-    """Return the multiprocessing context: a fork server with everything imported, where available."""
+    """Return the multiprocessing context: where available, a fork server that has imported all modules."""
     for name in THREADS:
         os.environ[name] = "1"  # side by side, each computes on one core
     if "forkserver" in multiprocessing.get_all_start_methods():
@@ -207,7 +207,7 @@ def _context() -> Any:
 
 def _work(job: Job, wire: Connection) -> None:
     """Compute the runs received over `wire` until it is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is for the program that gives the work
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the program that hands out runs handles Ctrl-C
     Thread(target=_end_with_parent, daemon=True).start()
     from bench.batch.work import worked
 
@@ -245,7 +245,7 @@ def by_scheduler(job: Job, runs: Iterator[str], address: str) -> Iterator[Row]:
     dask: Any = import_module("distributed")
 
     for name in [name for name in logging.root.manager.loggerDict if name.split(".")[0] == "distributed"]:
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # what it has to say is said below
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # the messages below replace its own
     try:
         client = dask.Client(address, timeout=_SCHEDULER_PATIENCE, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as problem:

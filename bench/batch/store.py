@@ -33,7 +33,7 @@ _QUESTION: Final = re.compile(r"[a-z][a-z_]*\s*(=|!=|>=|<=|>|<)")
 _READ: Final = (
     MANIFEST, EVENTS, BENCH, PLAN, IMPORTED, EFFECTS, CALIBRATE_FILE, VERIFY_FILE, DIAGNOSE_FILE,
 )  # fmt: skip
-"""Files of a run that a row is made from."""
+"""Files of a run on which its row depends."""
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from bench.services.source import Source, load_sources
 from bench.services.verification import VerificationResult
 
 _ONE_AT_A_TIME: Final = Lock()
-"""A process computes one run at a time: which effects are known holds for all of it."""
+"""Lock by which a process computes one run at a time: the registered effects apply to the whole process."""
 
 
 def worked(job: Job, run: str) -> Row:
@@ -44,7 +44,7 @@ def worked(job: Job, run: str) -> Row:
             row |= _told_by_manifest(Path(run))
             with _knowing(job.effects):
                 row |= _of_run(job, run)
-        except Exception as error:  # one bad run never ends the batch; its sentence is listed
+        except Exception as error:  # a bad run never ends the batch; the table lists its error
             row["failed"] = visible(sentence(error))
     return row
 
@@ -53,7 +53,7 @@ def _told_by_manifest(folder: Path) -> Row:
     try:
         manifest = read_manifest(folder)
     except RecordError:
-        return {}  # whatever reads the run will say it
+        return {}  # the reader of the run reports this error
     unit = manifest.get("unit_under_test")
     said = manifest.get("versions", {})
     return {
@@ -282,7 +282,7 @@ class VerdictValues:
 
     @property
     def words(self) -> str:
-        """The verdict: accepted or not, and the statement if it says more."""
+        """The verdict: accepted or not, and the statement if it adds something."""
         word = "passed" if self.passed else "failed"
         plain = "pass" if self.passed else "fail"
         return word if self.statement == plain else f"{word} ({self.statement})"
@@ -356,10 +356,10 @@ def _read(file: Path, understood: Any, notes: list[str]) -> Any:
 def changes(before: CalibrationValues | None, now: CalibrationValues) -> Row:
     """Return the columns of the earlier values, the new values and their changes.
 
-    Without earlier values there are only the new ones. Both use the same readings, so a change is no random
-    deviation. It is stated in units of the earlier u, or of the new u if the earlier coefficient had none (fixed by
-    convention). If neither has a u, the change is zero or unknown. Results in different units of the signals are
-    not compared.
+    Without earlier values there are only the new ones. Both follow from the same readings, so that a change is no
+    random deviation. A change is stated in units of the earlier u, or of the new u if the earlier coefficient had
+    none (fixed by convention). If neither has a u, the change is zero or unknown. Results in different units of
+    the signals are not compared.
     """
     row: Row = {**_columns(now, ""), **({} if before is None else _columns(before, "_stored"))}
     if before is None:

@@ -1,4 +1,4 @@
-"""A fit at 1 g joined with points above 1 g: forces of a centrifuge with their uncertainty."""
+"""Join points above 1 g, measured on a centrifuge, with a fit at 1 g."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROUNDS: Final = 8
 ROUNDING: Final = 1e-14
 STEP_G: Final = 1e-4
 STILL: Final = 1e-3
-"""The joint fit has converged when no unknown moves by more than this fraction of its u."""
+"""The joint fit has converged when an iteration changes no unknown by more than this fraction of its u."""
 
 
 @dataclass(frozen=True)
@@ -57,10 +57,10 @@ class AboveOneG:
 def join(
     problem: Problem, fit: Fit, points: CentrifugePoints, g_m_s2: float, opened: int
 ) -> tuple[Fit, AboveOneG]:
-    """Return the fit after the points have joined, and their agreement with it.
+    """Return the joint fit of the readings at 1 g and the `points`, and the test of their agreement.
 
-    The fit at 1 g, with its covariance, is the prior. `opened` is the number of unknowns that it leaves free. The
-    points are linearised until no unknown moves. Raises `CalibrationError` if this does not converge.
+    The `fit` at 1 g, with its covariance, is the prior. `opened` is the number of unknowns that the readings at 1
+    g leave free. Raises `CalibrationError` if the iteration does not converge.
     """
     force = points.force_ms2 / g_m_s2
     conditions, kept = Conditions.of(["1"] * len(force), np.zeros(len(force))), np.isfinite(points.signal)

@@ -82,7 +82,7 @@ def calibrate(
     conditions = rows.conditions()
     if by.angles_rad is not None:
         conditions = replace(conditions, angle_rad=by.angles_rad(rows))
-    assumed = _left_assumed(assumed_u or {}, known)
+    assumed = _still_assumed(assumed_u or {}, known)
     problem = make_problem(
         model, conditions, {**stand_u, **(assumed_u or {})}, _free_rows(chosen, readings), known
     )
@@ -146,7 +146,7 @@ def calibrate(
     )
 
 
-def _left_assumed(assumed_u: Mapping[str, float], known: KnownStand | None) -> dict[str, float]:
+def _still_assumed(assumed_u: Mapping[str, float], known: KnownStand | None) -> dict[str, float]:
     """Return the assumed uncertainties of the stand angles that `known` does not cover."""
     told = set() if known is None else {name for name, _ in known.keys}
     return {name: u for name, u in assumed_u.items() if name not in told}

@@ -29,7 +29,7 @@ HARDLY_ANY: Final = 0.01
 MOST_SIGNALS: Final = 1500
 """Above this number of signals no components are searched for: the matrices would take minutes."""
 WAVES: Final = 8
-"""Number of principal components of a random walk that are kept: the rest holds 1 % of its variance."""
+"""Number of principal components of a random walk that are kept: the others have 1 % of its variance."""
 NOISE: Final = "noise"
 SETTING: Final = "setting error"
 ANGLE: Final = "angle of a setting"
@@ -123,7 +123,7 @@ def _taken_in(
         asked = asked_for(at, mixed.columns, len(terms), fit.noise.reading_dof)
         if len(terms) == len(basic):
             open_to = _wander(left, asked.expected)
-        what, p = _most_asked(left, asked.chance)
+        what, p = _most_significant(left, asked.chance)
         if p >= ASKED_P:
             break
         new = [t for t in left if t.what == what]
@@ -137,7 +137,7 @@ def _taken_in(
     return terms, theta, chance, open_to
 
 
-def _most_asked(terms: list[_Term], chance: Floats) -> tuple[str, float]:
+def _most_significant(terms: list[_Term], chance: Floats) -> tuple[str, float]:
     """Return the most significant kind and its p-value, adjusted for the number of kinds (Bonferroni).
 
     The p-values of a kind's channels are combined by Fisher's method.

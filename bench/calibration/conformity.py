@@ -31,7 +31,7 @@ RULES: Final = (SIMPLE, GUARDED, NON_BINARY)
 FALSE_ACCEPTANCE: Final = 0.05
 """Largest probability of a false acceptance at a point under the default decision rule."""
 NOMINAL_BAND: Final = float(special.ndtri(1.0 - FALSE_ACCEPTANCE)) / 2.0
-"""Guard band of the default rule, in U, for a normal distribution far from the other limit: 1.645 u."""
+"""Guard band of the default rule in units of U, for a normal distribution far from the other limit: 1.645 u."""
 
 COVERAGE_FACTOR: Final = 2.0
 """Coverage factor k of U = k u for infinite degrees of freedom."""
@@ -149,11 +149,11 @@ class DecisionRule:
         )
 
     def rejects(self, statement: Statement) -> bool:
-        """Return whether the rule rejects a value with this statement, given that it does not accept the value.
+        """Return whether the rule rejects a value that it does not accept and to which it gives this statement.
 
-        It does not reject an inconclusive value, nor under the non-binary rule a conditional pass. It rejects a
-        conditional fail, because nonconformity is more likely than conformity; the result states the probability of
-        a false rejection.
+        An inconclusive value is not rejected, nor is a conditional pass under the non-binary rule. A conditional
+        fail is rejected, because nonconformity is more likely than conformity; the result states the probability
+        of a false rejection.
         """
         left_open = statement is Statement.CONDITIONAL_PASS and self.name == NON_BINARY
         return statement is not Statement.INCONCLUSIVE and not left_open
@@ -216,8 +216,8 @@ class MeasuredValues:
 def _largest_sure(limit: float, known: MeasuredValues) -> Floats:
     """Return the largest |y| (n,) at which a false acceptance is at most as probable as `FALSE_ACCEPTANCE`.
 
-    That holds for both signs of y. The result is at most the limit, and −limit if not even y = 0 qualifies. It is
-    found by bisection, because the probability for the worse sign grows with |y|.
+    This applies to y and to −y. The result is at most the limit, and −limit if even y = 0 is too risky. Bisection
+    finds it, because the probability for the worse sign grows with |y|.
     """
 
     def sure(size: Floats) -> Mask:

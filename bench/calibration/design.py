@@ -136,9 +136,9 @@ class Problem:
 
     @property
     def prior_rows(self) -> Floats:
-        """The matrix (q, q) that whitens the q unknowns, each divided by its prior u.
+        """The matrix (q, q) that whitens the q unknowns after each was divided by its prior u.
 
-        The products are independent and have unit variance.
+        The whitened unknowns are independent and have unit variance.
         """
         q = len(self.stand) + len(self.effects)
         return np.eye(q) if self.hang is None else np.asarray(np.linalg.solve(self.hang, np.eye(q)))

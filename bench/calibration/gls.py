@@ -40,7 +40,7 @@ STANDS_STILL: Final = 5e-3
 The remaining error is smaller still because of the small curvature of the model, about 1e-5.
 """
 NEARLY_STILL: Final = 1e-2
-"""Below this fraction the noise is no longer re-estimated: it would not change."""
+"""Once no unknown moves by more than this fraction of its u, the noise is not estimated again."""
 ESTIMATIONS: Final = 8
 """Most iterations that re-estimate the noise: its sizes may alternate between two likelihood maxima."""
 FAR_FROM_STILL: Final = 0.1
@@ -203,8 +203,8 @@ def linearise(
 class _Places:
     """Indices that place the unknowns of one step of the fit.
 
-    `unknowns` are their indices among all 12 + q; `own` and `shifts` are the indices, within the step, of the
-    active coefficients and of the shifts.
+    `unknowns` are the indices of these unknowns among all 12 + q; `own` and `shifts` are the indices, within the
+    step, of the active coefficients and of the shifts.
     """
 
     unknowns: Ints

@@ -25,7 +25,10 @@ INTRINSIC: Final = ("Sx", "Sy", "Sz", "theta_xy", "theta_xz", "theta_yz", "bx", 
 
 PAIRS: Final = tuple(combinations(range(3), 2))
 HELD: Final = 0.1
-"""A number is held by limits if an unseen change of K of relative size 1 moves it by more than this part."""
+"""Least change, as a part of a number, by which the number counts as dependent on limits.
+
+The change is that due to a change of K that no reading shows, of relative size 1.
+"""
 JOINT_LEVEL: Final = 0.95
 
 
@@ -123,7 +126,10 @@ def least_dof(found: Calibration) -> float:
 
 
 def _held(own: Derived, unseen: Floats) -> tuple[str, ...]:
-    """Return the names of the numbers that change along `unseen` (12, d), changes of K of relative size 1."""
+    """Return the names of the numbers that depend on limits in the bench file.
+
+    `unseen` (12, d) are changes of K that no reading shows, of relative size 1.
+    """
     change = own.jacobian @ unseen
     size = np.concatenate([own.values[:3], np.full(3, np.degrees(1.0)), np.ones(3)])
     moved = np.max(np.abs(change), axis=1, initial=0.0) > HELD * size

@@ -23,7 +23,7 @@ NOMINAL_RAD: Final = np.radians(45.0) * np.arange(POINTS)
 
 OTHER_UNITS: Final = {"radians": 180.0 / np.pi, "gon": 0.9, "whole turns": 360.0}
 BADLY: Final = 1e-3
-"""Unexplained fraction of the signal variance: more with a wrong unit of angle, less with the right one."""
+"""Unexplained fraction of the signal variance: a wrong angle unit leaves more than this, the right unit less."""
 MUCH_BETTER_ANGLES: Final = 1e-2
 
 CLIPPED: Final = 3
@@ -82,7 +82,7 @@ def refuse_wrong_angle_unit(problem: Problem, signal: Floats, residuals: Floats)
 
 
 def _left(problem: Problem, signal: Floats, factor: float) -> float:
-    """Return the residual sum of squares of ordinary least squares after multiplying the angles by `factor`."""
+    """Return the residual sum of squares of ordinary least squares, with the angles multiplied by `factor`."""
     turned = replace(problem.conditions, angle_rad=problem.conditions.angle_rad * factor)
     _, left = least_squares(force_columns(replace(problem, conditions=turned)), signal)
     return float(np.sum(left**2))
@@ -295,12 +295,11 @@ def in_another_unit(channels: Sequence[str], part: str, unit: str, tens: int) ->
 
 @dataclass(frozen=True)
 class WrongUnit:
-    """The signals in another unit than the rest: each is too large by a factor of 1000^`power`, with `power` (n,
-    3).
+    """Signals in another unit than stated: each is too large by a factor of 1000^`power`, with `power` (n, 3).
 
-    `part` names the affected part of the table in words, empty for all rows; `channels` are the affected channels.
-    `unit` is the stated unit, `size` the power of the affected signals. `pass_number` or `installation` is set if
-    the part is one of these.
+    `part` names the affected part of the table in words, empty for all rows; `channels` are the affected
+    channels. `unit` is the stated unit, `size` the power of the affected signals. `pass_number` or `installation`
+    is set if the affected part is a pass or an installation.
     """
 
     power: Ints
@@ -396,7 +395,7 @@ def _powers(signal: Floats, force: Floats, labels: list[str], nominal: Sequence[
 
 
 def _with_still_parts(power: Ints, signal: Floats, force: Floats, labels: list[str]) -> None:
-    """Correct `power` where a channel hardly moves in a group of rows: by the unit that fits all rows best."""
+    """Correct `power` of groups in which a channel hardly moves: choose the unit with which all rows fit best."""
     for i in range(3):
         own = signal[:, i : i + 1] * 10.0 ** (-PREFIX * power[:, i : i + 1])
         if _unexplained(force, own) <= FITS:
@@ -429,7 +428,7 @@ def _sizes(signal: Floats, force: Floats) -> Floats:
 
 
 def _unexplained(force: Floats, signal: Floats) -> float:
-    """Return the largest unexplained fraction of a channel's variance, fitted at the nominal geometry."""
+    """Return the largest fraction of a channel's variance that a fit at the nominal geometry leaves unexplained."""
     _, left = least_squares(linear_columns(force), signal)
     whole = np.sum((signal - signal.mean(axis=0)) ** 2, axis=0)
     return float(np.max(np.sum(left**2, axis=0) / np.maximum(whole, 1e-300)))
@@ -459,7 +458,7 @@ def _described(
 def _of_other(readings: Readings, row: int, power: Ints, scaled: Floats, *, everywhere: bool) -> Ints:
     """Return the power of 1000 (3,) for a row that is not oriented.
 
-    It is that of all rows if `everywhere`, else follows from the row's signal.
+    With `everywhere` it is the power of all rows; otherwise the row's signal determines it.
     """
     if everywhere or readings.installation[row] in {REFERENCE, SHORTED}:
         return power[0] if everywhere else np.zeros(3, dtype=np.int64)

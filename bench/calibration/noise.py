@@ -313,7 +313,7 @@ def setting_limits(reading: float, setting_rad: float, slope2: float, freedom: f
 
 OF_RESIDUALS: Final = "residuals"
 LEAST_PART: Final = 1e-4
-"""Lower limit of the reading noise from residuals, as a fraction of their size: below it the sums cancel."""
+"""Lower limit of the reading noise from residuals, as a fraction of their size: below it, rounding dominates."""
 MOST_PART: Final = 10.0
 
 

@@ -112,7 +112,7 @@ class Direction:
 
 
 class _Directions:
-    """The null space (p, d), resolved into directions that have a name, the plainest first.
+    """The null space (p, d), resolved into named directions with as few members as possible.
 
     `null` is an orthonormal basis of the space that remains. All vectors are in scaled unknowns: the unknowns
     times `length` (p,), the norms of their columns.
@@ -441,7 +441,7 @@ _ASSUMED: Final = ("mounting_roll",)
 def unseen_coefficients(problem: Problem, block: Block) -> Floats:
     """Return d changes (12, d) of the coefficients that readings cannot distinguish from angles of the stand.
 
-    The third mounting angle counts as unknown, too. Each change has the largest element of K as its size.
+    The third mounting angle counts as unknown, too. The norm of each change is the largest element of K.
     """
     if problem.upper:
         return np.zeros((FIXED, 0))

@@ -31,7 +31,7 @@ QUIET: Final = 3.0
 LOUD: Final = 3.8
 """Studentised residual below which no search for a single outlier begins: it hardly inflates the noise."""
 PLAINER: Final = 1.05
-"""Factor by which the residual of a setting must exceed that of one of its three signals to be chosen."""
+"""Least ratio of a setting's residual to that of each of its signals for the setting to be the candidate."""
 LEAST_PART: Final = 1e-6
 """A signal is no candidate if the fit absorbs all but this fraction of the variance of its shift."""
 

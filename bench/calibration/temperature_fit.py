@@ -284,7 +284,7 @@ class _Body:
     def powers(self, degree: int, *, of_levels: bool = False) -> Floats:
         """Return powers 0…degree (n, degree + 1) of the scaled temperature, or of its level mean.
 
-        `of_levels` asks for the mean: within a level the temperature varies too little to count as a second one.
+        With `of_levels`, the temperature of each row is the mean of its level.
         """
         rows = self.sorted
         temperature = rows.rows.temperature_c

@@ -109,7 +109,7 @@ class Separable:
         return {term: parts[name] for term, parts in self.inseparable.items() if name in parts}
 
     def sentence(self) -> str:
-        """Return a sentence on how many terms are determined, and which cannot be separated."""
+        """Return a sentence on the number of determined terms, and on the terms that cannot be separated."""
         counted = f"channel {self.channel}: {self.rank} of {len(self.asked)} terms are determined"
         told = []
         for term, parts in self.inseparable.items():

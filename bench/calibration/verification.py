@@ -92,7 +92,7 @@ class LimitToPass:
 
 
 def _bisected(passes: Callable[[float], bool], good: float, bad: float) -> float:
-    """Return the value nearest to `bad` that passes, to a thousandth of the way from `good`; else `good`."""
+    """Return, by bisection, the passing value closest to `bad`; it is `good` if no other value tried passes."""
     for _ in range(12):
         middle = 0.5 * (good + bad)
         good, bad = (middle, bad) if passes(middle) else (good, middle)

@@ -97,7 +97,7 @@ def text_of(value: Any) -> str | None:
 
 
 _END: Final = b', "prev": "%s"}'
-"""The end of each line of a record: the hash of the previous line."""
+"""The end of each line of a record, with the hash of the previous line."""
 _CHANGING: Final = re.compile(rb'"type": "(run_[a-z]+)"')
 _OPENED: Final = frozenset({"run_started", "run_resumed"})
 _STEP_OF_READING: Final = re.compile(rb'"type": "step_done", "step": (\d+), [^{}\n]*"reading": \{')
@@ -106,7 +106,7 @@ _TIME: Final = re.compile(rb'"time": "([^"]{1,40})"')
 
 
 class RecordSeen:
-    """The findings of a fast scan of a record as bytes: hash chain, state of the run, steps with a reading."""
+    """The findings of a fast scan of a record's bytes: hash chain, state of the run, steps with a reading."""
 
     def __init__(self, folder: Path, manifest: Manifest, manifest_sha256: str) -> None:
         self.folder = folder

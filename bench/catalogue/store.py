@@ -149,9 +149,11 @@ CALIBRATIONS: Final = Table(
     Column("p", Float),
     Column("used", Integer),
 )
-"""Results of `calibrate.json`: `vector` (12,) in `unit`/g, `covariance` (12, 12); `u_meters` (12,) is the part of
-u due to errors that the same meters repeat. `of_record` says whether the result names the present head of the
-record; NULL if it names none."""
+"""Results of `calibrate.json`: `vector` (12,) in `unit`/g, and `covariance` (12, 12).
+
+`u_meters` (12,) is the part of u due to errors that the same meters repeat. `of_record` states whether the result
+names the present head of the record; it is NULL if the result names no head.
+"""
 
 VERIFICATIONS: Final = Table(
     "verifications",
@@ -208,7 +210,7 @@ DUES: Final = Table(
     Column("asked", Text, primary_key=True),
     Column("told", Text, nullable=False),
 )
-"""Cached due dates of units (JSON) for a limit and an interval, see `bench.catalogue.unit`."""
+"""Cached due dates of units (JSON), each for a limit and an interval; see `bench.catalogue.unit`."""
 
 OF_A_RUN: Final = (USES, CALIBRATIONS, VERIFICATIONS, POINTS, DIAGNOSES)
 """Tables whose rows belong to a run and are replaced when the run is read again."""
@@ -387,7 +389,7 @@ def _listen(engine: Engine) -> None:
 def _take_up_wal(connection: Any) -> None:
     """Switch a database file to a write-ahead log.
 
-    Retry, because SQLite fails at once if several programs do so.
+    Retry, because SQLite fails at once if several programs switch the file at the same time.
     """
     until = time.monotonic() + BUSY_MS / 1e3
     while True:

@@ -56,7 +56,7 @@ CHUNK: Final = 50
 FEW: Final = 300
 """Up to this many folders are read in this process, because starting worker processes would take longer."""
 MANY: Final = 20_000
-"""If more folders than this wait to be scanned, separate processes scan them."""
+"""Above this number of folders to scan, separate processes scan them."""
 LOOKED: Final = 5000
 """Number of folders handed to a scanning process at once."""
 ENDED: Final = "a process reading run folders ended; repeat 'bench catalogue sync', which continues there"

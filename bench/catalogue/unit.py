@@ -54,10 +54,10 @@ if TYPE_CHECKING:
 
 
 INTERVAL_DAYS: Final = 365.0
-"""The default interval (days), used for units without a history."""
+"""The default calibration interval (days), for units without a sufficient history."""
 MOST_DAYS: Final = 36_525
 METHOD: Final = 1
-"""Version of the drift method. Increment it when it gives other due dates; cached dates then expire."""
+"""Version of the drift method. Increment it when the method gives other due dates; cached dates then expire."""
 KEPT_AT_ONCE: Final = 20
 """Number of units whose due dates are written at once; an interrupted query resumes from there."""
 FEW: Final = 150

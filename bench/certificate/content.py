@@ -313,7 +313,7 @@ class Certificate:
 
     @property
     def origins(self) -> dict[str, list[tuple[str, dict[str, str]]]]:
-        """Statements on what does not come from the laboratory: sampling, external providers, customer data.
+        """Statements on sampling, external providers and customer data, which do not come from the laboratory.
 
         Each heading maps to a list of sentences. A sentence is a key in `words.yaml` with the values for its
         blanks. Empty without an order. Source: ISO/IEC 17025:2017, 7.8.2.1 k and p, 7.8.2.2.

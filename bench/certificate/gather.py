@@ -98,7 +98,7 @@ def texts_for(laboratory: Laboratory | None) -> tuple[Texts, ...]:
 
 
 def missing(certificate: Certificate) -> tuple[str, ...]:
-    """Return a sentence for each missing or invalid item that ISO/IEC 17025:2017, 7.8 requires."""
+    """Return a sentence for each item required by ISO/IEC 17025:2017, 7.8 that is missing or invalid."""
     return tuple(_missing(certificate))
 
 

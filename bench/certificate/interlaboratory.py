@@ -33,7 +33,7 @@ from bench.services.source import Request, load_sources
 
 LETTERS: Final = "ACDEFHJKLMNPQRTUVWXY34679"
 CHECK: Final = "monitor-4 on arrival and before departure; both accompany the result"
-"""What each stop measures so that a change in transport shows."""
+"""The measurements at each stop that show a change of the block in transport."""
 SHA256: Final = re.compile(r"[0-9a-f]{64}")
 
 

@@ -72,8 +72,8 @@ def texts_of(language: str) -> Texts:
 class OnCertificate:
     """A mark for a field of a laboratory or order file that is printed on the certificate under its own name.
 
-    `page` is the page of the PDF. If `otherwise`, a key in `words.yaml`, is set, the row is always printed: a field
-    that the file does not state then has this text. Such rows come first.
+    `page` is the page of the PDF. If `otherwise`, a key in `words.yaml`, is set, the row is always printed,
+    before other rows; if the file does not state the field, the row has this text.
     """
 
     page: Literal["front", "method", "conditions"]

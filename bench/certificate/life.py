@@ -139,7 +139,7 @@ def drafts(request: IssueCertificates) -> Iterator[IssuedRun]:
 
 
 def _tried(name: str, make: Callable[[str], IssuedRun]) -> IssuedRun:
-    """Return what `make` returns for a run; an exception becomes the outcome, so that other runs continue."""
+    """Return the outcome of `make` for a run; an exception becomes an outcome, so that other runs continue."""
     try:
         return make(name)
     except Exception as error:

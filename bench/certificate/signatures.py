@@ -361,11 +361,7 @@ def _written_anew(content: bytes) -> bytes:
 
 
 def _check_wrapping(data: Any, signer: Any) -> None:
-    """Raise `NotIntact` if parts of the CMS structure that no signature covers are not as this program writes them.
-
-    These parts are the versions, the digest algorithms and the unsigned attributes (RFC 5652, 5.1, 5.3). Some
-    readers ignore them.
-    """
+    """Raise `NotIntact` if an unsigned part of the CMS structure is not as this program writes it."""
     from asn1crypto.algos import DigestAlgorithm
     from asn1crypto.core import Null
 

@@ -154,12 +154,12 @@ def verify_certificate(file: Path, trust: Path | None, runs: Path, register: Pat
             _verify_xml(verdict, content, trusted)
             beside, other = file.with_suffix(".pdf"), "PDF"
             if beside.is_file() and verdict.intact:
-                _hold_together(verdict, _content(beside), content, beside.name)
+                _verify_pdf_beside(verdict, _content(beside), content, beside.name)
         else:
             attached = _verify_pdf(verdict, content, trusted)
             beside, other = file.with_suffix(".xml"), "XML"
             if beside.is_file() and verdict.intact:
-                _hold_beside(verdict, attached[DCC], _content(beside), beside.name)
+                _same_xml(verdict, attached[DCC], _content(beside), beside.name)
         if not beside.is_file() and other == "PDF":
             verdict.not_proved.append(
                 f"that there is a {other} with the same content: {beside.name} is not beside it"
@@ -274,8 +274,8 @@ def _agree(verdict: Verdict, shown: ShownValues, attached: dict[str, bytes], tit
     verdict.not_proved.append(PAGES_NOT_READ)
 
 
-def _hold_together(verdict: Verdict, file: bytes, document: bytes, name: str) -> None:
-    """Verify the PDF in the folder of an XML, and compare the XML inside the PDF with the separate one.
+def _verify_pdf_beside(verdict: Verdict, file: bytes, document: bytes, name: str) -> None:
+    """Verify the PDF in the folder of an XML, and compare the XML inside the PDF with that XML.
 
     Raises `NotIntact`.
     """
@@ -284,10 +284,10 @@ def _hold_together(verdict: Verdict, file: bytes, document: bytes, name: str) ->
         attached = _verify_pdf(apart, file, None)
     except NotIntact as error:
         raise NotIntact(f"{name} beside it: {error}") from error
-    _hold_beside(verdict, attached[DCC], document, name)
+    _same_xml(verdict, attached[DCC], document, name)
 
 
-def _hold_beside(verdict: Verdict, attached: bytes, document: bytes, name: str) -> None:
+def _same_xml(verdict: Verdict, attached: bytes, document: bytes, name: str) -> None:
     """Raise `NotIntact` unless the XML inside the PDF and the separate XML have the same content and signer."""
     try:
         forms = [_signed_or_not(one) for one in (attached, document)]

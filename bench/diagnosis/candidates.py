@@ -556,7 +556,7 @@ class KnownBench:
 
 
 def _ranges(readings: Readings) -> set[str]:
-    """Return the ranges in the record."""
+    """Return the voltmeter ranges recorded in the readings."""
     return {str(text).strip() for text in readings.extra.get("range_v", ())} - {""}
 
 

@@ -97,9 +97,9 @@ class Confirmation:
     def verdict(self) -> Word:
         """The verdict on the model as a whole: "gone", "confirmed" or "changed".
 
-        Effects that these readings could not show do not count. "gone": none of the other effects is there any
-        more. "confirmed": all other effects are unchanged, and either they remove at least `MOSTLY` of the excess
-        of chi-square, or chance explains what remains. "changed": anything else.
+        Effects that these readings could not show do not count. "gone": none of the other effects is present.
+        "confirmed": all other effects are unchanged, and either they remove at least `MOSTLY` of the excess of
+        chi-square, or chance explains what remains. "changed": anything else.
         """
         words = {effect.verdict for effect in self.effects} - {None}
         if words == {"gone"}:
@@ -339,8 +339,8 @@ def _estimated(
 ) -> tuple[Floats, Floats]:
     """Return the change of the effects from the values `found` (m,), and its covariance, in plausible sizes.
 
-    Additional effects found in these readings are estimated as well. One that would hide the model's effects is
-    left out, as it then represents their change.
+    Additional effects found in these readings are estimated as well. An additional effect that would hide the
+    model's effects is left out, because it would represent their change.
     """
     count, columns = len(found), own
     fitted = posterior(linear, columns, diagnosis.noise)

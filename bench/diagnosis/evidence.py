@@ -221,8 +221,10 @@ class Search:
 
     @cached_property
     def _together(self) -> tuple[Ints, Ints, Floats]:
-        """The v variants of all groups, as indices (v,); the place (v,) in the third array where the eigenvalues
-        of each variant begin; and all e eigenvalues at each noise ratio (ratios, e).
+        """The variants of all groups, as three arrays.
+
+        They are: the indices (v,) of the v variants; the position (v,) of each variant's first eigenvalue in the
+        third array; all e eigenvalues at each noise ratio (ratios, e).
         """
         values = [group.values for group in self.groups]
         counts = np.concatenate([np.full(of.shape[1], of.shape[2]) for of in values])
@@ -267,9 +269,7 @@ class Search:
         return float(logsumexp(grid.log_prior + grid.log_det + self.log_det + grid.log_likelihood(square)))
 
     def score(self, data: Data) -> Scores:
-        """Return, for each data set, ln of the Bayes factor of the model with each variant added against that
-        without.
-        """
+        """Return, for each data set, ln of the Bayes factor of adding each variant to the model."""
         left = self.left_over(data)
         begun = tracked(range(0, left.sets, CHUNK), "what chance alone would show")
         parts = [self._score(left.part(slice(i, i + CHUNK))) for i in begun]
@@ -432,7 +432,7 @@ def fit_tail(evidence: Floats) -> Threshold:
     """Return the threshold that the fraction `FALSE_ALARMS` of data sets exceeds, from a fit to the upper tail.
 
     `evidence` (sets,) is the evidence of each simulated data set without a missing effect. The tail begins at the
-    level `OFTEN`, the most lenient that is asked of it (`Threshold.at`). It is exponential; its quantile has a
+    level `OFTEN`, the largest probability used with `Threshold.at`. The quantile of the fitted exponential has a
     smaller variance than the empirical quantile.
     """
     ordered = np.sort(evidence)

@@ -111,9 +111,7 @@ def _threshold(whitened: Whitened, count: int) -> Threshold:
 
 
 def _of_records(effect: NamedEffect, between: BetweenRecords | None) -> NamedEffect:
-    """Return the effect with `words` that speak of records. If it changes the zeros, they also describe the
-    changes.
-    """
+    """Return the effect with `words` on records; if the effect changes the zeros, they also state the changes."""
     if effect.in_catalogue:
         return effect
     if effect.name != ZERO_BY_RUN or between is None:
@@ -157,9 +155,7 @@ def _where(
 # --- candidates ---------------------------------------------------------------------------------------
 
 FINE_G: Final = 10e-6
-"""Noise of a sensor, g, for which the plausible sizes of the catalogue hold. With more noise they are
-proportionally larger.
-"""
+"""Noise of a sensor, g, up to which the plausible sizes of the catalogue apply; they grow with larger noise."""
 COMMON: Final = "common to the sensors"
 
 

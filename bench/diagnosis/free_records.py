@@ -33,12 +33,17 @@ from bench.stats.repeats import Repeats, compare_repeats
 SAME_TIME_S: Final = 1.0
 """Two tables whose times agree within this, s, belong to sensors measured side by side."""
 ANOTHER: Final = 2.0
-"""A distance beyond this is another sensor, in units of the largest changes between runs (`OTHER_BLOCK`).
+"""Distance of coefficients above which two tables are of different sensors.
+
+The unit is the largest change of one block between runs (`OTHER_BLOCK`).
 
 In nine records of each of four real sensors, records of one sensor differ by at most 1.0, of two by at least 2.2.
 """
 AT_REST_G: Final = 0.1
-"""Largest root mean square of |a| - 1 g, after the fit, of positions at rest. Sensors cause a tenth of it."""
+"""Largest root mean square of |a| - 1 g, after the fit, of positions at rest.
+
+Errors of sensors cause a tenth of this.
+"""
 OWN: Final = len(UPPER)
 ZEROS: Final = (6, 7, 8)
 SCALES: Final = (0, 3, 5)
@@ -93,11 +98,7 @@ class FreeRows:
         return columns
 
     def change(self, of: Sequence[int], sensor: int, channel: int) -> Floats:
-        """Return the change of |a| in the N rows, in g, if it is computed with one coefficient increased.
-
-        With `of` = `ZEROS`, the bias of the channel of the sensor is larger by 1 g; with `of` = `SCALES`, its
-        scale factor by 100 %.
-        """
+        """Return the change of |a| in the N rows, in g, if one coefficient in the conversion to |a| is larger."""
         size = abs(float(self.block[sensor].K[channel, channel]))
         return -size * self.coefficients[:, OWN * sensor + of[channel]]
 

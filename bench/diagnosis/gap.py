@@ -32,7 +32,7 @@ FLOOR: Final = 1.0
 LEAST_FALL: Final = 4.0
 """Least decrease of the chi-square of held-out readings, by all effects together and by each of them.
 
-If an effect does not act, noise alone lets it reach this decrease in at most 2.3 % of cases.
+For an effect that is not present, noise alone gives this decrease in at most 2.3 % of cases.
 """
 
 
@@ -140,17 +140,17 @@ class Gap:
 
     @property
     def before_rms_g(self) -> float:
-        """The same as `before_rms`, in g."""
+        """Root mean square of measured minus predicted, for the given model, in g."""
         return self._rms(lambda fold: fold.before.error_g)
 
     @property
     def after_rms_g(self) -> float:
-        """The same as `after_rms`, in g."""
+        """Root mean square of measured minus predicted, for the model with the effects found, in g."""
         return self._rms(lambda fold: fold.after.error_g)
 
     @property
     def expected_rms_g(self) -> float:
-        """The value that `after_rms_g` is expected to have if the model with the effects lacks nothing."""
+        """The expected `after_rms_g` if the model with the effects found lacks nothing."""
         return self._rms(lambda fold: fold.after.expected_g)
 
     @property
@@ -236,8 +236,8 @@ def folds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
 def thirds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
     """Yield three sets of rows to hold out, as a label and a mask (N,): every third setting of each pass.
 
-    In each pass the first setting of a set is another, so that the sets differ in their angles. Moduli are
-    treated like settings.
+    A set begins at another setting in each pass, so that the sets differ in their angles. Moduli are treated like
+    settings.
     """
     readings, reading = linear.readings, linear.rows.reading
     third = np.full(len(linear), -1)
@@ -300,7 +300,7 @@ def _tell(
     noise: NoiseSize,
     parts: Sequence[tuple[str, Mask]],
 ) -> bool:
-    """Return whether the readings beside each part, held out, show every find and tell its form.
+    """Return whether the readings outside each held-out part show every find and determine its form.
 
     The remaining readings show a find if they contain `MOSTLY` of the square of its signature. They determine its
     form unless another form of the family leaves at most `ALIAS` of the signature in them, but more than

@@ -5,33 +5,35 @@ from __future__ import annotations
 from typing import Final
 
 OFTEN: Final = 0.05
-"""Level where an error costs little: in folds, for the upper limit of scatter, ties of a mistake, and a lone name.
+"""Level of tests whose errors cost little.
+
+They are tests in folds, upper limits of scatter, ties of a mistake, and single names.
 
 The simulated tail of a threshold begins here, too.
 """
 BY_CHANCE: Final = 0.01
-"""Level of a single conclusion: chance explains what has a p-value of at least this."""
+"""Level of a single conclusion: a p-value of at least this is attributed to chance."""
 HARDLY_EVER: Final = 1e-4
-"""Level where a conclusion would change the record or overrule the noise of the bench file."""
+"""Level of a conclusion that would change the record or replace the noise stated in the bench file."""
 FOLDS: Final = 5
-"""Parts into which readings are split if neither passes nor visits divide them: four fifths remain for the fit."""
+"""Number of parts into which readings without passes and visits are split; four fifths remain for the fit."""
 LEAST_FREEDOM: Final = 3
-"""Least number of readings, or of repeated settings, beyond what is fitted to them that shows their scatter."""
+"""Least degrees of freedom, of readings or repeated settings, from which their scatter is estimated."""
 FEW: Final = 1 / 8
-"""Largest fraction of readings, or of runs, that may be exceptions: more of them are the rule."""
+"""Largest fraction of readings, or of runs, that may be exceptions."""
 MOSTLY: Final = 0.5
-"""Least fraction of a gap, a square, or a prior's u that counts as most of it."""
+"""Least fraction that counts as most of a gap, of a square, or of a prior's u."""
 NEGLIGIBLE: Final = 1e-12
-"""Relative size of a number that is rounding only: some thousand times the precision of a number."""
+"""Relative size below which a number is only rounding: some thousand times the precision of a float."""
 FAR: Final = 6.0
-"""Least deviation, in units of its u, that is reported by itself: noise alone gives it in 2 of 1e9 readings."""
+"""Least deviation of a reading, in units of its u, that is reported: noise gives it in 2 of 1e9 readings."""
 ONE_DIRECTION: Final = 0.01
 """Angle, rad, below which directions of one mounting, or stops of the head, are the same.
 
 Angles set by hand scatter by tenths of a degree. A smaller turn of the block changes no signature.
 """
 UNSEEN: Final = 0.3
-"""Change of the readings, in units of noise, below which it may be neglected: it changes ln of odds by 0.05."""
+"""Change of the readings, in units of noise, that may be neglected: it changes ln of odds by 0.05."""
 ALIKE: Final = 1e-3
 """Two signatures count as the same if one leaves at most this fraction of the other's square unexplained.
 
@@ -43,13 +45,13 @@ INSEPARABLE: Final = 1e-6
 Of 1,000 units of noise, one unit is then left.
 """
 BEYOND_BELIEF: Final = 60.0
-"""No effect has this many plausible sizes: what would need them is no alias, and what only then shows is hidden.
+"""Largest credible size of an effect, in plausible sizes: three sigma of the widest prior (`evidence.SIZES`).
 
-They are three sigma of the widest prior (`evidence.SIZES`).
+An effect that would have to be larger is no alias; an effect that shows only beyond this size is hidden.
 """
 STEPS: Final = 8
-"""Most rounds of a repeated linearisation, fit or correction; six or twelve give the same to 2e-6."""
+"""Largest number of rounds of a repeated linearisation, fit or correction; six or twelve agree to 2e-6."""
 LISTED: Final = 8
-"""Entries of a list in a result, at most: what a reader surveys."""
+"""Largest number of entries of a list in a result."""
 LISTED_IN_SENTENCE: Final = 4
-"""Entries that one sentence lists, at most: it is to stay one sentence."""
+"""Largest number of entries that one sentence lists."""

@@ -276,7 +276,7 @@ def _searched_together(readings: Readings, model: ForwardModel) -> Iterator[tupl
 
 
 def _of_run(mistake: Mistake, run: Readings, runs: int) -> Mistake:
-    """Return a mistake of one of several runs. It names the mountings of a whole run, and its p counts all runs."""
+    """Return a mistake found in one of several runs, with the mountings of that run and a p-value for all runs."""
     p = min(runs * mistake.p, 1.0)
     if mistake.installations:
         return replace(mistake, p=p)
@@ -523,7 +523,7 @@ def _common(linear: LinearSystem, whitened: Whitened, data: Data, naming: Naming
 def _look_in_each(
     candidates: Candidates, runs: Sequence[_Run], in_all: Floats, limit: Threshold
 ) -> tuple[Candidates, tuple[FoundEffect, ...]]:
-    """Return the candidates with the single-run finds, and these finds; `in_all` (N,) is the common signal.
+    """Return the candidates with the single-run finds added, and these finds.
 
     `in_all` (N,) is the signal of the finds common to all runs. The threshold computed for the first run serves
     for all runs, with a share of the probability of a false alarm for each. Coefficients are free in every run,

@@ -26,14 +26,15 @@ from bench.model.effects import CATALOGUE
 MOST_EFFECTS: Final = 5
 """Largest number of effects that one search finds: one run can hardly confirm more."""
 ALIAS: Final = 1.0
-"""An effect is an alias of another, whatever the priors, if it leaves at most this much of its signature, in
-noise units. This is worth `ALIAS`**2 / 2 in ln of the odds; no other noise or measurement is preferred for less.
+"""Largest part of an effect's signature, in units of noise, that an alias of the effect leaves unexplained.
+
+It is worth `ALIAS`**2 / 2 in ln of the odds. Noise and measurements that differ by less are not preferred.
 """
 
 
 @dataclass(frozen=True)
 class FamilyOdds:
-    """The posterior probability that the family `name` is what was found."""
+    """The posterior probability that the family `name` is the effect found."""
 
     name: str
     probability: float
@@ -306,10 +307,10 @@ def ranked_odds(log_odds: Mapping[str, float]) -> list[FamilyOdds]:
 
 
 def holding(odds: Sequence[FamilyOdds]) -> list[str]:
-    """Return the names of the most probable families that cannot be told apart.
+    """Return the names of the most probable families among which the readings do not decide.
 
-    If the first name is wrong with a probability of at most `OFTEN`, it is the only one; otherwise they are as many
-    as leave at most `BY_CHANCE` to all others. `odds` are sorted, the most probable first.
+    If the first name is wrong with a probability of at most `OFTEN`, only this name is returned; otherwise, the
+    names have a total probability of at least 1 - `BY_CHANCE`. `odds` are sorted, the most probable first.
     """
     if odds[0].probability >= 1.0 - OFTEN:
         return [odds[0].name]

@@ -186,7 +186,7 @@ def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whi
 
 
 def _wide(linear: LinearSystem) -> Mask:
-    """Return the mask (q,) of the columns of `random` that are nonzero in most rows, or in more than one run has.
+    """Return the mask (q,) of `random` columns that are nonzero in most rows, or in more rows than a run has.
 
     Such a column is fitted: as a covariance, it would join all these rows in one dense block.
     """
@@ -439,9 +439,9 @@ def _saturated(angle_deg: Floats, passes: Ints) -> Floats:
 
 
 SAME_SIZE: Final = 0.1
-"""Fraction of the noise that is neglected: a difference of two sizes, or a rounding error of repeats.
+"""Fraction of the noise below which a difference of two sizes, or a rounding error of repeats, is neglected.
 
-In quadrature, it adds 0.5 %.
+Added in quadrature, it changes the noise by 0.5 %.
 """
 TERMS: Final = 30
 """Terms of the series for a shared rounding error: without any noise, 30 give its size to 1 %."""

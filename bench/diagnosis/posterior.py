@@ -157,10 +157,10 @@ def _of_any_size(precision: Floats, right: Floats, parts: Sequence[slice]) -> tu
 
 
 def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -> list[tuple[int, ...]]:
-    """Return the size indices to average for each part; of many parts the least sure `MOST_EFFECTS` have all.
+    """Return, for each part, the indices of the prior sizes (`SIZES`) over which to average.
 
     A size index is an index into `SIZES`. If there are many parts, only the `MOST_EFFECTS` parts whose size is
-    least certain have all; each other part has the likeliest.
+    least certain have all; each other part has the likeliest size.
     """
     every = tuple(range(len(SIZES)))
     if len(parts) <= MOST_EFFECTS:
@@ -179,7 +179,7 @@ def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -
 def _of_sizes(
     precision: Floats, right: Floats, parts: Sequence[slice], sizes: Sequence[int]
 ) -> tuple[float, Floats, Floats]:
-    """Return ln of the probability of these prior sizes, and the amplitudes' mean and covariance for them."""
+    """Return ln of the probability of the prior `sizes`, and for them the mean and covariance of the amplitudes."""
     prior = np.ones(len(right))
     for size, mine in zip(sizes, parts, strict=True):
         prior[mine] = 1.0 / SIZES[size] ** 2

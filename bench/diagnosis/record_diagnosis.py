@@ -1,4 +1,4 @@
-"""The diagnosis of a record at a known input: name what the readings follow, confirm it by hold-out."""
+"""The diagnosis of a record at a known input: effects named by their evidence, and confirmed by hold-out."""
 
 from __future__ import annotations
 

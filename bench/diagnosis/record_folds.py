@@ -1,4 +1,4 @@
-"""Excursions of a record, held out in turn: whether the rest predicts them, and with which kind of shape."""
+"""Excursions of a record, held out in turn, and their prediction from the other readings by kind of shape."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class Rival:
 
 
 PLATEAU: Final = 0.15
-"""Fraction of the range that counts as one level; an evenly spread quantity is there this fraction of the time.
+"""Largest difference within one level, as a fraction of the range of the quantity that an effect follows.
 
-In an excursion, what an effect follows is farther than this from its rest level.
+In an excursion, the quantity differs from its rest level by more than this.
 """
 
 
@@ -115,10 +115,10 @@ def _predicted(
     rows: Mask,
     noises: Sequence[Noise],
 ) -> HeldOut:
-    """Predict the `rows` held out, with the likeliest of the `shapes` given the other rows, or without any shape.
+    """Predict the held-out `rows` with that of the `shapes`, if any, that is most probable given the other rows.
 
     A straight line in the rows is subtracted from the errors, as slow noise sets the level after an excursion.
-    The chi-square of all rows less that of the other rows is the chi-square of the prediction, with all
+    The chi-square of the prediction is the chi-square of all rows minus that of the other rows, and includes all
     uncertainties.
     """
     rest = np.flatnonzero(~rows)

@@ -174,10 +174,10 @@ def _checked(readings: Readings) -> tuple[Floats, Floats, list[int]]:
 
 
 def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Floats, Mask]:
-    """Return the means of groups of rows without those `FAR` from their median, the scatter, and the rows used.
+    """Return robust means of groups of rows, their scatter, and the mask of the rows used.
 
     Rows that are `FAR` from the median of their group are left out. The means are (n, c); the scatter (n, c) is
-    the standard deviation of a group's rows, from their median deviation; the rows used are a mask.
+    the standard deviation of a group's rows, from their median deviation.
     """
     middle = np.array([np.median(deviation[rows], axis=0) for rows in groups])
     off = [np.abs(deviation[rows] - at) for rows, at in zip(groups, middle, strict=True)]
@@ -193,14 +193,14 @@ def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Fl
 
 
 SMOOTHED: Final = 41
-"""Means over which the size of the noise is smoothed: an odd number, a seventh of a full record (`BINS`)."""
+"""Number of means over which the size of the noise is smoothed: odd, and a seventh of a full record (`BINS`)."""
 
 
 def _relative(spread: Floats) -> Floats:
     """Return the relative size (n,) of the noise from the scatter (n, c) of the readings in each mean.
 
-    If its size varies by less than the factor `LARGER`, the noise counts as even; it varies by at most `LARGER`
-    squared.
+    Noise whose size varies by less than the factor `LARGER` counts as uniform. The sizes are limited to the
+    factor `LARGER` squared about their median.
     """
     middle = np.median(spread, axis=0)
     if np.any(middle == 0.0):

@@ -30,7 +30,7 @@ FINE: Final = 41
 ZOOMS: Final = 8
 """Most times that these values are drawn closer together, each time by a factor of up to 20."""
 FAINT: Final = 9.0
-"""A value is likely if ln of its likelihood is at most this below the largest: 4.2 u of a normal distribution."""
+"""Largest decrease of ln of the likelihood, from its maximum, of a likely value: 4.2 u of a normal distribution."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ MIDDLES: Final = (0.3, 0.4, 0.5, 0.6, 0.7)
 CREEPS_MIN: Final = (1, 4, 16)
 """Times, min, after which a creep grows with ln of the time: a factor of four apart, as ln hardly differs."""
 LEVELS: Final = (-0.8, -0.6, -0.4, -0.2, -0.05, 0.05, 0.2, 0.4, 0.6, 0.8)
-"""Specific forces, g, at which a step is tried: every 0.2 g, and beside zero."""
+"""Specific forces, g, at which a step is tried: every 0.2 g, and close to zero."""
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ class UnexplainedScatter:
 
     @classmethod
     def of(cls, noise: NoiseSize, repeats: Repeats) -> UnexplainedScatter:
-        """Return the excess of the noise about the model with all effects over that of repeats (F test)."""
+        """Return the noise about the model with all effects, in excess of the noise of repeats (F test)."""
         of_repeats = 2 * repeats.freedom  # of three channels, those across the turn of the head
         beyond = noise.freedom - of_repeats
         all2, repeats2 = noise.reading**2, repeats.sigma**2

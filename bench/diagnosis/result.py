@@ -239,7 +239,7 @@ class Diagnosis:
     def applied(self) -> tuple[AppliedEffect, ...]:
         """The effects found that can be added to the model, with their values.
 
-        They are those of the catalogue, and the terms that describe what has no name.
+        They are those of the catalogue, and the terms that describe unnamed effects.
         """
         of_form = self.form.applied if self.form is not None else ()
         return (*(a for e in self.effects for a in e.applied), *of_form)

@@ -1,4 +1,4 @@
-"""Effects that readings could never show, and how well readings tell two explanations apart."""
+"""Effects that readings could never show, and how well readings distinguish two explanations."""
 
 from __future__ import annotations
 

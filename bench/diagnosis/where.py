@@ -223,14 +223,14 @@ def far_readings(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tup
 _CHANNEL: Final = (*CHANNELS, "modulus")
 
 MOST_PER_TURN: Final = 72
-"""Largest number of periods per turn that is considered; 72 periods correspond to a mark every 5 degrees."""
+"""Largest number of periods per turn that is considered: a mark every 5 degrees."""
 
 
 def looking_like(angle_rad: Floats, order: int) -> tuple[int, ...]:
-    """Return the numbers of periods per turn that look like `order` periods per turn at the angles (n,).
+    """Return the numbers of periods per turn that are indistinguishable from `order` at the angles (n,).
 
-    Order 0 is a constant: a wave that looks like a constant at these angles is absorbed by the coefficients.
-    Angles that differ by less than 0.1 deg, or by whole turns, count as one.
+    Order 0 is a constant: a wave that equals a constant at these angles is absorbed by the coefficients. Angles
+    that differ by less than 0.1 deg, or by whole turns, count as one.
     """
     tenths = np.round(np.degrees(angle_rad[np.isfinite(angle_rad)]) * 10.0) % 3600.0
     angles = np.radians(np.unique(tenths) / 10.0)

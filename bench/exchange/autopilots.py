@@ -14,7 +14,7 @@ from bench.exchange.checks import READ_CHECKS, check_lines, how_to_test, judged,
 from bench.exchange.result import BlockResult
 
 STANDARD_GRAVITY: Final = 9.80665
-"""m/s^2 (3rd CGPM, 1901): what a data sheet's "V/g" means by g."""
+"""Standard gravity, m/s^2 (3rd CGPM, 1901): the g in "V/g" of data sheets."""
 DIGITS: Final = 3
 """Significant digits of the block's own scale factors, which are used if none are requested."""
 

@@ -21,7 +21,7 @@ TOLERANCE: Final = 1e-12
 """Largest relative difference of a corrected acceleration of 1 g."""
 COUNT: Final = 20
 MARK: Final = "test: "
-"""What a line of a file's own test begins with, after the sign of a comment."""
+"""First word of each line of a file's own test, after the comment sign."""
 
 GOLDEN: Final = (1.0 + 5.0**0.5) / 2.0
 _CORNERS: Final = [

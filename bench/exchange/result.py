@@ -99,24 +99,25 @@ class CoefficientsResult(ResultModel):
     unit: str = Field(description="unit of the signals")
     g_m_s2: float = Field(description="local gravity, m/s²: the g of all other members")
     gravity_u: float = Field(
-        description="relative standard uncertainty of `g_m_s2`, which is in no number per g; 0 where the result "
-        "does not tell it"
+        description="relative standard uncertainty of `g_m_s2`, not included in numbers per g; 0 if the "
+        "result does not state it"
     )
     k: float = Field(description="coverage factor of U")
     combined: bool = Field(
-        description="whether u holds every source of the bench, or the stand and the noise of these readings alone"
+        description="whether u includes every error source of the bench, or only the stand and the noise of these "
+        "readings"
     )
-    coefficients: dict[str, RowPart] = Field(description="the twelve of U = K a + U0")
+    coefficients: dict[str, RowPart] = Field(description="the twelve coefficients of U = K a + U0")
     order: list[str]
     covariance: Matrix = Field(description="covariance of the coefficients, in `order`")
     covariance_readings: Matrix | None = Field(
-        description="the part of it that these readings show, where the result tells it apart"
+        description="covariance from the readings; null if the result does not state it separately"
     )
     inverse: InversePart
     misalignments: MisalignmentsPart
     intrinsic: IntrinsicNumbersPart
     temperature: str | None = Field(
-        description="which effects of temperature these numbers leave out, as asked; null for none"
+        description="effects of temperature that these numbers omit by request; null for none"
     )
     check: CheckPart
 

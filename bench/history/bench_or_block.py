@@ -70,16 +70,16 @@ SHOWN_P: Final = 0.05
 ALLOTTED_P: Final = 0.01
 LITTLE_SCATTER_P: Final = 0.01
 WELL_KNOWN: Final = 0.15
-"""Below this relative u, the upper limit of a size is value + 1.645 u; else from the profile likelihood."""
+"""Relative u of a size below which its upper limit is value + 1.645 u, not from the profile likelihood."""
 ONE_SIDED: Final = 1.645
 
 
 @dataclass(frozen=True)
 class EstimatedSize:
-    """An estimated standard deviation, its standard uncertainty (NaN if it is zero), its upper 95 % limit.
+    """An estimated standard deviation with its u (NaN if the estimate is zero) and its upper 95 % limit.
 
-    `p_all_looks` is the p-value of the likelihood-ratio test that it is zero, corrected for twelve coefficients;
-    NaN if not tested.
+    `p_all_looks` is the p-value of the likelihood-ratio test that the standard deviation is zero, corrected for
+    twelve coefficients; NaN if not tested.
     """
 
     value: float

@@ -31,7 +31,10 @@ LEAST_SPAN: Final = timedelta(days=1)
 """Calibrations within a shorter time show scatter, not drift."""
 MOST_CONDITION: Final = 1e12
 ALIKE: Final = 0.01
-"""Independent calibrations agree within this fraction of u in all twelve coefficients once in 10^25 times."""
+"""Two calibrations that agree within this fraction of u in all coefficients are not independent.
+
+Independent calibrations agree so closely once in 10^25 times.
+"""
 SECONDS_PER_YEAR: Final = 365.25 * 86400.0
 
 
@@ -98,10 +101,10 @@ class Snapshot:
         return self.covariance if self.same_meters is None else self.same_meters
 
     @property
-    def _gone_on(self) -> Floats:
-        """The covariance (12, 12) of the change of the biases between the start of the run and its mean.
+    def _wander_from_start(self) -> Floats:
+        """The covariance (12, 12) of the wander of the biases between the mean of the run and its start.
 
-        For a random walk with rms s about its mean over a run, this change has the standard deviation sqrt(2) s.
+        For a random walk with rms s about its mean over a run, this wander has the standard deviation sqrt(2) s.
         """
         between = np.zeros(len(self.vector))
         if self.wander is not None:
@@ -117,7 +120,7 @@ class Snapshot:
         never cancel. K2 and K3 of the same block cancel where their effects are equal.
         """
         theirs = _of_block(first.block_terms, len(self.vector))
-        own = self.without_meters + self._gone_on
+        own = self.without_meters + self._wander_from_start
         if self is first:
             return replace(self, covariance=own - theirs)
         part = _drifted(first, self)
@@ -405,7 +408,9 @@ def joint_covariances(snapshots: Sequence[Snapshot]) -> Floats:
         found[:, i, i] = np.diag(first.covariance)
         for j in range(i):
             other = snapshots[j]
-            alike = _still_alike(first, other) * meters[i] * meters[j] + _shared_block_terms(first, other)
+            alike = _meter_correlation(first, other) * meters[i] * meters[j] + _shared_block_terms(
+                first, other
+            )
             found[:, i, j] = found[:, j, i] = alike
     return found
 
@@ -454,13 +459,13 @@ def joint_of(snapshots: Sequence[Snapshot]) -> Joint:
         names.setdefault((s.block, one.shape[1]), len(names))
         for s, one in zip(snapshots, listed, strict=True)
     ]
-    alike = np.array([[1.0 if a is b else _still_alike(a, b) for b in snapshots] for a in snapshots])
+    alike = np.array([[1.0 if a is b else _meter_correlation(a, b) for b in snapshots] for a in snapshots])
     own = np.array([s.without_meters for s in snapshots]) - terms @ terms.swapaxes(1, 2)
     return Joint(own, roots, alike, terms, np.array(block, dtype=np.int64))
 
 
-def _still_alike(first: Snapshot, other: Snapshot) -> float:
-    """Return the correlation of the meters' errors by whole days: 1 on one day, 0 for different meters."""
+def _meter_correlation(first: Snapshot, other: Snapshot) -> float:
+    """Return the correlation of the meters' errors, by whole days: 1 within a day, 0 for different meters."""
     if not first.meters or first.meters != other.meters or first.when is None or other.when is None:
         return 0.0
     apart = abs(_day(first.when) - _day(other.when))

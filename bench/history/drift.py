@@ -27,12 +27,15 @@ LEAST_SIZE: Final = 0.02
 MOST_SIZE: Final = 30.0
 PRIOR_DOF: Final = 3.0
 PRIOR_WIDTH: Final = (1.0, 4.0)
-"""Widths of the priors of scatter and walk, in their scales; a line absorbs part of a walk, hence the larger."""
+"""Prior widths of scatter and walk, as multiples of their scales.
+
+The width of the walk is larger, because a line absorbs part of a walk.
+"""
 FORGOTTEN: Final = 12.0
-"""Grid points are discarded if their log density is below the maximum by more than this."""
+"""Grid points are discarded if their log density is less than the maximum minus this."""
 LEVEL: Final = 0.95
 PRODUCTS: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-"""Index pairs of the products of the values (0) and the two columns of a line (1, 2)."""
+"""Index pairs of products: 0 is the values, 1 and 2 are the columns (level and rate) of a line."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +107,7 @@ class States:
     left: Floats
 
     @cached_property
-    def _foretold(self) -> tuple[Floats, Floats]:
+    def _prediction(self) -> tuple[Floats, Floats]:
         """Coefficients of polynomials in years since the last calibration: mean (2, 12), variance (3, 12).
 
         They average over all pairs of sizes. For each pair the mean is linear in time, and its variance quadratic.
@@ -126,13 +129,13 @@ class States:
     def predicted(self, years: Floats) -> tuple[Floats, Floats]:
         """Return the means and variances (d, 12) at times (d,) in years since the first calibration."""
         further = (years - self.last_year)[:, None]
-        mean, variance = self._foretold
+        mean, variance = self._prediction
         return mean[0] + further * mean[1], variance[0] + further * (variance[1] + further * variance[2])
 
     @property
     def rate(self) -> tuple[Floats, Floats]:
         """The mean and the variance (12,) of the rate, per year."""
-        mean, variance = self._foretold
+        mean, variance = self._prediction
         return mean[1], variance[2]
 
 
@@ -191,7 +194,7 @@ def unit_drift(when: Dates, vector: Floats, covariance: Floats, common: Floats |
 
 
 def history_drift(when: Dates, values: Floats, variance: Floats, common: Floats | None = None) -> UnitDrift:
-    """Return the drift of any m quantities, `values` (n, m) with `variance` (n, m); otherwise as `unit_drift`."""
+    """Return the drift of any m quantities, `values` (n, m) with `variance` (n, m); see also `unit_drift`."""
     order = np.argsort(when, kind="stable")
     dates = np.asarray(when, dtype="datetime64[s]")[order]
     seconds = (dates - dates[0]).astype(float) if len(dates) else np.zeros(0)

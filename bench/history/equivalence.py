@@ -49,7 +49,7 @@ class Participants:
         return np.eye(int(self.bench.max()) + 1)[self.bench]
 
     def with_dark(self, dark: float) -> Floats:
-        """Return the covariance (n, n) with an additional independent error of each bench, 1 σ = `dark`."""
+        """Return the covariance (n, n) with an additional independent error `dark` (1 σ) of each bench."""
         return self.covariance + dark**2 * (self.Z_bench @ self.Z_bench.T)
 
     @cached_property
@@ -250,8 +250,8 @@ def together(
     """Return the chi-square tests of m vectors of differences (m, p) with standard uncertainties `u` (m, p).
 
     `errors` (m, p, p) are covariances due to calibration errors; only their correlations between numbers are
-    used. `of_errors` (m, p) is the part of u due to these errors. The rest of u, such as the dark uncertainty, is
-    uncorrelated between coefficients.
+    used. `of_errors` (m, p) is the part of u due to these errors. The other part of u, such as the dark
+    uncertainty, is uncorrelated between coefficients.
     """
     chi2 = []
     for d, whole, covariance, own in zip(differences, u, errors, of_errors, strict=True):
@@ -424,9 +424,9 @@ class Drift:
 def transport_dark(drifts: Sequence[Drift], names: Sequence[str]) -> Floats:
     """Return the scatter (1 sigma) of a travelling unit's state from stop to stop, beyond u, by number (m,).
 
-    It is the Mandel-Paule solution for changes whose variance is u^2 + 2 dark^2, and 0 if they do not exceed u. It
-    is 0 for all numbers unless some change is significant after Holm's correction; otherwise the scatter of a few
-    returns would widen u by chance.
+    It is the Mandel-Paule solution for changes with the variance u^2 + 2 dark^2, and 0 for changes within u. If
+    no change is significant after Holm's correction, it is 0 for all numbers: the scatter of a few returns must
+    not widen u by chance.
     """
     found = np.zeros(len(names))
     changed = any(holm(np.array([drift.p for drift in drifts])) < APART_P) if drifts else False

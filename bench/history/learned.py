@@ -89,7 +89,7 @@ class Variance:
 class Contradiction:
     """A run that contradicts the others.
 
-    `what` names the quantity, which is `size` times its expectation; `p` is the corrected p-value.
+    `what` names the quantity, `size` is its ratio to the expected value, `p` the p-value after correction.
     """
 
     run: str
@@ -387,8 +387,8 @@ def _stacked(runs: Sequence[MeterRun], day: float, quantity: int, scale: Floats)
 def _moved(runs: Sequence[MeterRun], day: float, quantity: int) -> Floats:
     """Return the covariance (N, N) of the drift of each meter from its state on a day.
 
-    The drift reaches its limit in proportion to the time. Drifts of a meter before and after that day are
-    independent; on the same side, two drifts have the shorter one in common.
+    The u of a drift grows in proportion to the time from that day. Drifts of a meter before and after that day
+    are independent; two drifts on the same side share the shorter one.
     """
     of = np.array([meter for run in runs for meter in run.meters])
     part = np.repeat([np.clip((run.day - day) / run.per_days, -1.0, 1.0) for run in runs], 3)

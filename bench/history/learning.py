@@ -73,9 +73,10 @@ class LikelihoodPoint:
 
 @dataclass(frozen=True)
 class Weighed:
-    """The sums (runs, w, w) of (B, F, y) of each run, weighted by V^-1 instead of R^-1, and ln det of V/R, (runs,).
+    """Sums of squares and products of (B, F, y) of each run, weighted for given variances.
 
-    R is the covariance of the noise alone; V includes the shared variances. `RunSums` explains B, F and y.
+    `whole` (runs, w, w) are the sums weighted by V^-1, and `log_det` (runs,) is ln det V/R. R is the covariance
+    of the noise alone; V includes the shared variances. `RunSums` explains B, F and y; B has `columns` columns.
     """
 
     whole: Floats
@@ -272,9 +273,9 @@ def _scatter(runs: list[RunFit]) -> list[Contradiction]:
 def _held_against(
     names: tuple[str, ...], ratio: Floats, dof: Floats, what: str, *, upper: bool
 ) -> list[Contradiction]:
-    """Return the test of each of several mean squares (with degrees of freedom) against the others.
+    """Test each of several mean squares, with degrees of freedom `dof`, against the others.
 
-    The test allows for the variation between the others. It is one-sided with `upper`, otherwise two-sided.
+    The test allows for the variation between the other runs. It is one-sided with `upper`, otherwise two-sided.
     """
     usable = np.flatnonzero(dof > 0)
     found = []
@@ -329,16 +330,16 @@ def agreed(runs: list[RunFit], body: RunSums, noise: Floats, beliefs: Beliefs, l
 
 LEAST_RUNS: Final = 2
 SHOWN: Final = 0.1
-"""The least information of a run on an angle, relative to the stated one, for the angle to be visible."""
+"""The least information of a run on an angle, relative to the stated information, that makes the angle visible."""
 ALIKE: Final = 0.9
 """The cosine between the effects of two angles beyond which they cannot be separated."""
 HELD_CENTRE: Final = 0.5
 HELD_SPREAD: Final = 1 / np.sqrt(12.0)
-"""Prior mean and standard deviation of an undetermined remount variance: uniform from 0 to the stated one."""
+"""Prior mean and standard deviation of an undetermined remount variance: uniform from 0 to the stated variance."""
 MEANS_OF_HELD: Final = 1.0 / HELD_CENTRE
-"""The precision of the mean of such an angle: mean and remount variance add up to the stated variance."""
+"""Precision of the mean of an angle with an undetermined remount variance: both add up to the stated variance."""
 HALF_ITSELF: Final = 0.5
-"""A variance is undetermined if its u exceeds both this fraction of it and the u of its prior."""
+"""A variance is undetermined if its u exceeds this fraction of the variance, and also the u of its prior."""
 
 
 def learn(
@@ -385,7 +386,7 @@ def told_by_runs(body: RunSums, layout: Layout, free: Beliefs) -> tuple[Beliefs,
             beliefs, reasons[kind] = _holding(beliefs, layout, j), "no reading of these runs shows it"
     while True:
         theta = fitted(body, beliefs)
-        untold = _untold(body, theta, beliefs, layout)
+        untold = _undetermined(body, theta, beliefs, layout)
         if not untold:
             return beliefs, reasons
         j, why = min(untold.items(), key=lambda one: layout.stated[one[0]])
@@ -395,7 +396,7 @@ def told_by_runs(body: RunSums, layout: Layout, free: Beliefs) -> tuple[Beliefs,
 def _holding(beliefs: Beliefs, layout: Layout, j: int) -> Beliefs:
     """Return the beliefs with the variance of angle kind `j` fixed at its prior.
 
-    The mean of this kind receives the rest of its stated variance.
+    The mean of this kind gets the remaining part of its stated variance.
     """
     centre, spread = beliefs.centre.copy(), beliefs.spread.copy()
     centre[j], spread[j] = HELD_CENTRE, HELD_SPREAD
@@ -404,12 +405,12 @@ def _holding(beliefs: Beliefs, layout: Layout, j: int) -> Beliefs:
 
 
 def _shown(body: RunSums, j: int) -> bool:
-    """Whether any run has information on a kind of angle, compared with the stated uncertainty."""
+    """Return whether any run has information on an angle kind, compared with its stated uncertainty."""
     own = np.diagonal(body.gram[:, : body.columns, : body.columns], axis1=1, axis2=2)[body.random == j]
     return bool(np.max(own, initial=0.0) > SHOWN)
 
 
-def _untold(body: RunSums, theta: Floats, beliefs: Beliefs, layout: Layout) -> dict[int, str]:
+def _undetermined(body: RunSums, theta: Floats, beliefs: Beliefs, layout: Layout) -> dict[int, str]:
     """Return the kinds whose variance these runs do not determine, by index, with the reason."""
     information = at(body, theta, beliefs).information
     k = len(layout.kinds)
@@ -426,7 +427,7 @@ def _untold(body: RunSums, theta: Floats, beliefs: Beliefs, layout: Layout) -> d
 
 
 def _why(body: RunSums, j: int, layout: Layout) -> str:
-    """Return the reason why an angle is not determined: the angles from which it is inseparable, if any."""
+    """Return why the runs do not determine an angle; the reason names angles inseparable from it, if any."""
     together = set()
     for gram, random in zip(body.gram, body.random, strict=True):
         own = np.flatnonzero(random == j)

@@ -61,7 +61,7 @@ class ComparedCalibrations:
         )  # fmt: skip
 
     def in_nine(self) -> ComparedCalibrations:
-        """Return the table with the nine numbers free of the mounting, each array (n, 9) or (n, 9, 9).
+        """Return the table in the nine intrinsic numbers: arrays (n, 9) or (n, 9, 9).
 
         Raises `CalibrationError` for a K that describes no block.
         """

@@ -16,13 +16,12 @@ from bench.model.geometry import COEFFICIENTS, Block
 from bench.stats.control_charts import ChartDesign
 
 LEAST_G: Final = 0.9
-"""An axis counts as turned if it was read at more than this, up and down."""
+"""Least specific force, g, upwards and downwards, at which an axis counts as turned."""
 BASELINE: Final = 5
 
 
 def monitor_run(name: str, when: datetime, signal: Floats, force: Floats) -> CheckRun:
-    """Return the bias (g) and scale factor of each axis that was turned; for two axes, also the angle between them
-    (deg).
+    """Return the bias (g) and scale factor of each turned axis, and the angle (deg) between two such axes.
 
     `signal` (n, 3) was read at the nominal `force` (n, 3), g. The u follows from the scatter of repeats. Raises
     `CalibrationError` if no axis was read both up and down, or no position twice.

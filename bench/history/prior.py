@@ -25,14 +25,14 @@ LEAST_UNITS: Final = 6
 
 
 CONFLICT_P: Final = 0.01
-"""The prior is not used if the p-value of its agreement with the readings is below this level."""
+"""The prior is not used if the test of its agreement with the readings has a p-value below this."""
 
 
 LEAST_DOF: Final = 4.0
 
 
 LEAST_REPEATS: Final = 10
-"""The least number of repeated calibrations that determines their own scatter."""
+"""The least number of repeated calibrations that determines the scatter of calibrations."""
 
 
 @dataclass(frozen=True)

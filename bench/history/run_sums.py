@@ -368,7 +368,7 @@ def known_noise(runs: Sequence[RunFit], variances: Floats) -> tuple[KnownNoise, 
 
 
 LEAST_SHOWN: Final = 0.01
-"""A setting error is given the u of one that contributes at least this fraction of the noise variance."""
+"""Least fraction of the noise variance due to a setting error, from which a smaller setting error gets its u."""
 
 
 def _pooled_dof(freedom: Floats, slope: Floats, variances: Floats) -> Floats:

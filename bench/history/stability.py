@@ -196,7 +196,7 @@ REJECTS_LINE: Final = 1.0
 
 @dataclass(frozen=True)
 class Averaging:
-    """The averaging time for a signal, s, the Allan deviation at this time, and the reason for the choice.
+    """The averaging time for a signal, s, the Allan deviation at this time, and the reason for this choice.
 
     `reached` is false if a noise level was requested that no averaging time of the record reaches.
     """
@@ -272,7 +272,7 @@ def reading_advice(
 
 LONGEST_SEGMENT: Final = 4096
 SEGMENTS: Final = 8
-"""A record is cut into about twice so many segments, which overlap by half, none longer than `LONGEST_SEGMENT`."""
+"""Number of segments in a record without overlap; with half overlaps there are about twice as many."""
 
 
 @dataclass(frozen=True)

@@ -207,7 +207,7 @@ LANGUAGE: Final = "bench-language"
 
 
 def _language_of(request: Request) -> str | None:
-    """Return the language in the cookie, else the first known one of Accept-Language; None: the program's."""
+    """Return the language in the cookie, else the first known one of Accept-Language; None for the default."""
     accepted = request.headers.get("accept-language", "")[:200].split(",")
     wanted = [request.cookies.get(LANGUAGE, ""), *(one.partition(";")[0] for one in accepted)]
     return next(filter(None, map(known_language, wanted)), None)
@@ -271,7 +271,7 @@ def is_held(lock: FileLock) -> bool:
 class KeptList:
     """A list of JSON objects in a file with a lock, so that several programs can change it.
 
-    `remedy` is what to tell the user about a damaged file that has no copy.
+    `remedy` is the sentence that an error of a damaged file without a copy ends with.
     """
 
     def __init__(

@@ -29,10 +29,10 @@ OF_BENCH: Final = ("name", "description", "line_frequency")
 METERS_PLACE: Final[Place] = ("instruments", "voltmeters")
 GRAVITY: Final[Place] = ("gravity",)
 ONE_ROLE: Final[tuple[tuple[Role, bool], ...]] = (("head", True), ("chamber", False))
-"""Roles with a form beside the voltmeters, each with whether a bench must have one."""
+"""Roles other than the voltmeters that have a form, each with whether a bench must fill it."""
 
 Values = Mapping[str, str]
-"""The texts of a bench file or of its form, by dotted place; "form:…" are choices of the form alone."""
+"""The texts of a bench file or of its form, by dotted path; keys "form:…" are choices that only the form has."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +51,9 @@ class BenchField:
     required: bool = False
     shows: bool = False
     found: bool = False
-    """Whether the field takes a resource, for which those found are offered."""
+    """Whether the value is the resource of an instrument; the form then offers the resources found."""
     many: bool = False
-    """Whether the field holds a list, written with commas between its members."""
+    """Whether the value is a list, written with commas between its members."""
 
 
 @dataclass(frozen=True)

@@ -115,7 +115,7 @@ MOST_AT_ONCE: Final = 2
 
 @dataclass(frozen=True)
 class WantedRun:
-    """A requested run: the fields of `RunRequest` from the form, and the hashes of its files when checked.
+    """A requested run: the fields of `RunRequest` from the form, and the hashes of its files at the check.
 
     Procedure and bench are absolute paths; `sha256` has the hash of each. A dry run is for practice: a person
     answers its prompts. `queued` is the id of the queue item for which it is requested, empty for none.

@@ -21,7 +21,7 @@ from bench.run.events import sha256
 NAME: Final = re.compile(r"\w[\w-]{0,59}")
 LOCK: Final = "bench-files.lock"
 CALLED: Final = {CONFIG: message("bench file"), PROCEDURES: "procedure"}
-"""What a file of each folder is called in sentences."""
+"""The name of a file of each folder in sentences."""
 
 
 @dataclass(frozen=True)

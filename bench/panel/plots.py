@@ -161,7 +161,7 @@ def _diagnosis(told: Mapping[str, Any]) -> Numbers:
 
 
 def _effects_of(told: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the effects found, without the mistakes, which come first and have no rivals."""
+    """Return the effects found, without the mistakes, which precede the effects and have no rivals."""
     effects = list(told.get("effects", ()))
     return effects[len(effects) - len(told.get("ranking", ())) :]
 
@@ -192,15 +192,18 @@ _JUDGED: Final = ("n", "installation", "series", "pass", "point", "angle_deg", "
 
 
 def table_of(plots: Numbers, name: str) -> Rows:
-    """Return a plot's numbers as a table with a head. Raises `Refusal` (404) for a plot that the run lacks."""
+    """Return a plot's numbers as a table with a header row.
+
+    Raises `Refusal` (404) for a plot that the run lacks.
+    """
     found = list(_rows(plots, name))
-    if len(found) < 2:  # a head alone
+    if len(found) < 2:  # a header row alone
         raise Refusal(404, message("no such table; choose one of the page"))
     return found
 
 
 def live_table(points: Iterable[Numbers]) -> Rows:
-    """Return the residuals from predictions of a run in progress as a table with a head."""
+    """Return the residuals from predictions of a run in progress as a table with a header row."""
     head = [*_JUDGED, *_by_channel("residual"), *_by_channel("u"), "redone", "unit"]
     rows = [
         [*(one[key] for key in _JUDGED), *one["residual"], *one["u"], one["struck"], one["unit"]]
@@ -257,7 +260,7 @@ def _diagnosed_rows(diagnosis: Numbers, name: str) -> Iterator[list[Any]]:
 def written(rows: Rows, title: str, form: str, *, simulated: bool) -> bytes:
     """Return a table as a CSV file or as a workbook.
 
-    Numbers read from the CSV file are exactly the same; the workbook has about 16 digits.
+    The CSV file states the numbers exactly; the workbook has about 16 digits.
     """
     if form == "xlsx":
         from bench.exchange.forms import tables_workbook

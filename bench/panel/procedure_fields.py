@@ -46,7 +46,7 @@ LISTS: Final = {
     ("repeat", "scans"): message("such as xyz, zyx: an order for each pass"),
     ("temperatures", "at"): message("such as -40 degC, 23 degC, 70 degC"),
 }
-"""Keys of verbs that hold lists, with the help of their fields."""
+"""Keys of a step whose values are lists, with the help texts of their fields."""
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ FIGURES: Final = {
     "residuals-in-time": b"residuals-order",
     "verification": b"verification",
 }
-"""The figures of the report, each with the beginning of the identifiers in it, by which it is found."""
+"""The figures of the report by name, each with a prefix of the identifiers in its SVG, which identifies it."""
 
 _STATES: Final = {
     "pass": "passed",
@@ -67,8 +67,8 @@ class PointRow:
 class VerdictTold:
     """The verdict of the verification as shown on a page.
 
-    `state` selects the style of the box, `words` state the outcome; the rest is the worst |Δg| ± U, the limit and
-    the risk.
+    `state` selects the style of the box, `words` state the outcome; the other members are the worst |Δg| ± U, the
+    limit and the risk.
     """
 
     state: str
@@ -140,9 +140,9 @@ def results_of(run: Run) -> Results:
 def told_by(
     run: Run, name: str, words: Callable[[Mapping[str, Any]], Told], trouble: list[str]
 ) -> Told | None:
-    """Return what `words` makes of a result file of a run; None for a missing or damaged file.
+    """Return the value of `words` for a result file of a run; None for a missing or damaged file.
 
-    A damaged file is noted in `trouble`.
+    A sentence on a damaged file is added to `trouble`.
     """
     try:
         content = from_text(read_page(run, name))

@@ -100,9 +100,10 @@ def with_certificate(text: str, instrument: str, section: str) -> str:
 def accept_certificate(request: ReadCertificate, section: Section) -> str:
     """Write the certificate of an instrument into a bench file; return a sentence on what was done.
 
-    The file's first line names who accepted it and the SHA-256 of the document. Raises `Refused` for an instrument
-    that the bench file does not list, for a certificate that lacks corrections, and for one that is there already.
-    Raises `FileMistakes` if the bench file would have mistakes; the file then stays unchanged.
+    The file's first line names who accepted it and the SHA-256 of the document. Raises `Refused` for an
+    instrument that the bench file does not list, for a certificate that lacks corrections, and for a certificate
+    that the bench file has already. Raises `FileMistakes` if the bench file would have mistakes; the file then
+    stays unchanged.
     """
     if request.into is None or not request.instrument or not request.by:
         raise Refused("accepting a certificate needs --into FILE, --instrument NAME and --by NAME")

@@ -159,7 +159,7 @@ def _tested(bench: Path) -> dict[str, Any]:
 
 
 def _row(part: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the page shows of a tested instrument."""
+    """Return the members of a tested instrument that the page shows."""
     identity = part["identity"] or {}
     failures = [": ".join(filter(None, map(str, failure.values()))) for failure in part["failures"]]
     return {

@@ -247,7 +247,7 @@ class Follower:
 
 LOOK_S: Final = 0.05
 LIVE_LOOK_S: Final = 0.02
-"""Interval (s) between looks at the live value, which neither waits for new events nor for readings compared."""
+"""Interval (s) at which the live value is read; reading it waits neither for events nor for comparisons."""
 
 BEAT_S: Final = 2.0
 LINGER_S: Final = 30.0

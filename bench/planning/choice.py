@@ -137,7 +137,7 @@ def _reached(chooser: Chooser, standing: Standing, stated: float) -> tuple[Reach
 
 
 def _freedom(done: Counter[Site]) -> tuple[int, int]:
-    """Return the degrees of freedom of the noise: from repeats, and from other residuals of the model."""
+    """Return the degrees of freedom of the noise: those of repeats, and those of the model's other residuals."""
     readings, groups = sum(done.values()), len(done)
     mounts = len({site.mount for site in done})
     unknown = min(_OF_ONE_MOUNTING * mounts, FIXED)
@@ -154,10 +154,10 @@ def _scale_of(size: float, dof: int) -> NoiseScale:
 
 
 BELIEVED: Final = 6.0
-"""Prior weight of the stated noise, in degrees of freedom: small, but sufficient before the first readings."""
+"""Prior weight of the stated noise, in degrees of freedom; measured noise soon outweighs it."""
 
 SURE: Final = 0.8
-"""Confidence level of the noise bound at which a mounting must have enough visits before it is left for good."""
+"""Confidence level of the noise bound with which a mounting must have enough visits before the run leaves it."""
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ NOTHING_KNOWN: Final = NoiseScale()
 def scale_of(stand: Stand, readings: Readings) -> NoiseScale:
     """Return the noise scale of readings, from the residuals of a linear fit of block and stand.
 
-    The readings need not determine all coefficients; even those of a single mounting leave residuals.
+    The readings need not determine all coefficients; readings of a single mounting leave residuals, too.
     """
     own = readings.oriented()
     if not len(own):
@@ -248,14 +248,13 @@ class Standing:
 class NextPoints:
     """The next points to measure, in the mounting with index `visit`; none if `stop` gives a reason to stop.
 
-    `left_out` are steps passed over as unnecessary; `taken_up` are steps of the present mounting that were left
-    out before and are needed after all. `now` is the goal furthest from being reached; `after` and `end` are its
-    expected states after these points and at the end of the run. `settings` counts the points measured so far,
-    `repeats` those that repeat a site. `next_s` is the time of the next points; `more` and `more_s` are the
-    expected points and time until the end, including the next ones. `rest_s` is the remaining time of the steps
-    that no choice affects. `pool_end` is the step after the last point. `not_needed` counts the points that a
-    stopped run has not measured. `telling_apart` says that points were chosen to distinguish the possible causes
-    of a misfit.
+    `left_out` are steps omitted as unnecessary; `taken_up` are steps of the present mounting that were omitted
+    before and are needed now. `now` is the goal furthest from being reached; `after` and `end` are its expected
+    states after these points and at the end of the run. `settings` counts the points measured so far, `repeats`
+    those that repeat a site. `next_s` is the time of the next points; `more` and `more_s` are the expected points
+    and time until the end, including the next ones. `rest_s` is the remaining time of the steps that no choice
+    affects. `pool_end` is the step after the last point. `not_needed` counts the points that a stopped run has
+    not measured. `telling_apart` says that points were chosen to distinguish the possible causes of a misfit.
     """
 
     visit: int
@@ -421,7 +420,7 @@ class Chooser:
         return self.pool.always_s if standing.visit < 0 else self.pool.after_s
 
     def _is_left_for_good(self, standing: Standing) -> bool:
-        """Return whether the present mounting will not return: only later mountings have open points."""
+        """Return whether the run leaves the present mounting for good: only later mountings have open points."""
         ahead = range(max(standing.visit, 0) + 1, len(self.pool.visits))
         return any(self.open_points(number, standing) for number in ahead)
 
@@ -504,7 +503,7 @@ class Chooser:
         }  # fmt: skip
 
     def _passed_over(self, standing: Standing, number: int, last: int) -> frozenset[int]:
-        """Return the unmeasured steps before step `last` in the mountings up to `number`."""
+        """Return the unmeasured steps before step `last`, in the mountings up to `number`."""
         steps: set[int] = set()
         for other, visit in enumerate(self.pool.visits[: number + 1]):
             steps.update(
@@ -563,7 +562,7 @@ def telling_apart(
     chosen: list[int] = []
     first = 0.0
     while len(chosen) < min(MOST, len(candidates)):
-        told = _told_apart(every, rows[len(done) :], known)
+        told = _information_gain(every, rows[len(done) :], known)
         told[chosen] = -np.inf
         best = int(np.argmax(told))
         first = first or float(told[best])
@@ -574,11 +573,11 @@ def telling_apart(
     return chosen
 
 
-def _told_apart(information: Floats, rows: Floats, known: int) -> Floats:
+def _information_gain(information: Floats, rows: Floats, known: int) -> Floats:
     """Return the information (c,) that each of c readings adds on the unknowns from index `known` on.
 
-    `rows` (c, 3, p) are their derivatives. The measure is the gain in the log determinant of the information
-    matrix, with all p unknowns free.
+    `rows` (c, 3, p) are derivatives of the readings by the p unknowns. The measure is the increase of the log
+    determinant of the information matrix for all p unknowns.
     """
     of_all = rows @ np.linalg.solve(information, np.swapaxes(rows, 1, 2))
     own = rows[:, :, :known]

@@ -26,7 +26,7 @@ DIRECTIONS: Final = 128
 """Number of directions over which the goals of a measured acceleration are evaluated."""
 WHOLE: Final = 10.0
 LEAST_WHOLE_G: Final = 1e-3
-"""Size of the loose goal on the whole block: a multiple of the other goals, at least 1 mg."""
+"""Required uncertainty of the loose goal on the whole block: a multiple of the other goals, at least 1 mg."""
 
 
 @dataclass(frozen=True)
@@ -59,11 +59,14 @@ class Goal:
         return self.u(covariance) / self.asked
 
     def relaxed(self, endless: float) -> Goal:
-        """Return a loose goal relaxed to at least twice the u of endless readings, whose variance is `endless`."""
+        """Return a loose goal relaxed to twice the u in the limit of endless readings, if that is larger.
+
+        `endless` is the variance in this limit.
+        """
         return replace(self, asked=max(self.asked, 2.0 * float(np.sqrt(endless)))) if self.loose else self
 
     def tightened(self, wider2: float) -> Goal:
-        """Return the goal with a smaller permitted variance: the part above the floor is divided by `wider2`."""
+        """Return the goal with its permitted variance above the floor divided by `wider2`."""
         return replace(self, asked=float(np.sqrt(self.floor + (self.asked**2 - self.floor) / wider2)))
 
 
@@ -167,12 +170,12 @@ def _require_positive(name: str, size: float) -> None:
 
 
 _POWERS: Final = (8.0, 40.0)
-"""Exponents of the power mean that approximates the largest ratio: first smooth, then nearly the maximum."""
+"""Exponents of the power mean that replaces the largest ratio: first a smooth score, then nearly the maximum."""
 _WITHIN_REACH: Final = 1.05
-"""Greatest ratio at which exchanges are tried, since they lower the largest ratio by only a few percent."""
+"""Greatest ratio of u to required u at which exchanges are tried: they lower the ratio by a few percent only."""
 _GAIN: Final = 1e-6
 _WEAKLY_KNOWN: Final = 1.0
-"""Prior standard uncertainty of the coefficients, V/g and V: too large to matter, it keeps matrices invertible."""
+"""Prior standard uncertainty of the coefficients, V/g and V: without influence, it keeps matrices invertible."""
 _DETERMINED: Final = 1e-2
 _MANY: Final = 1e5
 LEAST_FREEDOM: Final = 6

@@ -40,10 +40,10 @@ from bench.planning.requirements import Cost, Setting, conditions_of
 from bench.readings.table import VERIFICATION
 
 _EVENLY_MOST: Final = 4
-"""Greatest number of evenly spread settings that is tried, as a multiple of the number found by a search."""
+"""Largest even spread of settings that is tried, as a multiple of the number found by a search."""
 _PARTS_TOLD: Final = 3
 _PART_NAMED: Final = 0.01
-"""Greatest number of irreducible sources named in an error message, and the least fraction of the largest one."""
+"""Most irreducible sources that an error message names, and the least fraction of the largest source."""
 _ROUNDS: Final = 4
 """Greatest number of searches, each with tighter goals, to allow for noise estimated from the readings."""
 
@@ -77,8 +77,8 @@ class Sites:
     def choices(self, most: int) -> Iterator[tuple[int, ...]]:
         """Yield index tuples of mountings to combine, small sets first, without equivalent ones.
 
-        Two mountings are equivalent if the same block axes lie along the shaft and across it, up to sign: the
-        block then has the same orientations in both, at different head angles.
+        Two mountings are equivalent if the same block axes lie along and across the shaft, up to sign. The block
+        then has the same orientations in both mountings, at different head angles.
         """
         for size in range(1, min(most, len(self.mounts)) + 1):
             for chosen in combinations(range(len(self.mounts)), size):
@@ -88,7 +88,7 @@ class Sites:
                     yield chosen
 
     def _before(self, mount: int) -> int:
-        """Return the index of the last earlier mounting that is equivalent."""
+        """Return the index of the nearest earlier mounting that is equivalent to `mount`."""
         return max(m for m in range(mount) if self._kind[m] == self._kind[mount])
 
 
@@ -220,9 +220,9 @@ def cheapest(
 
 
 def _floored(stand: Stand, sites: Sites, goals: Sequence[Goal]) -> tuple[list[Goal], list[Goal]]:
-    """Return the goals with loose ones relaxed, then the same with floors for readings at all angles.
+    """Return the goals with loose goals relaxed, and these goals with their floors for readings at all angles.
 
-    Both are the given goals if all settings together do not determine the block.
+    Both lists are the given goals if all settings together do not determine the block.
     """
     everywhere = sites.settings(range(len(sites.mounts)))
     try:
@@ -244,8 +244,8 @@ def _evenly(
 ) -> ChosenPoints | None:
     """Return the smallest even spread of settings that reaches all goals; None if none does.
 
-    The search considers only errors that more readings lower. An even spread also reduces others, such as the
-    effects K2 and K3.
+    The search considers only errors that more readings lower. An even spread also reduces other errors, such as
+    those of K2 and K3.
     """
     candidates = sites.candidates(chosen)
     made = (_points(stand, sites, chosen, even(candidates, len(chosen), n), goals, cost) for n in settings)

@@ -268,7 +268,7 @@ def reached_by(aim: Aim, readings: Floats, combined: Floats) -> tuple[Reached, .
 
 @dataclass(frozen=True)
 class Floor:
-    """The uncertainty `u` of a goal in the limit of infinitely many readings, with its largest parts by source."""
+    """The standard uncertainty `u` of a goal for infinitely many readings, and its largest parts by source."""
 
     wanted: UntilGoal
     u: float
@@ -334,7 +334,7 @@ class Grid:
 class Visits(ExchangeDesign):
     """Numbers of visits to sites: at least the visits already made, at most the visits that the plan allows.
 
-    The noise is estimated from repeats once there are `LEAST_REPEATS` of them, as in a calibration.
+    As in a calibration, at least `LEAST_REPEATS` repeats are needed to estimate the noise from repeats.
     """
 
     _known: tuple[bytes, Floats] | None = None
@@ -512,8 +512,8 @@ def _within(task: DesignTask, ahead: Sequence[Mounting], chosen: Sequence[Mounti
 def _greedy(task: DesignTask, most: Ints, repeats: int, *, wide: bool) -> Visits:
     """Add the most useful visits until the goals are reached, then remove unnecessary ones.
 
-    With `wide`, repeats are added only after the goals are reached with as many sites as help; otherwise as
-    soon as the coefficients are determined.
+    With `wide`, new sites are added until the goals are reached or no site helps, and then repeats. Otherwise
+    repeats are added as soon as the coefficients are determined.
     """
     design = Visits(task.candidates, task.goals, task.done, task.done, most)
     while not design.is_enough(repeats):

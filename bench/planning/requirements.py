@@ -116,7 +116,7 @@ def _settling_s(plan: Plan) -> float:
 
 
 ANGLES: Final = ("axis_tilt", "zero_offset", "mounting_error", "mounting_roll")
-"""The stand angles that exist in every mounting, whatever their size."""
+"""The stand angles that every mounting has, whatever their size."""
 
 THIRD: Final = Installation.from_axes("3", ("y", "z", "x"))
 """The installation with the block's x along the shaft, which the paper does not use."""
@@ -374,14 +374,14 @@ class Requirement:
         return self.target(make_budget(self.setup, sized, self.estimator))
 
     def variances(self, sizes: Mapping[str, float]) -> Floats:
-        """Return the variances by source (s,) at the worst point; `sizes` is explained at `by_point`."""
+        """Return the variances by source (s,) at the worst point; for `sizes` see `by_point`."""
         found = self.by_point(sizes)
         return np.asarray(found[int(np.argmax(found.sum(axis=1)))])
 
     def reached(self, sizes: Mapping[str, float] | None = None) -> float:
         """Return k u of the target at the worst point.
 
-        `sizes` replace the sizes in the bench file, as in `by_point`.
+        For `sizes` see `by_point`.
         """
         if not sizes:
             return self.k * math.sqrt(float(self._own.sum()))
@@ -441,9 +441,9 @@ class Requirement:
 
         Without weights, each source receives an equal part of the variance that the other sources leave, judged
         at its worst point. With weights, the cost of a source is its weight divided by its size in units of the
-        bench's own size; the total cost is least if the parts are proportional to
-        (weight × present contribution)^(2/3). A source that cannot use up its part has no limit, and its part goes
-        to the others. Raises `CalibrationError` if nothing is left to share.
+        bench's own size; the total cost is least if the parts are proportional to (weight × present
+        contribution)^(2/3). A source that stays below its part at any size has no limit; the others share its
+        part. Raises `CalibrationError` if nothing is left to share.
         """
         own = {s.name: s for s in self.sources}
         parts = self._parts(names, weights)

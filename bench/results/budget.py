@@ -147,7 +147,7 @@ class BudgetResult(ResultModel):
     bench_file: BenchPart
     procedure: str
     model: str
-    about: str = Field(description="whose coefficients the budget is about")
+    about: str = Field(description="the block whose coefficients the budget states")
     g_m_s2: float
     readings: ReadingCounts
     estimator: str
@@ -535,7 +535,7 @@ def modulus(result: BudgetResult) -> BudgetFigure:
 
 
 def _gathered(shares: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Return the shares that reach `VISIBLE`, and "others", the sum of the rest."""
+    """Return the shares that reach `VISIBLE`, and under "others" the sum of all other shares."""
     seen = {source: share for source, share in shares.items() if np.max(share) >= VISIBLE}
     rest = sum((share for source, share in shares.items() if source not in seen), np.zeros(12))
     return {**seen, "others": rest} if np.any(rest > 0.0) else seen

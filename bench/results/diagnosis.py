@@ -162,7 +162,7 @@ class FoundResult(ResultModel):
     p_left: Real = Field(description="p-value of the final residuals, compared with the scatter of repeats")
     form: FormPart | None = Field(
         description="terms that describe the effects without a name, their predictions of held-out readings, "
-        "and the unexplained rest; null if every effect has a name"
+        "and the unexplained scatter; null if every effect has a name"
     )
     detectable: dict[str, Real] = Field(
         description="size of each effect that half of all runs would show, in units of its plausible size; "
@@ -286,7 +286,7 @@ def mistakes_result(
     bench: BenchPart | None,
     corrections: Sequence[CorrectionPart],
 ) -> DiagnoseResult:
-    """Return the result of a diagnosis that stopped at mistakes, because too few readings remain without them."""
+    """Return the result of a diagnosis that ended after the search for mistakes: too few other readings remain."""
     nothing: dict[str, Any] = {
         **dict.fromkeys(("next_measurement", "verification_orientation", "gap", "model", "noise", "p_left")),
         **dict.fromkeys(("form", "registered", "simulation", "report")),
@@ -412,7 +412,7 @@ def _places(diagnosis: Diagnosis, out: Console) -> None:
 
 
 def print_mistakes(found: MistakesAlone, files: Files, out: Console) -> None:
-    """Print the mistakes of a diagnosis that stopped at them, and what must be measured again."""
+    """Print the mistakes of a diagnosis that ended after the search for them, and what must be measured again."""
     for mistake in found.mistakes:
         out.print(f"Mistake: {mistake.name}: {mistake.words}", style="bold")
     out.print(f"In the corrected copy {found.reason}")

@@ -59,10 +59,10 @@ DRAWN: Final = 4
 """Number of mountings whose residuals are visible at once; those of further mountings are collapsed."""
 
 MOST_DRAWN: Final = 12
-"""Largest number of mountings that are all drawn; if there are more, only `DRAWN` of them are drawn."""
+"""Up to this number of mountings all are drawn; of more, only `DRAWN`."""
 
 STATES: Final = {"agrees": "passed", "named": "none", "confounded": "none"}
-"""The style of the verdict box for each verdict; that of a failure for any other verdict."""
+"""The style of the verdict box for each verdict; any other verdict has the style of a failure."""
 
 
 def render_diagnosis(
@@ -127,7 +127,10 @@ def render_alone(
     provenance: Mapping[str, str],
     **content: Any,
 ) -> str:
-    """Return the page of a diagnosis of free positions or of a record; `content` is what only one of them has."""
+    """Return the page of a diagnosis of free positions or of a record.
+
+    `content` are the values for the template that only one of the two has.
+    """
     lines = [(words.effect_title(one), one, list(words.parameters_in_words(one))) for one in found.effects]
     return page(
         template,
@@ -317,7 +320,7 @@ def gap_bars(gap: Gap) -> str:
 
 
 def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
-    """Return a bar chart of the ln odds of an effect and its rivals; a bracket joins tied ones."""
+    """Return a bar chart of the ln odds of an effect and its rivals; a bracket joins the tied effects."""
     ordered = sorted(rows, key=lambda rival: rival.evidence)
     places = np.arange(len(ordered), dtype=float)
     alike = [i for i, rival in enumerate(ordered) if rival.family == named or rival.tied]
@@ -397,7 +400,7 @@ def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
 
 
 def most_telling(shown: ModelComparison) -> list[int]:
-    """Return the indices of the mountings, those first whose signals the effects found change most."""
+    """Return the indices of the mountings, those whose signals the effects found change most first."""
     before, last = shown.before.calibration, shown.last.calibration
     missing = before.residuals - last.residuals
     sizes = [float(np.mean(missing[rows] ** 2)) for _, rows in mounts_of(before)]

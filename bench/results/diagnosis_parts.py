@@ -107,7 +107,8 @@ class EffectPart(FoundPart):
         description="whether each u of the parameters applies to the shape of the effect as found",
     )
     aliases: list[int] = Field(
-        default=[], description="other numbers of periods per turn that look the same at the angles measured"
+        default=[],
+        description="other numbers of periods per turn that give the same errors at the angles measured",
     )
 
 

@@ -58,10 +58,10 @@ WHOLE_UG: Final = 9.95
 """Smallest size in µg that is printed without decimals."""
 
 MUCH_LESS_CERTAIN: Final = 2.0
-"""Factor by which u of a coefficient must grow for the coefficient to be listed."""
+"""Coefficients whose u grows by more than this factor are listed."""
 
 LEAST_P: Final = 1e-9
-"""Smallest probability that is stated; a smaller one would rely on noise that is normal far into its tails."""
+"""Smallest probability that is stated: below it, the noise would have to be normal far into its tails."""
 
 STILL_MISSING: Final = message(
     "readings and simulated bench still differ by more than the scatter of repeats (level 1 %): "
@@ -309,7 +309,7 @@ def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
 def odds_in_words(effect: NamedEffect) -> str:
     """Return the posterior probabilities of an effect's names: "97 % cubic_nonlinearity, 2 % scale_asymmetry".
 
-    Names below 1 % are in the JSON alone.
+    Only the JSON has names below 1 %.
     """
     shown = [one for one in effect.odds if one.probability >= BY_CHANCE]
     return ", ".join(f"{_percent(one.probability)} {one.name}" for one in shown)

@@ -96,8 +96,9 @@ STATES: Final = {
 
 @dataclass(frozen=True)
 class VerdictInWords:
-    """The verdict as text: `state` selects the style of its box; the rest is worst point, limit, rule, risk and
-    advice.
+    """The verdict as text.
+
+    `state` selects the style of its box; the other members are worst point, limit, rule, risk and advice.
     """
 
     state: str

@@ -23,7 +23,7 @@ from bench.run.sentences import duration, said, sentence
 from drivers.interfaces import Identity
 
 _NAME: Final = 19
-"""Width of the column of names, which leaves 80 characters for the whole line."""
+"""Width of the column of names; the whole line then has 80 characters."""
 _SAID: Final = ("answered", "answer_refused")
 
 

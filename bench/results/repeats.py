@@ -84,7 +84,7 @@ def repeats_told(found: Repeats, where: str, sizes: Sequence[str]) -> str:
 
 
 class HeldOutByRecord(ResultModel):
-    """The ratio of scatter to stated u of the zeros of held-out records, predicted from the other records."""
+    """Zeros of held-out records predicted from the other records: the ratio of their scatter to the stated u."""
 
     by: Literal["record"]
     before: Real = Field(description="ratio for constant zeros")

@@ -21,7 +21,7 @@ NOT_PROVEN: Final = (
     "that the laboratory's method suits the customer's purpose (7.2.2): that is the laboratory's judgement",
     "that the random parts would pass with every seed: their seeds are fixed",
 )
-"""What no validation of a program proves."""
+"""Properties that no validation of a program proves."""
 
 
 class ValidationCheck(ResultModel):

@@ -79,7 +79,7 @@ class Origin(_Part):
     mended: tuple[_Text, ...] = ()
 
     def text_beside(self, readings: Path, content: bytes) -> str:
-        """Return the text of the origin file of a readings file with this `content`."""
+        """Return the text of the origin file that is written beside a readings file with this `content`."""
         empty = {name for name in ("serials", "mended") if not getattr(self, name)}
         own = self.model_dump(mode="json", exclude={"sha256", *empty})
         try:
@@ -93,8 +93,8 @@ class Origin(_Part):
     def bench_file(self, readings: Path) -> Path | None:
         """Return the path of the run's bench file for a readings file; None if no unchanged copy is found.
 
-        It is searched for in the run's folder, also relative to the readings file in case both were moved, and at
-        the path from which the run took it.
+        The search covers the run's folder, also relative to the readings file in case both were moved, and the
+        original path of the bench file.
         """
         places = [self.bench.copied_to, self.bench.copied_to_from_here, self.bench.file]
         for path in (readings.parent / place for place in places if place):
@@ -227,7 +227,8 @@ _NONE_NAMED: Final = "the shipped one, because no file was named"
 class BenchTaken:
     """The bench file that an analysis uses: its content, path and SHA-256, and the reason for the choice.
 
-    `why` is the reason why the analysis uses it, `chosen` the reason why the run was begun with it."""
+    `why` is the reason for this choice; `chosen` is the reason why the run was begun with this file.
+    """
 
     file: BenchFile
     where: str

@@ -90,7 +90,7 @@ def body_of(sources: list[Source], one_block: bool | None = None) -> Body:
         )
     except ValueError as problem:
         raise Refused(f"--together: {problem}") from problem
-    # a model found in one of the sources has values without u there: it has used part of this body
+    # a model found in one of the sources has no u there, because its values come from part of this body
     model = next((s.model for s in sources if not any(a.u for a in s.model.effects)), first.model)
     name = " + ".join(source.name for source in sources)
     entries = tuple(entry for source in sources for entry in source.traced.entries)
@@ -105,7 +105,7 @@ def body_of(sources: list[Source], one_block: bool | None = None) -> Body:
 
 
 def place_together(sources: Sequence[Source]) -> Source:
-    """Return the first of several sources, renamed so that the names of output files refer to all of them."""
+    """Return the first of several sources with a name for all of them, from which names of output files follow."""
     first = sources[0]
     if len(sources) == 1:
         return first
@@ -126,7 +126,7 @@ def _blocks(sources: list[Source], one_block: bool | None) -> list[int | None]:
 
 
 def _of_the_stand(source: Source) -> dict[str, float]:
-    """Return the standard uncertainties of the stand, rad, without the voltmeter's, which has another unit."""
+    """Return the standard uncertainties of the stand, rad; that of the voltmeter is left out."""
     return {name: u for name, u in source.stand_u.items() if name != "voltmeter_error"}
 
 
@@ -160,7 +160,7 @@ SAT_IN: Final = re.compile(r"the block sits in installation (\S+), not in (\S+)"
 OF_ONE_READING: Final = frozenset({Kind.NOT_TURNED, Kind.NEXT_POINT, Kind.WRONG_WAY, Kind.SLIP})
 NAMES: Final = {Kind.ROTATION: MistakeName.REVERSED_ROTATION, Kind.ORIENTATION: MistakeName.OTHER_MOUNTING}
 LEAST_NAMED: Final = 2
-"""Least number of readings that name another installation before their whole mounting is moved to it."""
+"""Least number of readings that show another installation before their whole mounting is assigned to it."""
 
 
 MOST_TOLD: Final = 3
@@ -169,16 +169,16 @@ MOST_TOLD: Final = 3
 
 @dataclass(frozen=True)
 class _Named:
-    """A row of the table of readings, with the sign of a mistake that the early warning raised there."""
+    """A row of the table of readings, and the sign of a mistake that the early warning found there."""
 
     row: int
     sign: EarlySign
 
 
 def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
-    """Return the readings of a source, corrected for mistakes that the early warning named, and these mistakes.
+    """Return the readings of a source, corrected for mistakes that the early warning found, and these mistakes.
 
-    The readings are returned unchanged if the early warning raised no sign during the run.
+    The readings are returned unchanged if the early warning found no sign of a mistake during the run.
     """
     run, readings = source.run, source.readings
     if run is None or run.imported or not run.history.progress.signs:
@@ -197,7 +197,7 @@ def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
 
 
 def told_in_words(run: Run) -> list[str]:
-    """Return sentences on mistakes that the early warning named in a run, and on warnings that were overruled."""
+    """Return sentences on the mistakes that the early warning found in a run, and on overruled warnings."""
     if not run.history.progress.signs:
         return []
     named: Counter[str] = Counter()
@@ -267,7 +267,7 @@ class _Copy:
         return changed.select(self._kept)
 
     def mend(self, mount: tuple[int, str], told: Sequence[_Named]) -> list[Mistake]:
-        """Correct the mistakes that the early warning named in a mounting; return these mistakes."""
+        """Correct the mistakes that the early warning found in a mounting; return these mistakes."""
         sat = Counter(match[1] for one in told if (match := _sat_in(one.sign)) is not None)
         if sat and sat.most_common(1)[0][1] >= LEAST_NAMED:
             return [self._move(mount, sat.most_common(1)[0][0], told)]

@@ -333,8 +333,8 @@ def _parts(
 def _begun(runs: Sequence[CheckRun], section: CheckBlockSection) -> tuple[list[CheckRun], list[CheckRun]]:
     """Return the baseline and all other runs.
 
-    The baseline consists of the first runs in control; each was judged by its predecessors. The last of several
-    runs is never part of the baseline, so that it is always judged.
+    The baseline consists of the first runs in control, each judged against the runs before it. The last of
+    several runs is never in the baseline, so that it is always judged.
     """
     baseline: list[CheckRun] = [runs[0]]
     later: list[CheckRun] = []
@@ -480,10 +480,10 @@ IN_CONTROL: Final = "in control"
 
 @dataclass(frozen=True)
 class CheckBefore:
-    """The last check of a bench: `state` is "in control", "out of control", "too old" or "missing"; `sentence` says
-    why.
+    """The last check of a bench: `state` is "in control", "out of control", "too old" or "missing".
 
-    `run` is the name of the run of the check block, empty if there is none; `age_s` is its age in s.
+    `sentence` states the reason. `run` is the name of the run of the check block, empty if there is none; `age_s`
+    is its age in s.
     """
 
     state: str

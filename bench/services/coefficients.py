@@ -31,11 +31,13 @@ DEFAULT_K: Final = 2.0
 
 LARGEST: Final = 1e12
 WORST: Final = 1e9
-"""Coefficients above `LARGEST`, or a K with a ratio of elements or a condition number above `WORST`, belong to no
-block."""
+"""Results with coefficients above `LARGEST` belong to no block, nor does a K with a larger ratio than `WORST`.
+
+The ratio is that of two elements, or the condition number.
+"""
 
 ROUNDING: Final = 1_000_000 * 2.0**-53
-"""Largest rounding error of a correlation that is computed from a million readings."""
+"""Largest rounding error of a correlation computed from a million readings."""
 
 
 @dataclass(frozen=True)

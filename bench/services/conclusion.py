@@ -39,7 +39,7 @@ _MADE: Final = ("calibrate.json", "verify.json", "report.html", "chart.json")
 class Conclusion:
     """The results of a finished run; a missing result is None.
 
-    `looks` are remarks of the early warning; `short` says whether the run ended without reaching its goal.
+    `looks` are the remarks of the early warning; `short` states whether the run ended without reaching its goal.
     `no_calibration` and `no_chart` are the reasons for a missing calibration or chart; `no_chart` is empty for a
     run that is not of the check block. `chart_unwritten` is the reason why the chart's file was not written.
     """

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class MistakesResult(BodyResult):
-    """A diagnosis that stopped at mistakes, because the remaining readings do not determine the coefficients."""
+    """A diagnosis that ended with mistakes: the other readings do not determine the coefficients."""
 
     found: MistakesAlone
 
@@ -64,7 +64,7 @@ class MistakesResult(BodyResult):
         ).to_dict()
 
     def print_on(self, out: Console) -> None:
-        """Print the mistakes, and which coefficients the remaining readings do not determine."""
+        """Print the mistakes, and the coefficients that the other readings do not determine."""
         text.print_mistakes(self.found, self.files, out)
 
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
@@ -209,7 +209,7 @@ class DiagnosisAlone(ResultWithPage):
         return self.found.verdict
 
     def models_of(self, *, accept_first: bool = False) -> list[tuple[AppliedEffect, ...]]:
-        """Return the effects of each model file to write, one for each sensor that differs; empty if there is no
+        """Return the effects of each model file to write, one file for each differing sensor; empty for no
         model.
         """
         if not _named(self.found, accept_first=accept_first):
@@ -266,7 +266,7 @@ class DiagnosisAlone(ResultWithPage):
         return tuple(paths)
 
     def corrected(self) -> dict[int, Readings]:
-        """Return the readings as read, without outlying positions, by the number of each affected source."""
+        """Return the corrected readings of each affected source, by its number: without outlying positions."""
         return {}
 
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
@@ -317,7 +317,7 @@ class FreeDiagnosisResult(DiagnosisAlone):
     write_model = DiagnosisAlone.write_models
 
     def corrected(self) -> dict[int, Readings]:
-        """Return the readings as read, without outlying positions, by the number of each affected source."""
+        """Return the corrected readings of each affected source, by its number: without outlying positions."""
         kept = {}
         for number in np.unique(self.found.left_out[:, 0]).tolist():
             source = self.body.sources[number]
@@ -328,9 +328,9 @@ class FreeDiagnosisResult(DiagnosisAlone):
 
 
 def _named(found: Diagnosis | FreeDiagnosis | RecordDiagnosis, *, accept_first: bool) -> bool:
-    """Return whether the findings go into a model file: they were named, or the first of a tie is accepted.
+    """Return whether to write a model file: an effect was named, or the first effect of a tie is accepted.
 
-    An effect that does not narrow the gap is excluded even if it is accepted, because it gives no better model.
+    An accepted effect that does not narrow the gap gives no better model, and is not written.
     """
     accepted = accept_first and found.of_copy == "confounded" and found.gap.shrinks is not False
     return found.of_copy == "named" or accepted
@@ -342,7 +342,8 @@ Diagnosed: TypeAlias = DiagnosisResult | DiagnosisAlone | MistakesResult
 def print_diagnosed(results: Sequence[Diagnosed | Failed], out: Console) -> None:
     """Print a single diagnosis in full, or a line for each of several.
 
-    Of several, diagnoses of free positions and those that stopped at mistakes are still printed in full.
+    Diagnoses of free positions, and diagnoses that ended after the search for mistakes, are always printed in
+    full.
     """
     listed = [one for one in results if isinstance(one, DiagnosisResult)] if len(results) > 1 else []
     if listed:

@@ -206,8 +206,8 @@ def asker_of(
 ) -> Asker | None:
     """Return the object that puts the questions of a run to a person; None for a run without a person.
 
-    The run is new or, with its `history`, resumed. `who` answers at the terminal; if it is None, no questions are
-    asked there. A resumed dry run asks the person who resumes it.
+    A run with a `history` is resumed, any other is new. `who` answers at the terminal; None asks no questions
+    there. A resumed dry run asks the person who resumes it.
     """
     if not run.asks_somebody and history is None:
         return None

@@ -45,10 +45,10 @@ def reminders(bench: BenchFile) -> Iterator[str]:
 
 
 def is_away(answers: str | None, *, panel: bool) -> bool:
-    """Return whether questions are answered in the run's folder only.
+    """Return whether all questions are answered in the run's folder, none at the terminal.
 
-    They are if `answers` says so, or if there is a `panel` and no terminal. Raises `Refused` for an unknown place
-    in `answers`.
+    This applies if `answers` states it, or if there is a `panel` and no terminal. Raises `Refused` for an unknown
+    place in `answers`.
     """
     if answers not in (None, "terminal", "folder"):
         raise Refused(f"--answers {answers}: give 'terminal' or 'folder'")
@@ -71,8 +71,9 @@ def refuse_contradictions(request: RunRequest) -> None:
 def refuse_unfit(bench: BenchFile, path: Path, request: RunRequest, *, away: bool) -> None:
     """Raise `Refused` for a real run by a program that is not validated, or with expired certificates.
 
-    Expired certificates prevent the run if the bench file says `expired: refuse`. They also do so if it says `ask`
-    and nobody can be asked: there is no terminal, and questions are not answered in the run's folder (`away`).
+    Expired certificates prevent the run if the bench file says `expired: refuse`. With `expired: ask`, they also
+    prevent it if nobody can be asked: there is no terminal, and questions are not answered in the run's folder
+    (`away`).
     """
     refuse_unvalidated_run(bench, path, request.laboratory)
     late = expired(bench)

@@ -65,8 +65,8 @@ OF_THE_REPEATS: Final = (
 class LearningResult:
     """The result of `bench learn`: sizes of the bench's errors (`learned`), and all runs (`sources`).
 
-    Among `sources` are also the runs that contradict the others. `effects` are written to the learned file, which
-    is valid until `expires`.
+    `sources` include the runs that contradict the others. `effects` are written to the learned file, which is
+    valid until `expires`.
     """
 
     learned: Learned
@@ -88,7 +88,7 @@ class LearningResult:
 
     @property
     def behind(self) -> tuple[Source, ...]:
-        """The sources whose runs contributed to the sizes, without the contradicting ones."""
+        """The sources from which the sizes were learned: all but the contradicting runs."""
         return tuple(source for source in self.sources if source.name in self.learned.runs)
 
     @property

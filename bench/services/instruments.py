@@ -246,8 +246,8 @@ class CommissioningPlan:
     """The options of a commissioning: the bench, the person and the folder of the page.
 
     Without a `person`, the bench is simulated and a script answers; `seed` is the seed of its random numbers.
-    `tell` shows a line to the person. `course` is the function that carries out the checks; `what` names them on
-    the page.
+    `tell` shows a line to the person. `course` is the function that carries out the checks; `what` is the name of
+    the checks on the page.
     """
 
     file: BenchFile
@@ -294,7 +294,10 @@ def commission(setting: CommissioningPlan) -> dict[str, Any]:
 
 
 def _take(folder: Path) -> None:
-    """Create the folder of a commissioning. Raises `Refused` if that fails or it holds another commissioning."""
+    """Create the folder of a commissioning.
+
+    Raises `Refused` if it cannot be created, or if it has another commissioning.
+    """
     if (folder / PAGE).exists() or (folder / WIRE_LOG).exists():
         raise Refused(f"{folder}: already holds a commissioning; name another folder with --out")
     with refusing("name another folder with --out", folder):

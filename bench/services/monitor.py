@@ -43,7 +43,7 @@ class Monitored:
 def monitored(request: Monitor) -> Monitored:
     """Return the control chart of runs of `monitor-2` or `monitor-4`; the first `baseline` set its limits.
 
-    Raises `Refused` for a source without date, `CalibrationError` if runs are too few or unlike.
+    Raises `Refused` for a source without a date, `CalibrationError` for too few runs or runs of different axes.
     """
     sources = tuple(load_sources(reading(request, *request.sources)))
     return Monitored(monitor_chart([_dated(source) for source in sources], request.baseline), sources)

@@ -27,10 +27,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def knowing_effects_of(*sources: Source) -> Iterator[None]:
-    """Register the user's own effects of sources within a context.
-
-    Raises `Refused` if two effects of the same name differ.
-    """
+    """Register the user's own effects of `sources` within a context."""
     with ExitStack() as known:
         try:
             known.enter_context(CATALOGUE.also(effect for source in sources for effect in source.effects))

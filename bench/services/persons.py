@@ -133,7 +133,7 @@ def authorised_by(laboratory: Path, name: str, right: Right, option: str) -> Per
 
 
 def _proved(person: Person) -> Person:
-    """Return the person if the token or key was given, or if the person has neither. Raises `Refused` otherwise."""
+    """Return the person, if the token or key was given or the person has neither. Raises `Refused` otherwise."""
     if not person.token and not person.public_key:
         return person
     if person.has_token(os.environ.get(TOKEN, "")) or _holds_key(person, os.environ.get(KEY)):

@@ -153,7 +153,7 @@ def stand_of(
 
 
 def _goals(request: PlanPoints, stand: Stand, bench: BenchFile) -> list[Goal]:
-    """Return the goals of a request: u of coefficients, of Δg, or of |a|; by default all coefficients alike."""
+    """Return the goals of a request: u of coefficients, of Δg, or of |a|; by default one u for all coefficients."""
     goals = coefficient_goals(dict(_size(text) for text in request.u or ()))
     if request.delta_g is not None:
         goals += delta_g_of(stand, request.delta_g, "--delta-g")
@@ -339,7 +339,7 @@ def _model(path: str | Path | None, bench: BenchFile) -> ForwardModel:
 
 
 def _block(coefficients: str | Path | None, bench: BenchFile) -> tuple[Block, str]:
-    """Return the block to which a budget applies, and its name in words."""
+    """Return the block of a budget, and its name in words."""
     if coefficients is not None:
         block = read_coefficients(Path(coefficients), "V").block
         try:

@@ -102,8 +102,9 @@ def meters_at_rest(source: Source, found: RecordCalibration) -> Stability:
 
 
 def of_meters(source: Source, found: RecordCalibration) -> StaticRecord:
-    """Return the residuals of meters at a known input, after gain, offset and the model's effects, without
-    outliers.
+    """Return the residuals of meters at a known input, without outliers.
+
+    Gain, offset and the model's effects are subtracted.
     """
     readings, used = source.readings, found.record.used
     channels = tuple(CHANNELS[i] for i in found.record.channels)

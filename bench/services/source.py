@@ -151,7 +151,7 @@ class Source:
 
     @property
     def made_at(self) -> str | None:
-        """Civil time at which the run was begun (ISO 8601); None if it was not recorded."""
+        """Civil time (ISO 8601) at which the run was begun; None if no time was recorded."""
         return self.origin.begun or None if self.origin is not None else None
 
     @property
@@ -168,9 +168,9 @@ class Source:
 
     @property
     def stand_u(self) -> dict[str, float]:
-        """Standard uncertainties of the stand's errors by name, rad.
+        """Standard uncertainties of the stand's errors by name, rad; "voltmeter_error" is in V.
 
-        The voltmeter's is in V; it is 0 for signals in other units.
+        For signals in other units, "voltmeter_error" is 0.
         """
         sizes = {name: d.u for name, d in self.bench.stand_distributions().items()}
         return sizes if self.readings.unit == VOLTS else sizes | {"voltmeter_error": 0.0}
@@ -253,7 +253,7 @@ def _hash(readings: Readings, *, to_the_bit: bool = True) -> str:
 def _knows(stated: str | None, readings: Readings) -> bool:
     """Return whether the hashes that a model file states include these readings.
 
-    Earlier versions hashed every bit of the readings.
+    Earlier versions hashed the readings bit by bit.
     """
     hashes = (stated or "").split()
     return bool(hashes) and (data_sha256(readings) in hashes or _hash(readings) in hashes)

@@ -41,10 +41,10 @@ _NOTHING: Final = "it states no correction"
 class Traced:
     """The certificates of a bench for readings of a day, and the corrections of the readings.
 
-    Each entry is a certificate and the reason why it corrects nothing; the reason is "" if it corrects the
-    readings. `recorded` says whether a run recorded the readings; other readings are assumed to be as the
-    instruments showed them. `by` are all corrections of the readings. `by_certificates` are those from
-    certificates; the others were learned.
+    Each entry is a certificate with the reason why it does not correct the readings, "" if it does. `recorded`
+    says whether a run recorded the readings; other readings are assumed to be as the instruments showed them.
+    `by` are all corrections of the readings. `by_certificates` are those from certificates; the others were
+    learned.
     """
 
     day: datetime.date

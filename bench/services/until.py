@@ -224,7 +224,7 @@ def _refuse_too_short(aim: Aim, pool: Pool) -> None:
 class Until:
     """The chooser of a run's next settings.
 
-    It depends on the run's record alone, so that a resumed run makes the same choices.
+    Its choices depend on the run's record alone, so that a resumed run makes the same choices.
     """
 
     def __init__(self, run: Run, bench: BenchFile) -> None:

@@ -154,7 +154,7 @@ def own_judgement(source: Source, *asked: VerdictOptions, agreed: DecisionRule |
 
 
 def _default_of(run: Run | None) -> DecisionRule:
-    """Return the default rule at the time when a run was begun; without a run, the present default rule."""
+    """Return the default rule when a run was begun; without a run, the present default rule."""
     if run is None:
         return NOBODY_STATED_ONE
     recorded = run.manifest.get("default_rule")
@@ -295,8 +295,8 @@ def judged(
 def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[str, ...]]:
     """Return the covariance of |a| at the points, for coefficients of an earlier calibration, and a sentence on it.
 
-    Errors of meters used on both occasions cancel on the same day. As the time between them grows, less of these
-    errors cancels, because the meters drift.
+    Errors of the same meters cancel within a day. The longer the time since the calibration, the less of them
+    cancels, because meters drift.
     """
     known = taken.covariance if taken.same_meters is None else taken.same_meters
     part = drifted((taken.meters, _when(taken.made_at)), (source.meters, _when(source.made_at)))

@@ -57,7 +57,7 @@ def _known(estimator: str) -> str:
     try:
         return find_estimator(estimator).name
     except CalibrationError:
-        return GLS  # an estimator of another installation: its results are compared with the default's
+        return GLS  # an estimator that is not installed here: the default estimator replaces it
 
 
 def _rows(request: BatchCalibrate) -> Iterator[dict[str, Any]]:
@@ -73,7 +73,7 @@ def _rows(request: BatchCalibrate) -> Iterator[dict[str, Any]]:
 
 
 def _differs(row: dict[str, Any]) -> bool:
-    """Return whether a result moved by more than the threshold, has another verdict, or cannot be compared."""
+    """Return whether a result changed by more than the threshold, has another verdict, or cannot be compared."""
     change = row["largest_change_in_u"]
     return change is None or change > THRESHOLD_U or bool(row["verdict_differs"])
 

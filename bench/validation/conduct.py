@@ -139,7 +139,7 @@ def _take(folder: Path) -> None:
 def _accepted(laboratory: Path | None, bench: Path) -> tuple[str, dict[str, Any] | None]:
     """Return number and result of the accepted validation to compare with.
 
-    It is the one for the bench file or, without one, the latest.
+    It is the accepted validation for the bench file or, without one, the latest accepted validation.
     """
     if laboratory is None:
         return "", None

@@ -31,7 +31,10 @@ KINDS: Final = frozenset(
         EventType.LEFT_SAFE,
     }
 )  # fmt: skip
-"""Events that are failures, stops, refused answers, repeated readings or alarms; so is a "fault" of the power."""
+"""Events that are failures, stops, refused answers, repeated readings or alarms.
+
+A "fault" of the power supply also counts.
+"""
 
 
 @dataclass

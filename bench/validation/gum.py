@@ -36,7 +36,7 @@ TRIALS: Final = 400_000
 SEED_OFFSET = 0
 """Added to the seeds, to repeat the checks with other random numbers."""
 FALSE_ALARM: Final = 1e-6
-"""Bound of the probability that one case of Supplement 1 fails by chance; see `_ends`."""
+"""Bound of the probability that a case of Supplement 1 fails by chance; `_ends` explains it."""
 
 
 def independent(value: ArrayLike, rows: ArrayLike, u: Floats, dof: ArrayLike = np.inf) -> Propagated:

@@ -24,7 +24,7 @@ check = partial(enter, family="instruments of this bench file, simulated")
 
 _WELL: Final = ("works", "slower")
 _PATIENCE_S: Final = 0.3
-"""Time (s) for which a silent instrument is waited for; its own timeout would take minutes in all."""
+"""Longest wait for a silent instrument, s; the timeouts of the drivers would take minutes in all."""
 
 
 @check("commissioning", "6.4.4", "works", place="drivers, sim")

@@ -37,7 +37,7 @@ check = partial(enter, family="machine")
 
 _FREE_BYTES: Final = 500_000_000
 _NOT_BEFORE: Final = datetime(2026, 11, 1, tzinfo=UTC)
-"""The program is not older than this: an earlier clock is wrong."""
+"""The program was made after this time, so that an earlier clock is wrong."""
 
 
 def description() -> dict[str, str]:

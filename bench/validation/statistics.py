@@ -24,7 +24,7 @@ FILES, QUICK_FILES = 200, 60
 NOISE_V: Final = 1e-4
 SEED = 34
 FALSE_ALARM: Final = 1e-5
-"""Probability that one of the tests here fails by chance, as each of its two sides gets half."""
+"""Probability that one of the tests of this module fails by chance, divided equally between its two sides."""
 
 
 def errors(count: int) -> tuple[Floats, Floats, Floats]:

@@ -1,5 +1,5 @@
-"""The blind trial of `bench diagnose`: an independent simulator hides effects and mistakes, and a sealed score
-judges.
+"""The blind trial of `bench diagnose` on simulated readings with hidden effects and mistakes.
 
-It shares only the table of readings with the application: its geometry, forms and shapes of effects are its own.
+The answers are sealed before the diagnoses are made. The simulator shares only the table of readings with the
+application: its geometry, forms and shapes of effects are its own.
 """

@@ -25,13 +25,16 @@ from benchmarks.blind_trial.cases import Case
 from benchmarks.blind_trial.outside import FORMULAS
 
 LOCAL_GRAVITY = 9.81
-"""m/s²; the coefficients are per local g, whatever it is."""
+"""Local gravity of the trial, m/s²; the coefficients are per local g, so that any value would do."""
 STATED_BENCH = "paper-stand"
-"""The bench file that the diagnosis is given; its noise is not that of the cases."""
+"""The bench file that the diagnosis is given; the noise that it states is replaced by that of each case."""
 
 
 class _ByDesign(ThresholdCache):
-    """One threshold for all cases of a design and kind of noise, since their temperatures hardly affect it."""
+    """A cache that uses one threshold for all cases of a design and kind of noise.
+
+    Their temperatures hardly affect the threshold.
+    """
 
     def __init__(self) -> None:
         super().__init__(None)
@@ -40,7 +43,7 @@ class _ByDesign(ThresholdCache):
 
     def threshold(self, linear: LinearSystem, whitened: Whitened, setting_rad: float) -> Threshold:
         """Return the threshold of the present design, computed from its first case."""
-        # readings that are rounded alike share random columns, and their noise is believed
+        # readings with the same rounding share random columns, and their noise counts as known
         of_noise = (linear.random.shape[1], whitened.grid.known)
         size = (len(linear), linear.fixed.shape[1])
         key = (*self.key, *size, *of_noise)

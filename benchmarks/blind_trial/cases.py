@@ -57,7 +57,7 @@ from benchmarks.blind_trial.stand import (
     make_run,
 )
 
-# --- noise as benches have it ----------------------------------------------------------------------------
+# --- realistic noise -------------------------------------------------------------------------------------
 
 
 BY_CHANNEL: Final = np.array([9.0, 15.0, 33.0]) / 15.0
@@ -101,7 +101,7 @@ def _slow(rng: np.random.Generator, n: int) -> Floats:
 
 READING_NOISE_V: Final = 15e-6
 MOST_TIMES_PLAUSIBLE: Final = 15.0
-"""An effect that needs to be larger than so many times its plausible size is not asked for."""
+"""Largest size of a hidden effect, in plausible sizes."""
 HIDDEN_TIMES_PLAUSIBLE: Final = 10.0
 DECIMALS: Final = 7
 TRIES: Final = 5
@@ -109,7 +109,7 @@ TRIES: Final = 5
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the score table: what is hidden, in which design, how visible, at which noise, and how often.
+    """A row of the score table: the hidden effect, its design, its visibility, the noise, the number of cases.
 
     `kind` is null, single, pair, outside, hidden, equal_k2, mounting_roll, one of `SLIPS`, `KNOWN`, `SUPPLIED` or
     mistake:NAME, or one of `FREE`, which has its own noise and design. `noise_v` is the noise that the bench file
@@ -247,7 +247,7 @@ def _digest(seed: int, row: Row, index: int) -> bytes:
 
 
 def _hide(rng: np.random.Generator, row: Row, index: int) -> tuple[Run, list[Truth], Floats | None]:
-    """Return the run of a case, the hidden effects, and the supply voltages over time if the supply has a part."""
+    """Return the run of a case, the hidden effects, and the rail voltages over time (None without a supply)."""
     run = _run(rng, row)
     if row.kind not in SUPPLIED:
         return run, _truths(rng, row, run, index), None
@@ -309,7 +309,7 @@ def _hidden(truth: Truth, run: Run, row: Row) -> HiddenEffect:
 
 def _truths(rng: np.random.Generator, row: Row, run: Run, index: int) -> list[Truth]:
     if row.kind == "hidden":
-        # a wobble's cosine is hidden only where no verification point shows what it does to Kyz and Kzy
+        # a wobble's cosine is hidden only without verification points, which show its change of Kyz and Kzy
         verified = bool(np.any(run.labels == "V"))
         names = [name for name in HIDDEN if not (verified and name == "axis_wobble")]
         name = names[index % len(names)]
@@ -366,7 +366,7 @@ def _next(
     start: int,
     draws: Mapping[str, Draw] = CATALOGUE,
 ) -> Truth:
-    """Draw the next effect in turn, skipping those that this design cannot show at a plausible size."""
+    """Draw the next effect of `names`, skipping those that this design cannot show at a plausible size."""
     for k in range(len(names)):
         draw = draws[names[(start + k) % len(names)]]
         truth = _attempt(rng, row, run, seen, draw, MOST_TIMES_PLAUSIBLE)

@@ -82,7 +82,7 @@ def _backlash(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def wobble(harmonic: int, phase: float, run: Run, arcsec: float) -> Floats:
-    """Return an out-of-plane tilt (n,), rad, that varies `harmonic` times per turn of the head."""
+    """Return an out-of-plane tilt (n,), rad, of `harmonic` periods per turn of the head."""
     return arcsec * ARCSEC * np.sin(harmonic * run.head_angle + phase)
 
 
@@ -374,7 +374,7 @@ def _voltmeter_drift(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _range_offset(rng: np.random.Generator, run: Run) -> Truth:
-    """Return the effect of range offsets: of one autoranging meter for all channels, or of one of three meters."""
+    """Return the effect of range offsets, of one autoranging meter for all channels or of one of three meters."""
     offset, gain = rng.normal(size=2) * (40 * MICROVOLT, 20 * PPM)
     one = rng.random() < 0.5
     weights = np.eye(3)[rng.integers(3)] if one else np.ones(3)
@@ -466,7 +466,10 @@ HIDDEN: Final[dict[str, Draw]] = {
     "voltmeter_offset": _common("voltmeter_offset", 50 * MICROVOLT, 0), "thermal_emf": _thermal_emf,
     "wrong_gravity": _wrong_gravity, "axis_wobble": _wobble_cosine, "common_turn": _common_turn,
 }  # fmt: skip
-"""Nothing of them is left in the residuals of a calibration; `common_turn` has no name in the vocabulary."""
+"""Effects that the coefficients absorb completely, so that no residual shows them, with their draws.
+
+`common_turn` has no name in the catalogue.
+"""
 
 
 # --- all of them -----------------------------------------------------------------------------------------
@@ -476,7 +479,10 @@ SEEN_IN_VERIFICATION: Final = "mounting_roll"
 CATALOGUE: Final[dict[str, Draw]] = {
     name: draw for name, draw in {**BLOCK, **STAND, **VOLTMETER}.items() if name != SEEN_IN_VERIFICATION
 }
-"""What residuals of a calibration can show, name to draw. `mounting_roll` needs the verification points."""
+"""Effects that residuals of a calibration can show, with their draws.
+
+Only verification points show `mounting_roll`.
+"""
 
 CLASSES: Final[dict[str, tuple[str, ...]]] = {
     "even": ("quadratic_nonlinearity", "cross_quadratic", "scale_asymmetry", "voltmeter_nonlinearity"),
@@ -504,6 +510,6 @@ CLASSES: Final[dict[str, tuple[str, ...]]] = {
     "range": ("range_offset",),
     "memory": ("channel_crosstalk",),
 }
-"""Kinds whose members look alike in the paper's design; two effects of a pair are of different kinds."""
+"""Classes of effects that resemble each other in the paper's design; the effects of a pair are of two classes."""
 
 CLASS_OF: Final = {name: kind for kind, names in CLASSES.items() for name in names}

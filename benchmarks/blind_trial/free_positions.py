@@ -24,7 +24,7 @@ COUNTS_PER_G: Final = 2050.0
 PACE_S: Final = 40.0
 LAG_S: Final = 240.0
 OUTLIER: Final = (20.0, 60.0)
-"""How far a position that was not at rest is off, in units of the noise."""
+"""Error of a position that was not at rest, in units of the noise: least and largest."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def _positions(rng: np.random.Generator, records: int, count: int) -> Positions:
     return Positions(tuple(force), tuple(time_s), tuple(warmth))
 
 
-# --- what may be hidden -------------------------------------------------------------------------------
+# --- effects that may be hidden --------------------------------------------------------------------------
 
 
 def _of_channel(rng: np.random.Generator, name: str, columns: list[Floats]) -> FreeTruth:
@@ -117,7 +117,7 @@ FREE: Final[dict[str, Callable[[np.random.Generator, Positions], FreeTruth] | No
     "free:outlier": _outlier,
 }  # fmt: skip
 SEVERAL: Final = ("free:zeros", "free:null records")
-"""Of several records."""
+"""Kinds of cases with several records."""
 
 
 def free_tables(

@@ -97,10 +97,10 @@ SLIPS: Final[dict[str, Callable[[np.random.Generator, Run], Truth]]] = {
     "exchanged": lambda rng, run: _exchanged(_of_passes, rng, run),
     "exchanged:visit": lambda rng, run: _exchanged(_of_a_visit, rng, run),
 }
-"""Kinds of case by the name of their rows."""
+"""Kinds of case by name, with the functions that draw their effects."""
 
 
-# --- what the table says is not what was done ------------------------------------------------------------
+# --- the table differs from what was done ----------------------------------------------------------------
 
 
 OUTLIER_V: Final = (1e-3, 1.0)
@@ -114,9 +114,9 @@ def _unchanged(signal: Floats) -> Floats:
 class Mistake:
     """One mistake, and the rows that it affects.
 
-    `true_angle` (n,) is the true head angle, None if it is as noted; `edit` changes the signals (n, 3) on their way
-    into the table; `labels` (n,) are the wrong labels in the table, None if they are right. `accepted` are names
-    that are indistinguishable from the true one.
+    `true_angle` (n,) is the true head angle, None if the table has it; `edit` changes the signals (n, 3) before
+    they enter the table; `labels` (n,) are the wrong labels in the table, None if they are right. `accepted` are
+    names that are indistinguishable from the true one.
     """
 
     name: str
@@ -133,7 +133,7 @@ class Mistake:
 
 
 def _scope(rng: np.random.Generator, run: Run) -> tuple[NDArray[np.bool_], str]:
-    """Draw the rows of the whole run or of one mounting that is fitted."""
+    """Draw the rows of the whole run, or of one mounting that a calibration fits."""
     if rng.random() < 0.5:
         return np.ones(len(run.mount), dtype=bool), "everywhere"
     mount = int(rng.choice(run.calibration_mounts))
@@ -161,7 +161,7 @@ def _reversed_polarity(rng: np.random.Generator, run: Run) -> Mistake:
         turned[rows, channel] *= -1
         return turned
 
-    # along x alone the two installations see the sine: with x reversed throughout the head counts backwards
+    # both installations have the sine along x only: x reversed in the whole run equals a head that counts backwards
     same = ("reversed_rotation",) if channel == 0 and where == "everywhere" else ()
     return Mistake("reversed_polarity", f"{CHANNELS[channel]} {where}", edit=edit, accepted=same)
 

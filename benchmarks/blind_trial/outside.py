@@ -14,15 +14,15 @@ from bench.base.arrays import ARCSEC
 from benchmarks.blind_trial.effects import BLOCK, wobble
 from benchmarks.blind_trial.stand import CHANNELS, Draw, Floats, Run, Shift, Truth, channel_weights
 
-# --- stated by a user as formulas (`own-effects.yaml`), in forms of the trial's own ----------------------
+# --- effects that a user states as formulas (`own-effects.yaml`), implemented independently --------------
 
 
 FORMULAS: Final = Path(__file__).with_name("own-effects.yaml")
-"""What the diagnosis is given; the truths below know nothing of it."""
+"""The user formulas that the diagnosis gets; the truths below do not use them."""
 
 
 def _turns(run: Run) -> Floats:
-    """Return the whole turns since the block was mounted, for a head that keeps its direction and never unwinds."""
+    """Return the number of whole turns since the block was mounted, for a head that never reverses."""
     return (run.pass_number - 1) + run.head_angle / (2 * np.pi)
 
 
@@ -75,7 +75,7 @@ OWN: Final[dict[str, Draw]] = {
 }
 
 
-# --- something is there and it has no name ---------------------------------------------------------------
+# --- effects without a name ------------------------------------------------------------------------------
 
 
 SIZE_G: Final = 30e-6
@@ -208,7 +208,7 @@ def _unknown(draw: Draw) -> Draw:
 
 
 WITHOUT_MEAN: Final = ("random_walk", "flicker_noise", "noise_burst")
-"""What is another course in each run: no form of its mean predicts what was not read."""
+"""Effects that differ from run to run: their mean is zero, so that they do not predict held-out readings."""
 
 OUTSIDE: Final[dict[str, Draw]] = {
     "bias_jump": _bias_jump, "random_walk": _random_walk, "cable_torque": _cable_torque,
@@ -288,7 +288,7 @@ def judge_supply(kind: str, diagnosis: dict[str, Any]) -> dict[str, bool]:
     return marks
 
 
-# --- what is known of a bench, and what comes after a mistake --------------------------------------------
+# --- known properties of a bench, and effects besides a mistake ------------------------------------------
 
 
 OTHER_PSI: Final = "other_psi"
@@ -309,7 +309,7 @@ def stated_psi_deg(rng: np.random.Generator) -> float:
 def common_volts(rng: np.random.Generator, run: Run) -> Truth:
     """Return the effect of a decaying voltage common to all channels.
 
-    Two thirds of it decay in 8 to 15 min, the rest in 25 to 50 min.
+    Two thirds of it decay in 8 to 15 min, one third in 25 to 50 min.
     """
     fast, slow = rng.uniform(8, 15) * 60, rng.uniform(25, 50) * 60
     part = 0.67 * np.exp(-run.time_s / fast) + 0.33 * np.exp(-run.time_s / slow)

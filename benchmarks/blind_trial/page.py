@@ -92,7 +92,7 @@ def sums(result: Stored) -> str:
 
 
 def short_tables(result: Stored) -> str:
-    """Return the tables of the page; a column in which all rows of a kind agree becomes a line of text."""
+    """Return the tables of the page; a line of text replaces a column that is equal in all rows of a kind."""
     first = ["| kind | rows | the same in every row |", "|---|---|---|"]
     parts = []
     for kind, of_kind in _by_kind(result).items():

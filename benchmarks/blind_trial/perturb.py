@@ -1,4 +1,4 @@
-"""The effect of each numeric constant of the diagnosis: the same cases with it 30 % smaller and 30 % larger.
+"""Diagnose the same cases with each numeric constant of the diagnosis 30 % smaller and 30 % larger.
 
     python -m benchmarks.blind_trial --perturb --only single --rows 4
 
@@ -27,7 +27,10 @@ from benchmarks.campaign import spread
 PART: Final = 0.3
 ROOM: Final = "bench.diagnosis"
 NO_SIZE: Final = {"MODULUS", "SUBSETS", "ZEROS", "SCALES", "SEED", "FLOOR", "OF_MEDIAN"}
-"""Numbers of channels and columns, seeds, and expectations: another value is not larger or smaller, but wrong."""
+"""Constants that have no size: numbers of channels and columns, seeds, and expectations.
+
+Another value would be wrong, not larger or smaller.
+"""
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,7 @@ def _times(value: float, factor: float) -> float:
 def constants() -> list[Constant]:
     """Return the numeric constants of all modules of the diagnosis, each once, at its definition.
 
-    A constant whose definition has no number follows from others, and is none of its own.
+    A constant whose definition contains no number follows from other constants and is not listed.
     """
     found = []
     for info in pkgutil.walk_packages(bench.diagnosis.__path__, f"{ROOM}."):

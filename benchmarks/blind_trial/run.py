@@ -1,10 +1,10 @@
 """The blind trial's command line.
 
-    python -m benchmarks.blind_trial --short
+python -m benchmarks.blind_trial --short
     python -m benchmarks.blind_trial --seed 7 --workers 2 --json score.json --ledger ledger.jsonl
     python -m benchmarks.blind_trial --seed 7 --page
     python -m benchmarks.blind_trial --seed 7 --page --share 0.1      # every row, a tenth of its cases
-    python -m benchmarks.blind_trial --seed 7 --page --keep trial.txt # goes on there when called again
+    python -m benchmarks.blind_trial --seed 7 --page --keep trial.txt # a later call continues from this file
 
 Cases are made from the seed, sealed (SHA-256 of the readings and of the answer) and diagnosed. Only then are the
 answers opened and checked against their seals. The score is printed as Markdown, each share with the counts and its
@@ -46,14 +46,14 @@ from benchmarks.blind_trial.score import (
 from benchmarks.campaign import ROOT, Kept, Share, arguments, refuse
 
 MANY_RHO: Final = 2.3
-"""Of each of twenty runs; together 10.3."""
+"""Visibility rho in each of twenty runs with the same effect; together they have 10.3."""
 
 QUIETER_RHO: Final = (5, 6, 8, 10, 15, 20)
 
 RETURNS: Final = ("slip:visit", "rezero:visit")
-"""What only a return to an installation shows."""
+"""Mistakes that only a return to an installation shows."""
 LARGE_RHO: Final = 600.0
-"""A slip of about 10 arcmin out of the plane of rotation, of 1 deg in it."""
+"""Visibility rho of a slip of about 10 arcmin out of the plane of rotation, or of 1 deg in it."""
 
 KNOWN_ROWS: Final = (
     Row(OTHER_PSI), Row(COMMON_VOLTS, rho=12), Row(COMMON_VOLTS, "reordered", 12), Row(HAND_SET, "six"),
@@ -101,7 +101,7 @@ FULL: Final[tuple[Row, ...]] = (
     *(Row(kind, rho=rho) for kind in SUPPLIED for rho in (8, 20)),
     *FREE_ROWS,
     Row("single", rho=MANY_RHO * 20**0.5),
-    # one of these costs as much as forty others
+    # one of these cases takes as long as forty others
     *(Row("null", runs=20, blocks=blocks, count=5) for blocks in (False, True)),
     *(Row("single", rho=MANY_RHO, runs=20, blocks=blocks, count=10) for blocks in (False, True)),
 )
@@ -165,7 +165,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 
 def _rows(given: argparse.Namespace) -> list[Row]:
     chosen = SHORT if given.short else FULL
-    # of many runs taken together, whatever is hidden in them
+    # cases of several runs, with any hidden effect
     kinds = {row: "many" if row.runs > 1 else row.kind.split(":")[0] for row in chosen}
     rows = [row for row in chosen if given.only in (None, kinds[row])]
     if not rows:

@@ -29,11 +29,11 @@ from benchmarks.blind_trial.signals import (
 from benchmarks.blind_trial.stand import REFERENCE_TEMPERATURE_C, Floats, Weather, make_run
 from benchmarks.campaign import Share, spread
 
-# --- how far the true form of a hidden effect, its size fitted, closes the gap on readings held out ------
+# --- the gap on held-out readings that the true form of a hidden effect closes, with a fitted size -------
 
 
 LEAST_WEIGHT: Final = 1e-12
-"""Weight of the prior of what is free, against unit noise."""
+"""Weight of the prior of unknowns without a prior, against unit noise."""
 
 
 def true_closing(case: Case, answer: Answer) -> float | None:
@@ -73,11 +73,11 @@ def _predicted(left: Floats, columns: Floats, priors: Floats, held: Mask) -> flo
     return float(error @ np.linalg.solve(spread, error))
 
 
-# --- the true coefficients of a case at the temperature from which a model counts ------------------------
+# --- the true coefficients of a case at the reference temperature of a model -----------------------------
 
 
 MODEL_COUNTS_FROM_C: Final = 20.0
-"""Where an effect of temperature of the application is nothing."""
+"""Temperature at which the temperature effects of the application are zero, °C."""
 
 
 def coefficients_at(temperature_c: float, seed: int, row: Row, index: int) -> Floats:
@@ -99,7 +99,7 @@ def coefficients_at(temperature_c: float, seed: int, row: Row, index: int) -> Fl
     return np.concatenate([(K + added[:, :3]).ravel(), U0 + added[:, 3]])
 
 
-# --- can the data tell an effect from every other? -------------------------------------------------------
+# --- do the data distinguish an effect from every other effect? ------------------------------------------
 
 
 CanTell = Callable[[Case, Answer], bool]
@@ -141,17 +141,20 @@ _BROKEN: Final[dict[str, frozenset[str]]] = {
     "reordered": _DIRECTION_TIES
     | {"hysteresis", "mounting_error", "mounting_offset", "bracket_tilt", "axis_tilt", "voltmeter_drift"},
 }
-"""What a design tells all the same."""
+"""Effects with a rival in the paper's design that a larger design distinguishes from it, by design."""
 
 PLAINER_THAN: Final[dict[str, frozenset[str]]] = {
     "head_eccentricity": frozenset({"head_graduation"}),
     "head_ellipticity": frozenset({"head_graduation"}),
     "quadratic_nonlinearity": frozenset({"cross_quadratic"}),
 }
-"""Larger families of the same subsystem that contain an effect: the plainer one is to be named first."""
+"""Larger families of the same subsystem that contain an effect; a diagnosis must name the effect itself first."""
 
 LEFT_TO_TELL: Final = 4.0
-"""In units of noise: what the nearest rival must leave, so that the nearer of the two is the true one in 98 %."""
+"""Least part of an effect, in units of noise, that the nearest rival leaves unexplained if the data decide.
+
+The effect that fits better is then the true one in 98 % of cases.
+"""
 DRAWS: Final = 48
 
 
@@ -162,7 +165,7 @@ def can_tell_by_table(case: Case, answer: Answer) -> bool:
 
 
 def can_tell_by_signature(case: Case, answer: Answer) -> bool:
-    """Return whether every other effect leaves `LEFT_TO_TELL` or more of the hidden one unexplained."""
+    """Return whether every other effect leaves at least `LEFT_TO_TELL` of the hidden effect unexplained."""
     return all(
         effect.rho * np.sqrt(max(0.0, 1 - nearest_rival(answer, which) ** 2)) >= LEFT_TO_TELL
         for which, effect in enumerate(answer.effects)
@@ -246,8 +249,8 @@ class Outcome:
 def run_trial(tasks: Sequence[Task], diagnose: Diagnose, workers: int = 2) -> Iterator[Outcome]:
     """Make and diagnose each case, in order, in `workers` processes.
 
-    `diagnose` must be a function of a module. A worker process lives through the whole trial, and thus keeps what
-    it computed once for a design. An exception in the diagnosis becomes an outcome with its text.
+    `diagnose` must be a function of a module. Worker processes live through the whole trial, so that results
+    computed for a design are reused. An exception in the diagnosis becomes an outcome with its text.
     """
     return spread(partial(_examine, diagnose=diagnose), tasks, workers)
 
@@ -278,9 +281,9 @@ def judge(
 ) -> Marks:
     """Return the marks of a diagnosis, right or wrong, by column of the table.
 
-    Only applicable marks are present: for example, a lone name is judged only if one was given. `likeness` gives
-    the largest cosine of an effect outside the catalogue with a member of it; those above 0.8 are counted
-    separately.
+    Only applicable marks are present: for example, a lone name is judged only if one was given. `likeness`
+    returns the largest cosine between an effect outside the catalogue and an effect of the catalogue; effects
+    with a cosine above 0.8 are counted separately.
     """
     marks = _judge_kind(case, answer, diagnosis, can_tell, likeness)
     if diagnosis["verdict"] == "named":
@@ -337,9 +340,9 @@ def _judge_kind(
 
 
 def _lone_name(answer: Answer, cosine: float, verdict: str) -> Marks:
-    """Return whether a single name was given, by how much the nearest member of the catalogue leaves unexplained.
+    """Return whether a single name was given, by the part that the nearest catalogue effect leaves.
 
-    The unexplained part is in units of noise.
+    This part is in units of noise.
     """
     left = answer.effects[0].rho * np.sqrt(max(0.0, 1.0 - cosine**2))
     if left < SOME_LEFT:
@@ -355,7 +358,7 @@ MUCH_LEFT: Final = 7.0
 def _judge_form(case: Case, answer: Answer, diagnosis: Diagnosis) -> Marks:
     """Return whether an effect with a mean form is found, and whether the form that describes it closes the gap.
 
-    This is judged on held-out readings, in excess of noise, against the true form with refitted size.
+    The comparison is on held-out readings, in excess of noise, with the true form with a fitted size.
     """
     if answer.names[0] in WITHOUT_MEAN:
         return {}
@@ -417,7 +420,7 @@ def _judge_single(case: Case, answer: Answer, diagnosis: Diagnosis, can_tell: Ca
     marks = {"detected": verdict != "agrees", "mistake alleged": verdict == "mistake"}
     if verdict in {"named", "confounded"}:
         marks["in the set"] = any(truth in names for names in sets)
-        # at the verification points a wobble once a turn does the same as a mounting roll
+        # at the verification points a wobble of one period per turn equals a mounting roll
         if answer.kind != SEEN_IN_VERIFICATION and can_tell(case, answer):
             marks["first name right"] = bool(sets) and diagnosis["effects"][0]["name"] == truth
     marks |= _judge_gap(answer, diagnosis)
@@ -431,10 +434,9 @@ def _judge_single(case: Case, answer: Answer, diagnosis: Diagnosis, can_tell: Ca
 def _judge_gap(answer: Answer, diagnosis: Diagnosis) -> Marks:
     """Return whether the gap is closed on held-out readings, and whether the coefficients are right again.
 
-    If a name was given, also whether it does not make the verification points worse. Coefficients are right if
-    chance exceeds the chi-square of their twelve errors in more than 1 % of cases; they are counted if the true
-    effect was named, alone. With a temperature effect in the model, they refer to the temperature from which it
-    counts.
+    If a name was given, the marks also say whether the verification points are not worse. Coefficients are right
+    if the chi-square of their twelve errors has a p-value above 1 %; they are judged only if the true effect was
+    named alone. With a temperature effect in the model, they refer to its reference temperature.
     """
     marks: Marks = {}
     p_after = diagnosis.get("gap", {}).get("p_after")

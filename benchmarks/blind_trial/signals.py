@@ -63,7 +63,7 @@ def signals(
 
 
 def _mounted(run: Run) -> NDArray[np.str_]:
-    """Return the labels of the rows, with "1" for rows in which the input was checked and no angle matters."""
+    """Return the labels of the rows; rows of an input check get "1", because their angle does not matter."""
     return np.where(run.measured, run.labels, "1")
 
 
@@ -77,7 +77,7 @@ class Visibility:
     """The part of signatures that coefficients and stand errors cannot absorb, in units of the noise.
 
     `rows` (n,) are the rows used, `whitener` (rows, 3, 3) turns their noise into unit noise. `taken` (3·rows +
-    nuisances, q) is an orthonormal basis of what the 12 coefficients and the stand errors absorb.
+    nuisances, q) is an orthonormal basis of the changes that the 12 coefficients and the stand errors absorb.
     """
 
     rows: NDArray[np.bool_]
@@ -136,7 +136,7 @@ def explained(
     ]
     columns = np.stack([*coefficients, *nuisances], axis=-1)
     top = np.einsum("nij,njq->niq", whitener, columns).reshape(-1, columns.shape[-1])
-    # each stand error, in units of its standard deviation, is also observed once as zero: its prior
+    # the prior of a stand error is an additional observation: zero, in units of its standard deviation
     priors = np.hstack([np.zeros((len(nuisances), 12)), np.eye(len(nuisances))])
     return rows, whitener, top, priors
 

@@ -29,7 +29,7 @@ AXES: Final[dict[str, Floats]] = {
     "2T180": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
     "V": np.array([[_HALF, _HALF, 0], [-_HALF, _HALF, 0], [0, 0, 1]]),
 }
-"""Rows: the block's axes x, y, z written in platform axes. V is turned by 45° about z of the platform."""
+"""Block axes x, y, z as rows in platform axes, by installation; V is turned by 45° about z of the platform."""
 
 
 def specific_force(
@@ -62,7 +62,7 @@ def specific_force(
     return force
 
 
-# --- which reading is taken where, when, in which direction, at what temperature -------------------------
+# --- place, time, direction and temperature of each reading ----------------------------------------------
 
 
 POINT_S: Final = 120.0
@@ -90,8 +90,8 @@ class Weather:
     def at(self, time_s: Floats, lag_s: float = 0.0) -> Floats:
         """Return the temperature deviation, K, (n,), of a body that follows with the lag `lag_s`.
 
-        Four fifths of the lag are one first-order delay, one fifth is a second one behind it. Initial transients
-        have decayed before the run.
+        The lag is two first-order delays in series: four fifths and one fifth of it. Initial transients have
+        decayed before the run.
         """
         cycle: NDArray[np.complex128] = CYCLE_K * np.exp(1j * (2 * np.pi * time_s / CYCLE_S + self.phase))
         for part in (0.8 * lag_s, 0.2 * lag_s):
@@ -178,7 +178,11 @@ DESIGNS: Final[dict[str, Design]] = {
     "unverified": Design((_rising("1"), _rising("2"))),
     "oven": Design((_in_oven("1"), _in_oven("2"), _verification())),
 }
-"""`reordered`: both directions, scan order reversed once, S and R each pass, a third pass turned by 180°."""
+"""Designs by name.
+
+`reordered` has both directions, the scan order reversed once, rows S and R in each pass, and a third pass turned
+by 180°.
+"""
 
 
 @dataclass(frozen=True)
@@ -327,11 +331,11 @@ class Truth:
 
 
 Draw = Callable[[np.random.Generator, Run], Truth]
-"""Draws the parameters of an effect for a run."""
+"""A function that draws the parameters of an effect for a run."""
 
 
 def channel_weights(rng: np.random.Generator) -> tuple[Floats, tuple[str, ...]]:
-    """Draw one, two or three channels with signed weights of 0.5 to 1; the rest is zero."""
+    """Draw one, two or three channels with signed weights of 0.5 to 1; the weights of other channels are zero."""
     count = int(rng.choice([1, 2, 3], p=[0.5, 0.25, 0.25]))
     chosen = np.sort(rng.choice(3, count, replace=False))
     weights = np.zeros(3)

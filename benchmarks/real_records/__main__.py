@@ -1,8 +1,8 @@
 """Diagnose published records of real instruments, and compare u with the scatter of repeats.
 
-    python -m benchmarks.real_records            # tables of verdicts, names, sizes, gap, twins, and of repeats
+python -m benchmarks.real_records            # tables of verdicts, names, sizes, gap, twins, and of repeats
     python -m benchmarks.real_records --page     # the same into docs/real-records.md; five minutes
-    python -m benchmarks.real_records --seeds 20 # how many twins of each record have its names; three minutes
+    python -m benchmarks.real_records --seeds 20 # how many twins of each record get its names; three minutes
 
 The truth is what the publishers state (`truth.yaml`). It was sealed with the records by hash (`sealed.json`) before
 the first run. A twin is a simulation with the times and temperatures of a record and with the effects found in it:
@@ -35,7 +35,7 @@ from benchmarks.real_records.cases import ROOT, Case, cases, require_sealed, twi
 PAGE: Final = ROOT / "docs/real-records.md"
 JUMP: Final = "voltmeter_move"
 WRONG, MISSED, UNTOLD = "wrong lone name", "missed", "a jump not published"
-"""Words of the column `judged`."""
+"""Words in the column `judged`."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Row:
 
     @property
     def twin_in_words(self) -> str:
-        """Whether the twin has the same names, and how far its sizes are from the record's, in u."""
+        """Whether the twin has the same names, and the differences of its sizes from those of the record, in u."""
         if self.twin is None or not isinstance(self.found, RecordDiagnosis):
             return "–"
         pairs = [_sizes(one) for one in (self.found, self.twin)]

@@ -84,8 +84,9 @@ def require_sealed() -> None:
 
 
 def twin_of(readings: Readings, found: RecordDiagnosis, seed: int = SEED) -> Readings:
-    """Return simulated readings at the same times, with the signal of the effects found and noise of the fitted
-    size. Before the first mean of the record, the effects continue as straight lines.
+    """Return simulated readings at the times of a record, with the effects and the noise found in it.
+
+    Before the first mean of the record, the effects continue as straight lines.
     """
     rng = np.random.default_rng(seed)
     record = make_record(readings)

@@ -27,7 +27,7 @@ from benchmarks.third_trial.stand import (
 
 Mask = NDArray[np.bool_]
 SHARES: Final = {"null": 0.16, "catalogue": 0.42, "outside": 0.42}
-"""The prior frequencies of the main trial; names of a group are equally frequent, ln rho is uniform."""
+"""Frequencies of the groups in the main trial; the names in a group are equally frequent, ln rho is uniform."""
 _HUNDRED: Final = [group for group, share in SHARES.items() for _ in range(round(100 * share))]
 SMALLEST: Final = 6.0
 LARGEST: Final = 40.0
@@ -47,7 +47,7 @@ class Case:
     signal: Floats
     form: Form | None = None
     words: tuple[str, ...] = ()
-    """One of these in a headline tells the place; of a mistake the names that are right."""
+    """Words of which a headline must contain one as the place; for a mistake, its right names."""
 
 
 def _draw(seed: int, number: int, what: int) -> Rng:
@@ -55,7 +55,7 @@ def _draw(seed: int, number: int, what: int) -> Rng:
 
 
 def main_case(seed: int, number: int) -> Case:
-    """Return a case of the main trial; groups of cases are shuffled, names within a group come in turn."""
+    """Return a case of the main trial; the groups are shuffled, and the names in a group are used in turn."""
     order = np.random.default_rng([seed, 9, number // 100]).permutation(100)
     group = _HUNDRED[order[number % 100]]
     earlier = [_HUNDRED[k] for k in order[: number % 100]].count(group)
@@ -101,7 +101,7 @@ def far_case(seed: int, number: int) -> Case:
         shape[the.sweep == the.sweep[row] if what == "channel of a pass" else the.sweep >= 0, channel] = 1.0
     signal = read(the, kind, rng)
     if what == "noisy channel":
-        # four to twenty times as noisy as the others
+        # this channel is four to twenty times as noisy as the others
         signal += units / 2 * 15e-6 * shape * rng.normal(size=(len(the), 1))
     else:
         signal += shape * units / rho(shape, on) * rng.choice([-1, 1])
@@ -142,7 +142,7 @@ def _angle_off(rng: Rng, on: Day, degrees: float, rows: Mask) -> Truth:
 
 
 def _angle_before(on: Day, rows: NDArray[np.int64]) -> Truth:
-    """Return the truth that at these rows the head was still at the angle of the row before."""
+    """Return the truth that in these rows the head was still at the angle of the preceding row."""
     angle = on.angle.copy()
     angle[rows] = on.angle[rows - 1]
     return Truth(angle=angle)
@@ -199,7 +199,7 @@ TRUE: Final[dict[str, tuple[tuple[str, ...], Callable[[Rng, Day], Truth]]]] = {
     "not remounted": (("not_remounted", "swapped_installations"), lambda _, on: _labelled(on, "1")),
     "another block in a pass": (("another_block", "other_block"), lambda r, on: Truth(other_block=_pass(r, on))),
 }  # fmt: skip
-"""By name of a mistake the names that are right, and what was true instead of what the file says."""
+"""For each mistake, its right names and the function that draws the true angles and labels."""
 READ: Final[dict[str, tuple[tuple[str, ...], Callable[[Rng, Day, Floats], Floats]]]] = {
     "swapped channels": (("swapped_channels",), lambda r, _, u: u[:, _order(r)]),
     "swapped channels of an installation": (
@@ -219,7 +219,7 @@ READ: Final[dict[str, tuple[tuple[str, ...], Callable[[Rng, Day, Floats], Floats
     "meters exchanged": (("meters_exchanged",), _meters),
     "outlier": (("outlier",), _outlier),
 }  # fmt: skip
-"""By name of a mistake the names that are right, and what became of the signals that were read."""
+"""For each mistake, its right names and the function that changes the signals."""
 MISTAKES: Final = (*TRUE, *READ)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.third_trial.stand import BLOCK_AXES, Act, Day, Floats, Form, Rng, Stage, day, left, rho, volts
 
 Shape = Callable[[Day, Floats], Floats]
-"""Of run and what the stage receives, (n, 3), what it adds."""
+"""A function of the run and of the input of a stage, (n, 3), that returns an addition to this input."""
 TURN: Final = 2 * np.pi
 XYZ: Final = np.eye(3)
 
@@ -61,10 +61,10 @@ def loop(on: Day, widths: Sequence[float], weights: Sequence[float]) -> Floats:
 
 
 def _families() -> Iterator[tuple[str, Stage, list[Shape]]]:
-    """Yield the spaces of additions that a name of the catalogue may have, each for one shape and location.
+    """Yield a name of the catalogue, its stage, and shapes that span its additions, for each form and location.
 
-    Of the block's effects, every third is of the same channel. The shapes are the catalogue's and others: two plays
-    or time constants, other lags and widths.
+    In a list of shapes of the block, the channels alternate: x, y, z, x, … Besides the catalogue's forms, there
+    are forms with two plays or time constants, other lags and other widths.
     """
 
     def each(*shapes: Shape) -> list[Shape]:
@@ -153,11 +153,14 @@ def _families() -> Iterator[tuple[str, Stage, list[Shape]]]:
 
 FAMILIES: Final = list(_families())
 NAMES: Final = {name: [k for k, family in enumerate(FAMILIES) if family[0] == name] for name, *_ in FAMILIES}
-"""By name of the catalogue, its places in `FAMILIES`."""
+"""Indices in `FAMILIES` by name of the catalogue."""
 HIDDEN: Final = [
     name for name in NAMES if name not in {"mounting_error", "mounting_offset", "zero_offset", "bracket_tilt"}
 ]
-"""What is hidden: all but what is within the errors of the stand up to 3′, and a second name of the axis' tilt."""
+"""Names that may be hidden.
+
+Not among them are those within the stand's errors of up to 3′, and a second name of the axis tilt.
+"""
 
 
 OUTSIDE: Final[dict[str, tuple[Stage, Act]]] = {
@@ -171,7 +174,7 @@ OUTSIDE: Final[dict[str, tuple[Stage, Act]]] = {
     "common pick-up": ("meter", lambda on, _, r, __: _pickup(on, r) * np.ones(3)),
     "jump at a point": ("block", lambda on, _, r, __: np.outer(
         (on.mount == r.integers(2)) & (on.point == r.integers(2, 9)), one(r))),
-    # the two other channels turn in one of the installations alone
+    # the two other channels change in only one of the installations
     "gain step": ("meter", lambda on, volt, _, __: (on.mount >= 1)[:, None] * volt * XYZ[0]),
     "common gain step": ("meter", lambda on, volt, _, __: (on.mount >= 1)[:, None] * volt),
     "gain of a pass": ("meter", lambda on, volt, r, _: (on.sweep == r.integers(6))[:, None] * one(r) * volt),
@@ -208,7 +211,7 @@ OUTSIDE: Final[dict[str, tuple[Stage, Act]]] = {
     "loose setting": ("stand", lambda on, _, r, now: error(
         0, (on.mount == r.integers(2)) * now.normal(size=len(on)))),
 }  # fmt: skip
-"""By name, what is added at a stage; the last six are of mean zero and other on each day."""
+"""Stage and addition of effects outside the catalogue, by name; the last six have mean zero and differ by day."""
 SCATTER: Final = tuple(OUTSIDE)[-6:]
 
 
@@ -252,7 +255,7 @@ def signature(form: Form, number: int) -> Floats:
 
 @cache
 def spaces(number: int) -> dict[str, list[Floats]]:
-    """Return for each name orthonormal bases of its possible residuals on a day, in units of noise."""
+    """Return orthonormal bases, in units of noise, of the residuals that each name can cause on a day."""
     found: dict[str, list[Floats]] = {name: [] for name in NAMES}
     for name, stage, shapes in FAMILIES:
         forms = [Form(name, stage, partial(lambda s, on, a, _, __: s(on, a), s), 1e-6) for s in shapes]
@@ -263,7 +266,7 @@ def spaces(number: int) -> dict[str, list[Floats]]:
 
 
 def left_by(names: Sequence[str], seen: Floats, number: int) -> float:
-    """Return the part of a residual, in units of noise, that `names` do not explain, each at its best."""
+    """Return the part of a residual, in units of noise, that the effects `names` leave unexplained."""
     for name in names:
         parts = [seen - base @ (base.T @ seen) for base in spaces(number)[name]]
         seen = min(parts, key=lambda part: float(np.linalg.norm(part)))

@@ -54,7 +54,7 @@ def diagnosed(case: Case, *, new_day: bool = False) -> dict[str, Any]:
     if case.form is None or not isinstance(result, bench.DiagnosisResult):
         return record | ({"text": text} if case.group == "far" else {})
     seen = left(signature(case.form, case.day), case.day)
-    # what is larger and holds the true one is no rival: the plainer one is named
+    # a larger family that contains the true effect is no rival, because the smaller family is named
     larger = {
         case.name,
         "head_graduation",
@@ -102,9 +102,7 @@ def predicted(path: Path, number: int) -> Floats:
 
 
 def closed(form: Form, path: Path, number: int) -> float:
-    """Return the fraction of the gap closed by the true form on another day that the model closes, expected over
-    noise.
-    """
+    """Return the fraction of the true form's closed gap on another day that the model closes, as an expectation."""
     true = signature(form, number)
     return 1.0 - (rho(true - predicted(path, number), number) / rho(true, number)) ** 2
 
@@ -122,6 +120,6 @@ def _calibrated(case: Case, form: Form, path: Path, number: int) -> dict[str, li
 
 
 def _odds(effects: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the stated probabilities of the names if a single effect was found."""
+    """Return the stated probabilities of the names, if a single effect was found."""
     odds = effects[0].get("odds", []) if len(effects) == 1 else []
     return [{"names": [one["name"]], "probability": one["probability"]} for one in odds]

@@ -6,10 +6,10 @@
     python -m benchmarks.third_trial --output new --against old # each case beside that of another run
 
 Readings are made by the geometry, effects and noise of this package alone; the program receives them as tables
-through its Python functions. Each case is a line of JSON in the output folder, from which a later call continues.
-The tables have shares with counts and Wilson 95 % intervals, followed by each bound with the measured value. The
-closed fraction of a gap is an expectation over the noise of a new day of the same design, with another temperature.
-The exit status is 1 if a bound is missed.
+through its Python functions. Each case is a line of JSON in the output folder; a later call continues with the
+missing cases. The tables have shares with counts and Wilson 95 % intervals, followed by each bound with the
+measured value. The closed fraction of a gap is an expectation over the noise of a new day of the same design,
+with another temperature. The exit status is 1 if a bound is missed.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ MAKERS: Final[dict[str, tuple[Callable[[int, int], Case], int]]] = {
     "mistakes": (mistake_case, 20 * len(MISTAKES)),
     "forms": (form_case, 200),
 }
-"""By kind of trial, what makes a case of seed and number, and how many there are."""
+"""The function that makes a case from a seed and a number, and the number of cases, by kind of trial."""
 
 
 def of_number(trial: str, seed: int, number: int) -> Record:
@@ -49,7 +49,7 @@ def records(path: Path) -> list[Record]:
 
 
 def carried_out(trial: str, seed: int, count: int, workers: int, folder: Path) -> list[Record]:
-    """Diagnose the cases that are missing in the folder; return all."""
+    """Diagnose the cases that are missing in the folder; return the records of all cases."""
     path = folder / f"{trial}-{seed}.jsonl"
     known = records(path)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -15,14 +15,17 @@ from benchmarks.third_trial.forms import SCATTER
 Record = dict[str, Any]
 Marks = dict[str, bool | None]
 LARGE: Final = 12.0
-"""rho from which a gap and silence are judged."""
+"""Least rho of effects for which closed gaps and silent verdicts are judged."""
 APART: Final = 4.0
-"""Units of noise that the nearest rival leaves where the data can tell; that a wrong name leaves."""
+"""Least part, in units of noise, that a rival leaves unexplained if the data decide between two names.
+
+A name that leaves at least this part is wrong.
+"""
 CLOSED: Final = 0.8
-"""Of what the true form closes."""
+"""Least closed fraction of the gap, relative to the gap that the true form closes."""
 UNNAMED: Final = "unnamed_form"
 PATTERNS: Final = ("unnamed", "free_by", "single_", "slow_in_time")
-"""How the names of forms begin that are no effects."""
+"""Prefixes of the names of unnamed forms."""
 _NOTHING: Final = re.compile(r"(NOTHING FOUND: )?readings and model agree within the noise")
 _PLACE: Final = re.compile(r"\bV\b|verification|point|channel|outlier|tails|slow|nois|round|off\b|\b[xyz]\b")
 
@@ -34,7 +37,7 @@ def silent(one: Record) -> bool:
 
 
 def alone(one: Record) -> bool:
-    """Whether the verdict names an effect without ties."""
+    """Whether the verdict names one effect without ties."""
     return one["verdict"] == "named" and not any(one["ties"])
 
 
@@ -69,7 +72,7 @@ def marks_of(one: Record) -> Marks:
         return failed | {"null agrees": one["verdict"] == "agrees"}
     lone, first, large = alone(one), [*one["names"], ""][0], one["rho"] >= LARGE
     closed, left = _closes(one), one.get("left")
-    # a name that this trial does not know is judged by what it closes
+    # a name that this trial does not know is judged by the gap that it closes
     wrong = lone and first != one["name"] and (not closed if left is None else left >= APART)
     marks = failed | {"lone names that leave 4": wrong if lone else None}
     if one["group"] == "outside":
@@ -115,7 +118,7 @@ def mistake_marks(one: Record) -> Marks:
 def form_marks(one: Record) -> Marks:
     """Return the marks of a model's effect on the coefficients of a new day.
 
-    Only biases depend on the time at which a drift is zero.
+    The time at which a drift counts as zero affects only the biases.
     """
     if "new_day" not in one:
         return {"model file": False}
@@ -140,7 +143,7 @@ BOUNDS: Final = {
     "alone, rival leaves below 1": ("<=", 0.02), "silent": ("<=", 0.0), "place in the headline": (">=", 1.0),
     "named": (">=", 1.0), "better": (">=", 0.8), "worse by more than u": ("<=", 0.02),
 }  # fmt: skip
-"""By column what is asked of it."""
+"""Relation and bound for each column."""
 
 
 def shares(marks: Iterable[Marks]) -> dict[str, Share]:
@@ -178,9 +181,7 @@ def report(trial: str, found: Sequence[Record]) -> tuple[str, int]:
 
 
 def _coefficients(found: Sequence[Record]) -> list[str]:
-    """Judge the twelve coefficients: of null cases, which checks this trial, and of cases with the right name
-    alone.
-    """
+    """Judge the coefficients of null cases, which checks the trial, and of cases with only the right name."""
     right = [
         one
         for one in found

@@ -33,9 +33,9 @@ BLOCK_AXES: Final = {
     "2T180": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
     "V": Rotation.from_euler("z", -45, degrees=True).as_matrix(),
 }
-"""Block axes in platform axes, by how the block is mounted."""
+"""Block axes as rows in platform axes, by mounting."""
 DAYS: Final = 4
-"""The trial has so many temperature records; the times and angles are always the same."""
+"""Number of temperature records in the trial; times and angles are the same in all of them."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Day:
         return np.asarray(np.round(self.angle / (np.pi / 4)).astype(int) % 8)
 
     def lagged(self, lag_s: float) -> Floats:
-        """Return the temperature above 20 °C of a body behind two equal lags, initially in equilibrium."""
+        """Return the temperature above 20 °C behind two equal first-order lags, initially in equilibrium."""
         if lag_s == 0.0:
             return self.warmth
         fine = np.arange(0.0, self.time_s[-1] + 10.0, 10.0)
@@ -105,7 +105,7 @@ def day(number: int) -> Day:
 Stage = Literal["stand", "block", "meter"]
 Rng = np.random.Generator
 Act = Callable[[Day, Floats, Rng, Rng], Floats]
-"""Of run, what the stage receives, (n, 3), a generator that is the same each time and one that is not."""
+"""A function of the run, the input of the stage (n, 3), a generator with a fixed seed, and one with a free seed."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ def volts(
         error += form.addition(on, error, seed)
     angle, tilt, skew, roll = error.T
     angle = angle + setting + (on.angle if truth.angle is None else truth.angle)
-    # a frame turned by an angle sees the vertical turned back by it
+    # in a frame turned by an angle, the vertical is turned by the opposite angle
     up = Rotation.from_euler("xyz", np.stack([-tilt, angle, -skew], axis=1)).apply([0.0, 0.0, 1.0])
     up = Rotation.from_rotvec(np.outer(-roll, [1.0, 0.0, 0.0])).apply(up)
     labels = on.label if truth.label is None else truth.label
@@ -223,7 +223,7 @@ def sight(number: int) -> Floats:
     whitener = block_diag(*rows, *(one[None] for one in modulus[~on.fitted]))
     taken = [np.outer(part, axis) for axis in np.eye(3) for part in (*force.T, np.ones(len(on)))]
     taken += [volts(on, stand=(one * np.tile(STAND, 3)).reshape(3, 3)) - plain for one in np.eye(9)]
-    # an error of the stand is as if it had been measured to be zero, within its size
+    # the prior of a stand error equals a measurement of zero with the u of its size
     design = np.vstack([whitener @ np.array([one.ravel() for one in taken]).T, np.eye(9, 21, 12)])
     base, _ = np.linalg.qr(design / np.linalg.norm(design, axis=0))
     seen = np.vstack([whitener, np.zeros((9, whitener.shape[1]))])

@@ -120,9 +120,9 @@ def _of_reading(
 ) -> tuple[Floats, Floats]:
     """Return the errors, V, that a source causes in one reading of each of d accelerations: two arrays (d, 3, q).
 
-    Each array has q independent components of one standard deviation. Those of the first are common to reading
-    and calibration, so that errors of the coefficients may cancel them; those of the second are of the reading
-    alone.
+    The last axis has q independent components, each of one standard deviation. The first array has the errors
+    common to the reading and the calibration, which errors of the coefficients may cancel. The second array has
+    the errors of the reading alone.
     """
     source, block = contribution.source, budget.setup.block
     per_channel = np.eye(3)[None]
@@ -372,7 +372,7 @@ class _Simulation:
         return np.concatenate([coefficients, np.linalg.norm(force, axis=1) - 1.0], axis=1)
 
     def _estimate(self, excess: Floats, gain: Floats) -> Floats:
-        """Return the estimates of trials, from the differences `excess` of their readings to error-free ones."""
+        """Return the estimated coefficients of each trial; `excess` is its readings minus error-free readings."""
         flat = excess.reshape(len(excess), -1) @ gain.reshape(len(gain), -1).T
         return self._setup.block.vector + flat
 
@@ -412,7 +412,7 @@ def _draw(source: ErrorSource, shape: tuple[int, ...], rng: np.random.Generator)
 DOMINATES: Final = 0.5
 """The block's nonlinearity and effects dominate if their share of the variance exceeds this."""
 NAMED: Final = 0.01
-"""Of the dominant sources, those with a share above this are named."""
+"""Sources with a larger share of the variance than this are named among the dominant sources."""
 
 
 @dataclass(frozen=True)
@@ -434,7 +434,7 @@ class Question:
 class Assessment:
     """A budget and its consequences; `exact` is None without Monte Carlo.
 
-    `beside` are further notes, which the budget itself does not give.
+    `beside` are notes in addition to those of the budget.
     """
 
     budget: Budget
@@ -446,7 +446,10 @@ class Assessment:
 
     @property
     def capable(self) -> bool | None:
-        """Whether every verification point can be passed with the coverage probability; None without points."""
+        """Whether a calibration without a mistake passes each verification point with the coverage probability.
+
+        None without verification points.
+        """
         return all(point.capable for point in self.points) if self.points else None
 
     @property

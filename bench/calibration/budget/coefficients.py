@@ -305,7 +305,7 @@ class AnyReadings(Protocol):
 
 
 _Patterns = Sequence[tuple[Floats, Ints]]
-"""Changes of the signals by a unit of a source, V (n, 3), with labels of draws as in `Influence.of`."""
+"""Patterns (n, 3), V per unit of a source, each with its labels of shared draws as in `Influence.of`."""
 
 _SAME_ANGLE_RAD: Final = math.radians(0.05)
 """Settings at most this far apart share the error of one angle of the head."""
@@ -347,13 +347,14 @@ def _same_angle(setup: AnyReadings) -> Ints:
 
 
 def _temperature(source: ErrorSource, seen: AnyReadings) -> _Patterns:
-    return _off_and_known(source, seen, seen.conditions.warmth_k)
+    return _unknown_and_recorded(source, seen, seen.conditions.warmth_k)
 
 
 def _room(source: ErrorSource, seen: AnyReadings) -> _Patterns:
     """Return the patterns of meter gains that follow the temperature of the room with a lag.
 
-    The temperature is the recorded one; without a record it may take any course within its limits.
+    Without a recorded temperature, the patterns are the principal components of an unknown temperature within its
+    limits.
     """
     conditions = seen.conditions
     if conditions.meter_c is not None and source.u > 0:
@@ -367,13 +368,13 @@ def _room(source: ErrorSource, seen: AnyReadings) -> _Patterns:
 
 def _supply(source: ErrorSource, seen: AnyReadings) -> _Patterns:
     rail, above_v = int((source.factors or {})["rail"]) - 1, seen.conditions.above_nominal_v
-    return _off_and_known(
+    return _unknown_and_recorded(
         source, seen, above_v[:, rail] if rail < above_v.shape[1] else np.zeros(len(above_v))
     )
 
 
-def _off_and_known(source: ErrorSource, seen: AnyReadings, recorded: Floats) -> _Patterns:
-    """Return the patterns of an unknown course in time within its limits, and of the course `recorded` (n,)."""
+def _unknown_and_recorded(source: ErrorSource, seen: AnyReadings, recorded: Floats) -> _Patterns:
+    """Return the patterns of an unknown variation in time within limits, and of the variation `recorded` (n,)."""
     courses = list(_unknown(seen.conditions.elapsed_s, source.correlation_s).T)
     known = recorded - recorded.mean()
     if source.u > 0 and np.any(known):
@@ -408,8 +409,8 @@ HARDLY_ANY: Final = 1e-3
 def _unknown(time_s: Floats, correlation_s: float) -> Floats:
     """Return the principal components (n, q) of a stationary process of unit variance.
 
-    Without a correlation time (infinite) the process is a constant: limits alone say nothing of the course within
-    them, and averaging over passes does not reduce a constant offset (GUM, 4.3.7).
+    Without a correlation time (infinite) the process is a constant: limits do not state how a quantity varies
+    within them, and averaging over passes does not reduce a constant (GUM, 4.3.7).
     """
     if math.isinf(correlation_s):
         return np.ones((len(time_s), 1))
@@ -523,9 +524,9 @@ def make_budget(
 ) -> Budget:
     """Return the uncertainty budget of the estimator named `estimator`.
 
-    It weighs the readings by the standard uncertainties `stated`, by default those of the sources (see
-    `estimator_map`). If `known`, prior knowledge from other runs, is given, it uses that instead. Raises
-    `CalibrationError` if the readings do not determine the coefficients.
+    The estimator weighs the readings by the standard uncertainties `stated`, by default those of the sources (see
+    `estimator_map`). Prior knowledge from other runs, `known`, replaces them. Raises `CalibrationError` if the
+    readings do not determine the coefficients.
     """
     gain = estimator_map(estimator, setup, sizes_by_name(sources) if stated is None else stated, known)
     contributions = tuple(Contribution(source, parts_of(source, setup, gain)) for source in sources)
@@ -538,9 +539,9 @@ def sizes_by_name(sources: Iterable[ErrorSource]) -> dict[str, float]:
 
 
 def parts_of(source: ErrorSource, setup: AnyReadings, functionals: Floats) -> Floats:
-    """Return the changes of m linear functionals (m, n, 3) of the n readings, (m, q).
+    """Return the changes (m, q) of m linear functionals (m, n, 3) of the n readings due to a source.
 
-    Column j is the change by draw j of the source, of the size of its u.
+    Column j is the change due to draw j of the source, with the size of one standard uncertainty.
     """
     parts = [influence.through(functionals) for influence in influences(source, setup)]
     return source.acting(np.concatenate(parts, axis=1))

@@ -32,7 +32,7 @@ USUAL_ACCURACY: Final = (20e-6, 5e-6)
 USUAL_LINEARITY: Final = (2e-6, 1e-6)
 """90-day limits, as fractions of reading and range, of a voltmeter whose driver is not installed.
 
-They are those of a 34401A on 10 V, which other meters of 6½ digits meet, too.
+These are the limits of a 34401A on 10 V; other meters of 6½ digits meet them, too.
 """
 
 _SHOWN: Final = {"voltmeter_gain": (1e6, "ppm"), "voltmeter_offset": (1e6, "µV")}
@@ -82,7 +82,7 @@ def size_of(quantity: Quantity, meter: VoltmeterForm, day: datetime.date | None)
 
 
 def may_move(quantity: Quantity, meter: VoltmeterForm) -> float:
-    """Return the standard uncertainty of the drift within 90 days of a meter's relative gain, or zero in V."""
+    """Return the standard uncertainty due to drift within 90 days of a meter's relative gain, or of its zero, V."""
     found = _certified(quantity, meter)
     drift = _limit(quantity, meter, 0.0) if found is None or found.drift is None else found.drift * DAYS_90
     return drift / math.sqrt(3.0)
@@ -188,7 +188,7 @@ def joint_errors(
         return "they contradict certificates or makers' limits: have the voltmeters calibrated"
     gain = kept * prior @ basis @ np.linalg.inv(expected)
     found = JointErrors(gain @ difference, prior - kept * gain @ basis.T @ prior)
-    found = _never_over(found, prior, certified)
+    found = _as_certified(found, prior, certified)
     covariance = found.covariance.copy()
     for number in np.unique(group):
         same = group == number
@@ -201,10 +201,10 @@ def joint_errors(
     return JointErrors(found.mean[:n], covariance)
 
 
-def _never_over(found: JointErrors, prior: Floats, certified: Mask) -> JointErrors:
+def _as_certified(found: JointErrors, prior: Floats, certified: Mask) -> JointErrors:
     """Return joint errors in which certified meters keep their certified u and have no mean error.
 
-    The errors of the other meters are conditional on those of the certified ones.
+    The errors of the other meters are their conditional distribution, given the errors of the certified meters.
     """
     if not np.any(certified):
         return found

@@ -131,7 +131,7 @@ def summary(outputs: Floats, probability: float = COVERAGE) -> Distributed:
 
 
 def numerical_tolerance(u: float, digits: int = 2) -> float:
-    """Return delta: half a unit of significant digit number `digits` of u. Source: JCGM 101:2008, 7.9.2."""
+    """Return delta, half a unit of the last of `digits` significant digits of u. Source: JCGM 101:2008, 7.9.2."""
     if u <= 0.0 or not math.isfinite(u):
         return 0.0
     mantissa = f"{u:.{digits - 1}e}"

@@ -26,14 +26,14 @@ from bench.model import STAND_ANGLES, Distribution, ForwardModel
 ANOMALY_M_S2: Final = 5e-4
 """Local anomalies of gravity about the WGS 84 formula, 50 mGal, 1 sigma."""
 MEASURED_M_S2: Final = 1e-5
-"""Least uncertainty of a value of gravity that was stated as a number, 1 mGal."""
+"""Least standard uncertainty of local gravity if it was stated as a number: 1 mGal."""
 CHAMBER: Final = Distribution(0.5, "rectangular")
 """Prior of the chamber's stability, K."""
 BIAS_PER_K: Final = Distribution(30e-6, "rectangular")
 SCALE_PER_K: Final = Distribution(180e-6, "rectangular")
 """Priors of the block's temperature coefficients, g/K and 1/K: limits of a quartz-flexure accelerometer."""
 GAIN_PER_K: Final = Distribution(1e-6)
-"""Gain of a voltmeter per kelvin: a 34420A in an air bath follows by 0.75 ppm/K."""
+"""Prior of the relative gain of a voltmeter per kelvin; a 34420A in an air bath showed 0.75 ppm/K."""
 BIAS_PER_V: Final = Distribution(20e-6)
 SCALE_PER_V: Final = Distribution(20e-6)
 """Priors of a block's sensitivity to its supply, g/V and 1/V: the catalogue's plausible sizes, 1 sigma."""
@@ -105,7 +105,8 @@ def hidden_sources(
 def stand_sources(bench: BenchFile) -> tuple[ErrorSource, ...]:
     """Return the stand errors of a bench file.
 
-    An unstated third mounting angle counts as large as `mounting_error`: the same surfaces locate both.
+    An unstated third mounting angle has the size of `mounting_error`, because the same surfaces determine both
+    angles.
     """
     sizes = bench.stand_distributions()
     dof = {name: section.dof for name in STAND_ERRORS if (section := getattr(bench.stand, name)) is not None}
@@ -151,7 +152,7 @@ _FRESH: Final[Mapping[str, tuple[str, str, Common]]] = {
 def _voltmeter_sources(
     bench: BenchFile, day: datetime.date | None, known: KnownMeters | None
 ) -> Iterator[ErrorSource]:
-    """Yield one source per quantity if all meters are alike, else one per meter: "voltmeter_gain[x]".
+    """Yield one source per quantity if all meters have the same errors, else one per meter: "voltmeter_gain[x]".
 
     Learned differences between meters give one source with correlated draws.
     """
@@ -183,8 +184,8 @@ def _voltmeter_sources(
 def _room_source(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]:
     """Yield the gain error of voltmeters that follow the room's temperature with a lag.
 
-    There is none unless the changes of the room are stated. It acts on the channels whose model has no such
-    effect.
+    There is no such source unless the bench file states the room's temperature changes. The source acts on the
+    channels whose model has no such effect.
     """
     room, stated = bench.uncertainty.room_temperature, bench.uncertainty.voltmeter_temperature_coefficient
     known = {c for a in model.effects if a.effect.name == "voltmeter_thermal_gain" for c in a.channels}
@@ -208,7 +209,10 @@ def _of_size(name: str, symbol: str, unit: str, common: Common, size: Size) -> E
 
 
 def _gravity_source(bench: BenchFile) -> Iterator[ErrorSource]:
-    """Yield the relative error of local gravity. A plain number has u of its last digit, at least 1 mGal."""
+    """Yield the relative error of local gravity.
+
+    For gravity stated as a plain number, u follows from rounding to the last digit, and is at least 1 mGal.
+    """
     g, stated, known = bench.gravity_m_s2, bench.uncertainty.gravity, bench.gravity
     if g is None:
         return

@@ -56,7 +56,7 @@ _CONFORMITY: Final = {
     Statement.NOT_COMPLETE: "noPass",
     Statement.FAIL: "fail",
 }
-"""The DCC's word for each statement; `noPass` where none can be made, and the declaration says why."""
+"""The DCC's word for each statement; `noPass` if no statement can be made, and the declaration states why."""
 
 
 def measurement_results(certificate: Certificate) -> Node:

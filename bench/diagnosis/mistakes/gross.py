@@ -24,10 +24,11 @@ from bench.model.geometry import STAND_ANGLES, Block, Installation, specific_for
 from bench.readings.table import Readings
 
 ERRORS_G: Final[tuple[float, ...]] = tuple(np.geomspace(5e-4, 0.1, 10).tolist())
-"""Sizes of the errors of a reading and of a position without a mistake, 1 sigma in g, equally probable.
+"""Prior 1 sigma of the errors of a reading and of a position without a mistake, g; all sizes equally probable.
 
-The smallest is 100 arcsec, or a large effect of the block; it is larger for a bench with wider limits. With a
-largest above six degrees, a block that contradicts its data sheet would pass as tilted.
+The smallest corresponds to 100 arcsec, or to a large effect of the block; a bench with wider limits has a larger
+one. The largest corresponds to less than six degrees: otherwise a block that contradicts its data sheet would
+count as tilted.
 """
 SHEET_U: Final = (0.10, 0.05, 0.5)
 """Prior 1 sigma of the coefficients about a data sheet: scale factor, g/g; cross-axis term, g/g; bias, g."""
@@ -253,7 +254,10 @@ def p_of(log_odds: float, log_looks: float) -> float:
 
 
 Products = dict[int, tuple[int, Floats]]
-"""By the number m of repeats: the number of rows, of variance reading^2 + m position^2, and their X^T X (7, 7)."""
+"""Numbers of rows and their X^T X (7, 7), by the number m of repeats.
+
+The rows for m repeats have the variance reading^2 + m position^2.
+"""
 
 
 def _positions(table: OrientedRows, supposed: Reinterpretation, kept: Mask) -> tuple[Mask, Ints]:
@@ -270,10 +274,9 @@ def _positions(table: OrientedRows, supposed: Reinterpretation, kept: Mask) -> t
 
 
 def _products(columns: Floats, kept: Mask, position: Ints) -> Products:
-    """Return the products of the `kept` rows of `columns` (n, 7), for means over repeats and for the rest.
+    """Return the products of the `kept` rows of `columns` (n, 7): means over repeats, and deviations from these.
 
-    `position` has the number of each kept row's position. The rest are the deviations from these means, for which
-    m = 0.
+    `position` has the number of each kept row's position. For the deviations, m = 0.
     """
     columns, repeats = columns[kept], np.bincount(position)
     mean = np.zeros((len(repeats), columns.shape[1]))

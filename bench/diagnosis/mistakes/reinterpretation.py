@@ -358,7 +358,7 @@ def _rows_aside(runs: Ints, mask: Mask, step: int) -> Ints:
 
 
 def _stop_rad(table: OrientedRows, mask: Mask) -> Floats | None:
-    """Return each row's signed angle (n,) between stops in its pass, rad; None unless all are equally wide."""
+    """Return each row's signed angle (n,) between stops in its pass, rad; None unless all intervals are equal."""
     stops = np.zeros(len(table))
     widths: list[float] = []
     for mount, number in dict.fromkeys(zip(table.mount[mask], table.pass_number[mask], strict=True)):

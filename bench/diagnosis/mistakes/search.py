@@ -86,7 +86,7 @@ class MistakesLeaveTooLittle(CalibrationError):
         self.search, self.reason = search, reason
 
     def __str__(self) -> str:
-        """Return the mistakes and what is missing without them, in a sentence."""
+        """Return a sentence with the mistakes, and with what the other readings lack."""
         mistakes = "; ".join(one.words for one in self.search.mistakes)
         return f"a mistake: {mistakes}; in the corrected copy {self.reason}"
 

@@ -149,7 +149,10 @@ class TermSearch:
 
 @dataclass(frozen=True)
 class _Beside:
-    """`seen`: the readings at each noise ratio, known columns projected out; `weight` (ratios,): ln of its odds."""
+    """The readings at each noise ratio, `seen`, and ln of the odds of each ratio, `weight` (ratios,).
+
+    Known columns are projected out of the readings.
+    """
 
     seen: tuple[ProjectedReadings, ...]
     weight: Floats

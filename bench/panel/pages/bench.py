@@ -47,7 +47,10 @@ from drivers.clock import utc_now
 MOST_FIELDS: Final = 300
 LONGEST: Final = 400
 TARGETS: Final = ("x", "y", "z", "scanner", "head", "chamber")
-"""The places that a found resource may be given: the voltmeter of a signal, the only one, head or chamber."""
+"""Instruments to which a found resource may be assigned.
+
+They are the voltmeter of a signal, the scanning voltmeter, the head and the chamber.
+"""
 
 
 @dataclass
@@ -202,7 +205,7 @@ _OF_FORM: Final = ("form:", "gravity", "instruments.", "unit_under_test.")
 
 
 def _assign(state: FormState, given: Mapping[str, str], found: Findings) -> None:
-    """Give found resources to the instruments that the person chose for them."""
+    """Assign found resources to the instruments that the person chose for them."""
     for number, row in enumerate(found.resources):
         target = given.get(f"is:{number}", "")
         if target in TARGETS and given.get(f"resource:{number}") == row["resource"]:
@@ -307,7 +310,7 @@ def search_of(panel: Panel) -> Search:
 
 
 def searched(request: Request) -> Response:
-    """Tell the script of the form whether a search is in progress."""
+    """Respond to the script of the form whether a search is in progress."""
     operator(request)
     return JSONResponse({"at_work": search_of(panel_of(request)).at_work()})
 

@@ -217,7 +217,7 @@ def _write(panel: Panel, person: Person, state: TableState, expected: str) -> bo
 
 
 def _named(state: TableState) -> str:
-    """Return the text of a new procedure with its file's name in it, unless the person named it otherwise."""
+    """Return the text of a new procedure with its file's name in it, unless the person typed another name."""
     data = _data(state.text)
     name = sections_of(data)[0].fields[:1]
     if not isinstance(data, dict) or data.get("procedure") != (_data(state.base.text) or {}).get("procedure"):

@@ -157,7 +157,7 @@ def next_unit(panel: Panel) -> QueueItem | None:
 
 
 def bench_today(name: str, runs: Sequence[RunRow], on: DayNote | None) -> BenchToday:
-    """Return today's notes on a bench for its operator; `on` is the note of when the bench was switched on."""
+    """Return today's notes on a bench for its operator; the note `on` says when the bench was switched on."""
     busy = next((row.name for row in runs if row.alive and row.bench == Path(name).stem), "")
     try:
         path = chosen_bench_file(name)
