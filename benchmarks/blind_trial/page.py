@@ -15,6 +15,59 @@ from benchmarks.campaign import Share
 
 STORED: Final = Path(__file__).parents[2] / "docs" / "blind-trial.json"
 
+_HIDDEN: Final = {
+    "null": "nothing",
+    "slip": "the block turns in its mounting",
+    "rezero": "the zero of the head shifts",
+    "exchanged": "two meters are exchanged",
+    "single": "one effect",
+    "pair": "two effects of different subsystems",
+    "outside": "an effect that the program does not know",
+    "own": "an effect that a user's formula describes",
+    "hidden": "an effect that the readings cannot show",
+    "equal_k2": "the same quadratic term in all channels",
+    "mounting_roll": "a roll of the block's mounting",
+    "mistake": "a mistake of procedure or wiring",
+    "other_psi": "the bench file states a wrong angle of the verification points",
+    "common_volts": "a decaying voltage in all channels",
+    "hand_set": "setting errors of 0.5°",
+    "repaired": "a mistake and an effect",
+    "supply": "an effect of the supply, or a drift beside a varying supply",
+    "free": "free positions: nothing, an outlier or an effect",
+}
+"""What is hidden in each kind of case."""
+
+_WORDS: Final = {
+    "agrees": "verdict `agrees`",
+    "mistake alleged": "verdict `mistake`",
+    "no mistake alleged": "verdict not `mistake`",
+    "mistake found": "verdict `mistake`",
+    "flagged unknown": "verdict `unknown`",
+    "flagged unknown (like a member)": "verdict `unknown` (like a known effect)",
+    "refused": "verdict `unknown`",
+    "alone given": "alone",
+    "given a single name": "alone",
+    "given a single name (like a member)": "alone (like a known effect)",
+    "given a single name that leaves 4 to 7": "alone, 4 to 7 units unexplained",
+    "given a single name that leaves 7 or more": "alone, 7 units or more unexplained",
+    "detected (like a member)": "detected (like a known effect)",
+    "detected (has a mean form)": "detected (same course in every run)",
+    "nothing without it": "true name in every set",
+    "a set without either": "a set with neither name",
+    "the effect in the set": "effect in the set",
+    "first name right": "first right",
+    "one alleged": "one outlier named",
+    "nothing else": "nothing else named",
+    "contradiction told": "contradiction reported",
+    "hidden listed": "listed as invisible",
+    "points at the electrics": "an electrical effect named",
+    "told from bias_drift": "separated from bias_drift",
+    "told from supply_sensitivity": "separated from supply_sensitivity",
+    "form closes 80 %": "form closes 80 % of what the true form closes",
+    NOT_SHRUNK: "alone, gap not smaller",
+}
+"""What the page calls a column of the stored result, if it does not use the column's own name."""
+
 Stored = dict[str, Any]
 
 
@@ -75,25 +128,26 @@ def sums(result: Stored) -> str:
 
     columns = {
         "detected": "detected",
-        "true name in the set": "in the set",
-        "first name right where the data can tell": "first name right",
-        "a name alone right": "alone right",
+        "in the set": "in the set",
+        "first right": "first name right",
+        "alone right": "alone right",
     }
     lines = ["| single effect | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
     for named, low, high in (("ρ ≥ 15", 15, np.inf), ("ρ ≥ 8", 8, np.inf), ("ρ = 5", 5, 5.5)):
         cells = [sum_of("single", column, low, high) for column in columns.values()]
         lines.append(f"| {named} | " + " | ".join(cells) + " |")
-    parts = ["\n".join(lines), f"With nothing hidden, {sum_of('null', 'agrees', 0, np.inf)} cases agree."]
+    agree = sum_of("null", "agrees", 0, np.inf)
+    parts = ["\n".join(lines), f"With nothing hidden, the verdict is `agrees` in {agree} cases."]
     alone = [row["score"][NOT_SHRUNK] for row in result["rows"] if NOT_SHRUNK in row["score"]]
     if alone:
         larger = Share(sum(c[0] for c in alone), sum(c[1] for c in alone))
-        parts.append(f"Cases with a single name although the held-out gap did not shrink: {larger}.")
+        parts.append(f"A single name was given, although the gap did not become smaller: {larger}.")
     return "\n\n".join(parts)
 
 
 def short_tables(result: Stored) -> str:
     """Return the tables of the page; a line of text replaces a column that is equal in all rows of a kind."""
-    first = ["| kind | rows | the same in every row |", "|---|---|---|"]
+    first = ["| kind | what is hidden | rows | the same in every row |", "|---|---|---|---|"]
     parts = []
     for kind, of_kind in _by_kind(result).items():
         columns = _columns(of_kind)
@@ -101,8 +155,11 @@ def short_tables(result: Stored) -> str:
         same = [c for c in columns if {share.part for share in shares[c] if share.of} in ({0.0}, {1.0})]
         keys = [_within_kind(row) for row in of_kind]
         left = [c for c in columns if c not in same]
-        counts = (f"{c} {sum(s.successes for s in shares[c])}/{sum(s.of for s in shares[c])}" for c in same)
-        first.append(f"| {kind} | {len(keys) if left else '; '.join(keys)} | {'; '.join(counts)} |")
+        counts = (
+            f"{_word(c)} {sum(s.successes for s in shares[c])}/{sum(s.of for s in shares[c])}" for c in same
+        )
+        rows = len(keys) if left else "; ".join(keys)
+        first.append(f"| {kind} | {_HIDDEN[kind]} | {rows} | {'; '.join(counts)} |")
         if left:
             parts.append(_table([row for row in of_kind if set(left) & row["score"].keys()], left))
     return "\n\n".join(["\n".join(first), *parts])
@@ -125,7 +182,7 @@ def _columns(rows: Sequence[Stored]) -> list[str]:
 def _table(rows: Sequence[Stored], columns: Sequence[str]) -> str:
     """Return a table of the rows of a kind, with their gaps if they have any."""
     gaps = any(row["gap"] for row in rows)
-    head = [rows[0]["kind"], *columns, *(("gap before", "gap after") if gaps else ())]
+    head = [rows[0]["kind"], *map(_word, columns), *(("gap before", "gap after") if gaps else ())]
     lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
     for row in rows:
         cells = [str(Share(*row["score"].get(column, (0, 0)))) for column in columns]
@@ -133,6 +190,10 @@ def _table(rows: Sequence[Stored], columns: Sequence[str]) -> str:
             cells += [f"{row['gap'][w]:.3f}" if row["gap"] else "–" for w in ("before", "after")]
         lines.append(f"| {_within_kind(row)} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
+
+
+def _word(column: str) -> str:
+    return _WORDS.get(column, column)
 
 
 def _within_kind(row: Stored) -> str:
