@@ -17,8 +17,6 @@ result exactly once and in one part only, no part may have been rewritten, and t
 number by number, those of a single calibration. The exit status is 1 if this does not hold.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import random

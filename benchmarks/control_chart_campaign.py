@@ -9,8 +9,6 @@ wrong. The second has the effect of a wrong stated u of one number alone. The th
 Shewhart, EWMA and MEWMA charts, published, simulated and by the integral equation.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterator
 from itertools import product

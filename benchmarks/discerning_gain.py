@@ -8,8 +8,6 @@ of its forms, normal sizes of one or three times the plausible size), with the n
 procedures, and does not show how well effects of a real bench are named.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 

@@ -10,8 +10,6 @@ name the instrument, and end with all planned readings when it is resumed withou
 and every violation are printed; the exit status is 1 if there is one.
 """
 
-from __future__ import annotations
-
 import contextlib
 import faulthandler
 import functools

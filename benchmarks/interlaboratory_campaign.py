@@ -15,8 +15,6 @@ returns show it in 95 %. With the block's scatter included in u, any laboratory 
 without it is printed beside. Limits are binomial of 99.9 %. The exit status is 1 if one is broken.
 """
 
-from __future__ import annotations
-
 import sys
 from functools import partial
 from itertools import pairwise

@@ -16,8 +16,6 @@ next one. A cause is right if it is the mistake made; if several are named as eq
 table with Wilson intervals (95 %) is printed; the exit status is 1 if a limit is missed.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import sys

@@ -10,8 +10,6 @@ to the end of the reading, alternately with and without live reads. That no read
 tests/run/test_live.py`.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json

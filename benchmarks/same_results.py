@@ -14,8 +14,6 @@ status is 1 if anything differs. `schemas` requires that this version's JSON sch
 folder, and lists new members.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import math

@@ -29,8 +29,6 @@ that readings share: how often a component is found in error (promised: 1 %, wit
 exit status is 1 if a limit is broken.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from dataclasses import dataclass
@@ -54,9 +52,9 @@ from bench.model import Block, ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import VERIFICATION, Readings
 from bench.services.face import load_bench
+from bench.validation.paper_bench import SETTING_U_RAD, U0, K
 from benchmarks.campaign import arguments, finish, outside, parts_of, rms, show_by_coefficient
 from tests.support.honest_runs import FEW, components_taken, run_few
-from tests.support.paper_bench import SETTING_U_RAD, U0, K
 from tests.support.whole_truth import CASES, EVERYTHING, WANDERING, Bench, simulate_whole, turned
 
 CHUNK = 50

@@ -14,8 +14,6 @@ which no run shows alone. `catalogue` keeps the last folders of `benchmarks.many
 The exit status is 1 if a promise is broken.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """The trial's own implementation of effects of stand, block and voltmeter, with the names of `bench diagnose`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Final

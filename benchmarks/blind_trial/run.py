@@ -11,8 +11,6 @@ answers opened and checked against their seals. The score is printed as Markdown
 Wilson 95 % interval. The exit status is 1 if a diagnosis failed with an error.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """The score: diagnoses compared with what was hidden, with Wilson intervals."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial

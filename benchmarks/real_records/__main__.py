@@ -9,8 +9,6 @@ the first run. A twin is a simulation with the times and temperatures of a recor
 its diagnosis must give the same names and sizes.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

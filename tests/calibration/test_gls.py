@@ -1,10 +1,8 @@
 """Generalised least squares against a textbook computation with the whole covariance of the readings.
 
 The reference is written here from the definition: V = R + J P J^T over all signals, estimate
-(A^T V^-1 A)^-1 A^T V^-1 y, with derivatives of the independent geometry of support/paper_bench.py.
+(A^T V^-1 A)^-1 A^T V^-1 y, with derivatives of the independent geometry of bench/validation/paper_bench.py.
 """
-
-from __future__ import annotations
 
 import json
 from dataclasses import replace
@@ -23,10 +21,7 @@ from bench.model import Block
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import write_csv
 from bench.readings.table import make_readings
-from tests.support.budget_bench import paper_setup, stand
-from tests.support.commands import refused
-from tests.support.honest_runs import MODEL
-from tests.support.paper_bench import (
+from bench.validation.paper_bench import (
     ARCSEC,
     SETTING_U_RAD,
     STAND_U,
@@ -37,6 +32,9 @@ from tests.support.paper_bench import (
     simulate,
     specific_force,
 )
+from tests.support.budget_bench import paper_setup, stand
+from tests.support.commands import refused
+from tests.support.honest_runs import MODEL
 from tests.support.results import calibration_json
 
 NAMES = ("axis_tilt", "zero_offset", "mounting_error")

@@ -10,8 +10,8 @@ from bench.diagnosis.levels import BY_CHANCE, FAR
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.where import far_readings
 from bench.results.diagnosis_words import verdict_in_words, warnings_in_words
+from bench.validation.paper_bench import SETTING_U_RAD, K
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, OneThreshold, paper_run, set_up
-from tests.support.paper_bench import SETTING_U_RAD, K
 
 NOISE = NoiseSize(NOISE_V, SETTING_U_RAD, 150)
 

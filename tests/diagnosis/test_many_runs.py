@@ -12,8 +12,8 @@ from bench.diagnosis.linear import make_linear
 from bench.diagnosis.multi_run_system import candidates_of, make_system, with_blocks
 from bench.model import CATALOGUE, AppliedEffect
 from bench.readings.table import JoinedPart, together
+from bench.validation.paper_bench import SETTING_U_RAD
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND_U, U0, K, paper_run
-from tests.support.paper_bench import SETTING_U_RAD
 
 LIMITS = {**STAND_U, "setting_error": SETTING_U_RAD}
 SCALE = np.diag(K)

@@ -23,7 +23,7 @@ from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.results.diagnosis import ProposalPart
 from bench.run.folder import Run
 from bench.services.requests.measuring import RunRequest
-from tests.support import paper_bench
+from bench.validation import paper_bench
 
 BENCH = load_bench(find_bench("paper-stand"))
 MODEL = ForwardModel(BENCH.installation_models())

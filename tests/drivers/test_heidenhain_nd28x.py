@@ -1,7 +1,5 @@
 """The Heidenhain ND 281B and ND 287 against what their manuals say."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -18,7 +18,7 @@ from bench.diagnosis.noise_grid import NoiseGrid, make_noise_grid
 from bench.model import AppliedEffect, ForwardModel, Installation
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import Readings, make_readings
-from tests.support.paper_bench import SETTING_U_RAD, STAND_U, U0, K, specific_force
+from bench.validation.paper_bench import SETTING_U_RAD, STAND_U, U0, K, specific_force
 
 PSI = np.radians(45.0)
 MODEL = ForwardModel(

@@ -1,7 +1,5 @@
 """One simulated instrument on a real loopback socket, over a world on a virtual clock."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

@@ -1,7 +1,5 @@
 """The score of the blind trial."""
 
-from __future__ import annotations
-
 import pytest
 
 from benchmarks.blind_trial.cases import Row, make_case

@@ -12,8 +12,8 @@ from bench.calibration.budget.sources import bench_sources, stand_source
 from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
 from bench.model import CATALOGUE, AppliedEffect, Distribution
+from bench.validation.paper_bench import ARCSEC, K
 from tests.support.budget_bench import ONE_SIGMA, paper_setup, stand
-from tests.support.paper_bench import ARCSEC, K
 
 # µV/g, U0 in µV
 BY_SOURCE = {

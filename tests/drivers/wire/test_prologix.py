@@ -1,7 +1,5 @@
 """GPIB through an adapter: the transport, and a bench of three meters over it."""
 
-from __future__ import annotations
-
 import os
 import threading
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The wire log: what a line holds, a disk that is full, several threads, and a whole dry run."""
 
-from __future__ import annotations
-
 import random
 import re
 import threading

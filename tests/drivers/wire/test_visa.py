@@ -1,7 +1,5 @@
 """The transport over real sockets: what goes wrong ends in one sentence."""
 
-from __future__ import annotations
-
 import importlib.util
 import socket
 import threading

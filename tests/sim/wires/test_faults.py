@@ -1,7 +1,5 @@
 """Faults on demand: as data, when they strike, what they do on the wire and to the instrument."""
 
-from __future__ import annotations
-
 import json
 import select
 import socket
