@@ -1,6 +1,6 @@
 """Are the stated uncertainties true? 40 simulated runs at each of two noise levels.
 
-Simulation by bench/validation/paper_bench.py: the paper's stand with its limits as three sigma, noise sizes unknown to
+Simulation by bench.validation: the paper's stand with its limits as three sigma, noise sizes unknown to
 the fit; run k has the seed [2024, k] at 0.1 mV and [2025, k] at 20 uV. Thousands of runs of such a stand are
 `benchmarks/signed_uncertainty.py --cases stand`.
 """

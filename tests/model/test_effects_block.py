@@ -233,7 +233,7 @@ def test_stand_angles_leave_the_state_alone():
 
 
 def walked(labels, angle, direction, width_g, psi):
-    """A play operator driven along the head's way in steps of 0.02 deg, at the forces of bench/validation/paper_bench.py."""
+    """A play operator driven along the head's way in steps of 0.02 deg, at the forces of bench.validation."""
     result = []
     for i, end in enumerate(angle):
         if i == 0 or labels[i] != labels[i - 1]:

@@ -1,4 +1,4 @@
-"""Effects of stand, head and voltmeter against closed forms typed here, the geometry of bench/validation/paper_bench.py."""
+"""Effects of stand, head and voltmeter against closed forms typed here, the geometry of bench.validation."""
 
 from types import SimpleNamespace
 

@@ -50,7 +50,7 @@ def test_exact_model_is_the_papers_to_second_order(label):
 
 @pytest.mark.parametrize("label", ["1", "2"])
 def test_exact_model_equals_rotations_by_scipy(label):
-    """Large angles, every one of the five: the same as turning the axes as vectors (bench/validation/paper_bench.py)."""
+    """Large angles, every one of the five: the same as turning the axes as vectors (bench.validation)."""
     rng = np.random.default_rng(11)
     for a1, a2, a3, a4, a5, a6 in rng.uniform(-0.5, 0.5, (20, 6)):
         ours = force(

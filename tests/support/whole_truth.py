@@ -1,6 +1,6 @@
 """Runs of the paper's procedure with every error of a bench in them, one at a time or all together.
 
-Nothing of `bench.model` or `bench.analysis` is used: geometry from bench/validation/paper_bench.py, every other error
+Nothing of `bench.model` or `bench.analysis` is used: geometry from bench.validation, every other error
 written out here. Sizes are those of the shipped paper-stand file, of the 34401A's data sheet (90 days, 10 V:
 20 ppm of reading, 5 ppm of range) and of a quartz-flexure block (30 ug/K, 180 ppm/K), rectangular; a run of 54
 readings and 8 verification points takes five hours.
