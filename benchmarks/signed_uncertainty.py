@@ -261,20 +261,12 @@ def show_bound(parts: list[Any], runs: int) -> list[str]:
 # --- few readings, and clean ones ---------------------------------------------------------------------
 
 
-def _few(seed: int, design: str, times: float | None, numbers: range) -> Any:
-    return run_few(seed, numbers, design, times)
-
-
-def _clean(seed: int, case: str, numbers: range) -> int:
-    return components_taken(seed, numbers, case)
-
-
 def few(seed: int, count: int, workers: int) -> list[str]:
     """Calibrate few readings: coverage at noise from the stated prior, and the notes at twice the stated noise."""
     broken = []
     for design in FEW:
         for times, what in ((None, "drawn from the prior"), (2.0, "twice the stated")):
-            parts = parts_of(partial(_few, seed, design, times), count, workers)
+            parts = parts_of(partial(run_few, seed, design=design, times=times), count, workers)
             error, u, rests, disagrees = (
                 np.concatenate([getattr(part, name) for part in parts])
                 for name in ("error", "u", "rests", "disagrees")
@@ -300,7 +292,7 @@ def clean(seed: int, count: int, workers: int) -> list[str]:
     """Calibrate runs whose readings share no error: how often a component is found in error."""
     broken = []
     for case, what in (("stand", "alike"), ("noise", "unlike")):
-        taken = sum(parts_of(partial(_clean, seed, case), count, workers))
+        taken = sum(parts_of(partial(components_taken, seed, case=case), count, workers))
         most = int(stats.binom.ppf(0.99, count, ASKED_P))
         print(f"{taken} of {count} clean runs of {what} channels have a component, {most} at most at 1 %")
         broken += [f"{what} channels: components in {taken} of {count} clean runs"] if taken > most else []
