@@ -72,13 +72,18 @@ def _head_graduation(rng: np.random.Generator, run: Run) -> Truth:
     return Truth("head_graduation", "stand", shift=shift)
 
 
-def _backlash(rng: np.random.Generator, run: Run) -> Truth:
-    sign = rng.choice([-1.0, 1.0])
+def turned(name: str, arcsec: float, key: str, form: Callable[[Run], Floats], shape: str = "") -> Draw:
+    """Return the draw of an effect of either sign that adds `form(run)` (n,) to one of the stand's angles."""
 
-    def shift(r: Run, x: float) -> Shift:
-        return {"angle": sign * 10 * x * ARCSEC * r.direction / 2}
+    def draw(rng: np.random.Generator, run: Run) -> Truth:
+        sign = rng.choice([-1.0, 1.0])
 
-    return Truth("backlash", "stand", shift=shift)
+        def shift(r: Run, x: float) -> Shift:
+            return {key: sign * arcsec * x * ARCSEC * form(r)}
+
+        return Truth(name, "stand", shift=shift, shape=shape)
+
+    return draw
 
 
 def wobble(harmonic: int, phase: float, run: Run, arcsec: float) -> Floats:
@@ -118,8 +123,8 @@ STAND: Final[dict[str, Draw]] = {
     "mounting_error": _per_mount("mounting_error", 90, "skew"),
     "mounting_offset": _per_mount("mounting_offset", 90, "angle", after_remount=True),
     "mounting_roll": _per_mount("mounting_roll", 90, "roll"), "head_eccentricity": _head_eccentricity,
-    "head_ellipticity": _head_ellipticity, "head_graduation": _head_graduation, "backlash": _backlash,
-    "axis_wobble": _axis_wobble,
+    "head_ellipticity": _head_ellipticity, "head_graduation": _head_graduation,
+    "backlash": turned("backlash", 10, "angle", lambda run: run.direction / 2), "axis_wobble": _axis_wobble,
     "bracket_tilt": _per_mount("bracket_tilt", 30, "tilt", after_remount=True),
     "foundation_tilt": _foundation_tilt,
 }  # fmt: skip
@@ -404,15 +409,6 @@ def _wrong_gravity(rng: np.random.Generator, run: Run) -> Truth:
     return Truth("wrong_gravity", "stand", shift=lambda _, x: {"gravity": sign * 300 * PPM * x})
 
 
-def _wobble_cosine(rng: np.random.Generator, run: Run) -> Truth:
-    sign = rng.choice([-1.0, 1.0])
-
-    def shift(r: Run, x: float) -> Shift:
-        return {"tilt": sign * wobble(1, np.pi / 2, r, 5 * x)}
-
-    return Truth("axis_wobble", "stand", shift=shift, shape="cosine once a turn")
-
-
 def _common_turn(rng: np.random.Generator, run: Run) -> Truth:
     """Return the effect of turning all axes together in the housing, which the coefficients absorb."""
     axis = rng.normal(size=3)
@@ -430,7 +426,9 @@ HIDDEN: Final[dict[str, Draw]] = {
     "thermal_emf": per_channel(
         "thermal_emf", 5 * MICROVOLT, lambda _, volts: np.ones_like(volts), "voltmeter"
     ),
-    "wrong_gravity": _wrong_gravity, "axis_wobble": _wobble_cosine, "common_turn": _common_turn,
+    "wrong_gravity": _wrong_gravity, "axis_wobble": turned(
+        "axis_wobble", 5, "tilt", lambda run: np.sin(run.head_angle + np.pi / 2), "cosine once a turn"
+    ), "common_turn": _common_turn,
 }  # fmt: skip
 """Nothing of them is left in the residuals of a calibration; `common_turn` has no name in the vocabulary."""
 

@@ -9,8 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.base.arrays import ARCSEC
-from benchmarks.blind_trial.effects import BLOCK, common, per_channel, wobble
+from benchmarks.blind_trial.effects import BLOCK, common, per_channel, turned, wobble
 from benchmarks.blind_trial.stand import CHANNELS, Draw, Floats, Run, Shift, Stage, Truth, channel_weights
 
 # --- stated by a user as formulas (`own-effects.yaml`), in forms of the trial's own ----------------------
@@ -23,15 +22,6 @@ FORMULAS: Final = Path(__file__).with_name("own-effects.yaml")
 def _turns(run: Run) -> Floats:
     """Return the whole turns since the block was mounted, for a head that keeps its direction and never unwinds."""
     return (run.pass_number - 1) + run.head_angle / (2 * np.pi)
-
-
-def _cable_pull(rng: np.random.Generator, _: Run) -> Truth:
-    sign = rng.choice([-1.0, 1.0])
-
-    def shift(run: Run, x: float) -> Shift:
-        return {"skew": sign * x * 20 * ARCSEC * _turns(run)}
-
-    return Truth("cable_pull", "stand", shift=shift)
 
 
 def _after_effect(rng: np.random.Generator, _: Run) -> Truth:
@@ -53,7 +43,7 @@ def _others_sizes(_: Run, volts: Floats) -> Floats:
 
 
 OWN: Final[dict[str, Draw]] = {
-    "cable_pull": _cable_pull,
+    "cable_pull": turned("cable_pull", 20, "skew", _turns),
     "fourth_power": per_channel("fourth_power", 20e-6, lambda _, force: np.square(np.square(force))),
     "after_effect": _after_effect,
     "rectified_crosstalk": common("rectified_crosstalk", 25e-6, _others_sizes, ()),
@@ -148,16 +138,6 @@ def _dead_band(rng: np.random.Generator, run: Run) -> Truth:
     return Truth("dead_band", "block", act, channels=(CHANNELS[channel],), parameters={"level_g": level})
 
 
-def _gear_ratio(rng: np.random.Generator, run: Run) -> Truth:
-    """Return the effect of a head that turns slightly too far per degree, counted from the first point."""
-    sign = rng.choice([-1.0, 1.0])
-
-    def shift(r: Run, x: float) -> Shift:
-        return {"angle": sign * 10 * x * ARCSEC * r.head_angle / (2 * np.pi)}
-
-    return Truth("gear_ratio_error", "stand", shift=shift)
-
-
 def _fifth_power(rng: np.random.Generator, run: Run) -> Truth:
     return _one_channel("fifth_power", rng, lambda force: force**5)
 
@@ -193,7 +173,10 @@ OUTSIDE: Final[dict[str, Draw]] = {
     "bias_jump": _bias_jump, "random_walk": _random_walk, "cable_torque": _cable_torque,
     "single_installation_pickup": _pickup, "sticking_angle": _sticking_angle,
     "quadratic_drift": _quadratic_drift, "third_harmonic_wobble": _third_harmonic_wobble,
-    "dead_band": _dead_band, "gear_ratio_error": _gear_ratio, "flicker_noise": _flicker,
+    "dead_band": _dead_band,
+    # a head that turns slightly too far per degree, counted from the first point
+    "gear_ratio_error": turned("gear_ratio_error", 10, "angle", lambda run: run.head_angle / (2 * np.pi)),
+    "flicker_noise": _flicker,
     **{f"{name} (unknown)": _unknown(draw) for name, draw in OWN.items()}, "fifth_power": _fifth_power,
     "two_time_constants": _two_time_constants, "noise_burst": _noise_burst,
 }  # fmt: skip
