@@ -12,8 +12,6 @@ complete chain of hashes. No question is answered twice, only recorded answers a
 question whose answer a kill prevented is asked again.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import random

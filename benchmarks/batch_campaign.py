@@ -17,8 +17,6 @@ the result exactly once and in one part only, no part may have been rewritten, a
 equal, number by number, those of a single calibration. Otherwise the exit status is 1.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import random
@@ -40,7 +38,7 @@ from bench.batch.job import CALIBRATE, Job
 from bench.batch.store import list_runs
 from bench.batch.work import worked
 from bench.model.geometry import COEFFICIENTS
-from benchmarks.campaign import PROGRAM, arguments
+from benchmarks.campaign import PROGRAM, amiss, arguments
 
 _SAMPLE: Final = 20
 _TICKS: Final = os.sysconf("SC_CLK_TCK")
@@ -162,8 +160,7 @@ def busy(options: argparse.Namespace, folder: Path) -> int:
         at = min(watch.memory, key=lambda one: abs(one[0] - tenth * len(runs) / 10))
         print(f"{at[0]:9}   {at[1] / 1024:11.0f}   {at[2] / 1024:19.0f}")
     wrong = checked(out, runs, random.Random(options.seed))  # noqa: S311 - to be repeated
-    print(*wrong, sep="\n", end="\n" if wrong else "")
-    return 1 if wrong else 0
+    return amiss(wrong, "WRONG")
 
 
 # --- kills ------------------------------------------------------------------------------------------
@@ -194,9 +191,8 @@ def kills(options: argparse.Namespace, folder: Path) -> int:
     print(f"kills: {', '.join(f'{count} of {what}' for what, count in sorted(killed.items()))}")
     print(f"{len(runs)} runs, {len(parts)} parts")
     wrong += checked(out, runs, chance)
-    print(*wrong[:20], sep="\n", end="\n" if wrong else "")
     print(f"{len(wrong)} faults")
-    return 1 if wrong else 0
+    return amiss(wrong, "WRONG", 20)
 
 
 def kill_one(program: subprocess.Popen[bytes], chance: random.Random) -> list[str]:

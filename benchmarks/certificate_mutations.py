@@ -13,8 +13,6 @@ between attributes are not signed, and hexadecimal digits have two cases. A tabl
 status is 1 if a changed file is accepted and shows anything else.
 """
 
-from __future__ import annotations
-
 import io
 import re
 import sys

@@ -9,8 +9,6 @@ stated u. In the second, the stated u of only one number is wrong. The third com
 Shewhart, EWMA and MEWMA charts: published, simulated, and from the integral equation.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterator
 from itertools import product

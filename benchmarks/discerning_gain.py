@@ -8,8 +8,6 @@ as `bench diagnose` does. The hidden effects have the catalogue's own forms, whi
 compares procedures, and does not predict how well effects of a real bench are named.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 

@@ -10,8 +10,6 @@ angle. A stopped run must name the instrument, and end with all planned readings
 faults. A table by kind of fault and every violation are printed; the exit status is 1 if there is one.
 """
 
-from __future__ import annotations
-
 import contextlib
 import faulthandler
 import functools

@@ -24,8 +24,6 @@ scatter, and the same if drift is not removed.
 Standard errors are given; shares have Wilson's 95 % interval, and coverage is for k = 2.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final

@@ -13,8 +13,6 @@ named. A table by kind and every violation are printed; the exit status is 1 if 
 `--only readings:17`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import faulthandler
 import io

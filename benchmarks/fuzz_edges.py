@@ -1,7 +1,5 @@
 """Unusual inputs: impossible or extreme values, units, pipes for files, a damaged catalogue, calls from Python."""
 
-from __future__ import annotations
-
 import datetime
 import random
 import re

@@ -4,8 +4,6 @@ Many inputs are valid ones with a single fault that the format forbids (`refuse`
 at random, in their numbers, their structure or their bytes, and may be accepted or refused.
 """
 
-from __future__ import annotations
-
 import copy
 import csv
 import io

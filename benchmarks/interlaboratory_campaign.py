@@ -16,8 +16,6 @@ accused in at most 5 %; the share without the scatter is printed, too. Each limi
 The exit status is 1 if a limit is broken.
 """
 
-from __future__ import annotations
-
 import sys
 from functools import partial
 from itertools import pairwise

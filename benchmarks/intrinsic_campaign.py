@@ -21,8 +21,6 @@ mountings: jointly, and by any of them alone (Holm). The third command is on pai
 blocks. The exit status is 1 if a promise is broken.
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from functools import partial
@@ -36,9 +34,9 @@ from bench.calibration import calibrate
 from bench.calibration.intrinsic import INTRINSIC, intrinsic, joint_factor
 from bench.history.comparison import CHANGED_P, compare
 from bench.model import Block
+from bench.validation.paper_bench import U0, K
 from benchmarks.campaign import arguments, finish, parts_of, rms
 from benchmarks.signed_uncertainty import own, snapshot_of_run, turn
-from tests.support.paper_bench import U0, K
 from tests.support.whole_truth import Bench, simulate_whole
 
 TRUE: Final = intrinsic(Block(K, U0), np.eye(12)).values

@@ -19,8 +19,6 @@ their gains and zeros are compared with the truth, for blocks whose repeatabilit
 for less repeatable ones. The simulation shares no geometry with the model (`tests.support.learning_bench`).
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from dataclasses import replace
@@ -36,9 +34,9 @@ from bench.history.run_sums import run_fit
 from bench.model import ForwardModel
 from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2, Installation
 from bench.readings.table import Readings
+from bench.validation.paper_bench import ARCSEC
 from benchmarks.campaign import Share, arguments
 from tests.support.learning_bench import KINDS, STATED, Bench, simulate
-from tests.support.paper_bench import ARCSEC
 
 AXES = {
     "1T90": ("y", "-x", "z"), "2T90": ("-y", "z", "-x"), "1T180": ("-x", "-y", "z"), "2T180": ("x", "z", "-y"),

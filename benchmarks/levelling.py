@@ -6,12 +6,10 @@ First, levellings by `bench.run.workbench` with a level whose zero is off by 30 
 printed is how often α1 and α2 of the simulated platform are within U = 2 u of the recorded values. The level is
 electronic (noise, last digit, scale and axes as on the Nivel's data sheet), or a bubble that a person reads.
 Then, calibrations of the paper's procedure from the same readings, with and without the measured level; the truth
-comes from the geometry of tests/support/paper_bench.py. Printed are the rms of (estimate - truth)/u of each
+comes from the geometry of bench/validation. Printed are the rms of (estimate - truth)/u of each
 coefficient, and the reduction of u, compared with that of least squares with known noise and these priors. The
 exit status is 1 if a limit is broken.
 """
-
-from __future__ import annotations
 
 import math
 import sys
@@ -29,10 +27,10 @@ from bench.readings.corrected import LevelReading, with_levels
 from bench.readings.table import make_readings
 from bench.run.instruments import Instruments
 from bench.run.workbench import Levelling
+from bench.validation.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, design, specific_force
 from benchmarks.campaign import arguments, finish, outside, rms, show_by_coefficient
 from drivers.interfaces import Direction, HeadPosition, Identity, Inclination, LevelSizes
 from drivers.person import Answer, Prompt
-from tests.support.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, design, specific_force
 
 ZERO_RAD = 30.0 * ARCSEC
 LEFT_RAD = 5.0 * ARCSEC

@@ -6,8 +6,6 @@
 `…` stands for an inserted value. The page on troubleshooting lists the errors with remedies.
 """
 
-from __future__ import annotations
-
 import ast
 import random
 import re

@@ -4,8 +4,6 @@
 `sim.world.operator.ScriptedOperator`: cables, mountings and turns are wrong until the run asks how to continue.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -2,8 +2,8 @@
 
 After an operator's mistake, a run stops in time and for the right reason; without one, it never stops.
 
-    python -m benchmarks.mistakes_campaign watcher --runs 200 --clean 3000 --jobs 2 --out watcher.json
-    python -m benchmarks.mistakes_campaign whole --runs 20 --clean 500 --jobs 2 --out whole.json
+    python -m benchmarks.mistakes_campaign watcher --runs 200 --clean 3000 --jobs 2
+    python -m benchmarks.mistakes_campaign whole --runs 20 --clean 500 --jobs 2
 
 A scripted operator (`benchmarks.mistaken_operator`) makes one mistake of a kind, in each pass in turn. In part
 `watcher`, the early warning receives the readings of the simulated world. In part `whole`, every run is a dry run
@@ -17,16 +17,13 @@ next one. A cause is right if it is the mistake made; if several are named as eq
 table with Wilson intervals (95 %) is printed; the exit status is 1 if a limit is missed.
 """
 
-from __future__ import annotations
-
-import json
 import math
 import sys
 import tempfile
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
@@ -315,34 +312,21 @@ def _one(part: str, seed: int, given: dict[str, Any], task: tuple[str, int]) -> 
 
 def main() -> int:
     given = arguments(
-        __doc__, part={"positional": True, "choices": ["watcher", "whole", "table"]},
-        files={"positional": True, "nargs": "*", "type": Path, "help": "results of parts, for 'table'"},
+        __doc__, part={"positional": True, "choices": ["watcher", "whole"]},
         runs=(20, "runs of each kind of mistake"), clean=(50, "runs without a mistake"),
         kinds={"nargs": "*", "choices": KINDS, "help": "(default: all)"}, seed=1, jobs=(1, "processes"),
-        procedure="calibration", bench="paper-stand", out=(Path, "write the outcomes as JSON"),
-        list=(False, "print every run that missed a bar"),
+        procedure="calibration", bench="paper-stand",
     )  # fmt: skip
-    if given.part == "table":
-        rows = [row for file in given.files for row in json.loads(file.read_text())]
-        outcomes = [Outcome(**{**row, "causes": tuple(row["causes"])}) for row in rows]
-    else:
-        begun_s = time.monotonic()
-        with tempfile.TemporaryDirectory() as folder:
-            options = {"procedure": given.procedure, "bench_name": given.bench, "folder": Path(folder)}
-            tasks = [(kind, number) for number in range(given.runs) for kind in given.kinds or KINDS]
-            tasks += [(CLEAN, number) for number in range(given.clean)]
-            outcomes = list(spread(partial(_one, given.part, given.seed, options), tasks, given.jobs))
-        took_s = time.monotonic() - begun_s
-        print(f"{len(outcomes)} runs in {took_s:.0f} s with {given.jobs} processes, seed {given.seed}")
-    if given.out:
-        given.out.write_text(json.dumps([asdict(row) for row in outcomes]))
+    begun_s = time.monotonic()
+    with tempfile.TemporaryDirectory() as folder:
+        options = {"procedure": given.procedure, "bench_name": given.bench, "folder": Path(folder)}
+        tasks = [(kind, number) for number in range(given.runs) for kind in given.kinds or KINDS]
+        tasks += [(CLEAN, number) for number in range(given.clean)]
+        outcomes = list(spread(partial(_one, given.part, given.seed, options), tasks, given.jobs))
+    took_s = time.monotonic() - begun_s
+    print(f"{len(outcomes)} runs in {took_s:.0f} s with {given.jobs} processes, seed {given.seed}")
     lines, kept = table(outcomes)
     print("\n".join(lines))
-    if given.list:
-        missed = [row for row in outcomes if row.kind == CLEAN and row.stopped]
-        missed += [r for r in outcomes if r.size and r.size >= LARGE and not (r.right and (r.late or 0) <= 1)]
-        missed += [r for r in outcomes if r.agrees is False and r.stopped]
-        print("\n".join(map(str, missed)))
     return 0 if kept else 1
 
 

@@ -9,8 +9,6 @@ nothing of importance (the words of a message, an unused default). The exit stat
 `--least` demands.
 """
 
-from __future__ import annotations
-
 import os
 import random
 import subprocess

@@ -10,9 +10,6 @@ to the end of the reading, alternately with and without live reads. That no read
 tests/run/test_live.py`.
 """
 
-from __future__ import annotations
-
-import argparse
 import contextlib
 import json
 import os
@@ -27,6 +24,7 @@ from statistics import mean, median, stdev
 from typing import Any, Final
 
 from bench.config.shipped import find_bench
+from benchmarks.campaign import arguments
 from tests.support.browser_runs import PROGRAM, Begun, prompt_of, typed_for, until
 from tests.support.browsers import find_chromium
 from tests.support.served_panel import ServedPanel, served
@@ -194,10 +192,7 @@ def live(turns: int) -> None:
 
 def main() -> None:
     """Carry out the measurement that the command line names."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("what", choices=("keys", "live"))
-    parser.add_argument("--turns", type=int, default=3)
-    asked = parser.parse_args()
+    asked = arguments(__doc__, what={"positional": True, "choices": ("keys", "live")}, turns=3)
     if asked.what == "live":
         live(asked.turns)
         return

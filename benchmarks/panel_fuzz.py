@@ -8,8 +8,6 @@ runs; further the growth of memory, and the slowest request. `--socket 500` send
 must log no traceback.
 """
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import json

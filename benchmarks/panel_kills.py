@@ -8,8 +8,6 @@ complete; the person is still signed in and in control; the panel shows the ques
 was answered twice. At the end the program itself is killed: the panel reports this, and resumes the run.
 """
 
-from __future__ import annotations
-
 import os
 import random
 import signal

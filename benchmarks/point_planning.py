@@ -5,8 +5,6 @@ Both use the shipped bench of the paper: stand errors with k = 3, and its limits
     python -m benchmarks.point_planning
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 

@@ -10,8 +10,6 @@ command writes between the marks `<!-- NAME: made by COMMAND -->` and `<!-- end 
     python -m benchmarks.prose --check    # `make lint`: banned phrases in pages, texts of the program and comments
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Iterable, Iterator

@@ -14,8 +14,6 @@ values are not compared. The exit status is 1 if anything differs. `schemas` req
 schemas have every member of those in a folder, and lists new members.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import math

@@ -9,8 +9,6 @@ and time constant. Promised: at least 0.95 of each kind, and an rms within the 9
 exit status is 1 if a promise is broken.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 from collections.abc import Sequence

@@ -30,8 +30,6 @@ that readings share: how often a component is found in error (promised: 1 %, wit
 The exit status is 1 if a limit is broken.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from dataclasses import dataclass
@@ -55,9 +53,9 @@ from bench.model import Block, ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import VERIFICATION, Readings
 from bench.services.face import load_bench
+from bench.validation.paper_bench import SETTING_U_RAD, U0, K
 from benchmarks.campaign import arguments, finish, outside, parts_of, rms, show_by_coefficient
 from tests.support.honest_runs import FEW, components_taken, run_few
-from tests.support.paper_bench import SETTING_U_RAD, U0, K
 from tests.support.whole_truth import CASES, EVERYTHING, WANDERING, Bench, simulate_whole, turned
 
 CHUNK = 50
@@ -264,20 +262,12 @@ def show_bound(parts: list[Any], runs: int) -> list[str]:
 # --- few readings, and clean ones ---------------------------------------------------------------------
 
 
-def _few(seed: int, design: str, times: float | None, numbers: range) -> Any:
-    return run_few(seed, numbers, design, times)
-
-
-def _clean(seed: int, case: str, numbers: range) -> int:
-    return components_taken(seed, numbers, case)
-
-
 def few(seed: int, count: int, workers: int) -> list[str]:
     """Calibrate few readings: coverage at noise from the stated prior, and the notes at twice the stated noise."""
     broken = []
     for design in FEW:
         for times, what in ((None, "drawn from the prior"), (2.0, "twice the stated")):
-            parts = parts_of(partial(_few, seed, design, times), count, workers)
+            parts = parts_of(partial(run_few, seed, design=design, times=times), count, workers)
             error, u, rests, disagrees = (
                 np.concatenate([getattr(part, name) for part in parts])
                 for name in ("error", "u", "rests", "disagrees")
@@ -303,7 +293,7 @@ def clean(seed: int, count: int, workers: int) -> list[str]:
     """Calibrate runs whose readings share no error: how often a component is found in error."""
     broken = []
     for case, what in (("stand", "alike"), ("noise", "unlike")):
-        taken = sum(parts_of(partial(_clean, seed, case), count, workers))
+        taken = sum(parts_of(partial(components_taken, seed, case=case), count, workers))
         most = int(stats.binom.ppf(0.99, count, ASKED_P))
         print(f"{taken} of {count} clean runs of {what} channels have a component, {most} at most at 1 %")
         broken += [f"{what} channels: components in {taken} of {count} clean runs"] if taken > most else []

@@ -16,8 +16,6 @@ effect of rho 2.3, which no single run shows. `catalogue` reserves the last fold
 for a second sync. The exit status is 1 if a promise is broken.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

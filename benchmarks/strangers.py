@@ -9,8 +9,6 @@ A table and every disagreement are printed; the exit status is 1 if there is one
 are skipped. Over its serial port an E3631A must first be set to remote, which these drivers leave to their users.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib.util
 import json

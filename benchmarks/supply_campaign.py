@@ -11,8 +11,6 @@ with all planned readings, which agree; those after the block was off must belon
 and every violation are printed; the exit status is 1 if there is one.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import random

@@ -10,8 +10,6 @@ its text, if a catalogue has an unused text, if a word of the certificate lacks 
 `Refusal` or a `Prompt` is not marked.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import sys

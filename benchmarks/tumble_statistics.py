@@ -9,8 +9,6 @@ result states. The simulation shares no geometry and no term with the model. The
 broken.
 """
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np
@@ -19,8 +17,8 @@ from bench.base.arrays import Floats
 from bench.calibration.tumble import TumbleView, tumble_view
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from bench.validation.paper_bench import STAND_U
 from benchmarks.campaign import arguments
-from tests.support.paper_bench import STAND_U
 from tests.support.tumble_bench import Terms, truth, tumble
 
 MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})

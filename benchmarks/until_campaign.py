@@ -42,8 +42,8 @@ from bench.planning.choice import REACHED, Chooser, NextPoints, Standing, scale_
 from bench.planning.pool import DesignTask, PlannedPoint, Visits, reached_by
 from bench.readings.table import Readings, make_readings
 from bench.services.until import chooser_of
+from bench.validation.paper_bench import U0, K, specific_force
 from benchmarks.campaign import arguments, parts_of, rms_told
-from tests.support.paper_bench import U0, K, specific_force
 
 NOISES = (0.5, 0.7, 1.0, 1.2)
 ARCSEC = np.pi / 180 / 3600

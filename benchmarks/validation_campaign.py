@@ -8,8 +8,6 @@ checks, with each shipped bench file in turn and a different seed for their rand
 programs that append to one register simultaneously.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import re
 import sys

@@ -7,8 +7,6 @@ An edit replaces text in the source of one function, and the function by the com
 that must occur in a failed check: in its name, its place or its finding.
 """
 
-from __future__ import annotations
-
 import contextlib
 import copy
 import importlib

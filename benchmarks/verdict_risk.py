@@ -20,8 +20,6 @@ limits of its distribution (Poisson-binomial), at 1 % over all bins (Holm). The 
 broken.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Iterator
@@ -39,9 +37,9 @@ from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import Readings, make_readings
 from bench.results.verification import VerdictPart, verdict_members
+from bench.validation.paper_bench import SETTING_U_RAD, STAND_U, U0, K
 from benchmarks.blind_trial.stand import specific_force
 from benchmarks.campaign import amiss, arguments
-from tests.support.paper_bench import SETTING_U_RAD, STAND_U, U0, K
 
 SIZES: Final = {**STAND_U, "setting_error": SETTING_U_RAD, "voltmeter_error": 1e-4}
 LIMIT_G: Final = 3e-4

@@ -1,7 +1,5 @@
 """The only module of the trial that calls the program under test."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any

@@ -1,7 +1,5 @@
 """Cases of the trial made from a seed: readings for the program, and the sealed answers."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping

@@ -1,8 +1,7 @@
 """The trial's own implementation of effects of stand, block and voltmeter, with the names of `bench diagnose`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from typing import Final
 
@@ -15,6 +14,7 @@ from benchmarks.blind_trial.stand import (
     Floats,
     Run,
     Shift,
+    Stage,
     Truth,
     channel_weights,
     head_path,
@@ -72,13 +72,18 @@ def _head_graduation(rng: np.random.Generator, run: Run) -> Truth:
     return Truth("head_graduation", "stand", shift=shift)
 
 
-def _backlash(rng: np.random.Generator, run: Run) -> Truth:
-    sign = rng.choice([-1.0, 1.0])
+def turned(name: str, arcsec: float, key: str, form: Callable[[Run], Floats], shape: str = "") -> Draw:
+    """Return the draw of an effect of either sign that adds `form(run)` (n,) to one of the stand's angles."""
 
-    def shift(r: Run, x: float) -> Shift:
-        return {"angle": sign * 10 * x * ARCSEC * r.direction / 2}
+    def draw(rng: np.random.Generator, run: Run) -> Truth:
+        sign = rng.choice([-1.0, 1.0])
 
-    return Truth("backlash", "stand", shift=shift)
+        def shift(r: Run, x: float) -> Shift:
+            return {key: sign * arcsec * x * ARCSEC * form(r)}
+
+        return Truth(name, "stand", shift=shift, shape=shape)
+
+    return draw
 
 
 def wobble(harmonic: int, phase: float, run: Run, arcsec: float) -> Floats:
@@ -118,8 +123,8 @@ STAND: Final[dict[str, Draw]] = {
     "mounting_error": _per_mount("mounting_error", 90, "skew"),
     "mounting_offset": _per_mount("mounting_offset", 90, "angle", after_remount=True),
     "mounting_roll": _per_mount("mounting_roll", 90, "roll"), "head_eccentricity": _head_eccentricity,
-    "head_ellipticity": _head_ellipticity, "head_graduation": _head_graduation, "backlash": _backlash,
-    "axis_wobble": _axis_wobble,
+    "head_ellipticity": _head_ellipticity, "head_graduation": _head_graduation,
+    "backlash": turned("backlash", 10, "angle", lambda run: run.direction / 2), "axis_wobble": _axis_wobble,
     "bracket_tilt": _per_mount("bracket_tilt", 30, "tilt", after_remount=True),
     "foundation_tilt": _foundation_tilt,
 }  # fmt: skip
@@ -135,29 +140,22 @@ MICRO: Final = 1e-6
 Form = Callable[[Run, Floats], Floats]
 
 
-def _per_channel(name: str, size: float, form: Form) -> Draw:
-    """Return the draw of an effect whose `form(run, force)` (n, 3) or (n, 1) is weighted per channel."""
+def per_channel(name: str, size: float, form: Form, stage: Stage = "block") -> Draw:
+    """Return the draw of an effect whose `form(run, seen)` (n, 3) or (n, 1) is weighted per channel."""
 
     def draw(rng: np.random.Generator, run: Run) -> Truth:
         weights, channels = channel_weights(rng)
-        return Truth(
-            name, "block", lambda r, force, x: x * size * weights * form(r, force), channels=channels
-        )
+        return Truth(name, stage, lambda r, seen, x: x * size * weights * form(r, seen), channels=channels)
 
     return draw
 
 
 def _shaped(name: str, size: float, shapes: dict[str, Form]) -> Draw:
-    """Return the draw of an effect as `_per_channel` does, with one of several shapes chosen at random."""
+    """Return the draw of an effect as `per_channel` does, with one of several shapes chosen at random."""
 
     def draw(rng: np.random.Generator, run: Run) -> Truth:
         shape = str(rng.choice(list(shapes)))
-        weights, channels = channel_weights(rng)
-        form = shapes[shape]
-        return Truth(
-            name, "block", lambda r, force, x: x * size * weights * form(r, force), channels=channels,
-            shape=shape,
-        )  # fmt: skip
+        return replace(per_channel(name, size, shapes[shape])(rng, run), shape=shape)
 
     return draw
 
@@ -167,34 +165,10 @@ def _others(force: Floats) -> tuple[Floats, Floats]:
     return np.roll(force, -1, axis=1), np.roll(force, -2, axis=1)
 
 
-def _cross_coupling(rng: np.random.Generator, run: Run) -> Truth:
-    weights, channels = channel_weights(rng)
-    mix = rng.normal(size=3)
-    mix /= np.linalg.norm(mix)
-
-    def act(_: Run, force: Floats, x: float) -> Floats:
-        j, k = _others(force)
-        return np.asarray(
-            x * 20 * MICRO * weights * (mix[0] * force * j + mix[1] * force * k + mix[2] * j * k)
-        )
-
-    return Truth("cross_coupling", "block", act, channels=channels, parameters=_named("mix", mix))
-
-
-def _cross_quadratic(rng: np.random.Generator, run: Run) -> Truth:
-    weights, channels = channel_weights(rng)
-    mix = rng.normal(size=2)
-    mix /= np.linalg.norm(mix)
-
-    def act(_: Run, force: Floats, x: float) -> Floats:
-        j, k = _others(force)
-        return np.asarray(x * 20 * MICRO * weights * (mix[0] * j**2 + mix[1] * k**2))
-
-    return Truth("cross_quadratic", "block", act, channels=channels, parameters=_named("mix", mix))
-
-
-def _thermal(name: str, size: float, *forms: Form) -> Draw:
-    """Return the draw of an effect proportional to temperature, a random mixture of `forms`."""
+def _mixed(name: str, size: float, *forms: Form, thermal: bool = False) -> Draw:
+    """Return the draw of a random mixture of forms, weighted per channel, and proportional to temperature if
+    `thermal`.
+    """
 
     def draw(rng: np.random.Generator, run: Run) -> Truth:
         weights, channels = channel_weights(rng)
@@ -203,7 +177,8 @@ def _thermal(name: str, size: float, *forms: Form) -> Draw:
 
         def act(r: Run, force: Floats, x: float) -> Floats:
             form = sum(part * one(r, force) for part, one in zip(mix, forms, strict=True))
-            return np.asarray(x * size * weights * form * r.temperature(0.0)[:, None])
+            warmth = r.temperature(0.0)[:, None] if thermal else 1.0
+            return np.asarray(x * size * weights * form * warmth)
 
         return Truth(name, "block", act, channels=channels, parameters=_named("mix", mix))
 
@@ -290,17 +265,25 @@ def _hysteresis(kind: str) -> Form:
 
 
 BLOCK: Final[dict[str, Draw]] = {
-    "quadratic_nonlinearity": _per_channel("quadratic_nonlinearity", 30 * MICRO, lambda _, a: a**2),
-    "cubic_nonlinearity": _per_channel("cubic_nonlinearity", 20 * MICRO, lambda _, a: a**3),
-    "odd_quadratic_nonlinearity": _per_channel(
+    "quadratic_nonlinearity": per_channel("quadratic_nonlinearity", 30 * MICRO, lambda _, a: a**2),
+    "cubic_nonlinearity": per_channel("cubic_nonlinearity", 20 * MICRO, lambda _, a: a**3),
+    "odd_quadratic_nonlinearity": per_channel(
         "odd_quadratic_nonlinearity", 20 * MICRO, lambda _, a: a * np.abs(a)
     ),
     # the change of slope is rounded off over 0.02 g, as a servo loop does it
-    "scale_asymmetry": _per_channel(
+    "scale_asymmetry": per_channel(
         "scale_asymmetry", 30 * MICRO, lambda _, a: np.sqrt(a**2 + 0.02**2) - 0.02
     ),
-    "cross_coupling": _cross_coupling,
-    "cross_quadratic": _cross_quadratic,
+    "cross_coupling": _mixed(
+        "cross_coupling",
+        20 * MICRO,
+        lambda _, a: a * _others(a)[0],
+        lambda _, a: a * _others(a)[1],
+        lambda _, a: np.multiply(*_others(a)),
+    ),
+    "cross_quadratic": _mixed(
+        "cross_quadratic", 20 * MICRO, lambda _, a: _others(a)[0] ** 2, lambda _, a: _others(a)[1] ** 2
+    ),
     "hysteresis": _shaped(
         "hysteresis", 20 * MICRO, {kind: _hysteresis(kind) for kind in ("two plays", "Bouc-Wen")}
     ),
@@ -320,16 +303,16 @@ BLOCK: Final[dict[str, Draw]] = {
             "tau 25 min and a quarter": _cooling(25, quick=0.2),
         },
     ),
-    "bias_drift": _per_channel("bias_drift", 30 * MICRO, lambda run, _: _time_h(run)),
-    "scale_drift": _per_channel("scale_drift", 20 * MICRO, lambda run, a: _time_h(run) * a),
+    "bias_drift": per_channel("bias_drift", 30 * MICRO, lambda run, _: _time_h(run)),
+    "scale_drift": per_channel("scale_drift", 20 * MICRO, lambda run, a: _time_h(run) * a),
     "turn_on_shift": _turn_on_shift,
     # a spring that leaves zero within a few milli-g, not a step
-    "bias_asymmetry": _per_channel("bias_asymmetry", 10 * MICRO, lambda _, a: a / np.sqrt(a**2 + 0.004**2)),
-    "thermal_nonlinearity": _thermal(
-        "thermal_nonlinearity", 0.3 * MICRO, lambda _, a: a * a, lambda _, a: a * a * a
+    "bias_asymmetry": per_channel("bias_asymmetry", 10 * MICRO, lambda _, a: a / np.sqrt(a**2 + 0.004**2)),
+    "thermal_nonlinearity": _mixed(
+        "thermal_nonlinearity", 0.3 * MICRO, lambda _, a: a * a, lambda _, a: a * a * a, thermal=True
     ),
-    "thermal_misalignment": _thermal(
-        "thermal_misalignment", MICRO, lambda _, a: _others(a)[0], lambda _, a: _others(a)[1]
+    "thermal_misalignment": _mixed(
+        "thermal_misalignment", MICRO, lambda _, a: _others(a)[0], lambda _, a: _others(a)[1], thermal=True
     ),
 }
 
@@ -364,13 +347,16 @@ def _voltmeter_nonlinearity(rng: np.random.Generator, run: Run) -> Truth:
     return Truth("voltmeter_nonlinearity", "voltmeter", act, channels=CHANNELS, shape=shape)
 
 
-def _voltmeter_drift(rng: np.random.Generator, run: Run) -> Truth:
-    sign = rng.choice([-1.0, 1.0])
+def common(name: str, size: float, form: Form, channels: tuple[str, ...] = CHANNELS) -> Draw:
+    """Return the draw of an effect of either sign that all channels have alike."""
 
-    def act(r: Run, volts: Floats, x: float) -> Floats:
-        return np.asarray(sign * 15 * MICROVOLT * x * r.time_s[:, None] / 3600 * np.ones_like(volts))
+    def draw(rng: np.random.Generator, run: Run) -> Truth:
+        sign = rng.choice([-1.0, 1.0])
+        return Truth(
+            name, "voltmeter", lambda r, volts, x: sign * size * x * form(r, volts), channels=channels
+        )
 
-    return Truth("voltmeter_drift", "voltmeter", act, channels=CHANNELS)
+    return draw
 
 
 def _range_offset(rng: np.random.Generator, run: Run) -> Truth:
@@ -410,44 +396,17 @@ def _channel_crosstalk(rng: np.random.Generator, run: Run) -> Truth:
 
 VOLTMETER: Final[dict[str, Draw]] = {
     "voltmeter_nonlinearity": _voltmeter_nonlinearity,
-    "voltmeter_drift": _voltmeter_drift,
+    "voltmeter_drift": common(
+        "voltmeter_drift", 15 * MICROVOLT, lambda run, volts: _time_h(run) * np.ones_like(volts)
+    ),
     "range_offset": _range_offset,
     "channel_crosstalk": _channel_crosstalk,
 }
 
 
-def _common(name: str, size: float, power: int) -> Draw:
-    """Return the draw of a common constant (power 0) or factor (power 1) of the readings."""
-
-    def draw(rng: np.random.Generator, run: Run) -> Truth:
-        sign = rng.choice([-1.0, 1.0])
-        return Truth(name, "voltmeter", lambda _, volts, x: sign * size * x * volts**power, channels=CHANNELS)
-
-    return draw
-
-
-def _thermal_emf(rng: np.random.Generator, run: Run) -> Truth:
-    weights, channels = channel_weights(rng)
-    return Truth(
-        "thermal_emf",
-        "voltmeter",
-        lambda _, volts, x: 5 * MICROVOLT * x * weights * np.ones_like(volts),
-        channels=channels,
-    )
-
-
 def _wrong_gravity(rng: np.random.Generator, run: Run) -> Truth:
     sign = rng.choice([-1.0, 1.0])
     return Truth("wrong_gravity", "stand", shift=lambda _, x: {"gravity": sign * 300 * PPM * x})
-
-
-def _wobble_cosine(rng: np.random.Generator, run: Run) -> Truth:
-    sign = rng.choice([-1.0, 1.0])
-
-    def shift(r: Run, x: float) -> Shift:
-        return {"tilt": sign * wobble(1, np.pi / 2, r, 5 * x)}
-
-    return Truth("axis_wobble", "stand", shift=shift, shape="cosine once a turn")
 
 
 def _common_turn(rng: np.random.Generator, run: Run) -> Truth:
@@ -462,9 +421,14 @@ def _common_turn(rng: np.random.Generator, run: Run) -> Truth:
 
 
 HIDDEN: Final[dict[str, Draw]] = {
-    "voltmeter_gain": _common("voltmeter_gain", 30 * PPM, 1),
-    "voltmeter_offset": _common("voltmeter_offset", 50 * MICROVOLT, 0), "thermal_emf": _thermal_emf,
-    "wrong_gravity": _wrong_gravity, "axis_wobble": _wobble_cosine, "common_turn": _common_turn,
+    "voltmeter_gain": common("voltmeter_gain", 30 * PPM, lambda _, volts: volts),
+    "voltmeter_offset": common("voltmeter_offset", 50 * MICROVOLT, lambda _, volts: np.ones_like(volts)),
+    "thermal_emf": per_channel(
+        "thermal_emf", 5 * MICROVOLT, lambda _, volts: np.ones_like(volts), "voltmeter"
+    ),
+    "wrong_gravity": _wrong_gravity, "axis_wobble": turned(
+        "axis_wobble", 5, "tilt", lambda run: np.sin(run.head_angle + np.pi / 2), "cosine once a turn"
+    ), "common_turn": _common_turn,
 }  # fmt: skip
 """Effects that the coefficients absorb completely, so that no residual shows them, with their draws.
 

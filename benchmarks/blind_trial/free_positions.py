@@ -4,8 +4,6 @@ U = S (a + e) + b with |a| = 1: S is a full matrix, a has no preferred direction
 visibility rho is the size of the part of e that nine coefficients cannot absorb, in units of the noise of |a|.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """Errors of procedure: slips between passes or mountings, and mistakes of operator or wiring."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final

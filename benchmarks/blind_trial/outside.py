@@ -2,17 +2,15 @@
 benches.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from bench.base.arrays import ARCSEC
-from benchmarks.blind_trial.effects import BLOCK, wobble
-from benchmarks.blind_trial.stand import CHANNELS, Draw, Floats, Run, Shift, Truth, channel_weights
+from benchmarks.blind_trial.effects import BLOCK, common, per_channel, turned, wobble
+from benchmarks.blind_trial.stand import CHANNELS, Draw, Floats, Run, Shift, Stage, Truth, channel_weights
 
 # --- effects that a user states as formulas (`own-effects.yaml`), implemented independently --------------
 
@@ -24,24 +22,6 @@ FORMULAS: Final = Path(__file__).with_name("own-effects.yaml")
 def _turns(run: Run) -> Floats:
     """Return the number of whole turns since the block was mounted, for a head that never reverses."""
     return (run.pass_number - 1) + run.head_angle / (2 * np.pi)
-
-
-def _cable_pull(rng: np.random.Generator, _: Run) -> Truth:
-    sign = rng.choice([-1.0, 1.0])
-
-    def shift(run: Run, x: float) -> Shift:
-        return {"skew": sign * x * 20 * ARCSEC * _turns(run)}
-
-    return Truth("cable_pull", "stand", shift=shift)
-
-
-def _fourth_power(rng: np.random.Generator, _: Run) -> Truth:
-    weights, channels = channel_weights(rng)
-
-    def act(_: Run, force: Floats, x: float) -> Floats:
-        return np.asarray(x * 20e-6 * weights * np.square(np.square(force)))
-
-    return Truth("fourth_power", "block", act, channels=channels)
 
 
 def _after_effect(rng: np.random.Generator, _: Run) -> Truth:
@@ -57,38 +37,38 @@ def _after_effect(rng: np.random.Generator, _: Run) -> Truth:
     return Truth("after_effect", "block", act, channels=channels, shape=f"{length:g} turns")
 
 
-def _rectified_crosstalk(rng: np.random.Generator, _: Run) -> Truth:
-    sign = rng.choice([-1.0, 1.0])
-
-    def act(_: Run, volts: Floats, x: float) -> Floats:
-        size = np.abs(volts)
-        return np.asarray(sign * x * 25e-6 * (np.roll(size, 1, axis=1) + np.roll(size, 2, axis=1)))
-
-    return Truth("rectified_crosstalk", "voltmeter", act)
+def _others_sizes(_: Run, volts: Floats) -> Floats:
+    size = np.abs(volts)
+    return np.roll(size, 1, axis=1) + np.roll(size, 2, axis=1)
 
 
 OWN: Final[dict[str, Draw]] = {
-    "cable_pull": _cable_pull,
-    "fourth_power": _fourth_power,
+    "cable_pull": turned("cable_pull", 20, "skew", _turns),
+    "fourth_power": per_channel("fourth_power", 20e-6, lambda _, force: np.square(np.square(force))),
     "after_effect": _after_effect,
-    "rectified_crosstalk": _rectified_crosstalk,
+    "rectified_crosstalk": common("rectified_crosstalk", 25e-6, _others_sizes, ()),
 }
 
 
 # --- effects without a name ------------------------------------------------------------------------------
 
 
-SIZE_G: Final = 30e-6
+SIZE: Final = 30e-6
 
 
-def _one_channel(name: str, rng: np.random.Generator, column: Floats) -> Truth:
-    """Return the effect of adding a series (n,) over the rows to one channel, in units of 30 µg."""
+def _one_channel(
+    name: str, rng: np.random.Generator, column: Floats | Callable[[Floats], Floats], stage: Stage = "block"
+) -> Truth:
+    """Return the effect of adding to one channel a series (n,) over the rows, or a function of what the stage
+    receives, in units of 30 µg or 30 µV.
+    """
     channel = int(rng.integers(3))
 
-    def act(_: Run, __: Floats, x: float) -> Floats:
-        return np.asarray(x * SIZE_G * column[:, None] * np.eye(3)[channel])
+    def act(_: Run, seen: Floats, x: float) -> Floats:
+        added = column(seen) if callable(column) else column[:, None]
+        return np.asarray(x * SIZE * added * np.eye(3)[channel])
 
-    return Truth(name, "block", act, channels=(CHANNELS[channel],))
+    return Truth(name, stage, act, channels=(CHANNELS[channel],))
 
 
 def _bias_jump(rng: np.random.Generator, run: Run) -> Truth:
@@ -152,41 +132,20 @@ def _dead_band(rng: np.random.Generator, run: Run) -> Truth:
     level = rng.uniform(-0.85, 0.85)
 
     def act(_: Run, force: Floats, x: float) -> Floats:
-        half = x * SIZE_G
+        half = x * SIZE
         return np.asarray(-np.clip(force - level, -half, half) * np.eye(3)[channel])
 
     return Truth("dead_band", "block", act, channels=(CHANNELS[channel],), parameters={"level_g": level})
 
 
-def _gear_ratio(rng: np.random.Generator, run: Run) -> Truth:
-    """Return the effect of a head that turns slightly too far per degree, counted from the first point."""
-    sign = rng.choice([-1.0, 1.0])
-
-    def shift(r: Run, x: float) -> Shift:
-        return {"angle": sign * 10 * x * ARCSEC * r.head_angle / (2 * np.pi)}
-
-    return Truth("gear_ratio_error", "stand", shift=shift)
-
-
 def _fifth_power(rng: np.random.Generator, run: Run) -> Truth:
-    channel = int(rng.integers(3))
-
-    def act(_: Run, force: Floats, x: float) -> Floats:
-        return np.asarray(x * SIZE_G * force**5 * np.eye(3)[channel])
-
-    return Truth("fifth_power", "block", act, channels=(CHANNELS[channel],))
+    return _one_channel("fifth_power", rng, lambda force: force**5)
 
 
 def _two_time_constants(rng: np.random.Generator, run: Run) -> Truth:
     """Return the effect of two opposed thermal junctions in the leads of a channel, one fast and one slow."""
-    late, soon = 90 * 60.0, 12 * 60.0
-
-    def act(r: Run, volts: Floats, x: float) -> Floats:
-        course = np.exp(-r.time_s / late) - 0.8 * np.exp(-r.time_s / soon)
-        return np.asarray(x * 30e-6 * course[:, None] * np.eye(3)[channel])
-
-    channel = int(rng.integers(3))
-    return Truth("two_time_constants", "voltmeter", act, channels=(CHANNELS[channel],))
+    course = np.exp(-run.time_s / (90 * 60.0)) - 0.8 * np.exp(-run.time_s / (12 * 60.0))
+    return _one_channel("two_time_constants", rng, course, "voltmeter")
 
 
 def _noise_burst(rng: np.random.Generator, run: Run) -> Truth:
@@ -214,7 +173,10 @@ OUTSIDE: Final[dict[str, Draw]] = {
     "bias_jump": _bias_jump, "random_walk": _random_walk, "cable_torque": _cable_torque,
     "single_installation_pickup": _pickup, "sticking_angle": _sticking_angle,
     "quadratic_drift": _quadratic_drift, "third_harmonic_wobble": _third_harmonic_wobble,
-    "dead_band": _dead_band, "gear_ratio_error": _gear_ratio, "flicker_noise": _flicker,
+    "dead_band": _dead_band,
+    # a head that turns slightly too far per degree, counted from the first point
+    "gear_ratio_error": turned("gear_ratio_error", 10, "angle", lambda run: run.head_angle / (2 * np.pi)),
+    "flicker_noise": _flicker,
     **{f"{name} (unknown)": _unknown(draw) for name, draw in OWN.items()}, "fifth_power": _fifth_power,
     "two_time_constants": _two_time_constants, "noise_burst": _noise_burst,
 }  # fmt: skip

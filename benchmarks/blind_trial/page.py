@@ -1,7 +1,5 @@
 """The stored result of the trial (counts, as JSON), and its tables on the site."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -5,8 +5,6 @@
 A constant that changes nothing is listed, too: either it is superfluous, or no case tests it.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib
 import pkgutil

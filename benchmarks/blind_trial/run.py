@@ -11,8 +11,6 @@ answers opened and checked against their seals. The score is printed as Markdown
 Wilson 95 % interval. The exit status is 1 if a diagnosis failed with an error.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json
@@ -36,8 +34,6 @@ from benchmarks.blind_trial.score import (
     Marks,
     Outcome,
     Task,
-    can_tell_by_signature,
-    can_tell_by_table,
     judge,
     nearest_rival,
     run_trial,
@@ -149,7 +145,6 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         rows={"type": int, "metavar": "N", "help": "so many cases in each row"},
         share=(1.0, "this part of each row's cases"),
         only={"metavar": "KIND", "help": "null, single, own, pair, outside, hidden, mistake, many, ..."},
-        ties={"choices": ["signature", "table"], "default": "signature"},
         json={"metavar": "FILE", "help": "score and outcomes; - for standard output"},
         page=(False, "write docs/blind-trial.json, which the site shows"),
         keep=(Path, "keep diagnoses here; called again, go on where it stopped"),
@@ -188,9 +183,8 @@ def _made(given: argparse.Namespace, seconds: int) -> dict[str, object]:
     }  # fmt: skip
 
 
-def _open_answers(outcomes: Sequence[Outcome], ties: str) -> list[tuple[Row, Marks]]:
+def _open_answers(outcomes: Sequence[Outcome]) -> list[tuple[Row, Marks]]:
     """Judge the diagnoses. Raises `RuntimeError` if an answer differs from the sealed one."""
-    can_tell = can_tell_by_signature if ties == "signature" else can_tell_by_table
     marks: list[tuple[Row, Marks]] = []
     for outcome in outcomes:
         task = outcome.task
@@ -200,7 +194,7 @@ def _open_answers(outcomes: Sequence[Outcome], ties: str) -> list[tuple[Row, Mar
         if outcome.diagnosis is None:
             marks.append((task.row, {"failed": True}))
         else:
-            marks.append((task.row, judge(case, answer, outcome.diagnosis, can_tell, nearest_rival)))
+            marks.append((task.row, judge(case, answer, outcome.diagnosis, nearest_rival)))
     return marks
 
 
@@ -259,7 +253,7 @@ def main(argv: Sequence[str] | None = None, diagnose: Diagnose = diagnose_case) 
     if given.ledger:
         with given.ledger.open("a", encoding="utf-8") as ledger:
             ledger.writelines(json.dumps(outcome.seal) + "\n" for outcome in outcomes)
-    shares = tally(rows, _open_answers(outcomes, given.ties))
+    shares = tally(rows, _open_answers(outcomes))
     report = sys.stderr if given.json == "-" else sys.stdout
     seconds = round(time.perf_counter() - start if kept is None else kept.seconds)
     result = stored(rows, shares, outcomes, _made(given, seconds))

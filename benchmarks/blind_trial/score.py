@@ -1,7 +1,5 @@
 """The score: diagnoses compared with what was hidden, with Wilson intervals."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -102,47 +100,6 @@ def coefficients_at(temperature_c: float, seed: int, row: Row, index: int) -> Fl
 # --- do the data distinguish an effect from every other effect? ------------------------------------------
 
 
-CanTell = Callable[[Case, Answer], bool]
-
-_DIRECTION_TIES: Final = frozenset({"backlash", "zero_offset"})
-_SHAPE_TIES: Final = frozenset(
-    {"quadratic_nonlinearity", "scale_asymmetry", "odd_quadratic_nonlinearity", "bias_asymmetry"}
-)
-_TIED: Final = frozenset(
-    {
-        "cross_quadratic",
-        "cubic_nonlinearity",
-        "head_ellipticity",
-        "axis_wobble",
-        "cross_coupling",
-        "mounting_error",
-        "mounting_offset",
-        "hysteresis",
-        "turn_on_shift",
-        "bracket_tilt",
-        "axis_tilt",
-        "warm_up",
-        "bias_drift",
-        "thermal_bias",
-        "voltmeter_nonlinearity",
-        "voltmeter_drift",
-        "foundation_tilt",
-        *_DIRECTION_TIES,
-        *_SHAPE_TIES,
-    }
-)
-"""Effects with a rival of cosine 0.95 or more in the paper's design (`effects.md`, table of ties)."""
-
-_BROKEN: Final[dict[str, frozenset[str]]] = {
-    "both": _DIRECTION_TIES | {"hysteresis"},
-    "turn-12": _SHAPE_TIES | {"cubic_nonlinearity"},
-    "return": frozenset({"warm_up", "turn_on_shift", "bracket_tilt"}),
-    "remount-180": frozenset({"mounting_error", "mounting_offset", "bracket_tilt", "axis_tilt"}),
-    "reordered": _DIRECTION_TIES
-    | {"hysteresis", "mounting_error", "mounting_offset", "bracket_tilt", "axis_tilt", "voltmeter_drift"},
-}
-"""Effects with a rival in the paper's design that a larger design distinguishes from it, by design."""
-
 PLAINER_THAN: Final[dict[str, frozenset[str]]] = {
     "head_eccentricity": frozenset({"head_graduation"}),
     "head_ellipticity": frozenset({"head_graduation"}),
@@ -158,13 +115,7 @@ The effect that fits better is then the true one in 98 % of cases.
 DRAWS: Final = 48
 
 
-def can_tell_by_table(case: Case, answer: Answer) -> bool:
-    """Return whether the effect of a case has no rival in its design, by the static table of ties."""
-    tied = _TIED - _BROKEN.get(case.design, frozenset())
-    return not tied.intersection(answer.names)
-
-
-def can_tell_by_signature(case: Case, answer: Answer) -> bool:
+def can_tell(answer: Answer) -> bool:
     """Return whether every other effect leaves at least `LEFT_TO_TELL` of the hidden effect unexplained."""
     return all(
         effect.rho * np.sqrt(max(0.0, 1 - nearest_rival(answer, which) ** 2)) >= LEFT_TO_TELL
@@ -276,7 +227,6 @@ def judge(
     case: Case,
     answer: Answer,
     diagnosis: Diagnosis,
-    can_tell: CanTell = can_tell_by_table,
     likeness: Callable[[Answer], float] | None = None,
 ) -> Marks:
     """Return the marks of a diagnosis, right or wrong, by column of the table.
@@ -285,7 +235,7 @@ def judge(
     returns the largest cosine between an effect outside the catalogue and an effect of the catalogue; effects
     with a cosine above 0.8 are counted separately.
     """
-    marks = _judge_kind(case, answer, diagnosis, can_tell, likeness)
+    marks = _judge_kind(case, answer, diagnosis, likeness)
     if diagnosis["verdict"] == "named":
         marks[NOT_SHRUNK] = not _shrank(diagnosis["gap"])
     return marks
@@ -304,7 +254,6 @@ def _judge_kind(
     case: Case,
     answer: Answer,
     diagnosis: Diagnosis,
-    can_tell: CanTell,
     likeness: Callable[[Answer], float] | None,
 ) -> Marks:
     verdict = diagnosis["verdict"]
@@ -336,7 +285,7 @@ def _judge_kind(
         return judge_supply(answer.kind, diagnosis)
     if kind == "pair":
         return _judge_pair(answer, diagnosis)
-    return _judge_single(case, answer, diagnosis, can_tell)
+    return _judge_single(answer, diagnosis)
 
 
 def _lone_name(answer: Answer, cosine: float, verdict: str) -> Marks:
@@ -414,14 +363,14 @@ def _judge_pair(answer: Answer, diagnosis: Diagnosis) -> Marks:
     }
 
 
-def _judge_single(case: Case, answer: Answer, diagnosis: Diagnosis, can_tell: CanTell) -> Marks:
+def _judge_single(answer: Answer, diagnosis: Diagnosis) -> Marks:
     verdict, sets = diagnosis["verdict"], sets_given(diagnosis)
     truth = answer.names[0]
     marks = {"detected": verdict != "agrees", "mistake alleged": verdict == "mistake"}
     if verdict in {"named", "confounded"}:
         marks["in the set"] = any(truth in names for names in sets)
         # at the verification points a wobble of one period per turn equals a mounting roll
-        if answer.kind != SEEN_IN_VERIFICATION and can_tell(case, answer):
+        if answer.kind != SEEN_IN_VERIFICATION and can_tell(answer):
             marks["first name right"] = bool(sets) and diagnosis["effects"][0]["name"] == truth
     marks |= _judge_gap(answer, diagnosis)
     marks["alone given"] = verdict == "named"

@@ -1,7 +1,5 @@
 """Signals of the trial's voltmeter: geometry, the paper's block (11), voltmeter; visibility of effects."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache

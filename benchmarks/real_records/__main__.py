@@ -9,9 +9,6 @@ the first run. A twin is a simulation with the times and temperatures of a recor
 its diagnosis must give the same names and sizes.
 """
 
-from __future__ import annotations
-
-import argparse
 import sys
 import tempfile
 from collections import Counter
@@ -30,6 +27,7 @@ from bench.diagnosis.record_diagnosis import RecordDiagnosis, diagnose_record
 from bench.readings.csv import read_csv
 from bench.results.diagnosis_words import parameter_in_words
 from bench.stats.repeats import Ratio, Repeats, compare_repeats
+from benchmarks.campaign import arguments, markdown
 from benchmarks.real_records.cases import ROOT, Case, cases, require_sealed, twin_of
 
 PAGE: Final = ROOT / "docs/real-records.md"
@@ -166,7 +164,7 @@ def verdicts(found: Sequence[Row]) -> str:
         f"{judged.count(MISSED)} of {sum(bool(row.case.right) for row in found)}; jumps not published: "
         f"{sum(UNTOLD in one for one in judged)}."
     )
-    return "\n".join([*_table(headings, [row.cells for row in found]), "", counts])
+    return "\n".join([*markdown(headings, [row.cells for row in found]), "", counts])
 
 
 def repeats(found: Sequence[Row]) -> str:
@@ -191,35 +189,26 @@ def repeats(found: Sequence[Row]) -> str:
         for title, state, one in listed
         if one is not None
     ]  # fmt: skip
-    return "\n".join(_table(headings, lines))
+    return "\n".join(markdown(headings, lines))
 
 
 def _ratio(of: Ratio | None) -> str:
     return "–" if of is None else f"{of.value:.2g} ({of.low:.2g} to {of.high:.2g})"
 
 
-def _table(headings: Sequence[str], lines: Sequence[Sequence[str]]) -> list[str]:
-    shown = [f"| {' | '.join(line)} |" for line in (headings, *lines)]
-    return [shown[0], f"|{'---|' * len(headings)}", *shown[1:]]
-
-
 def main() -> None:
     """Print the tables, or write them into the page."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--page", action="store_true", help="write docs/real-records.md")
-    parser.add_argument(
-        "--seeds", type=int, default=0, help="print only the names of this many twins of each"
-    )
-    arguments = parser.parse_args()
+    asked = arguments(
+        __doc__, page=(False, "write docs/real-records.md"),
+        seeds=(0, "print only the names of this many twins of each"),
+    )  # fmt: skip
     require_sealed()
-    if arguments.seeds:
-        print(*twins(arguments.seeds), sep="\n")
+    if asked.seeds:
+        print(*twins(asked.seeds), sep="\n")
         return
     found = list(rows())
     made = {"records": verdicts(found), "repeats": repeats(found)}
-    if not arguments.page:
+    if not asked.page:
         print("\n\n".join(made.values()))
         return
     text = PAGE.read_text(encoding="utf-8")

@@ -1,7 +1,5 @@
 """The records of the trial with their truth, sealed by hash, and their simulated twins."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The cases of the third trial: the hidden effect or mistake of each, its noise, and the readings that follow."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final

@@ -1,7 +1,5 @@
 """Hidden effects: those that the catalogue names, and forms that it lacks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial

@@ -1,7 +1,5 @@
 """The only module of the third trial that calls the program, for diagnoses and for predictions of its models."""
 
-from __future__ import annotations
-
 import tempfile
 import time
 from functools import cache

@@ -12,8 +12,6 @@ measured value. The closed fraction of a gap is an expectation over the noise of
 with another temperature. The exit status is 1 if a bound is missed.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable, Sequence

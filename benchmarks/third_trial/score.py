@@ -1,7 +1,5 @@
 """The counts of the third trial, and the bounds with which they are compared."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final

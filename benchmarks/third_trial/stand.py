@@ -3,8 +3,6 @@
 It is written from the paper's description with rotation matrices, and uses nothing of `bench`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """Text from outside does not act where it leaves; files that are none are not waited for."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -1,7 +1,5 @@
 """Changes of each kind to a signed certificate (seed 16): none is accepted and shows anything else."""
 
-from __future__ import annotations
-
 import shutil
 from collections import Counter
 from collections.abc import Iterator

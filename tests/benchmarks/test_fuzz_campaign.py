@@ -1,7 +1,5 @@
 """A short fuzz campaign (seed 20261122), and that the good inputs behind it are taken and the judges see."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -18,8 +18,8 @@ from bench.calibration.result import (
 from bench.model import ForwardModel
 from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2, Block
 from bench.readings.table import make_readings
+from bench.validation.paper_bench import STAND_U, TRUTH, U0, K, design, simulate, specific_force
 from tests.support.honest_runs import MODEL
-from tests.support.paper_bench import STAND_U, TRUTH, U0, K, design, simulate, specific_force
 
 X, Y, Z = range(3)
 ROOT2 = np.sqrt(2.0)

@@ -5,8 +5,8 @@ import pytest
 
 from bench.calibration import calibrate
 from bench.calibration.components import DRIFT
+from bench.validation.paper_bench import STAND_U
 from tests.support.honest_runs import MODEL, components_taken
-from tests.support.paper_bench import STAND_U
 from tests.support.whole_truth import simulate_whole
 
 RUNS = 16

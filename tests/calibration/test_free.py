@@ -17,6 +17,7 @@ from bench.model import CATALOGUE, AppliedEffect, Block, ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import read_csv
 from bench.readings.table import make_readings
+from bench.validation.paper_bench import ARCSEC, STAND_U, TRUTH, U0, K, design, simulate, specific_force
 from bench.validation.registry import REFERENCE as DATA
 from tests.support.commands import printed
 from tests.support.honest_runs import (
@@ -28,7 +29,6 @@ from tests.support.honest_runs import (
     simulate_with_roll,
     with_free,
 )
-from tests.support.paper_bench import ARCSEC, STAND_U, TRUTH, U0, K, design, simulate, specific_force
 from tests.support.results import calibration_json
 
 KYZ, KZY = COEFFICIENTS.index("Kyz"), COEFFICIENTS.index("Kzy")

@@ -1,10 +1,8 @@
 """Generalised least squares against a textbook computation with the whole covariance of the readings.
 
 The reference is written here from the definition: V = R + J P J^T over all signals, estimate
-(A^T V^-1 A)^-1 A^T V^-1 y, with derivatives of the independent geometry of support/paper_bench.py.
+(A^T V^-1 A)^-1 A^T V^-1 y, with derivatives of the independent geometry of bench/validation/paper_bench.py.
 """
-
-from __future__ import annotations
 
 import json
 from dataclasses import replace
@@ -23,10 +21,7 @@ from bench.model import Block
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import write_csv
 from bench.readings.table import make_readings
-from tests.support.budget_bench import paper_setup, stand
-from tests.support.commands import refused
-from tests.support.honest_runs import MODEL
-from tests.support.paper_bench import (
+from bench.validation.paper_bench import (
     ARCSEC,
     SETTING_U_RAD,
     STAND_U,
@@ -37,6 +32,9 @@ from tests.support.paper_bench import (
     simulate,
     specific_force,
 )
+from tests.support.budget_bench import paper_setup, stand
+from tests.support.commands import refused
+from tests.support.honest_runs import MODEL
 from tests.support.results import calibration_json
 
 NAMES = ("axis_tilt", "zero_offset", "mounting_error")
@@ -188,25 +186,19 @@ def test_a_single_reading_is_refused():
         calibrate(readings.select(np.arange(54) == 0), MODEL, STAND_U, 9.81)
 
 
-def test_no_oriented_reading_is_refused():
+@pytest.mark.parametrize(
+    ("column", "rows", "value", "told"),
+    [
+        ("installation", slice(None), "S", "no reading in an installation of known orientation"),
+        ("installation", 3, "7", r"installation 7 is unknown \(known are 1, 2\)"),
+        ("signal", 12, np.nan, "installation 1, pass 2, point 4 has a signal or an angle"),
+        ("angle_rad", 12, np.nan, "installation 1, pass 2, point 4 has a signal or an angle"),
+    ],
+)
+def test_readings_that_cannot_be_calibrated_are_refused(column, rows, value, told):
     readings = simulate(None, 0.0)
-    readings.installation[:] = "S"
-    with pytest.raises(CalibrationError, match="no reading in an installation of known orientation"):
-        calibrate(readings, MODEL, STAND_U, 9.81)
-
-
-def test_an_installation_that_the_bench_lacks_is_refused():
-    readings = simulate(None, 0.0)
-    readings.installation[3] = "7"
-    with pytest.raises(CalibrationError, match=r"installation 7 is unknown \(known are 1, 2\)"):
-        calibrate(readings, MODEL, STAND_U, 9.81)
-
-
-@pytest.mark.parametrize("column", ["signal", "angle_rad"])
-def test_a_reading_that_is_not_a_number_is_named(column):
-    readings = simulate(None, 0.0)
-    getattr(readings, column)[12] = np.nan
-    with pytest.raises(CalibrationError, match="installation 1, pass 2, point 4 has a signal or an angle"):
+    getattr(readings, column)[rows] = value
+    with pytest.raises(CalibrationError, match=told):
         calibrate(readings, MODEL, STAND_U, 9.81)
 
 

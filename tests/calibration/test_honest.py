@@ -1,11 +1,9 @@
 """Are the stated uncertainties true? 40 simulated runs at each of two noise levels.
 
-Simulation by support/paper_bench.py: the paper's stand with its limits as three sigma, noise sizes unknown to
+Simulation by bench.validation: the paper's stand with its limits as three sigma, noise sizes unknown to
 the fit; run k has the seed [2024, k] at 0.1 mV and [2025, k] at 20 uV. Thousands of runs of such a stand are
 `benchmarks/signed_uncertainty.py --cases stand`.
 """
-
-from __future__ import annotations
 
 import numpy as np
 import pytest
@@ -15,8 +13,8 @@ from bench.calibration import CalibrationError, calibrate, gls
 from bench.calibration.calibrate import first_guess
 from bench.calibration.design import make_problem
 from bench.calibration.noise import KnownNoise, KnownStand
+from bench.validation.paper_bench import SETTING_U_RAD, STAND_U, simulate
 from tests.support.honest_runs import FEW, MODEL, STATED, run, run_few, simulate_few
-from tests.support.paper_bench import SETTING_U_RAD, STAND_U, simulate
 from tests.support.results import calibration_json
 
 pytestmark = pytest.mark.slow

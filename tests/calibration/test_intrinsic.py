@@ -12,8 +12,8 @@ from bench.calibration.intrinsic import INTRINSIC, intrinsic, intrinsic_of, join
 from bench.model import ForwardModel
 from bench.model.geometry import Block
 from bench.services.face import load_bench
+from bench.validation.paper_bench import ARCSEC, STAND_U, U0, K, specific_force
 from benchmarks.intrinsic_campaign import pairs, run
-from tests.support.paper_bench import ARCSEC, STAND_U, U0, K, specific_force
 from tests.support.results import calibration_json
 from tests.support.whole_truth import simulate_whole, turned
 

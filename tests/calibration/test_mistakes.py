@@ -1,7 +1,5 @@
 """Mistakes in a table: each is named with its cause, none becomes a coefficient."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import replace
@@ -21,8 +19,8 @@ from bench.model import ForwardModel, Installation
 from bench.planning.requirements import MOST_MOUNTINGS, Cost, fitted, outlook, settings_of
 from bench.readings.csv import read_csv, write_csv
 from bench.readings.table import make_readings, stacked
+from bench.validation.paper_bench import STAND_U, TRUTH, U0, K, design, simulate, specific_force
 from tests.support.honest_runs import MODEL, free_forces
-from tests.support.paper_bench import STAND_U, TRUTH, U0, K, design, simulate, specific_force
 from tests.support.results import calibration_json
 
 FITTING = ("gls", "least-squares", "robust")

@@ -1,4 +1,4 @@
-"""Noise sizes from repeats or residuals, and lack of fit, on simulations by support/paper_bench.py."""
+"""Noise sizes from repeats or residuals, and lack of fit, on simulations by bench/validation/paper_bench.py."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from bench.calibration import Noise, calibrate
 from bench.calibration.noise import noise_from_repeats, repeat_groups, scatter_of_repeats
 from bench.model import CATALOGUE, AppliedEffect, Conditions, ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
-from tests.support.paper_bench import ARCSEC, STAND_U, TRUTH, simulate
+from bench.validation.paper_bench import ARCSEC, STAND_U, TRUTH, simulate
 
 INSTALLATIONS = {"1": INSTALLATION_1, "2": INSTALLATION_2}
 MODEL = ForwardModel(INSTALLATIONS)

@@ -16,7 +16,7 @@ from bench.calibration.observability import (
 )
 from bench.model import AppliedEffect, Block, Conditions, Effect, ForwardModel, Installation, Parameter, Stage
 from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2
-from tests.support.paper_bench import ARCSEC, TRUTH, U0, K, design, specific_force
+from bench.validation.paper_bench import ARCSEC, TRUTH, U0, K, design, specific_force
 
 A1, A2, A3, A5 = "axis_tilt", "zero_offset", "mounting_error", "mounting_roll"
 BLOCK = Block(K, U0)

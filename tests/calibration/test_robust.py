@@ -10,9 +10,9 @@ from scipy import stats
 from bench.calibration import Noise, calibrate
 from bench.calibration.outliers import critical
 from bench.readings.csv import write_csv
+from bench.validation.paper_bench import STAND_U, TRUTH, simulate
 from tests.support.commands import printed
 from tests.support.honest_runs import MODEL
-from tests.support.paper_bench import STAND_U, TRUTH, simulate
 
 RUNS = 50
 

@@ -16,7 +16,7 @@ from bench.calibration.temperature_fit import temperature_model
 from bench.exchange.compensation import c_header, json_test, table_checks, table_csv
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.results.compensation import table_part
-from tests.support.paper_bench import STAND_U, TRUTH
+from bench.validation.paper_bench import STAND_U, TRUTH
 from tests.support.self_tests import compiled_test, own_test, with_a_digit_changed
 from tests.support.thermal_bench import MODEL, REFERENCE_C, coefficients, simulate, truth
 

@@ -8,7 +8,7 @@ from bench.calibration.result import CalibrationError, Noise
 from bench.calibration.temperature import separate_temperatures, sort_readings
 from bench.calibration.temperature_fit import ThermalFit, choose_degrees, held_at_zero, temperature_model
 from bench.readings.table import make_readings
-from tests.support.paper_bench import STAND_U
+from bench.validation.paper_bench import STAND_U
 from tests.support.thermal_bench import CYCLE_C, MODEL, simulate, truth
 
 SEED = 41

@@ -1,7 +1,5 @@
 """A multi-point tumble: which terms orientations tell apart, the estimates, and their whole uncertainty."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -21,8 +19,8 @@ from bench.model.conditions import Conditions
 from bench.readings.centrifuge import EXAMPLE, CentrifugePoints, read_centrifuge
 from bench.readings.csv import ReadingsError
 from bench.readings.table import make_readings
+from bench.validation.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, specific_force
 from tests.support.honest_runs import MODEL
-from tests.support.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, specific_force
 from tests.support.tumble_bench import Terms, centrifuge, design, truth, tumble
 from tests.support.whole_truth import GAIN, LINEARITY_V, OFFSET_V
 

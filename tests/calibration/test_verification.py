@@ -12,8 +12,8 @@ from bench.calibration.verification import verify
 from bench.model import Block
 from bench.readings.table import make_readings
 from bench.results.verification import advice, global_risk_in_words, verdict_line
+from bench.validation.paper_bench import STAND_U, TRUTH, U0, K, simulate, specific_force
 from tests.support.honest_runs import MODEL
-from tests.support.paper_bench import STAND_U, TRUTH, U0, K, simulate, specific_force
 from tests.support.results import verification_json
 
 THETA = np.radians([45.0, 135.0, 225.0, 315.0])

@@ -1,7 +1,5 @@
 """When many units are due; the same catalogue in a PostgreSQL server."""
 
-from __future__ import annotations
-
 import os
 import pwd
 import shutil

@@ -11,10 +11,10 @@ from bench.history.equivalence import against_others
 from bench.model.geometry import COEFFICIENTS
 from bench.results.interlaboratory import render_kit
 from bench.services.errors import Refused
+from bench.validation.paper_bench import TRUTH
 from benchmarks import interlaboratory_campaign
 from tests.certificate.dcc.test_reading import HEAD, real_list
 from tests.support.commands import refused
-from tests.support.paper_bench import TRUTH
 from tests.support.schemas import keeps_to
 
 U = np.array([2e-5] * 9 + [1e-5] * 3)

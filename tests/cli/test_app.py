@@ -1,7 +1,5 @@
 """The commands as their user types them, in an empty folder; one source of several that fails."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

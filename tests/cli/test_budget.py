@@ -10,10 +10,10 @@ import pytest
 from bench.calibration.budget.coefficients import make_budget
 from bench.readings.csv import write_csv
 from bench.readings.table import make_readings
+from bench.validation.paper_bench import U0, K, simulate, specific_force
 from tests.cli.test_app import edited_stand
 from tests.support.budget_bench import COEFFICIENTS, paper_setup, stand
 from tests.support.commands import printed, refused
-from tests.support.paper_bench import U0, K, simulate, specific_force
 
 ONE_SIGMA = {
     "limit: 5 arcsec, distribution: normal, k: 3": "limit: 5 arcsec, distribution: normal, k: 1",

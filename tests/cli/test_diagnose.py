@@ -32,7 +32,7 @@ effects:
 
 
 def measured(name, seed, **hidden):
-    """Write a readings file of the independent simulation in support/paper_bench.py."""
+    """Write a readings file of the independent simulation in bench/validation/paper_bench.py."""
     write_csv(
         diagnosis_bench.paper_run(np.random.default_rng(seed), directions=BOTH_WAYS, **hidden), Path(name)
     )

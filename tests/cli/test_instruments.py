@@ -1,7 +1,5 @@
 """`bench instruments`: every instrument at once, all failures together; what interfaces offer; commissioning."""
 
-from __future__ import annotations
-
 import json
 import socket
 import threading

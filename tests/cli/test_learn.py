@@ -13,10 +13,10 @@ import yaml
 import bench as program
 from bench.cli.app import main
 from bench.readings.csv import write_csv
+from bench.validation.paper_bench import ARCSEC
 from tests.support.commands import printed, refused
 from tests.support.exchanged_meters import GAIN, bench_text, leave, of_one_block, today
 from tests.support.learning_bench import Bench, simulate
-from tests.support.paper_bench import ARCSEC
 from tests.support.schemas import keeps_to
 
 SHIPPED = Path(__file__).parents[2] / "config" / "paper-stand.yaml"

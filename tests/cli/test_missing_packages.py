@@ -1,7 +1,5 @@
 """A package of an extra that is not installed: one line with the command that installs it, from every command."""
 
-from __future__ import annotations
-
 import re
 import sys
 import tomllib

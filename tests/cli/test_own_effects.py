@@ -13,8 +13,8 @@ from bench.model import CATALOGUE
 from bench.readings.csv import write_csv
 from bench.run.folder import Run
 from bench.services.own_effects import knowing_effects_on_record, simulated_truth
+from bench.validation.paper_bench import simulate
 from tests.support.commands import printed, refused
-from tests.support.paper_bench import simulate
 
 EFFECTS = """\
 effects_file: 1

@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import socket
-import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -21,7 +20,7 @@ from bench.run.assembly.served import served_bench
 from sim.wires.server import TERMINALS
 from sim.world.clock import ScaledClock
 from tests.support.commands import refused
-from tests.support.patience import PATIENCE_S
+from tests.support.patience import PATIENCE_S, together
 
 
 @contextmanager
@@ -229,14 +228,7 @@ def test_the_client_command_prints_the_answer_or_fails(bench: Any) -> None:
 def test_the_control_takes_several_clients_at_once() -> None:
     with serving(with_terminals=False) as told:
         answers: list[dict[str, Any]] = []
-        threads = [
-            threading.Thread(target=lambda a=a: answers.append(control(told, f"turn {a} deg")))
-            for a in range(8)
-        ]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        together(*(lambda a=a: answers.append(control(told, f"turn {a} deg")) for a in range(8)))
         assert len(answers) == 8
         assert all(answer["ok"] for answer in answers)
 

@@ -1,7 +1,5 @@
 """What is no file in the place of one: a pipe to which nobody writes hangs no command, whatever it stands for."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -10,8 +10,8 @@ from bench import tumble as tumble_in_python
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.centrifuge import EXAMPLE
 from bench.readings.csv import write_csv
+from bench.validation.paper_bench import TRUTH
 from tests.support.commands import printed, refused
-from tests.support.paper_bench import TRUTH
 from tests.support.schemas import keeps_to
 from tests.support.thermal_bench import coefficients, simulate, truth
 from tests.support.tumble_bench import Terms, centrifuge, tumble

@@ -8,9 +8,9 @@ import pytest
 
 from bench.readings.csv import write_csv
 from bench.readings.table import make_readings
+from bench.validation.paper_bench import U0, K, simulate, specific_force
 from tests.cli.test_app import edited_stand
 from tests.support.commands import printed, refused
-from tests.support.paper_bench import U0, K, simulate, specific_force
 from tests.support.schemas import keeps_to
 
 THETA = np.radians([45.0, 135.0, 225.0, 315.0])

@@ -1,7 +1,5 @@
 """What every chamber with a controller must do: °C of the air, limits before the wire, proved, made safe."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

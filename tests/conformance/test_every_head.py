@@ -1,7 +1,5 @@
 """What every motorised head must do: radians of the shaft, its side, limits before the wire, no false arrival."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

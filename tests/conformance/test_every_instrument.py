@@ -3,8 +3,6 @@
 A user runs it for his own: `BENCH_DEVICES=DIR python -m pytest tests/conformance`.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import get_args

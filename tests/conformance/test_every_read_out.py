@@ -1,7 +1,5 @@
 """What every encoder of a head that a person turns must do: its angle, its side, no angle where there is none."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 

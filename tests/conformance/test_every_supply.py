@@ -1,7 +1,5 @@
 """What every power supply with a wire must do: limits first, all is proved, nothing on is changed, off is off."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """What every voltmeter must do: volts, limits before the wire, settings proved, overload and lost power told."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -3,8 +3,6 @@
 The instrument refuses the command, or the wire is lost at it. The operator is told on the way out of a run.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from typing import Any, get_args

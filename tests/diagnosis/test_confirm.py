@@ -12,7 +12,7 @@ from bench.config.model_file import load_model, write_model_file
 from bench.diagnosis.confirm import EstimatedEffects, confirm, judged
 from bench.model import CATALOGUE, AppliedEffect
 from bench.results.confirm import effect_now_in_words, either_in_words
-from tests.diagnosis.test_next_measurement import Fixed
+from tests.diagnosis.test_next_measurement import FIXED
 from tests.support.diagnosis_bench import MODEL, STAND, paper_run
 
 NOMINAL = np.array([-2.18, -2.14, -2.14])
@@ -26,7 +26,7 @@ FOUND = AppliedEffect(
 
 def held_against(found, seed, **hidden):
     model = replace(MODEL, effects=(found,))
-    return confirm(paper_run(np.random.default_rng(seed), **hidden), model, STAND, NOMINAL, Fixed(None))
+    return confirm(paper_run(np.random.default_rng(seed), **hidden), model, STAND, NOMINAL, FIXED)
 
 
 @pytest.mark.slow

@@ -13,8 +13,8 @@ from bench.diagnosis.naming import Scored, in_place
 from bench.diagnosis.noise_grid import RATIOS, coupled, make_whitener
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.readings.table import JoinedPart, together
+from bench.validation.paper_bench import SETTING_U_RAD, K
 from tests.support.diagnosis_bench import MODEL, NOISE_V, PSI, STAND_U, paper_run, set_up
-from tests.support.paper_bench import SETTING_U_RAD, K
 
 
 @pytest.fixture(scope="module")

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.diagnosis import Threshold, ThresholdCache, diagnose
+from bench.diagnosis import diagnose
 from bench.diagnosis.levels import BY_CHANCE, FAR
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.where import far_readings
 from bench.results.diagnosis_words import verdict_in_words, warnings_in_words
+from bench.validation.paper_bench import SETTING_U_RAD, K
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, OneThreshold, paper_run, set_up
-from tests.support.paper_bench import SETTING_U_RAD, K
 
 NOISE = NoiseSize(NOISE_V, SETTING_U_RAD, 150)
 
@@ -105,17 +105,12 @@ def test_a_verification_point_that_is_off_is_never_silent_and_no_name_alone(time
 @pytest.mark.slow
 def test_a_reading_that_is_far_is_in_the_headline_with_its_probability():
     """Where a search finds nothing, as its threshold is out of reach, the reading is told all the same."""
-    found = diagnose(off_in_the_headline(16), MODEL, STAND, np.diag(K), OutOfReach(None))
+    found = diagnose(
+        off_in_the_headline(16), MODEL, STAND, np.diag(K), OneThreshold(1e9, 0.006, 1e8, 0.05, 1.0, 2000)
+    )
     assert found.verdict == "unknown"
     told = "; ".join(warnings_in_words(found))
     assert "|a| in installation V, pass 1, point 2 is 1" in told
     assert "probability that noise alone moves any reading that far: p" in told
     # one point that far is also evidence of heavy tails, in which it is rare all the same
     assert found.far[0].p < 0.01
-
-
-class OutOfReach(ThresholdCache):
-    """A threshold that nothing reaches."""
-
-    def threshold(self, linear, whitened, setting_rad):
-        return Threshold(1e9, 0.006, 1e8, 0.05, 1.0, 2000)

@@ -19,8 +19,8 @@ from bench.diagnosis.residual_dictionary import dictionary
 from bench.diagnosis.residual_model import UNNAMED_FORM, UnexplainedScatter
 from bench.model import Stage
 from bench.results.diagnosis_parts import form_part
+from bench.validation.paper_bench import SETTING_U_RAD, STAND_U, K
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, OneThreshold, columns_by_model, paper_run
-from tests.support.paper_bench import SETTING_U_RAD, STAND_U, K
 
 
 def with_added(readings, volts):

@@ -13,8 +13,8 @@ from bench.diagnosis.pipeline import diagnose
 from bench.diagnosis.posterior import NoiseSize, posterior, predicted_error
 from bench.diagnosis.where import find_places
 from bench.results.diagnosis_parts import gap_part
+from bench.validation.paper_bench import SETTING_U_RAD
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, OneThreshold, paper_run, set_up
-from tests.support.paper_bench import SETTING_U_RAD
 
 
 @pytest.mark.parametrize("label", ["pass 2", "verification and free positions"])

@@ -14,8 +14,8 @@ from bench.diagnosis.linear import make_linear
 from bench.diagnosis.result import assumed
 from bench.diagnosis.where import looking_like
 from bench.model import CATALOGUE, AppliedEffect, Installation
+from bench.validation.paper_bench import STAND_U
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, paper_run, set_up
-from tests.support.paper_bench import STAND_U
 
 TOLD_OF_METERS = ("voltmeter_gain", "wrong_gravity")
 

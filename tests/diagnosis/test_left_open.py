@@ -19,8 +19,8 @@ from bench.diagnosis.posterior import (
     with_other_shapes,
 )
 from bench.model.effects.base import InPart
+from bench.validation.paper_bench import SETTING_U_RAD, STAND_U, TRUTH
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, OneThreshold, paper_run, set_up
-from tests.support.paper_bench import SETTING_U_RAD, STAND_U, TRUTH
 
 MINUTES = 60.0
 NOISE = NoiseSize(NOISE_V, SETTING_U_RAD, 120)

@@ -7,13 +7,12 @@ import pytest
 
 from bench.base.files import cache_folder
 from bench.diagnosis import ThresholdCache, diagnose
-from bench.diagnosis.evidence import Threshold
 from bench.diagnosis.linear import make_linear
 from bench.diagnosis.multi_run_system import candidates_of, make_system, with_blocks
 from bench.model import CATALOGUE, AppliedEffect
 from bench.readings.table import JoinedPart, together
-from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND_U, U0, K, paper_run
-from tests.support.paper_bench import SETTING_U_RAD
+from bench.validation.paper_bench import SETTING_U_RAD
+from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND_U, U0, K, OneThreshold, paper_run
 
 LIMITS = {**STAND_U, "setting_error": SETTING_U_RAD}
 SCALE = np.diag(K)
@@ -115,19 +114,13 @@ def test_what_is_too_small_for_one_run_shows_in_several_blocks(cache):
     assert found.gap.after < found.gap.before
 
 
-class OneThreshold(ThresholdCache):
-    """A threshold that nobody simulated: high enough that nothing is found but what is large."""
-
-    def threshold(self, linear, whitened, setting_rad):
-        return Threshold(6.0, 0.006, 3.0, 0.05, 1.4, 2000)
-
-
 @pytest.mark.slow
 def test_what_several_blocks_have_is_named_alone_and_no_form_competes_with_it():
     rng = np.random.default_rng(23)
     tables = runs(2, 24, backlash_rad=np.radians(60 / 3600), directions=(1, -1, 1))
     tables[1] = other_block(tables[1], rng)
-    found = diagnose(joined(tables), MODEL, LIMITS, SCALE, OneThreshold(None))
+    large_alone = OneThreshold(6.0, 0.006, 3.0, 0.05, 1.4, 2000)
+    found = diagnose(joined(tables), MODEL, LIMITS, SCALE, large_alone)
     assert found.linear.readings.block is not None
     assert found.verdict == "named"
     assert [e.name for e in found.effects] == ["backlash"]

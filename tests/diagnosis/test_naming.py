@@ -20,8 +20,8 @@ from bench.diagnosis.naming import ALIAS, Scored, in_place, needed
 from bench.diagnosis.noise_kinds import BENCH_FILE, OWN_SCATTER, noise_findings
 from bench.diagnosis.posterior import NoiseSize
 from bench.model import CATALOGUE, AppliedEffect
+from bench.validation.paper_bench import K
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, OneThreshold, paper_run, set_up
-from tests.support.paper_bench import K
 
 NULLS = 400
 """Fewer than the application takes: the threshold of a test need not be as sharp."""

@@ -14,7 +14,7 @@ from bench.cli import measure
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
-from bench.diagnosis import Threshold, ThresholdCache, diagnose
+from bench.diagnosis import diagnose
 from bench.diagnosis.linear import make_linear
 from bench.diagnosis.next_measurement import MENU, answers, following, planned_readings, propose
 from bench.diagnosis.posterior import NoiseSize
@@ -23,7 +23,8 @@ from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.results.diagnosis import ProposalPart
 from bench.run.folder import Run
 from bench.services.requests.measuring import RunRequest
-from tests.support import paper_bench
+from bench.validation import paper_bench
+from tests.support.diagnosis_bench import OneThreshold
 
 BENCH = load_bench(find_bench("paper-stand"))
 MODEL = ForwardModel(BENCH.installation_models())
@@ -208,11 +209,7 @@ def test_an_effect_has_every_shape_and_channel_everywhere():
 # --- proposals --------------------------------------------------------------------------------------
 
 
-class Fixed(ThresholdCache):
-    """A threshold that nobody simulated, about that of the paper's design: a test needs no exact one."""
-
-    def threshold(self, linear, whitened, setting_rad):
-        return Threshold(4.0, 0.003, 1.0, 0.05, 1.0, 3000)
+FIXED = OneThreshold(4.0, 0.003, 1.0, 0.05, 1.0, 3000)
 
 
 def diagnosed(*effects, seed, passes=(1, 2, 3)):
@@ -224,7 +221,7 @@ def diagnosed(*effects, seed, passes=(1, 2, 3)):
     conditions = readings.conditions()
     still = np.zeros((2, 5))
     added = model.readings(BLOCK, conditions, still) - MODEL.readings(BLOCK, conditions, still)
-    return diagnose(replace(readings, signal=readings.signal + added), MODEL, STAND_U, None, Fixed(None))
+    return diagnose(replace(readings, signal=readings.signal + added), MODEL, STAND_U, None, FIXED)
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ from bench.diagnosis.noise_grid import RATIOS
 from bench.diagnosis.noise_kinds import larger_scatter, noise_hypotheses, residuals, slow_noise
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.single_run_search import SearchTask, search_run
+from bench.validation.paper_bench import SETTING_U_RAD, STAND_U
 from tests.support.diagnosis_bench import MODEL, NOISE_V, OneThreshold, paper_run, set_up
-from tests.support.paper_bench import SETTING_U_RAD, STAND_U
 
 RATIO = 2
 UNEQUAL = np.array([0.4, 0.4, 1.63])

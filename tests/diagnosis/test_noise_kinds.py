@@ -9,8 +9,8 @@ from bench.diagnosis import diagnose
 from bench.diagnosis.noise_grid import digit_of, is_coarse, make_noise_grid, repeated
 from bench.diagnosis.noise_kinds import sizes_by_channel
 from bench.diagnosis.posterior import NoiseSize, whiten_rows
+from bench.validation.paper_bench import SETTING_U_RAD, K
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, OneThreshold, paper_run, set_up
-from tests.support.paper_bench import SETTING_U_RAD, K
 
 SIZES = np.array([0.5, 0.8, 1.5])
 

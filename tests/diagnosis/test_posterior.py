@@ -19,8 +19,8 @@ from bench.diagnosis.posterior import (
     with_other_shapes,
 )
 from bench.model import CATALOGUE
+from bench.validation.paper_bench import TRUTH
 from tests.support.diagnosis_bench import NOISE_V, STAND, paper_run, set_up
-from tests.support.paper_bench import TRUTH
 
 NOISE = NoiseSize(NOISE_V, STAND["setting_error"], 120)
 SIZES, WEIGHTS = (1.0, 4.0, 20.0), (0.6, 0.28, 0.12)

@@ -10,8 +10,8 @@ from bench.diagnosis import ThresholdCache, diagnose
 from bench.diagnosis.pipeline import rivals
 from bench.diagnosis.show import label, show
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
+from bench.validation.paper_bench import STAND_U
 from tests.support.diagnosis_bench import MODEL, STAND, paper_run
-from tests.support.paper_bench import STAND_U
 
 G = 9.81
 LARGE = (0.0, 3e-3, 0.0)

@@ -1,7 +1,5 @@
 """Every message of the program is in the list, and the page on troubles quotes only messages of the program."""
 
-from __future__ import annotations
-
 import re
 from collections import defaultdict
 from itertools import pairwise

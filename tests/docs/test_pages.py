@@ -1,7 +1,5 @@
 """Every example of the documentation is carried out, and prints what the page shows."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json
@@ -27,10 +25,10 @@ from bench.model import geometry as blocks_model
 from bench.model.conditions import Mounting
 from bench.model.effects import CATALOGUE
 from bench.readings.csv import write_csv
+from bench.validation.paper_bench import STAND_U, simulate
 from docs.generators.commands import commands as commands_there_are
 from tests.support.honest_runs import MODEL
 from tests.support.pages import DOCS, ROOT, Block, blocks, commands, pages, told_apart
-from tests.support.paper_bench import STAND_U, simulate
 from tests.support.schemas import keeps_to
 
 KINDS = {"console", "python", "text", "yaml", "{toctree}", "{include}", "{picture}"}

@@ -1,7 +1,5 @@
 """Every shell line of the README in its order, as somebody follows it: the instruments are simulated ones."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

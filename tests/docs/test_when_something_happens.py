@@ -1,7 +1,5 @@
 """Each row of the table of events has its tests, and these exist."""
 
-from __future__ import annotations
-
 import ast
 
 import pytest

@@ -1,7 +1,5 @@
 """The page on bringing an instrument: the folder that it shows is used as it is."""
 
-from __future__ import annotations
-
 import os
 import random
 import re

@@ -1,7 +1,5 @@
 """The ACUTROL driver against the public client's commands, and over a real socket with a simulated table."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest

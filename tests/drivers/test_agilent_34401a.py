@@ -1,7 +1,5 @@
 """The 34401A driver against the manual's text, as pairs of (sent, answered)."""
 
-from __future__ import annotations
-
 import pytest
 
 from drivers.instruments.agilent_34401a import Agilent34401A

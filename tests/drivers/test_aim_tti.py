@@ -1,7 +1,5 @@
 """An Aim-TTi in its own dialect: V1 sets, V1? answers V1 …, V1O? measures; trips are told once and remembered."""
 
-from __future__ import annotations
-
 import pytest
 
 from drivers.facts import aim_tti as facts

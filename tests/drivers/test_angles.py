@@ -1,7 +1,5 @@
 """Angles as operators type them."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """What chambers share: limits, band, plausibility, the set point read back."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """The Espec driver against the manual's text, and over a real socket with a simulated P300."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 

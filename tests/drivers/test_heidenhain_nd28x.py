@@ -1,7 +1,5 @@
 """The Heidenhain ND 281B and ND 287 against what their manuals say."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -38,17 +36,17 @@ def head(*parts, model="ND-281B", **scale):
     return counter, session
 
 
-def test_an_nd_281b_is_proved_and_read():
-    counter, session = head(OPENED_281B, READ)
-    assert counter.open() == Identity("HEIDENHAIN", "ND-281B", firmware="349797-04 2001-05-04")
-    assert math.degrees(counter.position_rad()) == pytest.approx(45.0028)
-    assert session.left == []
-
-
-def test_an_nd_287_is_proved_with_its_unit_and_read():
-    counter, session = head(OPENED_287, READ_287, model="ND-287")
-    assert counter.open() == Identity("HEIDENHAIN", "ND-287", firmware="646118-01 V1-01")
-    assert math.degrees(counter.position_rad()) == pytest.approx(-12345.6789)
+@pytest.mark.parametrize(
+    ("model", "pairs", "firmware", "angle_deg"),
+    [
+        ("ND-281B", [*OPENED_281B, *READ], "349797-04 2001-05-04", 45.0028),
+        ("ND-287", [*OPENED_287, *READ_287], "646118-01 V1-01", -12345.6789),
+    ],
+)
+def test_a_counter_is_proved_with_its_unit_and_read(model, pairs, firmware, angle_deg):
+    counter, session = head(pairs, model=model)
+    assert counter.open() == Identity("HEIDENHAIN", model, firmware=firmware)
+    assert math.degrees(counter.position_rad()) == pytest.approx(angle_deg)
     assert session.left == []
 
 

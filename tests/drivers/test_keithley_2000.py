@@ -1,7 +1,5 @@
 """The Keithley 2000's driver against the manual's text, as pairs of (sent, answered)."""
 
-from __future__ import annotations
-
 import pytest
 
 from drivers.instruments.keithley_2000 import Keithley2000

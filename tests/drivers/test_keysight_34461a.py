@@ -1,7 +1,5 @@
 """The Truevolt driver against the manual's text, as pairs of (sent, answered)."""
 
-from __future__ import annotations
-
 import pytest
 
 from drivers.instruments.keysight_34461a import Keysight34461A

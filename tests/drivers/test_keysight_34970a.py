@@ -1,7 +1,5 @@
 """The 34970A driver against the manual's text, as pairs of (sent, answered)."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """The E36300 series as its manual says: channel lists, protections first, a switch for each output."""
 
-from __future__ import annotations
-
 import pytest
 
 from drivers.facts import keysight_e36300 as facts

@@ -1,7 +1,5 @@
 """The E3631A as its manual says: remote first over RS-232, APPLy, one switch, its conditions."""
 
-from __future__ import annotations
-
 import pytest
 
 from drivers.facts import keysight_e3631a as facts

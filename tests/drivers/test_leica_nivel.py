@@ -1,7 +1,5 @@
 """The Nivel's blocks as its manual prints them, and what is refused."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

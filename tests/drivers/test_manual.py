@@ -1,7 +1,5 @@
 """The head and the chamber that ask a person."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

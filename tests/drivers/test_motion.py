@@ -1,7 +1,5 @@
 """What motorised heads share, on an axis without a wire."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

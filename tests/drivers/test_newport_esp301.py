@@ -1,7 +1,5 @@
 """The Newport ESP301 driver against what public programs show of one, and with the simulated controller."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import pytest

@@ -1,7 +1,5 @@
 """A head that a person turns and an encoder reads: its track, its person, its alarms; without any counter."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

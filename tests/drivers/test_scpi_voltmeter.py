@@ -1,7 +1,5 @@
 """The SCPI base: which identities each model takes, remote control over RS-232, and the words of another make."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The Thermotron driver against the manual's text, and over a real socket with a simulated 8800."""
 
-from __future__ import annotations
-
 import pytest
 
 from drivers.chambers import ChamberLimits

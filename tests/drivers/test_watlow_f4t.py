@@ -1,7 +1,5 @@
 """The F4T driver against the guide's text, and over a real socket with a simulated controller."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The Zaber driver against the protocol manual's text."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import contextmanager
 from functools import partial

@@ -13,7 +13,7 @@ from bench.exchange.result import BlockResult
 from bench.model.geometry import Block
 from bench.services.coefficients import require_temperature, write_form
 from bench.services.errors import Refused
-from tests.support.paper_bench import U0, K
+from bench.validation.paper_bench import U0, K
 from tests.support.self_tests import compiled_test, own_test, with_a_digit_changed
 
 RESULT = BlockResult(Block(K, U0), 1e-10 * np.eye(12), "V", 9.81, "run-17", "QA", "1")

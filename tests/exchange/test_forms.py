@@ -17,7 +17,7 @@ from bench.exchange.autopilots import diagonal, lower_triangular, sensor_of
 from bench.exchange.forms import FORMS
 from bench.exchange.result import SIMULATED, BlockResult
 from bench.model.geometry import Block
-from tests.support.paper_bench import U0, K
+from bench.validation.paper_bench import U0, K
 
 G = 9.810547
 ROOT = np.random.default_rng(3).normal(size=(12, 12))

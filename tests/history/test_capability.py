@@ -1,7 +1,5 @@
 """Priors of types, and the capability of laboratories whose units drift: dense algebra, honest results."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -13,7 +13,7 @@ from bench.history.comparison import Snapshot, compare
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import write_csv
 from bench.results.compare import compare_result, verdict_of
-from tests.support.paper_bench import STAND_U, TRUTH, simulate
+from bench.validation.paper_bench import STAND_U, TRUTH, simulate
 from tests.support.thermal_bench import MODEL
 from tests.support.whole_truth import turned
 

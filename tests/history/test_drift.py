@@ -1,7 +1,5 @@
 """Drift of a block from its history, and when it is due: against dense algebra and known drifts."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

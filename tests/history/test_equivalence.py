@@ -1,7 +1,5 @@
 """Degrees of equivalence: published comparisons, honest u, all coefficients together."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime, timedelta
 
 import numpy as np

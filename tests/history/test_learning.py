@@ -12,8 +12,8 @@ from bench.history.learning import Beliefs, at, fitted, learn, maximise
 from bench.history.run_sums import RunSums, run_fit
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2, Installation
+from bench.validation.paper_bench import ARCSEC
 from tests.support.learning_bench import KINDS, STATED, Bench, simulate
-from tests.support.paper_bench import ARCSEC
 
 TURNED = {
     label: Installation.from_axes(label, axes)

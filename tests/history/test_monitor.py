@@ -7,7 +7,7 @@ import pytest
 
 from bench.calibration.result import CalibrationError
 from bench.history.monitor import monitor_chart, monitor_run
-from tests.support.paper_bench import U0, K, specific_force
+from bench.validation.paper_bench import U0, K, specific_force
 
 BEGAN = datetime(2026, 3, 1, tzinfo=UTC)
 NOISE_V = 2e-5

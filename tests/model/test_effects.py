@@ -7,7 +7,7 @@ import pytest
 
 from bench.model import AppliedEffect, Block, Conditions, Distribution, Effect, ForwardModel, Stage
 from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2
-from tests.support.paper_bench import TRUTH, U0, K, design, specific_force
+from bench.validation.paper_bench import TRUTH, U0, K, design, specific_force
 
 BLOCK = Block(K, U0)
 INSTALLATIONS = {"1": INSTALLATION_1, "2": INSTALLATION_2}
@@ -40,7 +40,7 @@ def test_singular_block_has_no_inverse():
 
 
 def test_readings_without_effects():
-    """The 18 readings by the rotations of support/paper_bench.py."""
+    """The 18 readings by the rotations of bench/validation/paper_bench.py."""
     installation, _, _, phi = design(1)
     force = specific_force(installation, phi, alpha4=2e-3)
     np.testing.assert_allclose(readings(setting=2e-3), force @ K.T + U0, atol=1e-14)

@@ -11,6 +11,7 @@ from bench.model.conditions import PAST_RAD
 from bench.model.effects import Seen
 from bench.model.effects.block import state
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from bench.validation.paper_bench import ARCSEC, specific_force
 from tests.support.effect_bench import (
     BLOCK,
     CONDITIONS,
@@ -25,7 +26,6 @@ from tests.support.effect_bench import (
     effect,
     force,
 )
-from tests.support.paper_bench import ARCSEC, specific_force
 
 C = np.array([10e-6, -20e-6, 30e-6])
 D = np.array([-7e-6, 9e-6, 4e-6])
@@ -233,7 +233,7 @@ def test_stand_angles_leave_the_state_alone():
 
 
 def walked(labels, angle, direction, width_g, psi):
-    """A play operator driven along the head's way in steps of 0.02 deg, at the forces of support/paper_bench.py."""
+    """A play operator driven along the head's way in steps of 0.02 deg, at the forces of bench.validation."""
     result = []
     for i, end in enumerate(angle):
         if i == 0 or labels[i] != labels[i - 1]:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from bench.model.effects.base import pass_label, rows_of
+from bench.validation.paper_bench import ARCSEC
 from tests.support.effect_bench import (
     CONDITIONS,
     DIRECTION,
@@ -16,7 +17,6 @@ from tests.support.effect_bench import (
     force,
     readings,
 )
-from tests.support.paper_bench import ARCSEC
 
 ANGLE = 300 * ARCSEC
 OTHER = np.where(DIRECTION < 0, 2, 1)

@@ -1,4 +1,4 @@
-"""Effects of stand, head and voltmeter against closed forms typed here, the geometry of support/paper_bench.py."""
+"""Effects of stand, head and voltmeter against closed forms typed here, the geometry of bench.validation."""
 
 from types import SimpleNamespace
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bench.model import CATALOGUE, Conditions, ForwardModel
+from bench.validation.paper_bench import ARCSEC, U0, K
 from tests.support.effect_bench import (
     ALPHA4,
     BLOCK,
@@ -21,7 +22,6 @@ from tests.support.effect_bench import (
     force,
     readings,
 )
-from tests.support.paper_bench import ARCSEC, U0, K
 
 ANGLE = 30 * ARCSEC
 COSINE, SINE = 12 * ARCSEC, -7 * ARCSEC

@@ -12,7 +12,7 @@ from bench.model.effects import Parameter
 from bench.model.effects.base import StandEffect
 from bench.model.effects.stand import into
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2, axes_matrix, frame_rotation
-from tests.support.paper_bench import specific_force
+from bench.validation.paper_bench import specific_force
 
 PHI = np.radians(45.0) * np.arange(9)
 BLOCK = Block(np.eye(3), np.zeros(3))
@@ -50,7 +50,7 @@ def test_exact_model_is_the_papers_to_second_order(label):
 
 @pytest.mark.parametrize("label", ["1", "2"])
 def test_exact_model_equals_rotations_by_scipy(label):
-    """Large angles, every one of the five: the same as turning the axes as vectors (support/paper_bench.py)."""
+    """Large angles, every one of the five: the same as turning the axes as vectors (bench.validation)."""
     rng = np.random.default_rng(11)
     for a1, a2, a3, a4, a5, a6 in rng.uniform(-0.5, 0.5, (20, 6)):
         ours = force(

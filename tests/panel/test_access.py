@@ -176,22 +176,20 @@ def test_signing_in_leads_nowhere_else(client, runs, after):
 # --- what a change must have ------------------------------------------------------------------------
 
 
+ORIGINS = (None, "null", "http://evil.example", "https://127.0.0.1:8741", HOME + ".evil")
+
+
 @pytest.mark.parametrize(
-    "origin", [None, "null", "http://evil.example", "https://127.0.0.1:8741", HOME + ".evil"]
+    ("headers", "csrf"),
+    [
+        *(({} if origin is None else {"origin": origin}, None) for origin in ORIGINS),
+        *((OWN, csrf) for csrf in ("", "0" * 32, "é")),
+    ],
 )
-def test_a_change_is_asked_for_by_the_panels_own_pages(runs, origin):
+def test_a_change_comes_from_the_panels_own_pages_and_the_same_session(runs, headers, csrf):
     browser = Browser(runs, "anna")
-    headers = {} if origin is None else {"origin": origin}
-    reply = browser.client.post("/sign-out", data={"csrf": browser.csrf}, headers=headers)
-    assert reply.status_code == 403
-    assert browser.get("/").status_code == 200
-
-
-@pytest.mark.parametrize("csrf", ["", "0" * 32, "é"])
-def test_a_form_of_another_session_is_refused(runs, csrf):
-    browser = Browser(runs, "anna")
-    reply = browser.client.post("/sign-out", data={"csrf": csrf}, headers=OWN)
-    assert reply.status_code == 403
+    sent = {"csrf": browser.csrf if csrf is None else csrf}
+    assert browser.client.post("/sign-out", data=sent, headers=headers).status_code == 403
     assert browser.get("/").status_code == 200
 
 

@@ -1,7 +1,5 @@
 """Connections that never finish a request, too many of them, and broken ones: the panel stays up and quiet."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

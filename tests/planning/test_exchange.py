@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bench.planning.optimal_design import ExchangeDesign, best_of, vector_goal
-from tests.support.paper_bench import U0, K, specific_force
+from bench.validation.paper_bench import U0, K, specific_force
 from tests.support.planning_bench import PAPER, SIZES, STAND, sites
 
 

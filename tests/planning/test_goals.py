@@ -15,7 +15,7 @@ from bench.planning.optimal_design import (
     vector_goal,
 )
 from bench.planning.requirements import conditions_of
-from tests.support.paper_bench import ARCSEC, K
+from bench.validation.paper_bench import ARCSEC, K
 from tests.support.planning_bench import PAPER, SIZES, STAND
 
 

@@ -16,7 +16,7 @@ from bench.planning.optimal_design import (
 )
 from bench.planning.points import best_within, cheapest, passes
 from bench.readings.table import make_readings
-from tests.support.paper_bench import U0, K, specific_force
+from bench.validation.paper_bench import U0, K, specific_force
 from tests.support.planning_bench import COST, PAPER, SIZES, STAND, sites, whole
 
 

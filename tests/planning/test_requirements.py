@@ -17,7 +17,7 @@ from bench.config.shipped import find_bench, find_procedure
 from bench.model import Block, Distribution, ForwardModel, Installation
 from bench.model.geometry import modulus_slopes
 from bench.planning.requirements import BEYOND, Requirement, of_acceleration, of_coefficient, of_delta_g
-from tests.support.paper_bench import ARCSEC, U0, K, simulate, specific_force
+from bench.validation.paper_bench import ARCSEC, U0, K, simulate, specific_force
 
 SIZES = {
     "axis_tilt": 5 * ARCSEC,

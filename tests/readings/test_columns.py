@@ -1,7 +1,5 @@
 """Text in CSV cells: a spreadsheet keeps it as text, a terminal does not obey it, our import has it back."""
 
-from __future__ import annotations
-
 import csv
 import io
 

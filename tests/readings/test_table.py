@@ -22,8 +22,8 @@ from bench.readings.corrected import (
 )
 from bench.readings.reading import Outlier, Reading, readings_of
 from bench.readings.table import JoinedPart, make_readings, together
+from bench.validation.paper_bench import STAND_U, simulate
 from drivers.angles import classic_slip
-from tests.support.paper_bench import STAND_U, simulate
 
 N = 4
 TRUE_V = np.array([[1.0, -2.0, 0.5], [2.1, 0.3, -1.7], [-0.4, 1.9, 2.0], [0.0, -1.1, 1.2]])

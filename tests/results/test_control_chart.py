@@ -9,7 +9,7 @@ import pytest
 from bench.history.control_chart import CheckRun, control_chart
 from bench.results.control_chart import CheckBlockChart, render_chart
 from bench.stats.control_charts import ChartDesign
-from tests.support.paper_bench import TRUTH
+from bench.validation.paper_bench import TRUTH
 
 NOTHING = np.zeros((12, 12))
 U = 1e-4

@@ -15,8 +15,8 @@ from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import make_readings
 from bench.results import plots
 from bench.results.page import ReportContent, render_report
+from bench.validation.paper_bench import STAND_U, simulate
 from bench.validation.registry import REFERENCE
-from tests.support.paper_bench import STAND_U, simulate
 
 MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
 

@@ -1,7 +1,5 @@
 """Campaigns of signals and supplies in miniature: each finds nothing amiss, and could."""
 
-from __future__ import annotations
-
 import signal
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Commands, the panel's buttons, meters that go and kills in any order: a few steps of the campaign."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis.stateful import run_state_machine_as_test

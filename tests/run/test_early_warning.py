@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.readings.reading import Reading
 from bench.run.early_warning import EarlyWarning
+from bench.validation.paper_bench import SETTING_U_RAD, STAND_U, U0, K, design, specific_force
 from tests.support.diagnosis_bench import MODEL, PSI
-from tests.support.paper_bench import SETTING_U_RAD, STAND_U, U0, K, design, specific_force
 
 NOMINAL = (-2.18, -2.14, -2.14)
 BENCH_U = STAND_U | {"setting_error": SETTING_U_RAD, "voltmeter_error": 1e-4}

@@ -1,7 +1,5 @@
 """An encoder that answers in the person's place: who answered, what is recorded, how many keys a run takes."""
 
-from __future__ import annotations
-
 import io
 import math
 import os

@@ -1,7 +1,5 @@
 """The platform is levelled: what the record says of it is true, and asked again where it cannot be."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

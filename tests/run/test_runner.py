@@ -1,7 +1,5 @@
 """Runs of a plan: carried out, recorded, resumed; states and certificates on the way."""
 
-from __future__ import annotations
-
 import contextlib
 from functools import reduce
 

@@ -1,7 +1,5 @@
 """What is watched during a run: the chamber, the clocks, the thermometer at the block."""
 
-from __future__ import annotations
-
 import json
 from contextlib import closing
 from datetime import UTC, datetime, timedelta

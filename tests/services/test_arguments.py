@@ -1,7 +1,5 @@
 """Public functions given what is no argument of theirs: one sentence each, whatever it is."""
 
-from __future__ import annotations
-
 import inspect
 from datetime import date
 from pathlib import Path

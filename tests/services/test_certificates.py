@@ -22,9 +22,9 @@ from bench.run.events import sha256
 from bench.run.sentences import sentence
 from bench.services.execution import _on_certificates
 from bench.services.source import Request, data_sha256, load_sources, provenance
+from bench.validation.paper_bench import TRUTH, U0, K, simulate
 from tests.support.certified_bench import meter_certificate, table_certificate, write_bench
 from tests.support.diagnosis_bench import paper_run
-from tests.support.paper_bench import TRUTH, U0, K, simulate
 
 NOW = datetime(2026, 6, 1, 12, tzinfo=UTC)
 GAIN = np.array([100e-6, -40e-6, 0.0])

@@ -1,7 +1,5 @@
 """A whole commissioning on simulated benches: gone through, stopped, skipped, with one fault of each kind."""
 
-from __future__ import annotations
-
 import json
 import signal
 from collections.abc import Callable, Iterator

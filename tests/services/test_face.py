@@ -10,9 +10,9 @@ import pytest
 
 import bench as program
 from bench.readings.csv import write_csv
+from bench.validation.paper_bench import K
 from tests.support.diagnosis_bench import paper_run
 from tests.support.honest_runs import simulate_few
-from tests.support.paper_bench import K
 
 
 @pytest.fixture

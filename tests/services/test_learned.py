@@ -1,7 +1,5 @@
 """What is said before a run with a learned file: budget, and goals of `run --until`."""
 
-from __future__ import annotations
-
 import datetime
 import io
 import json

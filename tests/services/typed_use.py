@@ -1,7 +1,5 @@
 """What a user's type checker must accept; mypy reads it, nothing runs it."""
 
-from __future__ import annotations
-
 from typing import Any, assert_type
 
 import bench

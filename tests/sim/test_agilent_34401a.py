@@ -345,14 +345,9 @@ def test_initiate_stores_and_fetch_hands_over_as_often_as_asked(meter: Agilent34
     assert bench.readings == 1
 
 
-def test_read_does_not_store(meter: Agilent34401A) -> None:
-    ask(meter, "READ?")
-    assert tell(meter, "FETC?") is None
-    assert error(meter) == '-230,"Data stale"'
-
-
-def test_fetch_with_memory_switched_off_is_stale(meter: Agilent34401A) -> None:
-    tell(meter, 'DATA:FEED RDG_STORE,"";:INIT')
+@pytest.mark.parametrize("sent", ["READ?", 'DATA:FEED RDG_STORE,"";:INIT'])
+def test_what_is_not_stored_cannot_be_fetched(meter: Agilent34401A, sent: str) -> None:
+    tell(meter, sent)
     assert tell(meter, "FETC?") is None
     assert error(meter) == '-230,"Data stale"'
 

@@ -1,7 +1,5 @@
 """The simulated chambers, as (sent, answered) against their manuals' text."""
 
-from __future__ import annotations
-
 import pytest
 
 from sim.chambers import EspecP300, Thermotron8800, WatlowF4T

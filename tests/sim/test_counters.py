@@ -1,7 +1,5 @@
 """The simulated counters of an encoder: what they say on the wire, what is lost when they are switched off."""
 
-from __future__ import annotations
-
 import json
 import math
 

@@ -1,7 +1,5 @@
 """Whatever a client sends, the simulated instruments live on; the text is of what they understand."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """What real benches add: a loaded input, mains, drift, 1/f noise, a real serial port, air that rings."""
 
-from __future__ import annotations
-
 import math
 import re
 import socket

@@ -1,7 +1,5 @@
 """The simulated Zaber stage and ACUTROL table, as (sent, answered) against their manuals' text."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """The simulated ESP301, as (sent, answered); its lines end in CR, its replies in CR LF."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

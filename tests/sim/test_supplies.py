@@ -1,7 +1,5 @@
 """The simulated supplies in other people's words: replies in their manuals' form, what they refuse, their power."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Crossed effects of units and benches, and many looks: dense algebra, statsmodels, recovery, honest u."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Restricted likelihood: variance components in closed form, and sizes of the noise of many runs at once."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import special

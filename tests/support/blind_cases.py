@@ -1,7 +1,5 @@
 """Cases of the blind trial by what is hidden in them, and what a diagnosis may say."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from benchmarks.blind_trial.cases import Answer, Case, Row, make_case

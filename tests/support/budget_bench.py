@@ -9,7 +9,7 @@ from bench.calibration.budget.error_source import ErrorSource
 from bench.calibration.budget.sources import stand_source
 from bench.model import AppliedEffect, Block, Conditions, Distribution, ForwardModel, Installation
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
-from tests.support.paper_bench import ARCSEC, U0, K, design
+from bench.validation.paper_bench import ARCSEC, U0, K, design
 
 ONE_SIGMA = {
     "axis_tilt": 5 * ARCSEC,

@@ -1,7 +1,5 @@
 """Dry runs of the check block of a bench, in a folder `runs` beside its bench file `my.yaml`."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any

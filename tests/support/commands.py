@@ -1,7 +1,5 @@
 """What commands answer, held against what they promise."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 Answer = tuple[int | str | None, str, str]

@@ -1,7 +1,5 @@
 """An evening over instruments of the tests' own, with a shipped bench file, a virtual clock, a scripted person."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 

@@ -1,7 +1,7 @@
 """A run for tests of effects: every condition that an effect may depend on varies in it.
 
 Two installations turned by PSI, so that all axes of the block feel gravity; a rising and a falling pass in
-each; the second pass is scanned in reverse. Forces come from support/paper_bench.py, not from the application.
+each; the second pass is scanned in reverse. Forces come from bench.validation, not from the application.
 """
 
 from typing import Any
@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.base.arrays import Floats
 from bench.model import CATALOGUE, AppliedEffect, Block, Conditions, ForwardModel, Installation
-from tests.support.paper_bench import ARCSEC, U0, K, specific_force
+from bench.validation.paper_bench import ARCSEC, U0, K, specific_force
 
 PSI = 0.6
 BLOCK = Block(K, U0)

@@ -9,8 +9,8 @@ from bench.readings.csv import write_csv
 from bench.readings.table import Readings
 from bench.run.events import sha256
 from bench.services.bench_selection import BenchOrigin, Origin, UnitOrigin
+from bench.validation.paper_bench import ARCSEC
 from tests.support.learning_bench import Bench, Runs, simulate
-from tests.support.paper_bench import ARCSEC
 
 SHIPPED = Path(__file__).parents[2] / "config" / "paper-stand.yaml"
 TRUTH = Bench(

@@ -1,7 +1,5 @@
 """Three 34401A on a GPIB bus, behind a simulated adapter."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 

@@ -11,7 +11,7 @@ from bench.calibration.result import COVERAGE_FACTOR, NoisePrior
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import Readings, make_readings
-from tests.support.paper_bench import (
+from bench.validation.paper_bench import (
     ARCSEC,
     SETTING_U_RAD,
     STAND_U,

@@ -4,8 +4,6 @@ The bench is the paper's with this instrument in its place, as its `Device.examp
 wire and its simulation can be chosen: somebody else's instrument, nobody, one that takes another value.
 """
 
-from __future__ import annotations
-
 import copy
 import json
 import re

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bench.readings.table import Readings, make_readings
-from tests.support.paper_bench import ARCSEC, U0, K, design, specific_force
+from bench.validation.paper_bench import ARCSEC, U0, K, design, specific_force
 
 KINDS = ("axis_tilt", "zero_offset", "mounting_error", "mounting_roll")
 STATED = dict(zip(KINDS, np.array([5 / 3, 5 / 3, 30.0, 30.0]) * ARCSEC, strict=True))

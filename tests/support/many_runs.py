@@ -1,7 +1,5 @@
 """A folder of runs for batches: copies of one record of an earlier version, with or without stored results."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from functools import cache

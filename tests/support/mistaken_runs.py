@@ -1,4 +1,4 @@
-"""Runs of the paper's procedure with mistakes and effects in them, from support/paper_bench.py's own geometry."""
+"""Runs of the paper's procedure with mistakes and effects in them, from the paper bench's own geometry."""
 
 from collections.abc import Callable, Collection
 from dataclasses import replace
@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from bench.base.arrays import Floats
 from bench.diagnosis.mistakes.search import MistakeSearch, find_mistakes
 from bench.readings.table import Readings, make_readings
+from bench.validation.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, design, specific_force
 from tests.support.diagnosis_bench import MODEL, NOISE_V, PSI
-from tests.support.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, design, specific_force
 
 Labels = NDArray[np.str_]
 Numbers = NDArray[np.int64]

@@ -1,7 +1,5 @@
 """Motorised heads in driver tests: how far and how fast they turn, and one opened on its served simulation."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

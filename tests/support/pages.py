@@ -5,8 +5,6 @@ A comment on the line before a block marks it: `<!-- file: NAME -->` is a file t
 with `shell: WHY`; with `hardware: WHY`, `checked: WHY` or `not run: WHY`, whose commands and options must exist.
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 from collections.abc import Iterator

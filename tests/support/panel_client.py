@@ -1,7 +1,5 @@
 """A panel in the test's own process, and persons who are signed in to it."""
 
-from __future__ import annotations
-
 import json
 import warnings
 from pathlib import Path

@@ -1,6 +1,7 @@
 """Waiting for other processes and threads, as long as a slow machine may need."""
 
 import subprocess
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -16,3 +17,12 @@ def wait_for(reached: Callable[[], bool], process: subprocess.Popen[Any]) -> Non
         assert process.poll() is None, f"the process ended with {process.returncode}"
         assert time.monotonic() < give_up, "nothing happened"
         time.sleep(0.01)
+
+
+def together(*calls: Callable[[], object]) -> None:
+    """Make all calls at once, each in a thread of its own, and wait for their ends."""
+    threads = [threading.Thread(target=call) for call in calls]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()

@@ -11,7 +11,7 @@ from bench.model import Block, ForwardModel, Mounting
 from bench.planning.optimal_design import Goal, Stand, whole_goal
 from bench.planning.points import Sites
 from bench.planning.requirements import Cost, fitted, settings_of
-from tests.support.paper_bench import U0, K
+from bench.validation.paper_bench import U0, K
 
 BENCH = load_bench(find_bench("paper-stand"))
 SIZES = {name: d.u for name, d in BENCH.stand_distributions().items()}

@@ -1,7 +1,5 @@
 """What a calibration and a verification are as JSON, where no source stands behind them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from bench.calibration import Calibration

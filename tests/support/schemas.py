@@ -1,7 +1,5 @@
 """Results held against their JSON schemas."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Stands for a message session in driver tests: expects (sent, answered) pairs in order."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Keys, authorities and a small PDF for what signs certificates."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import cache

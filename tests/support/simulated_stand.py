@@ -1,7 +1,6 @@
 """One simulated instrument on a real loopback socket, over a world on a virtual clock."""
 
-from __future__ import annotations
-
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -20,6 +19,20 @@ from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings
 
 BLOCK = Block(np.diag([-2.177, -2.142, -2.163]), np.array([0.07, -0.2, -0.41]))
+
+
+class EndlessClock:
+    """A clock on which nothing ends by itself; `entered` is set once somebody waits on it."""
+
+    def __init__(self) -> None:
+        self.entered = threading.Event()
+
+    def now_s(self) -> float:
+        return 0.0
+
+    def sleep(self, _duration_s: float) -> None:
+        self.entered.set()
+        threading.Event().wait(0.001)
 
 
 def a_world(setting_error_rad: float = 0.0, seed: int = 3) -> World:

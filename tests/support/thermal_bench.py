@@ -7,7 +7,7 @@ import numpy as np
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import Readings, make_readings
-from tests.support.paper_bench import SETTING_U_RAD, STAND_U, TRUTH, design, specific_force
+from bench.validation.paper_bench import SETTING_U_RAD, STAND_U, TRUTH, design, specific_force
 
 MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
 CYCLE_C = (23.0, 40.0, 55.0, 40.0, 23.0, 0.0, -20.0, 0.0, 23.0)

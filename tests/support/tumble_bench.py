@@ -9,7 +9,7 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.readings.centrifuge import CentrifugePoints
 from bench.readings.table import Readings, make_readings
-from tests.support.paper_bench import SETTING_U_RAD, STAND_U, U0, K, specific_force
+from bench.validation.paper_bench import SETTING_U_RAD, STAND_U, U0, K, specific_force
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Runs of the paper's procedure with every error of a bench in them, one at a time or all together.
 
-Nothing of `bench.model` or `bench.analysis` is used: geometry from support/paper_bench.py, every other error
+Nothing of `bench.model` or `bench.analysis` is used: geometry from bench.validation, every other error
 written out here. Sizes are those of the shipped paper-stand file, of the 34401A's data sheet (90 days, 10 V:
 20 ppm of reading, 5 ppm of range) and of a quartz-flexure block (30 ug/K, 180 ppm/K), rectangular; a run of 54
 readings and 8 verification points takes five hours.
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.readings.table import Readings, make_readings
-from tests.support.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, design, specific_force
+from bench.validation.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, design, specific_force
 
 PSI = np.radians(45.0)
 HOURS = 5.0

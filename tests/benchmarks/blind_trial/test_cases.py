@@ -3,8 +3,6 @@
 Random tests have fixed seeds; their bounds are four standard deviations of what is averaged.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.linalg import block_diag

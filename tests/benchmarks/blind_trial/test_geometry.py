@@ -1,15 +1,13 @@
 """The trial's own geometry, weather and hysteresis, against closed forms and integration."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from bench.validation import paper_bench
 from benchmarks.blind_trial.effects import BLOCK
 from benchmarks.blind_trial.signals import K, signature
 from benchmarks.blind_trial.stand import ARCSEC, Weather, head_path, make_run, specific_force
-from tests.support import paper_bench
 from tests.support.blind_cases import SEED
 
 

@@ -1,7 +1,5 @@
 """Mistakes of procedure and wiring that the blind trial makes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The blind trial as a program: enough cases, failures counted, cases sealed."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -13,8 +13,8 @@ from bench.calibration.budget.sources import effect_sources
 from bench.calibration.design import make_problem
 from bench.calibration.result import Noise
 from bench.model import CATALOGUE, AppliedEffect
+from bench.validation.paper_bench import U0, K, simulate
 from tests.support.budget_bench import ONE_SIGMA, paper_setup, stand
-from tests.support.paper_bench import U0, K, simulate
 
 TRIALS = 10_000
 LIKE_FOUR_SIGMA = 4 / np.sqrt(2 * TRIALS)

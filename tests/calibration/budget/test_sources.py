@@ -17,8 +17,8 @@ from bench.config.devices.sections import VoltmeterKind
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
 from bench.model import CATALOGUE, AppliedEffect, Distribution
+from bench.validation.paper_bench import ARCSEC, TRUTH, K
 from tests.support.budget_bench import COEFFICIENTS, paper_setup, stand
-from tests.support.paper_bench import ARCSEC, TRUTH, K
 
 PLAN = load_procedure(find_procedure("paper")).expand()
 SHIPPED = load_bench(find_bench("paper-stand"))

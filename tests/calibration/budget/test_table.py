@@ -12,8 +12,8 @@ from bench.calibration.budget.sources import bench_sources, stand_source
 from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
 from bench.model import CATALOGUE, AppliedEffect, Distribution
+from bench.validation.paper_bench import ARCSEC, K
 from tests.support.budget_bench import ONE_SIGMA, paper_setup, stand
-from tests.support.paper_bench import ARCSEC, K
 
 # µV/g, U0 in µV
 BY_SOURCE = {
@@ -42,15 +42,10 @@ def test_each_source_in_the_closed_form(source):
     assert close(1e6 * budget.contribution(source).u, BY_SOURCE[source])
 
 
-@pytest.mark.parametrize("estimator", COMBINED)
-def test_combined_uncertainty(estimator):
+@pytest.mark.parametrize(("estimator", "published"), [*COMBINED.items(), ("ols", COMBINED["least-squares"])])
+def test_combined_uncertainty(estimator, published):
     budget = make_budget(paper_setup(), stand(), estimator)
-    assert close(1e6 * budget.combined.u, COMBINED[estimator])
-
-
-def test_ols_is_another_name_of_least_squares():
-    budget = make_budget(paper_setup(), stand(), "ols")
-    assert close(1e6 * budget.combined.u, COMBINED["least-squares"])
+    assert close(1e6 * budget.combined.u, published)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from bench.config.bench_file.stand import RatioError, TemperatureError, VoltageE
 from bench.model import Block, ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import VERIFICATION
-from tests.support.paper_bench import ARCSEC
+from bench.validation.paper_bench import ARCSEC
 from tests.support.results import calibration_json
 from tests.support.whole_truth import CASES, simulate_whole
 

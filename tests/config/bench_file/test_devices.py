@@ -1,7 +1,5 @@
 """Instruments from elsewhere: folders, distributions, what is wrong with them, records without them."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

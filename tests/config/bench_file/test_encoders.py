@@ -1,7 +1,5 @@
 """Bench files with an encoder beside a head that a person turns."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

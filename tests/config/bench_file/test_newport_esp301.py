@@ -1,7 +1,5 @@
 """A Newport ESP301 in a bench file: the wires that it has, how fast its port is, what its driver is told."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The verb `level`: before a mounting, by itself, where it may stand, what it needs of a bench."""
 
-from __future__ import annotations
-
 import pytest
 
 from bench.base.yaml_files import FileMistakes

@@ -5,8 +5,8 @@ import pytest
 
 from bench.diagnosis.mistakes.search import find_mistakes
 from bench.readings.table import make_readings
+from bench.validation.paper_bench import STAND_U, U0, K, specific_force
 from tests.support.mistaken_runs import MODEL, NOMINAL, find, run, with_signal
-from tests.support.paper_bench import STAND_U, U0, K, specific_force
 
 SIX = [("1", 0), ("1", 90), ("1", 180), ("1", 270), ("2", 0), ("2", 180)]
 

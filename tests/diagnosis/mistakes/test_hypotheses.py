@@ -13,8 +13,8 @@ from bench.diagnosis.mistakes.gross import ERRORS_G, GrossSearch
 from bench.diagnosis.mistakes.hypotheses import ERRORS, Table
 from bench.diagnosis.mistakes.reinterpretation import OrientedRows, nothing, suppositions
 from bench.model import Block
+from bench.validation.paper_bench import STAND_U, U0, K
 from tests.support.mistaken_runs import MODEL, NOISE_V, NOMINAL, run, with_outlier
-from tests.support.paper_bench import STAND_U, U0, K
 
 RATIO = 1.4
 

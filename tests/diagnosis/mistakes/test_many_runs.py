@@ -10,8 +10,8 @@ from bench.diagnosis.mistakes import search
 from bench.diagnosis.multi_run_system import find_mistakes_in_each, make_system, with_blocks
 from bench.diagnosis.noise_grid import make_whitener
 from bench.readings.table import JoinedPart, Readings, together
+from bench.validation.paper_bench import STAND_U
 from tests.support.mistaken_runs import MODEL, NOISE_V, NOMINAL, run, with_outlier, with_signal
-from tests.support.paper_bench import STAND_U
 
 
 def joined(tables: list[Readings]) -> Readings:

@@ -1,4 +1,4 @@
-"""Mistakes of procedure and wiring: put into runs of support/paper_bench.py's own simulation, and looked for."""
+"""Mistakes of procedure and wiring: put into runs of the paper bench's own simulation, and looked for."""
 
 from dataclasses import replace
 
@@ -7,6 +7,7 @@ import pytest
 
 from bench.calibration import CalibrationError
 from bench.diagnosis.mistakes.search import find_mistakes
+from bench.validation.paper_bench import ARCSEC, STAND_U, U0, K, design
 from tests.support.mistaken_runs import (
     EFFECTS,
     MODEL,
@@ -22,7 +23,6 @@ from tests.support.mistaken_runs import (
     with_outlier,
     with_signal,
 )
-from tests.support.paper_bench import ARCSEC, STAND_U, U0, K, design
 
 
 def spoil(name, scope, seed):

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bench.validation.paper_bench import K
 from tests.support.mistaken_runs import EFFECTS, NOISE_V, find, outlier_v, place, run, with_outlier
-from tests.support.paper_bench import K
 
 UNEQUAL = 5.0
 """Standard deviations of the mean square residual beyond which a copy is not put right."""

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bench.validation.paper_bench import ARCSEC, U0, K, specific_force
 from tests.support.mistaken_runs import find, run
-from tests.support.paper_bench import ARCSEC, U0, K, specific_force
 
 OTHER_K = np.array([[-2.186, -0.015, 0.028], [0.029, -2.148, 0.036], [0.010, 0.009, -2.153]])
 OTHER_U0 = np.array([0.057, -0.157, -0.329])

@@ -1,7 +1,5 @@
 """Heads and chambers on wires that fail at random: a right value, or one of our errors; never a wrong value."""
 
-from __future__ import annotations
-
 import random
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Less patience once a person has asked twice to stop."""
 
-from __future__ import annotations
-
 import socket
 
 import pytest

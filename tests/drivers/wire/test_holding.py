@@ -1,7 +1,5 @@
 """One program at an instrument: a second is refused with who has it, a dead one holds nothing."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,11 +1,10 @@
 """GPIB through an adapter: the transport, and a bench of three meters over it."""
 
-from __future__ import annotations
-
 import os
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 
 import numpy as np
 import pytest
@@ -20,7 +19,7 @@ from sim.bench import SimulatedBench
 from sim.wires.faults import Fault, FaultKind
 from sim.wires.prologix import AdapterSettings, GpibAdapter
 from tests.support.gpib_bus import ADDRESSES, IDENTITY, NO_ERROR, Bus, a_world, served
-from tests.support.patience import PATIENCE_S
+from tests.support.patience import PATIENCE_S, together
 
 
 @contextmanager
@@ -112,11 +111,7 @@ def test_threads_get_the_answers_of_their_own_instruments() -> None:
                 if reply != f"+{address}":
                     wrong.append(reply)
 
-        threads = [threading.Thread(target=ask, args=(address,)) for address in wires]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        together(*(partial(ask, address) for address in wires))
     assert wrong == []
 
 

@@ -1,10 +1,7 @@
 """The wire log: what a line holds, a disk that is full, several threads, and a whole dry run."""
 
-from __future__ import annotations
-
 import random
 import re
-import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -39,7 +36,7 @@ from drivers.wire.visa import MessageSession
 from sim.agilent_34401a import Agilent34401A as SimulatedMeter
 from sim.world.world import Terminals
 from tests.drivers.wire.test_faulty_wire import CHAMBERS, DEG, HEADS, at_random, dialect
-from tests.support.patience import PATIENCE_S
+from tests.support.patience import PATIENCE_S, together
 from tests.support.scripted_session import ScriptedSession
 from tests.support.simulated_stand import a_world, served
 
@@ -110,14 +107,7 @@ def test_a_full_disk_ends_the_log_with_one_note_and_nothing_else(capsys: pytest.
 
 def test_lines_of_several_threads_stay_whole(tmp_path: Path) -> None:
     log = WireLog(tmp_path / "wire.log")
-    threads = [
-        threading.Thread(target=lambda c=c: [log(f"voltmeter.{c}", ">", c * 200) for _ in range(50)])
-        for c in "xyz"
-    ]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    together(*(lambda c=c: [log(f"voltmeter.{c}", ">", c * 200) for _ in range(50)] for c in "xyz"))
     log.close()
     lines = (tmp_path / "wire.log").read_text().splitlines()
     assert len(lines) == 150

@@ -1,19 +1,19 @@
 """The transport over real sockets: what goes wrong ends in one sentence."""
 
-from __future__ import annotations
-
 import importlib.util
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 
 import pytest
 
 from drivers.interfaces import BadReading, BenchError, InstrumentLost
 from drivers.wire import pyvisa_connection
 from drivers.wire.visa import MessageSession
+from tests.support.patience import together
 
 NAME = "voltmeter.x"
 READING = r"[+-]\d\.\d{8}E[+-]\d\d"
@@ -149,11 +149,7 @@ def test_threads_get_their_own_answers() -> None:
                 if reply != f"{command}!":
                     wrong.append(reply)
 
-        threads = [threading.Thread(target=ask, args=(who,)) for who in range(4)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        together(*(partial(ask, who) for who in range(4)))
     assert wrong == []
 
 

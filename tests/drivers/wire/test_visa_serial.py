@@ -1,7 +1,5 @@
 """The transport over a pseudo-terminal: serial settings, late replies, a port that goes."""
 
-from __future__ import annotations
-
 import os
 import select
 import threading

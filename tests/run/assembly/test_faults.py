@@ -57,24 +57,18 @@ def test_a_bench_file_takes_the_faults_that_the_simulation_takes(data):
         assert Fault.parse(FaultSection.model_validate(data).to_plain()) == fault
 
 
-def test_a_fault_of_the_bench_file_strikes_the_instrument_that_it_names(composed):
-    _, assembly = composed(
-        "bench-lan", faults('{fault: garble, instrument: voltmeter.y, matching: "FETC?", at: 2}')
-    )
+@pytest.mark.parametrize(
+    ("bench", "fault", "error", "told"),
+    [
+        ("bench-lan", 'fault: garble, matching: "FETC?"', BadReading, r": the reply to FETC\?"),
+        ("bench-prologix", "fault: error, matching: INIT, error: -213", InstrumentRefused, ".*-213"),
+    ],
+)
+def test_a_fault_strikes_the_meter_that_it_names_behind_an_adapter_too(composed, bench, fault, error, told):
+    _, assembly = composed(bench, faults(f"{{{fault}, instrument: voltmeter.y, at: 2}}"))
     assembly.instruments.open()
     read(assembly.instruments)
-    with pytest.raises(BadReading, match=r"voltmeter\.y: the reply to FETC\?"):
-        read(assembly.instruments)
-
-
-def test_a_fault_of_a_meter_behind_an_adapter_strikes_that_meter(composed):
-    _, assembly = composed(
-        "bench-prologix",
-        faults("{fault: error, instrument: voltmeter.y, matching: INIT, at: 2, error: -213}"),
-    )
-    assembly.instruments.open()
-    read(assembly.instruments)
-    with pytest.raises(InstrumentRefused, match=r"voltmeter\.y.*-213"):
+    with pytest.raises(error, match=rf"voltmeter\.y{told}"):
         read(assembly.instruments)
 
 

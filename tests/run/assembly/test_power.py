@@ -1,7 +1,5 @@
 """A bench file's supply and rails on the simulated bench: the driver switches, the block lives or is dead."""
 
-from __future__ import annotations
-
 import pytest
 import yaml
 

@@ -1,7 +1,5 @@
 """An evening of checks: the session, its findings and its wires."""
 
-from __future__ import annotations
-
 import pytest
 
 from bench.run.commission.session import (

@@ -1,7 +1,5 @@
 """Faults on demand: as data, when they strike, what they do on the wire and to the instrument."""
 
-from __future__ import annotations
-
 import json
 import select
 import socket
@@ -25,7 +23,7 @@ from sim.world.power import PowerSettings, Rail
 from sim.world.world import World, WorldSettings
 from tests.support.patience import PATIENCE_S
 from tests.support.scripted_session import Clock
-from tests.support.simulated_stand import BLOCK, a_34401a, a_world
+from tests.support.simulated_stand import BLOCK, EndlessClock, a_34401a, a_world
 
 IDENTITY = b"HEWLETT-PACKARD,34401A,0,11-5-2\n"
 
@@ -294,19 +292,8 @@ def test_refusal_for_a_time() -> None:
 
 
 def test_a_device_clear_of_another_client_ends_a_long_reading() -> None:
-    entered = threading.Event()
-
-    class Slow:
-        """A clock on which nothing ends by itself."""
-
-        def now_s(self) -> float:
-            return 0.0
-
-        def sleep(self, _duration_s: float) -> None:
-            entered.set()
-            threading.Event().wait(0.001)
-
-    world = World(WorldSettings(BLOCK, ForwardModel({"1": INSTALLATION_1}), {}, 5), Slow())
+    clock = EndlessClock()
+    world = World(WorldSettings(BLOCK, ForwardModel({"1": INSTALLATION_1}), {}, 5), clock)
     with SimulatedBench(world, {"v": a_34401a("x")}) as bench:
         address = ("127.0.0.1", bench.servers["v"].port)
         with (
@@ -314,7 +301,7 @@ def test_a_device_clear_of_another_client_ends_a_long_reading() -> None:
             socket.create_connection(address, timeout=PATIENCE_S) as b,
         ):
             a.sendall(b"SAMP:COUN 7;:READ?\n")
-            assert entered.wait(PATIENCE_S)
+            assert clock.entered.wait(PATIENCE_S)
             b.sendall(b"\x03")
             assert ask(b) == IDENTITY
             assert ask(b, b"SAMP:COUN?\n") == b"+7\n"

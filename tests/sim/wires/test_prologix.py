@@ -1,7 +1,5 @@
 """The simulated GPIB adapter against its manual, and under another library."""
 
-from __future__ import annotations
-
 import pytest
 import pyvisa
 

@@ -5,7 +5,6 @@ import select
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,7 +17,7 @@ from sim.bench import SimulatedBench
 from sim.wires.server import TERMINALS, TerminalServer
 from sim.wires.session import ServedInstrument
 from sim.world.clock import VirtualClock
-from tests.support.patience import PATIENCE_S
+from tests.support.patience import PATIENCE_S, together
 from tests.support.simulated_stand import a_34401a, a_world
 
 pytestmark = pytest.mark.skipif(not TERMINALS, reason="this system has no pseudo-terminals")
@@ -110,11 +109,7 @@ def test_tcp_and_terminal_share_one_instrument_and_keep_their_own_replies() -> N
             for _ in range(100):
                 answers["pty"].append(client.ask(b"VOLT:NPLC?\n"))
 
-        threads = [threading.Thread(target=talk) for talk in (talk_tcp, talk_pty)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        together(talk_tcp, talk_pty)
         client.write(b"VOLT:NPLC 100;*OPC?\n")
         assert client.read_line() == b"1\r\n"
         tcp.sendall(b"VOLT:NPLC?\n")

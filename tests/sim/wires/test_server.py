@@ -6,6 +6,7 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 
 import numpy as np
 import pytest
@@ -21,8 +22,8 @@ from sim.wires.server import TERMINALS, TcpServer
 from sim.wires.session import REFUSE, Framer, LineEnds, Overflow, WireFault
 from sim.world.clock import ScaledClock, VirtualClock
 from sim.world.world import World, WorldSettings
-from tests.support.patience import PATIENCE_S
-from tests.support.simulated_stand import a_34401a
+from tests.support.patience import PATIENCE_S, together
+from tests.support.simulated_stand import EndlessClock, a_34401a
 
 BLOCK = Block(
     np.array([[-2.177, 0.011, 0.021], [0.006, -2.142, 0.033], [0.012, 0.024, -2.163]]),
@@ -121,14 +122,7 @@ def test_two_clients_at_once_share_one_instrument_and_keep_their_own_replies() -
             for _ in range(200):
                 answers[name].append(client.ask(question))
 
-        threads = [
-            threading.Thread(target=talk, args=("a", a, b"*IDN?\n")),
-            threading.Thread(target=talk, args=("b", b, b"VOLT:NPLC?\n")),
-        ]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        together(partial(talk, "a", a, b"*IDN?\n"), partial(talk, "b", b, b"VOLT:NPLC?\n"))
         a.write(b"VOLT:NPLC 100\n")
         assert a.ask(b"*OPC?\n") == b"1\n"
         assert b.ask(b"VOLT:NPLC?\n") == b"+1.000000E+02\n"
@@ -144,22 +138,11 @@ def test_control_c_is_device_clear() -> None:
 
 
 def test_control_c_ends_a_long_reading_on_a_clock_that_takes_its_time() -> None:
-    entered = threading.Event()
-
-    class Slow:
-        """A clock on which nothing ends by itself."""
-
-        def now_s(self) -> float:
-            return 0.0
-
-        def sleep(self, _duration_s: float) -> None:
-            entered.set()
-            threading.Event().wait(0.001)
-
-    world = World(WorldSettings(BLOCK, MODEL, {}, 5), Slow())
+    clock = EndlessClock()
+    world = World(WorldSettings(BLOCK, MODEL, {}, 5), clock)
     with SimulatedBench(world, {"v": a_34401a("x")}) as bench, Client(bench.servers["v"].port) as client:
         client.write(b"VOLT:NPLC 100;:READ?\n")
-        assert entered.wait(PATIENCE_S)
+        assert clock.entered.wait(PATIENCE_S)
         client.write(b"\x03")
         assert client.ask(b"*IDN?\n") == IDENTITY
 

@@ -1,16 +1,14 @@
 """Effects that look back, in the simulated world: what the model says of the whole run, reading by reading."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from bench.base.arrays import CHANNELS
 from bench.model import AppliedEffect, Conditions, Distribution, ForwardModel
+from bench.validation.paper_bench import ARCSEC
 from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings
 from tests.support.effect_bench import BLOCK, INSTALLATIONS, effect
-from tests.support.paper_bench import ARCSEC
 
 STAND = {
     "axis_tilt": Distribution(5 * ARCSEC),

@@ -1,7 +1,5 @@
 """The world's motorised head and its chamber with a controller: closed forms over time, keyed by step."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

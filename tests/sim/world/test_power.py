@@ -1,7 +1,5 @@
 """How the block is fed: power and its loss, in-rush, current limits, protections, disturbances, limits passed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,7 @@
 """The simulated world: keyed random numbers, geometry, temperature, time."""
 
 import math
-import threading
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from bench.model.effects import CATALOGUE, Effect, Stage
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from sim.world.clock import VirtualClock, wait_until
 from sim.world.world import World, WorldSettings
+from tests.support.patience import together
 
 BLOCK = Block(
     np.array([[-2.177, 0.011, 0.021], [0.006, -2.142, 0.033], [0.012, 0.024, -2.163]]),
@@ -191,11 +192,7 @@ def test_virtual_clock_never_runs_backwards_and_waiters_wait_side_by_side() -> N
     clock.sleep(-3.0)
     clock.advance_to(2.0)
     assert clock.now_s() == 5.0
-    threads = [threading.Thread(target=wait_until, args=(clock, 9.0, lambda: False)) for _ in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    together(*[partial(wait_until, clock, 9.0, lambda: False)] * 8)
     assert clock.now_s() == 9.0
 
 
