@@ -53,7 +53,7 @@ _NOT_HERE: Final = 305
 
 @dataclass(frozen=True, slots=True)
 class Transducer:
-    """The temperature sensor for which a channel is configured: its kind as in replies, and its type."""
+    """A channel's temperature sensor: `kind` as in replies ("FRTD"), `type` as its number (85)."""
 
     kind: str = "TC"
     type: int = 85

@@ -415,7 +415,7 @@ def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.r
 
 
 def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS) -> Threshold:
-    """Return the threshold for these readings from `nulls` simulated data sets without a missing effect.
+    """Return the threshold for these readings from `nulls` data sets simulated with a complete model.
 
     The noise ratio of each data set is drawn from its prior, which follows from the setting error in the
     bench file.

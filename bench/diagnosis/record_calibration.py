@@ -102,12 +102,12 @@ class RecordCalibration:
 
 
 def calibrate_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -> RecordCalibration:
-    """Return the calibration of a record at a known input, after known effects are subtracted.
+    """Calibrate meters from readings at a known input, after known effects are subtracted.
 
     Effects with a stated u keep their values, and their u adds to the result. Effects without u were found in
-    this same record and are estimated again together with gain and offset. u also includes the slow noise and
-    the scatter of the reference (column `reference_sd_v`). Raises `CalibrationError` if the record cannot be
-    evaluated.
+    these readings and are estimated again together with gain and offset. u also includes the slow noise and
+    the scatter of the reference (column `reference_sd_v`). Raises `CalibrationError` if the readings cannot
+    be evaluated.
     """
     record = make_record(readings)
     known = record.added_by(effects)

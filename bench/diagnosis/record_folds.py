@@ -22,9 +22,9 @@ from bench.diagnosis.record_search import RecordWork
 
 @dataclass(frozen=True)
 class Rival:
-    """One kind of shape of an effect, for example with a lag, and how well it predicts held-out excursions.
+    """A kind of response (at once, lag, hysteresis), and how well it predicts held-out excursions.
 
-    `held_out_rms_v` is the root mean square of measured minus predicted, V, and `chi2` its chi-square.
+    `held_out_rms_v` (V) and `chi2` are the RMS and the chi-square of measured minus predicted.
     """
 
     what: str

@@ -276,9 +276,9 @@ class RecordWork:
         return self.helmert.T @ mean, np.sqrt(self.helmert.T**2 @ variance)
 
     def named(self, finds: Sequence[FoundEffect], limit: Threshold) -> tuple[NamedEffect, ...]:
-        """Return the effects found as results with their values; `limit` is the threshold of the search.
+        """Return `finds` as named effects with values; `limit` is the threshold of the search.
 
-        If the size in a channel is no more than noise, the result does not list this channel.
+        A channel whose size is no more than noise is left out, unless all are.
         """
         shown, u_of_shapes, sizes, known = [], [], [np.zeros(0)], [np.zeros(0)]
         for number, one in enumerate(finds):

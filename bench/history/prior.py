@@ -61,7 +61,7 @@ class Prior:
     notes: tuple[str, ...] = ()
 
     def per(self, g_m_s2: float) -> tuple[Floats, Floats]:
-        """Return the mean (12,) and the covariance (12, 12) with scale factors per a local g of `g_m_s2`."""
+        """Return the mean (12,) and the covariance (12, 12), converted to a local g of `g_m_s2`."""
         factor = to_gravity(STANDARD_GRAVITY, g_m_s2)
         return self.mean * factor, self.covariance * np.outer(factor, factor)
 

@@ -392,7 +392,7 @@ class Requirement:
         return self.variances({})
 
     def keeps(self, reached: float) -> bool:
-        """Return whether k u meets the accuracy, within the rounding of sizes written to a file."""
+        """Return whether `reached` (k u) is at most the accuracy plus a margin for rounding."""
         return reached <= self.accuracy * (1.0 + _ROUNDING)
 
     def shares(self) -> dict[str, float]:

@@ -169,7 +169,7 @@ def block_result(data: Any, where: str) -> BlockResult:
 
 
 def _temperature(data: Any) -> str:
-    """Return in words which effects of temperature a result removed from its coefficients; "" for none."""
+    """Return in words the temperature effects for which a result was corrected; "" for none."""
     listed = data.get("temperature_effects")
     fitted = data.get("effects") if isinstance(data.get("effects"), dict) else {}
     names = [*(listed if isinstance(listed, list) else ()), *fitted]

@@ -266,7 +266,7 @@ class DiagnosisAlone(ResultWithPage):
         return tuple(paths)
 
     def corrected(self) -> dict[int, Readings]:
-        """Return the corrected readings of each affected source, by its number: without outlying positions."""
+        """Return the readings without outlying positions, by number of source; affected sources only."""
         return {}
 
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
@@ -317,7 +317,7 @@ class FreeDiagnosisResult(DiagnosisAlone):
     write_model = DiagnosisAlone.write_models
 
     def corrected(self) -> dict[int, Readings]:
-        """Return the corrected readings of each affected source, by its number: without outlying positions."""
+        """Return the readings without outlying positions, by number of source; affected sources only."""
         kept = {}
         for number in np.unique(self.found.left_out[:, 0]).tolist():
             source = self.body.sources[number]

@@ -85,7 +85,7 @@ class RecordCalibrationResult:
 
 
 def record_calibration_of(source: Source) -> RecordCalibrationResult:
-    """Calibrate meters from a record at a known input; effects in its model are subtracted first.
+    """Calibrate meters from readings at a known input, less the effects in the source's model.
 
     Raises `CalibrationError`.
     """

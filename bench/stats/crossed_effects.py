@@ -184,7 +184,7 @@ class MixedModelEquations:
 
 
 def _sums(crossing: Crossing, weighed: Floats, size: float) -> Floats:
-    """Return the sums of values (n,) over groups, then over benches times `size`, (T + B,)."""
+    """Return (T + B,): sums of values (n,) by group, then `size` times their sums by bench."""
     groups = np.bincount(crossing.group[crossing.unit], weighed, crossing.groups)
     return np.concatenate([groups, size * np.bincount(crossing.bench, weighed, crossing.benches)])
 

@@ -191,10 +191,10 @@ def delta_g_elsewhere(
     *, same_meters: bool, day: date | None = None, block_terms: Floats | None = None,
     meters: KnownMeters | None = None,
 ) -> Floats:  # fmt: skip
-    """Return the covariance (v, v) of |a| at the verification rows for coefficients of another day, local g².
+    """Return the covariance (v, v) of |a|, local g², at the verification rows for another day's coefficients.
 
     `covariance` (12, 12) and `noise` (3,) belong to the coefficients. With `same_meters`, the meters' gain and
-    offset cancel and must not be in that covariance; otherwise the gain and offset errors of today's meters are
+    offset cancel, so `covariance` must exclude them; otherwise the gain and offset errors of today's meters are
     added. `block_terms` (12, q), as in `Calibration`, correlate the effect of K2 and K3 on the coefficients with
     their effect on the readings at the points. All other errors of the readings count in full.
     """
