@@ -118,10 +118,7 @@ class Gap:
 
         NaN if nothing was held out.
         """
-        return self._chance(self.after)
-
-    def _chance(self, reduced: float) -> float:
-        return float(special.fdtrc(self.count, self.freedom, reduced)) if self.count else float("nan")
+        return float(special.fdtrc(self.count, self.freedom, self.after)) if self.count else float("nan")
 
     def _rms(self, of: Callable[[Fold], Floats]) -> float:
         return rms(np.concatenate([np.zeros(0), *map(of, self.folds)]))
@@ -170,7 +167,7 @@ class Gap:
         """Whether held-out readings confirm the effects found, by the registered rule.
 
         Chi-square must fall by at least `LEAST_FALL`, for all effects together and for each of them. Of the
-        excess of reduced chi-square over 1, at least `MOSTLY` must vanish, unless chance explains the excess.
+        excess of reduced chi-square over 1, at least `MOSTLY` must vanish, unless chance explains what remains.
         Root mean squares do not count, because setting errors dominate them. None if no effect was found, or
         nothing could be held out.
         """
@@ -179,7 +176,7 @@ class Gap:
         part = self.closed
         return (
             (self.before - self.after) * self.count >= LEAST_FALL
-            and (part is None or part >= MOSTLY or self._chance(self.before) >= BY_CHANCE)
+            and (part is None or part >= MOSTLY or self.p_after >= BY_CHANCE)
             and not self.unconfirmed
         )
 

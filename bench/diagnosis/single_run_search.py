@@ -91,7 +91,9 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
     score = prepared.log_evidence(naming)
     for _ in range(len(LOG_PRIOR)):
         rivals = []
-        for found in ((), naming.found) if naming.found else ((),):
+        # heavy tails may replace the single readings found, beside the same effects
+        beside_tails = tuple(one for one in naming.found if one.variant.family not in SINGLE)
+        for found in dict.fromkeys([(), beside_tails, naming.found]):
             effects = replace(naming, found=found).columns
             columns = prepared.candidates.columns[:, list(effects)]
             noise, grid = noise_size(prepared.whitened, prepared.data, effects), prepared.whitened.grid

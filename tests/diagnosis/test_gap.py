@@ -221,8 +221,13 @@ def test_of_two_names_the_one_that_gains_nothing_is_told():
 
 
 def test_a_small_gap_need_only_fall_by_more_than_chance():
-    """1.25 over 50 rows, 150 of freedom: chance reaches it in 15 %, and no half of it can be asked for."""
+    """1.15 over 50 rows, 150 of freedom: chance reaches it in 26 %, and no half of 0.25 can be asked for."""
     assert gap(fold("pass 1", 1.25, 1.15)).shrinks is True
+
+
+def test_a_gap_shrinks_where_chance_explains_what_remains():
+    """Chance reaches 1.75 in 0.5 % and 1.4 in 6 %: less than half closes, and what remains is noise."""
+    assert gap(fold("pass 1", 1.75, 1.4)).shrinks is True
 
 
 def test_a_fold_that_is_made_worse_counts():

@@ -146,6 +146,14 @@ def test_an_effect_is_found_beside_noise_that_is_slow():
     assert "quadratic_nonlinearity" in families
 
 
+@pytest.mark.slow
+def test_tails_replace_single_readings_beside_an_effect():
+    """A search with normal noise finds the drift of y and a single reading."""
+    kinds, naming = chosen(noisy(14, "tails", drift_v_per_h=(0.0, 100e-6, 0.0)))
+    assert "tails" in kinds
+    assert [one.variant.family for one in naming.found] == ["bias_drift"]
+
+
 def test_each_kind_of_noise_is_offered_once(made):
     noise = NoiseSize(NOISE_V, SETTING_U_RAD, 150)
     told = list(noise_hypotheses(made.linear, np.zeros((len(made.linear), 0)), noise))
