@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from scipy import special
 
-from bench.base.arrays import Floats, Ints, least_squares, rms, unit_vectors
+from bench.base.arrays import Floats, Ints, least_squares, quadratic_forms, rms, unit_vectors
 from bench.calibration.result import CalibrationError, Noise, NoisePrior
 from bench.model.conditions import Conditions
 from bench.stats.repeats_likelihood import LEAST_DOF, believed_sizes
@@ -382,7 +382,7 @@ class LikelihoodResiduals:
         ends = np.append(-solution, 1.0)
         trace = np.outer(ends, ends)
         trace[:p, :p] += inverse
-        each = np.einsum("np,pq,nq->n", along, trace, along, optimize=True)
+        each = quadratic_forms(along, trace)
         by_reading = self.count - np.sum(part / (reading + part)) - np.sum(self._gram * trace) / reading
         by_reading += np.sum(each * weight * (2 * reading + part) / (reading + part))
         by_setting = np.sum(part / (reading + part)) - np.sum(each * part / (reading + part) ** 2)

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from scipy import special
 
-from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints, Mask, rms
+from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints, Mask, quadratic_forms, rms
 from bench.base.languages import message
 from bench.base.numbers import quantity
 from bench.diagnosis.evidence import KNOWN_SIZE
@@ -90,7 +90,7 @@ def _fit(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[Float
     fitted = posterior(linear, effects, noise)
     design = linear.design(effects)
     white = whiten_rows(linear, noise, design)
-    free = 1.0 - np.einsum("np,pq,nq->n", white, fitted.covariance, white, optimize=True)
+    free = 1.0 - quadratic_forms(white, fitted.covariance)
     return linear.response - design @ fitted.mean, free
 
 

@@ -92,7 +92,7 @@ def axes_matrix(axes: Sequence[str]) -> Floats:
         if name not in unit:
             raise ValueError(f"state an axis x, y, z, -x, -y or -z, not {name!r}")
     matrix = np.array([unit[name] for name in axes], dtype=np.float64)
-    if matrix.shape != (3, 3) or not np.isclose(np.linalg.det(matrix), 1.0):
+    if matrix.shape != (3, 3) or np.linalg.det(matrix) < 0.5:  # it is -1, 0 or 1
         raise ValueError(
             f"the axes {list(axes)} are not three different axes in right-handed order "
             "(installation 1 is [x, y, z], installation 2 is [-x, z, y])"

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import Floats, Ints
+from bench.base.arrays import Floats, Ints, quadratic_forms
 from bench.calibration.budget.assessment import delta_g_variances, directions
 from bench.calibration.budget.coefficients import Budget, Setup, make_budget
 from bench.calibration.budget.error_source import ErrorSource, learned_sources
@@ -300,9 +300,7 @@ class ExchangeDesign:
     # --- the value of a design ----------------------------------------------------------------------
 
     def _variances(self, covariance: Floats) -> Floats:
-        each = np.einsum(
-            "ki,ij,kj->k", self._functionals, covariance[:FIXED, :FIXED], self._functionals, optimize=True
-        )
+        each = quadratic_forms(self._functionals, covariance[:FIXED, :FIXED])
         return np.asarray(np.bincount(self._goal, each) + self._floor)
 
     def _after(self, covariance: Floats, sign: float, power: float) -> Floats:

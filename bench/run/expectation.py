@@ -430,7 +430,7 @@ def orientations(installations: Mapping[str, Installation], label: str) -> dict[
     found = {}
     for order, signs, turn in QUARTER_TURNS:
         turned = turn @ own
-        if np.isclose(turned, known, atol=1e-6).all(axis=(1, 2)).any():
+        if (np.abs(turned - known) < 1e-5).all(axis=(1, 2)).any():
             continue
         axes = [("" if signs[i] > 0 else "-") + CHANNELS[order[i]] for i in range(3)]
         where = ", ".join(

@@ -157,6 +157,8 @@ class ControlFile:
 
     def _line(self) -> bytes:
         try:
+            if self._path.stat().st_size <= self._bytes_read:  # as nearly always: quicker than to open it
+                return b""
             with open_regular(self._path) as file:
                 file.seek(self._bytes_read)
                 return file.readline()
@@ -247,6 +249,8 @@ class AnswersFile:
     def _next(self) -> bytes | None:
         """Return the next complete line, or None; an overlong line is cut to its first 8 × `LONGEST` bytes."""
         try:
+            if self._path.stat().st_size <= self._place:
+                return None
             with open_regular(self._path) as file:
                 file.seek(self._place)
                 beginning = part = file.readline(8 * LONGEST)

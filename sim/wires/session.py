@@ -55,13 +55,21 @@ class Traffic:
         the bench.
         """
         own: Busy | None = getattr(self._current, "session", None)
-        with self._waiting(own):
-            for _ in range(_SETTLE_LOOKS):
-                with self._changed:
-                    busy = [s for s in self._sessions if s is not own and s.has_work()]
-                    if not busy:
-                        return
-                    self._changed.wait(_SETTLE_LOOK_S)
+        if own is None:
+            self._wait_for_others(None)
+            return
+        self.mark(own, Doing.WAITING)
+        try:
+            self._wait_for_others(own)
+        finally:
+            self.mark(own, Doing.WORKING)
+
+    def _wait_for_others(self, own: Busy | None) -> None:
+        for _ in range(_SETTLE_LOOKS):
+            with self._changed:
+                if not any(s is not own and s.has_work() for s in self._sessions):
+                    return
+                self._changed.wait(_SETTLE_LOOK_S)
 
     def enter(self, session: Busy) -> None:
         """Register a session, which runs in the calling thread."""
@@ -81,17 +89,6 @@ class Traffic:
         if doing is not Doing.WORKING:
             with self._changed:
                 self._changed.notify_all()
-
-    @contextmanager
-    def _waiting(self, session: Busy | None) -> Iterator[None]:
-        if session is None:
-            yield
-            return
-        self.mark(session, Doing.WAITING)
-        try:
-            yield
-        finally:
-            self.mark(session, Doing.WORKING)
 
 
 DEVICE_CLEAR: Final = b"\x03"

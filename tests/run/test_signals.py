@@ -3,7 +3,6 @@
 import os
 import signal
 import subprocess
-import sys
 import time
 import weakref
 from functools import partial
@@ -15,6 +14,7 @@ import pytest
 from bench.run.folder import Run
 from bench.run.interrupts import SIGNALS, Interrupts
 from bench.run.record import read_history
+from benchmarks.campaign import PROGRAM
 from tests.support.patience import PATIENCE_S, wait_for
 
 LONG = """\
@@ -117,9 +117,8 @@ def test_the_handlers_are_given_back():
 def test_a_process_hit_by_a_signal_keeps_a_whole_record(tmp_path):
     """The moment is whenever the signal comes; the wire and the disk are real."""
     (tmp_path / "long.yaml").write_text(LONG)
-    command = [sys.executable, "-c", "from bench.cli.app import main; main()"]
     process = subprocess.Popen(  # noqa: S603 - our own program
-        [*command, "run", "long.yaml", "--dry-run", "--name", "hit"],
+        [*PROGRAM, "run", "long.yaml", "--dry-run", "--name", "hit"],
         cwd=tmp_path,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
@@ -142,11 +141,10 @@ def test_a_process_hit_by_a_signal_keeps_a_whole_record(tmp_path):
 def test_killed_and_resumed_it_ends_as_if_nothing_had_been(bench, tmp_path):
     """Two SIGKILLs, each while the run is under way; the readings are those of an undisturbed run."""
     (tmp_path / "long.yaml").write_text(LONG.replace("times: 40", "times: 3"))
-    command = [sys.executable, "-c", "from bench.cli.app import main; main()"]
 
     def begin(*arguments):
         return subprocess.Popen(  # noqa: S603 - our own program
-            [*command, *arguments], cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            [*PROGRAM, *arguments], cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
 
     assert bench("run", "long.yaml", "--dry-run", "--seed", "3", "--name", "whole")[0] == 0
@@ -178,9 +176,8 @@ def test_killed_and_resumed_it_ends_as_if_nothing_had_been(bench, tmp_path):
 def test_a_run_is_paused_and_aborted_from_another_program(bench, tmp_path):
     # so long that it is not over before another program, on a machine however slow, has been heard
     (tmp_path / "long.yaml").write_text(LONG.replace("times: 40", "times: 400"))
-    command = [sys.executable, "-c", "from bench.cli.app import main; main()"]
     process = subprocess.Popen(  # noqa: S603 - our own program
-        [*command, "run", "long.yaml", "--dry-run", "--name", "hit"],
+        [*PROGRAM, "run", "long.yaml", "--dry-run", "--name", "hit"],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
