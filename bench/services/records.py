@@ -173,7 +173,7 @@ def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
     try:
         seal = read_seal(run.folder)
         if seal is None:
-            told.append("no seal")
+            told.append("the run has no seal")
             if key is not None or authority is not None:
                 problems.append(
                     "the run has no seal that --key or --authority could check; make one with 'bench seal RUN'"

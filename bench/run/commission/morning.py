@@ -190,7 +190,9 @@ def _compared(
         if abs(change) > most
     ]
     if abs(turned_rad) <= most_rad and not beyond:
-        return Finding(RETURN, name, State.WORKS, f"came back within {turned_rad * arcsec:+.1f}″", figures)
+        return Finding(
+            RETURN, name, State.WORKS, f"came back to within {abs(turned_rad) * arcsec:.1f}″", figures
+        )
     said = f"came back with an error of {turned_rad * arcsec:+.1f}″" + (
         f"; {', '.join(beyond)} changed" if beyond else ""
     )
