@@ -401,7 +401,7 @@ def notes_on_noise(
     if birge > 1.0:
         notes.append(
             message(
-                f"the model leaves more than the noise explains: u is {birge:.2g} times that of the noise alone "
+                f"the residuals exceed the noise: u is enlarged to {birge:.2g} times that of the noise alone "
                 "(Birge ratio)"
             )
         )

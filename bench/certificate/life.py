@@ -86,7 +86,7 @@ def desk_of(request: Issuing, passphrase: Callable[[], bytes]) -> Desk:
 def laboratory_in(file: Path | None) -> Laboratory:
     """Read a laboratory file. Raises `Refused` if `file` is None, `FileMistakes` for mistakes in the file."""
     if file is None:
-        raise Refused("give --laboratory FILE")
+        raise Refused("the laboratory is needed and no file names it; give --laboratory FILE")
     return load_laboratory(file)
 
 

@@ -41,7 +41,7 @@ def compare(
     json: JsonOption = None,
     out: OutOption = None,
     strict: Annotated[
-        bool, typer.Option("--strict", help="A change beyond the uncertainty is not accepted.")
+        bool, typer.Option("--strict", help="Do not accept a change that exceeds the uncertainty.")
     ] = False,
 ) -> int:
     """Compare calibrations of one block: E_n, a joint test, drift."""

@@ -239,7 +239,7 @@ def _show(bench: BenchFile, serving: Serving) -> None:
     out.print(table)
     by_hand = [section.name for section in bench.instruments.all() if section.by_hand]
     if by_hand:
-        out.print(f"{' and '.join(by_hand)}: without a wire of its own, set through the control")
+        out.print(f"{' and '.join(by_hand)}: no wire; set it through the control")
     out.print(f"control: bench simulate --control {serving.control} 'turn 45 deg' ('help' lists all)")
     out.print("serving until Ctrl-C")
 

@@ -63,7 +63,8 @@ def seal(request: SealRun, json: JsonOption = None) -> int:
         out.print(f"sealed: {sealed.seal.events} events, head {sealed.seal.head}")
         out.print(f"seal: {sealed.file}")
         out.print(
-            "keep the head elsewhere: 'bench show RUN --verify --head HEAD' checks the record against it"
+            "note the head elsewhere: 'bench show RUN --verify --head HEAD' then shows any change of the "
+            "record"
         )
     return 1 if sealed.no_time_stamp else 0
 

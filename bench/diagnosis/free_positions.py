@@ -229,8 +229,9 @@ def _prepared(linear: FreeSystem) -> tuple[NoiseGrid, Candidates]:
     left, _, freedom = _loose(linear)
     if freedom < LEAST_FREEDOM:
         raise CalibrationError(
-            f"{len(linear)} free positions leave {max(freedom, 0)} to tell the noise, beside coefficients, and "
-            f"zeros and scale factors of each record; measure {LEAST_FREEDOM - freedom} more, all round"
+            f"{len(linear)} free positions are too few to show the noise: {max(freedom, 0)} degrees of "
+            f"freedom remain after the fit; measure {LEAST_FREEDOM - freedom} more positions, in all "
+            "directions"
         )
     sigma = max(float(np.sqrt(left @ left / freedom)), 1e-9)
     return make_noise_grid(linear, sigma, 0.0), _candidates(linear, sigma)

@@ -237,7 +237,8 @@ class BlockResult:
             "bench": (self.bench or {}).get("name", "not stated"),
             "certificates": "; ".join(self.certificates) or "none of the instruments is stated",
             "local gravity": f"g = {self.g_m_s2!r} m/s^2{self._of_gravity()}: accelerations are in this g",
-            "uncertainty": f"u standard, U = k u with k = {self.k:g}; {COMBINED if self.combined else OF_READINGS}",
+            "uncertainty": f"u: standard uncertainty, U = k u with k = {self.k:g}; "
+            f"{COMBINED if self.combined else OF_READINGS}",
         }
         if self.temperature:
             told["temperature"] = f"WITHOUT TEMPERATURE, as asked: {self.temperature}"

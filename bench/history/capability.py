@@ -134,8 +134,8 @@ def _notes(found: tuple[CalibrationSpread, ...], of: Histories, *, several: bool
             )
     if many := int(np.sum(runs > of.longest)):
         notes.append(
-            f"of {many} units with more than {of.longest} runs so many, evenly over the time, show "
-            "scatter and drift"
+            f"{many} units have more than {of.longest} runs; {of.longest} of each, spread evenly in time, "
+            "give scatter and drift"
         )
     if not several:
         notes.append("one bench alone: differences between benches are not included")

@@ -345,11 +345,11 @@ def _notes(snapshots: Sequence[Snapshot], *, dated: bool) -> tuple[str, ...]:
         )
     if any(_one_and_the_same(a, b) for a, b in combinations(snapshots, 2)):
         notes.append(
-            "two of these agree within a hundredth of their uncertainty; check whether they come from the "
-            "same readings"
+            "two of these calibrations agree within a hundredth of their uncertainty; check whether both "
+            "come from the same readings"
         )
     if len({snapshot.simulated for snapshot in snapshots}) > 1:
-        notes.append("some of these were found on simulated instruments, some on real ones")
+        notes.append("some of these calibrations are of simulated instruments, some of real ones")
     others = sorted({s.g_m_s2 for s in snapshots if s.g_m_s2 != snapshots[0].g_m_s2})
     if others:
         listed = ", ".join(f"{g:.6g}" for g in others)
@@ -365,21 +365,21 @@ def _on_meters(snapshots: Sequence[Snapshot]) -> str:
     bare = [snapshot.name for snapshot in snapshots if snapshot.same_meters is None]
     if bare:
         return (
-            f"{', '.join(bare)}: its uncertainty excludes errors of the meters; with other meters, these "
-            "appear as a change"
+            f"{', '.join(bare)}: its uncertainty excludes errors of the meters; if the meters differ, their "
+            "errors appear as a change"
         )
     parts = [_drifted(snapshots[0], later) for later in snapshots[1:]]
     if max(parts) == 0.0:
         return (
-            "the same meters, by identity and address, on the same day: their gain and offset cancel and "
-            "are not in the uncertainty"
+            "the same meters measured on the same day (by identity and address): their gain and offset "
+            "cancel, and the uncertainty excludes them"
         )
     if all(snapshot.meters == snapshots[0].meters != () for snapshot in snapshots):
         return (
-            "the same meters, by identity and address: the uncertainty includes the drift of their gain "
-            f"and offset ({METERS_DRIFT.days} days: all)"
+            "the same meters measured (by identity and address): the uncertainty includes the drift of "
+            f"their gain and offset, all of it after {METERS_DRIFT.days} days"
         )
-    return "perhaps other meters: every uncertainty includes their gain and offset"
+    return "the meters may differ: every uncertainty includes their gain and offset"
 
 
 def _drifted(first: Snapshot, later: Snapshot) -> float:

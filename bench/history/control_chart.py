@@ -128,8 +128,8 @@ def _on_meters(chart: ControlChart) -> list[str]:
     if not other:
         return []
     return [
-        f"not known to be measured with the meters of the baseline: {listed(other)}; u then includes the "
-        "limits of both; measure a new baseline with the new meters"
+        f"these runs may have other meters than the baseline: {listed(other)}; u includes the limits of "
+        "both; measure a new baseline with the new meters"
     ]
 
 

@@ -401,9 +401,10 @@ def due(
         return Due(last, "drift", why, last, len(dates), limit_g, now, now, simulated)
     day, error_g = _first_day(drift, last.astype("datetime64[D]"), limit_g)
     why = (
-        f"the error expected reaches {limit_g:.2g} g then (k = {COVERAGE_FACTOR:g})"
+        f"the expected error reaches {limit_g:.2g} g then (k = {COVERAGE_FACTOR:g})"
         if error_g >= limit_g
-        else f"{MOST_YEARS:g} years on the error expected is still {error_g:.2g} g: the history predicts no further"
+        else f"after {MOST_YEARS:g} years the expected error is still {error_g:.2g} g; the history predicts no "
+        "further"
     )
     return Due(day, "drift", why, last, len(dates), limit_g, now, error_g, simulated)
 

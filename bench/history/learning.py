@@ -356,7 +356,9 @@ def learn(
     estimated. Raises `CalibrationError` if there are too few runs or repeats, or signals in different units.
     """
     if len(runs) < LEAST_RUNS:
-        raise CalibrationError(f"{len(runs)} run does not show what runs share; give {LEAST_RUNS} or more")
+        raise CalibrationError(
+            f"{len(runs)} run cannot show which errors all runs share; give {LEAST_RUNS} or more"
+        )
     if len({run.unit for run in runs}) > 1:
         raise CalibrationError("these runs have signals in different units; use runs in one unit")
     kept = list(runs)

@@ -219,7 +219,7 @@ class WishFolder(WorkFolder):
             with (self.path / STARTED).open("x", encoding="utf-8") as file:
                 file.write(name)
         except FileExistsError:
-            raise Refusal(409, message(f"this was already started; see the run {self.started()}")) from None
+            raise Refusal(409, message(f"this run was already started; see {self.started()}")) from None
 
     def unmark_started(self) -> None:
         """Delete the mark of `mark_started`, because the run did not begin."""
@@ -238,7 +238,7 @@ class WishFolder(WorkFolder):
         except (OSError, ValueError):
             told = None
         if not isinstance(told, dict):
-            raise Refusal(404, message("this no longer exists; start again"))
+            raise Refusal(404, message("this prepared run no longer exists; prepare it again"))
         return told
 
 
@@ -267,7 +267,7 @@ class Wishes:
     def of(self, wish_id: str) -> WishFolder:
         """Return the folder of the wish with this id. Raises `Refusal` (404) if there is none."""
         if re.fullmatch(r"[0-9a-f]{12}", wish_id) is None or not (self._folder / wish_id / WISH).is_file():
-            raise Refusal(404, message("this no longer exists; start again"))
+            raise Refusal(404, message("this prepared run no longer exists; prepare it again"))
         return WishFolder(self._folder / wish_id)
 
 

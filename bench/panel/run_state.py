@@ -356,7 +356,7 @@ def _channel(reading: Reading, i: int) -> dict[str, Any]:
         "steady": steady,
         "outlier": ""
         if outlier is None
-        else message(f"sample {outlier.sample} lies {outlier.sigma:.1f} σ out"),
+        else message(f"sample {outlier.sample} lies {outlier.sigma:.1f} σ from the mean"),
     }
 
 

@@ -497,7 +497,10 @@ def contributions(result: BudgetResult) -> BudgetFigure:
         axes.set_ylabel("combined u / (µV/g)\n(biases: µV)")
         figure.legend(loc="outside upper center", ncols=4)
 
-    alt = "Combined standard uncertainty of the twelve coefficients, parted by source as the variance is"
+    alt = (
+        "Combined standard uncertainty of the twelve coefficients, "
+        "divided in proportion to the variance from each source"
+    )
     return BudgetFigure("budget-coefficients", (7.4, 3.8), draw, alt)
 
 

@@ -176,9 +176,9 @@ def print_findings(found: Findings, out: Console, *, every_step: bool = False) -
     )
     disk = result.disk
     out.print(
-        f"signals up to {result.largest_signal_v:.3g} V at nominal scale factors, on the "
-        f"{bench.voltmeter_range_v:g} V range; about {disk_space(disk.needed_bytes)} in {disk.folder}, where "
-        f"{disk_space(disk.free_bytes)} are free"
+        f"signals reach {result.largest_signal_v:.3g} V at nominal scale factors, on the "
+        f"{bench.voltmeter_range_v:g} V range; the run needs about {disk_space(disk.needed_bytes)} of the "
+        f"{disk_space(disk.free_bytes)} free in {disk.folder}"
     )
     for sentence in (*_coefficients_in_words(result.not_determined), *_open_in_words(found.outlook)):
         out.print(sentence)
@@ -196,7 +196,7 @@ def print_findings(found: Findings, out: Console, *, every_step: bool = False) -
 def _coefficients_in_words(not_determined: list[OpenCoefficients]) -> Iterator[str]:
     """Yield sentences on the coefficients that a calibration determines, by temperature if there are several."""
     if not not_determined:
-        yield "no calibration: it has no reading in an installation of known orientation"
+        yield "no calibration: the procedure has no reading in an installation of known orientation"
     temperatures: dict[tuple[str, ...], list[str]] = {}
     for one in not_determined:
         at = "the first temperature" if one.temperature_c is None else f"{one.temperature_c:g} °C"
@@ -223,7 +223,7 @@ def _open_in_words(found: Outlook | None) -> Iterator[str]:
         yield f"leaves open: {sentence}"
     if found.open:
         ways = "; ".join(map(_remedy_in_words, found.remedies[:_REMEDIES_LISTED]))
-        yield f"to determine it: {ways or 'no measurement on this bench'}"
+        yield f"to determine it, choose one: {ways or 'no measurement on this bench does'}"
     if found.turns:
         yield (
             f"leaves open, as every procedure on one head: a common turn of the block's axes (about "
@@ -243,8 +243,8 @@ def outlook_in_words(found: TimeOutlook) -> str:
     reached = float(np.mean(found.reached))
     noise = "was learned" if found.learned else "the bench file states"
     words = (
-        f"at the noise that {noise}: {duration(mid_s)} (90 % of runs {duration(low_s)} to "
-        f"{duration(high_s)}) and {mid} settings ({low} to {high}), of the procedure's "
+        f"at the noise that {noise}: a run takes {duration(mid_s)} (90 % of runs {duration(low_s)} to "
+        f"{duration(high_s)}) and {mid} settings ({low} to {high}); the whole procedure has "
         f"{duration(found.whole_s)} and {found.whole}"
     )
     if found.has_goal and reached < _NEARLY_ALL:

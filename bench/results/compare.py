@@ -167,19 +167,27 @@ def print_compare(result: CompareResult, out: Console) -> None:
         out.print(f"{_named(later)}:")
         nine = later.intrinsic
         out.print(_changes_table(nine.values))
-        out.print(f"all nine together: chi2 {nine.chi2:.1f} for {nine.dof}, {probability(nine.p)}")
+        out.print(
+            f"all nine together: chi2 {nine.chi2:.1f} for {nine.dof} degrees of freedom, {probability(nine.p)}"
+        )
         if later.p is not None and later.chi2 is not None:
-            out.print("the twelve, which a turn of the block changes too:")
+            out.print("the twelve coefficients, which a turn of the block changes, too:")
             out.print(_changes_table(later.coefficients))
-            out.print(f"all twelve together: chi2 {later.chi2:.1f} for 12, {probability(later.p)}")
+            out.print(
+                f"all twelve together: chi2 {later.chi2:.1f} for 12 degrees of freedom, {probability(later.p)}"
+            )
     for drift, of in ((result.drift_intrinsic, "nine"), (result.drift, "twelve")):
         if drift is not None:
             out.print(f"drift of the {of} (weighted straight lines):")
             out.print(_drift_table(drift))
-            out.print(f"what the lines leave: chi2 {drift.chi2:.1f} for {drift.dof}, {probability(drift.p)}")
+            out.print(
+                f"residuals from the lines: chi2 {drift.chi2:.1f} for {drift.dof} degrees of freedom, "
+                f"{probability(drift.p)}"
+            )
     print_notes(out, result.notes)
     out.print(
-        f"{verdict_of(result)}; the nine of all calibrations alike: {probability(result.p_constant_intrinsic)}",
+        f"{verdict_of(result)}; test that the nine numbers are equal in all calibrations: "
+        f"{probability(result.p_constant_intrinsic)}",
         style="bold",
     )
 
@@ -192,11 +200,13 @@ def verdict_of(result: CompareResult) -> str:
     twelve = [name for one in result.compared for name, row in one.coefficients.items() if row.changed]
     if result.changed:
         which = ", ".join(dict.fromkeys(nine)) or "no single number, but all nine together"
-        return f"CHANGED beyond the uncertainty (5 %, all nine together): {which}"
+        return f"CHANGED by more than the uncertainty (5 %, all nine together): {which}"
     turned = (
-        f"; {', '.join(dict.fromkeys(twelve))} of the twelve differ: the block is turned" if twelve else ""
+        f"; {', '.join(dict.fromkeys(twelve))} of the twelve differ, because the block is turned"
+        if twelve
+        else ""
     )
-    return f"no change beyond the uncertainty{turned}"
+    return f"no change exceeds the uncertainty{turned}"
 
 
 def _named(one: CalibrationOfBlock) -> str:
@@ -204,7 +214,7 @@ def _named(one: CalibrationOfBlock) -> str:
 
 
 def _changes_table(changes: Mapping[str, ChangePart]) -> Table:
-    shown = table("number", ">difference", ">U (k=2)", ">En", ">p, all looks", "")
+    shown = table("number", ">difference", ">U (k=2)", ">En", ">p adjusted for several tests", "")
     for name, one in changes.items():
         digits = places(2 * one.u)
         sizes = (fixed(one.difference, digits, sign=True), fixed(2 * one.u, digits))
@@ -215,7 +225,7 @@ def _changes_table(changes: Mapping[str, ChangePart]) -> Table:
 
 
 def _drift_table(drift: LinesPart) -> Table:
-    shown = table("number", ">per year", ">U (k=2)", ">p, all looks", "")
+    shown = table("number", ">per year", ">U (k=2)", ">p adjusted for several tests", "")
     for name, one in drift.per_year.items():
         digits = places(2 * one.u)
         sizes = (fixed(one.value, digits, sign=True), fixed(2 * one.u, digits))
@@ -449,13 +459,14 @@ def _print_together(found: AllTogether, count: str, out: Console) -> None:
     apart = [(name, one) for name, one in (*benches, *pairs) if one.apart]
     for name, one in sorted(apart, key=lambda row: row[1].p_all_looks)[:MOST_SHOWN]:
         out.print(
-            f"all {count} together, {name}: chi2 {one.chi2:.1f} for {one.dof}, p {one.p_all_looks:.2g} in all "
-            "looks",
+            f"all {count} together, {name}: chi2 {one.chi2:.1f} for {one.dof} degrees of freedom, p adjusted "
+            f"for several tests {one.p_all_looks:.2g}",
             style="bold" if count == "nine" else None,
         )
     if not apart:
         out.print(
-            f"all {count} together: no bench and no pair differs beyond its covariance (5 %, all looks)"
+            f"all {count} together: no bench and no pair differs beyond its covariance (5 %, p adjusted for "
+            "several tests)"
         )
 
 

@@ -280,10 +280,11 @@ def _print_hysteresis(model: TemperatureModel, out: Console) -> None:
         f"{', '.join(single)} ({scale.unit}/g, biases in {scale.unit})" if single else "no single coefficient"
     )
     verdict = f"shown: {which}" if found.p < HYSTERESIS_P else "none shown"
-    out.print(f"hysteresis, rising minus falling: p = {found.p:.2g} for all twelve: {verdict}")
+    out.print(f"hysteresis, rising minus falling: {verdict} (p = {found.p:.2g} for all twelve)")
     if found.p < HYSTERESIS_P:
         out.print(
-            "  the uncertainty includes half of it either way, as a user of the table does not know the direction"
+            "  the uncertainty includes half of it in both directions, because a user of the table does not "
+            "know the direction"
         )
 
 

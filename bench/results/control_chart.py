@@ -252,7 +252,7 @@ class CheckBlockChart:
                     last.run, nine.runs[last.run].values, nine.limits, nine.components, result.unit
                 )
             )
-            out.print("the twelve, which a turn of the block changes too:")
+            out.print("the twelve coefficients, which a turn of the block changes, too:")
             out.print(
                 _numbers_table(last.run, last.coefficients, result.limits, result.components, result.unit)
             )

@@ -182,7 +182,7 @@ def print_effects(result: EffectsResult, out: Console) -> None:
         f"benches; {result.units_on_several_benches} units measured on several"
     )
     shown = table(
-        "coefficient", ">units differ", ">benches differ", ">at most", ">p, all looks", ">excess", ">p",
+        "coefficient", ">units differ", ">benches differ", ">at most", ">adjusted p", ">excess", ">p",
         ">stated u", "",
     )  # fmt: skip
     signal = result.signal
@@ -199,7 +199,7 @@ def print_effects(result: EffectsResult, out: Console) -> None:
             sizes = f"{signed_size(one.effect, signal)}, u {quantity(one.u, signal)}"
             out.print(f"{what} {one.name} stands out in {one.coefficient}: {sizes}")
         if len(apart) > MOST_SHOWN:
-            out.print(f"… and {len(apart) - MOST_SHOWN} more, in the JSON")
+            out.print(f"… and {len(apart) - MOST_SHOWN} more; --json FILE lists all")
     print_notes(out, result.notes)
     out.print(result.answer, style="bold")
 
@@ -355,13 +355,14 @@ def print_drift(result: DriftResult, out: Console) -> None:
     print_notes(out, result.notes)
     verdict = "the unit DRIFTS" if result.drifts else "no drift shown"
     out.print(
-        f"{verdict} in the nine that do not depend on the mounting: {probability(result.p)}", style="bold"
+        f"{verdict} in the nine numbers that do not depend on the mounting: {probability(result.p)}",
+        style="bold",
     )
 
 
 def _rates_table(rates: dict[str, RatePart], then: dict[str, ValuePart] | None, at: str) -> Table:
     shown = table(
-        "number", ">per year", ">u", ">p, all looks", ">scatter", ">at most", ">walk in a year",
+        "number", ">per year", ">u", ">adjusted p", ">scatter", ">at most", ">random walk in a year",
         ">at most", "", *(() if then is None else (f">at {at}", ">u")),
     )  # fmt: skip
     for name, one in rates.items():
@@ -468,12 +469,12 @@ def print_capability(result: CapabilityResult, out: Console) -> None:
     )
     out.print(
         f"from {result.calibrations} calibrations of {result.units} units on {len(result.benches)} benches, "
-        f"{result.first} to {result.last}; stated u that {100 * result.quantile:.0f} % of them reach, "
-        "with what it has not in it"
+        f"{result.first} to {result.last}; U combines the stated u that {100 * result.quantile:.0f} % of "
+        "them reach with the scatter beyond it"
     )
     shown = table(
-        "coefficient", ">U (k=2)", ">stated u", ">scatter over time", ">at most", ">between benches", ">state less",
-        "",
+        "coefficient", ">U (k=2)", ">stated u", ">scatter over time", ">at most", ">between benches",
+        ">calibrations stating less", "",
     )  # fmt: skip
     for name, one in result.coefficients.items():
         per = "" if name.startswith("U0") else "/g"

@@ -137,7 +137,10 @@ def print_kit(result: KitResult, on: Console) -> None:
     on.print(shown)
     if result.transport_p is not None:
         word = "did not change" if result.transport_p >= CHANGED_P else "CHANGED"
-        on.print(f"the block {word} on its way, by the pilot's returns ({probability(result.transport_p)})")
+        on.print(
+            f"the block {word} in transport, as the pilot's repeated calibrations show "
+            f"({probability(result.transport_p)})"
+        )
     for drift in result.drifts:
         on.print(drift_words(drift, result.unit))
     widened = [
@@ -147,9 +150,7 @@ def print_kit(result: KitResult, on: Console) -> None:
         if dark > 0.0
     ]
     if widened:
-        on.print(
-            f"scatter of the block's state between stops, within u of each difference: {', '.join(widened)}"
-        )
+        on.print(f"the block scattered between stops; u of each difference includes it: {', '.join(widened)}")
     print_notes(on, result.notes)
 
 

@@ -135,9 +135,11 @@ def _contrasts(found: Contrasts) -> ContrastsPart:
 def print_learned(found: Learned, result: LearnResult, out: Console) -> None:
     """Print the contradicting runs, the sizes learned, and what these runs do not determine."""
     for one in result.contradicting:
-        out.print(f"{one.sentence} (p {one.p:.1g}, all looks counted); it is left out", style="bold")
+        out.print(f"{one.sentence} (p {one.p:.1g}, adjusted for several tests); it is left out", style="bold")
     kind = "simulated runs" if result.simulated else "runs"
-    out.print(f"Bench {result.bench.name}, learned from {len(result.runs)} {kind}, until {result.expires}:")
+    out.print(
+        f"Bench {result.bench.name}: learned from {len(result.runs)} {kind}, valid until {result.expires}"
+    )
     shown = table("size", ">value", ">u", ">dof", "", "")
     for name, size in result.sizes.items():
         dof = "many" if size.dof is None or size.dof >= 1e5 else f"{size.dof:.0f}"
@@ -147,4 +149,4 @@ def print_learned(found: Learned, result: LearnResult, out: Console) -> None:
     for sentence in () if isinstance(found.meters, str) else found.meters.words():
         out.print(sentence)
     for sentence in result.not_identified:
-        out.print(f"not told: {sentence}")
+        out.print(f"not determined: {sentence}")

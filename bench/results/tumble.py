@@ -195,7 +195,9 @@ def _left_out(view: TumbleView) -> Iterator[str]:
     for channel, by_term in view.left_out.items():
         for term, moved in by_term.items():
             if moved:
-                said = "not fitted, but in u," if view.combined and term in OF_BLOCK else "taken as zero"
+                said = (
+                    "not fitted, but included in u," if view.combined and term in OF_BLOCK else "assumed zero"
+                )
                 unit = _micro(parameter_of(term).unit.replace("ug", "g"))
                 yield f"{said} in channel {channel}: 1 {unit} of {term} moves {_moved(moved)}"
 

@@ -125,7 +125,8 @@ class ValidationResult(ResultModel):
             return f"NOT VALID: {len(self.failed)} of {count} checks failed"
         if self.changes:
             return (
-                f"CHANGED: {len(self.changes)} changes wait to be accepted, all else of {count} checks passed"
+                f"CHANGED: {len(self.changes)} of {count} checks changed, and an authorised person must "
+                "accept them; all others passed"
             )
         return f"PASSED: all {count} checks; it becomes a validation when an authorised person accepts it"
 

@@ -265,33 +265,35 @@ def advice(result: Verification) -> tuple[str, ...]:
     sentences = {
         Statement.FAIL: (
             message(
-                "beyond the limit by more than the guard band: 'bench diagnose' finds the cause in block, "
-                "stand or procedure"
+                "|Δg| exceeds the limit by more than the guard band; 'bench diagnose' finds the cause in "
+                "block, stand or procedure"
             )
         ),
         Statement.INCONCLUSIVE: (
             message(
-                f"inconclusive: U, up to {result.expanded * 1e6:.0f} µg, is larger than the limit of "
+                f"U, up to {result.expanded * 1e6:.0f} µg, is larger than the limit of "
                 f"{result.limit_g * 1e6:.4g} µg, so conformity cannot be decided; reduce U by more passes, a "
                 "better voltmeter or a better known stand ('bench budget' shows the largest part)"
             )
         ),
         Statement.CONDITIONAL_FAIL: (
             message(
-                "beyond the limit by less than the guard band: the block may still conform; reduce U to "
+                "|Δg| exceeds the limit by less than the guard band: the block may still conform; reduce U "
+                "to "
                 "decide ('bench budget' shows its largest part)"
             )
         ),
         Statement.CONDITIONAL_PASS: (
             message(
-                "within the limit by less than the guard band: the block may still not conform; reduce U to "
+                "|Δg| is within the limit by less than the guard band: the block may still not conform; "
+                "reduce U to "
                 "decide ('bench budget' shows its largest part)"
             )
         ),
     }
     points = len(result.points)
     found = [
-        message(f"{number[s]} of {points} verification points {sentence}")
+        message(f"at {number[s]} of {points} verification points, {sentence}")
         for s, sentence in sentences.items()
         if number[s]
     ]

@@ -364,8 +364,8 @@ class EarlyWarning:
         found, stated = self.noise.reading_v, self._repeats.stated.reading_v
         cause = message("the bench is noisier than its file states")
         words = message(
-            f"repeats scatter by {millivolts(found)} where the bench file states "
-            f"{millivolts(stated)}; warnings so far may come from that, and mistakes below it cannot be seen"
+            f"repeats scatter by {millivolts(found)}, but the bench file states {millivolts(stated)}; this "
+            "noise may have caused the warnings so far, and it hides smaller mistakes"
         )
         sign = self._sign(sighting, judged, CHANNELS, words, [])
         return replace(sign, causes=(cause,))

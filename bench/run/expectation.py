@@ -434,9 +434,9 @@ def orientations(installations: Mapping[str, Installation], label: str) -> dict[
             continue
         axes = [("" if signs[i] > 0 else "-") + CHANNELS[order[i]] for i in range(3)]
         where = ", ".join(
-            f"{CHANNELS[i]} where {axes[i]} belongs" for i in range(3) if axes[i] != CHANNELS[i]
+            f"axis {CHANNELS[i]} is where {axes[i]} belongs" for i in range(3) if axes[i] != CHANNELS[i]
         )
-        text = f"the block sits otherwise than in installation {label}: {where}"
+        text = f"the block is not mounted as in installation {label}: {where}"
         found[text] = Installation(text, turned)
     return found
 

@@ -525,7 +525,9 @@ def ask(person: Person, prompt: Prompt) -> str:
             return given
         text = f"{problem[0].upper()}{problem[1:]}. {prompt.text}"
     raise BenchError(
-        "operator", f"no usable answer to {prompt.text!r}", "resume the run and answer as the question says"
+        "operator",
+        f"no valid answer came to {prompt.text!r}",
+        "resume the run and answer as the question says",
     )
 
 
@@ -535,7 +537,7 @@ def confirm(person: Person, prompt: Prompt) -> None:
     for wait in range(1, MOST_WAITS + 1):
         if ask(person, put).lower() not in NO:
             return
-        text = message(f"There is no hurry: say yes when it is done. {prompt.text}")
+        text = message(f"There is no hurry: answer yes when it is done. {prompt.text}")
         put = replace(prompt, id=f"{prompt.id}#wait{wait}", text=text)
     raise BenchError("operator", f"answered no several times to: {prompt.text}", "do it, then resume the run")
 
@@ -544,7 +546,7 @@ def agree(person: Person, prompt: Prompt) -> None:
     """Ask for permission to continue. Raises `BenchError` if the person answers no, and the errors of `ask`."""
     if ask(person, prompt).lower() in NO:
         raise BenchError(
-            "operator", f"answered no to: {prompt.text}", "settle it, then start or resume again"
+            "operator", f"answered no to: {prompt.text}", "remove the reason, then start or resume again"
         )
 
 
@@ -586,8 +588,8 @@ def mount_prompt(step: Mount, *, chamber: bool) -> Prompt:
 def untouched_prompt(step: Mount) -> Prompt:
     """Return the prompt asking whether the block is still mounted as it was after `step`."""
     text = message(
-        f"The block was mounted in installation {step.installation}. Is it untouched since? "
-        "If not, mount it again now, and say so"
+        f"The block was mounted in installation {step.installation}. Has nobody touched it since? If "
+        "somebody has, mount it again now and answer 'mounted again'"
     )
     choices = (UNTOUCHED, message("mounted again"))
     return replace(mount_prompt(step, chamber=False), kind=PromptKind.CHOOSE, text=text, choices=choices)

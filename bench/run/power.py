@@ -119,9 +119,9 @@ class UnitPower:
             id=f"{key}/found",
             kind=PromptKind.CHOOSE,
             text=message(
-                f"The {self.supply.name} is on with other settings than the bench file states: "
-                f"{otherwise}. Check what it feeds. Switch it off and set it as the bench file says, or leave "
-                "it as it is and stop the run"
+                f"The {self.supply.name} is on, and its settings differ from the bench file: {otherwise}. "
+                "Check what it feeds. Have it switched off and set as the bench file says, or leave it on "
+                "and stop the run"
             ),
             choices=(SET_AGAIN, message("leave it")),
             action={"do": "ask"},

@@ -229,7 +229,7 @@ ANSWERS: Final = {
     message("mount again"): Wish.MOUNT_AGAIN,
 }
 """The answers besides "go on REASON", with the wish that each expresses."""
-AGAIN: Final = message("the same reading again after it was redone")
+AGAIN: Final = message("the reading was measured again and is still in doubt")
 
 
 def halt_prompt(doubt: Event, *, again: bool = False) -> Prompt:
@@ -294,7 +294,9 @@ def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
                 raise OperatorWish(RunControl(ANSWERS[given.lower()], by_person=True))
             return given[len(GO_ON) :].strip()
         trouble = f"Answer one of {answers}, not {given!r}. "
-    raise BenchError("operator", "no usable answer how to continue", f"answer {answers}")
+    raise BenchError(
+        "operator", "no valid answer said how to continue", f"resume the run and answer one of {answers}"
+    )
 
 
 def step_in_doubt(plan: Plan, doubt: Event) -> int:

@@ -340,7 +340,7 @@ class Runner:
             case Wish.REPEAT_POINT | Wish.REPEAT_PASS | Wish.MOUNT_AGAIN:
                 return self._redo(control, index)
             case Wish.SKIP if self.progress.doubt is not None:
-                return self._refuse(control, index, "decide on the doubted reading first")
+                return self._refuse(control, index, "first answer the question about the reading in doubt")
             case Wish.SKIP:
                 last = end_of_point(self.plan, index) - 1
                 self._emit(EventType.SKIPPED, first=index, last=last, **control.reason_and_author())

@@ -131,7 +131,9 @@ def new_seal(run: Run, now: datetime) -> Seal:
     if (before := read_seal(run.folder)) is not None and (wrong := before.differences(run)):
         raise RecordError(f"{run.folder}: not sealed again: {'; '.join(wrong)}")
     if state not in ENDED and not run.imported:
-        raise RecordError(f"{run.name}: only an ended run can be sealed; this one is {state}")
+        raise RecordError(
+            f"{run.name}: the run is {state}, and only an ended run can be sealed; finish or abort it first"
+        )
     if run.history.torn:
         raise RecordError(
             f"{run.name}: the last line of its record is incomplete; resume or abort the run, then seal it"

@@ -86,19 +86,19 @@ HELP: Final = "?"
 MEANINGS: Final = {
     Wish.PAUSE: message("pause; nothing on the bench moves until you continue"),
     Wish.CONTINUE: message("continue after a pause"),
-    Wish.REPEAT_POINT: message("redo the last point; its last reading counts"),
-    Wish.REPEAT_PASS: message("redo the last pass from its first point"),
-    Wish.MOUNT_AGAIN: message("mount the block again, then redo the last pass"),
-    Wish.SKIP: message("leave this point out, with the reason in the record"),
+    Wish.REPEAT_POINT: message("measure the last point again; only the new reading counts"),
+    Wish.REPEAT_PASS: message("measure the last pass again, from its first point"),
+    Wish.MOUNT_AGAIN: message("mount the block again, then measure the last pass again"),
+    Wish.SKIP: message("leave this point out; the record keeps your reason"),
     Wish.STOP: message("make the bench safe and stop, as Ctrl-C does; 'bench resume' continues"),
     Wish.ABORT: message("end the run for good; its readings are kept"),
 }
 
 _ANSWERS: Final = {
-    PromptKind.CONFIRM: message("yes (or y, ok, done) when it is done; no waits and asks again"),
+    PromptKind.CONFIRM: message("yes (or y, ok, done): it is done; no: the question comes again"),
     PromptKind.ANGLE: message("the angle on the scale, such as 45 00 10 or 45°00′10″ or 45.0028"),
     PromptKind.NUMBER: message("a number"),
-    PromptKind.CHOOSE: message("one of the answers named"),
+    PromptKind.CHOOSE: message("one of the answers in brackets"),
 }
 
 
@@ -247,7 +247,7 @@ class TerminalPerson:
         if not line:
             raise NoAnswer(
                 "operator",
-                message(f"no answer is left for the question: {prompt.text}"),
+                message(f"the input ended before an answer to: {prompt.text}"),
                 message("resume the run and answer it"),
             )
         return Answer(prompt.id, in_english(prompt, line.strip()))

@@ -96,8 +96,8 @@ def with_prior(
     notes = []
     if not source.bench.unit_under_test.serial:
         notes.append(
-            f"which unit this is was not recorded: that it is none of the {len(prior.units)} behind {path} is "
-            "taken for granted"
+            "the unit of these readings was not recorded; it is assumed to be none of the "
+            f"{len(prior.units)} units behind {path}"
         )
     if joined.used:
         notes.append(

@@ -585,7 +585,9 @@ def refuse_or_tell(found: CheckBefore, rule: str, reason: str | None) -> tuple[s
     if found.fine:
         return (f"check block: {found.sentence}",)
     if reason is not None:
-        return (f"check block: {found.sentence}; the run continues: {reason!r} is on record",)
+        return (
+            f"check block: {found.sentence}; the run continues, and the record keeps your reason {reason!r}",
+        )
     if rule == "warn":
         return (f"CHECK BLOCK: {found.sentence}; the bench file's rule is to warn, so the run continues",)
     raise Refused(

@@ -113,8 +113,8 @@ def _state_and_next(run: Run, digest: Digest) -> tuple[str, str]:
 
 
 NOTHING_OUTSIDE = (
-    "this does not reveal removed last lines or a recomputed chain; --head with the head from a result, a "
-    "report or a seal kept elsewhere does"
+    "this check does not show removed last lines or a recomputed chain; --head HEAD does, with a head that "
+    "was noted elsewhere"
 )
 
 
@@ -173,7 +173,7 @@ def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
     try:
         seal = read_seal(run.folder)
         if seal is None:
-            told.append("no seal")
+            told.append("the run has no seal")
             if key is not None or authority is not None:
                 problems.append(
                     "the run has no seal that --key or --authority could check; make one with 'bench seal RUN'"
@@ -206,7 +206,7 @@ def _signature(seal: Seal, given: Ed25519PublicKey | None, told: list[str], prob
     name = fingerprint(key)
     if given is None:
         told.append(
-            f"sealed at {seal.events} events, signed with the key {name}; --key FILE tells whose key that is"
+            f"sealed at {seal.events} events, signed with the key {name}; --key FILE checks whose key it is"
         )
         return False
     if fingerprint(given) != name:
@@ -221,7 +221,7 @@ def _signature(seal: Seal, given: Ed25519PublicKey | None, told: list[str], prob
 def _time_stamp(seal: Seal, authority: Path | None, told: list[str], problems: list[str]) -> bool:
     """Add sentences on the time stamp to `told` or `problems`; return whether a trusted authority made it."""
     if not seal.time_stamp:
-        told.append(f"no time stamp: that it was sealed at {seal.sealed} is by the computer's clock only")
+        told.append(f"no time stamp: only the computer's clock states that it was sealed at {seal.sealed}")
         if authority is not None:
             problems.append("the seal has no time stamp that the authority could confirm; remove --authority")
         return False
@@ -234,5 +234,5 @@ def _time_stamp(seal: Seal, authority: Path | None, told: list[str], problems: l
     if stamp.trusted:
         told.append(f"time-stamped by the given authority: the record existed by {at}")
     else:
-        told.append(f"its time stamp says {at}; --authority FILE tells whose it is")
+        told.append(f"its time stamp states {at}; --authority FILE checks who issued it")
     return stamp.trusted

@@ -162,7 +162,7 @@ def laboratory_needed(given: Path | None, why: str) -> Path:
     """
     laboratory = laboratory_known(given)
     if laboratory is None:
-        raise Refused(f"say --laboratory FILE: {why}")
+        raise Refused(f"give --laboratory FILE; {why}")
     return laboratory
 
 

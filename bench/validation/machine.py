@@ -182,7 +182,7 @@ def zone(context: Context) -> Iterator[Finding]:
     if name and not re.fullmatch(r"[A-Z]{3,4}(?:[+-]?\d.*)?|.*,.*", name):
         try:
             meant = now.astimezone(ZoneInfo(name)).utcoffset()
-            words = f"{offset} by the system, {meant} by the rules of {name}"
+            words = f"the system's offset from UTC is {offset}, the rules of {name} give {meant}"
             yield Finding(offset == meant, words, of="offset", where=where, expected="the same offset")
         except (ZoneInfoNotFoundError, ValueError, OSError):
             yield Finding(False, f"no zone is called {name}: times are UTC under another name", of="offset",

@@ -376,7 +376,7 @@ def test_check_says_it_before_the_run_and_in_json(bench):
         "of coefficients"
     )
     assert told[1].startswith(
-        "to determine it: let the verification points join the fit by |a| = 1 g (no further"
+        "to determine it, choose one: let the verification points join the fit by |a| = 1 g (no further"
     )
     assert "common turn of the block's axes (about x, y, z)" in told[2]
     found = json.loads(bench("check", "calibration", "--json", "-")[1])["observability"]

@@ -91,7 +91,7 @@ def test_a_slip_is_asked_again(served, bench):
 def test_when_the_answers_end_the_run_stops_and_goes_on_later(served, bench):
     status, _, err = start(bench, answers="yes\n23\n0 0 2\n")
     assert status == 2
-    assert "no answer is left for the question" in err
+    assert "the input ended before an answer to" in err
     assert "1 readings are kept" in err
     assert len(Run(Path("runs/run")).readings()) == 1
     assert "interrupted" not in bench("runs")[1]
@@ -107,7 +107,7 @@ def test_at_the_question_of_a_resumed_run_a_pause_waits_and_the_end_ends(served,
     assert status == 2
     assert "aborted: no use" in err
     assert "redo is not possible: no step is running yet" in out
-    assert out.count("Is it untouched since?") == 5
+    assert out.count("Has nobody touched it since?") == 5
     assert ":skip" not in out
     assert Run(Path("runs/run")).history.state == "aborted"
 
@@ -125,7 +125,7 @@ def test_a_head_that_was_not_turned_stops_the_run_which_asks_and_takes_the_point
     status, out, _ = bench("resume", "run", stdin=answers)
     assert status == 0
     assert "Answer one of redo point, redo pass, mount again, go on REASON, not 'go on'" in out
-    assert "skip is not possible: decide on the doubted reading first" in out
+    assert "skip is not possible: first answer the question about the reading in doubt" in out
     run = Run(Path("runs/run"))
     assert run.history.state == "finished"
     assert np.degrees(run.readings().angle_rad) == pytest.approx([2 / 3600, 90 + 1 / 3600], abs=1e-9)
@@ -138,13 +138,16 @@ def test_a_second_stop_at_a_point_after_its_redo_says_so_and_proposes_the_pass(s
     Path("forgotten").touch()
     status, out, err = start(bench, answers=f"{ANSWERS}redo point\n90 0 1\n")
     assert status == 2
-    assert "(the same reading again after it was redone); nobody chose how to continue" in err
+    assert "(the reading was measured again and is still in doubt); nobody chose how to continue" in err
     assert "answer redo pass, redo point, mount again, go on REASON" in err
     Path("forgotten").unlink()
     status, out, _ = bench("resume", "run", stdin="untouched\n?\nredo pass\n0 0 2\n90 0 1\n")
     assert status == 0
     told = " ".join(out.split())
-    assert "The same reading again after it was redone: an earlier setting of the pass may be wrong" in told
+    assert (
+        "The reading was measured again and is still in doubt: an earlier setting of the pass may be wrong"
+        in told
+    )
     assert "redo the pass (try this first), redo the point, mount" in told
     run = Run(Path("runs/run"))
     assert run.history.state == "finished"

@@ -14,7 +14,7 @@ from tests.support.commands import printed, refused
 from tests.support.time_authority import Authority, Served
 
 RECORDS = Path(__file__).parents[1] / "data" / "records"
-NOTHING_OUTSIDE = "this does not reveal removed last lines"
+NOTHING_OUTSIDE = "this check does not show removed last lines"
 
 
 @pytest.fixture
@@ -93,7 +93,7 @@ def test_an_unsigned_seal_shows_changes_of_who_forgot_it_and_claims_no_more(benc
 @pytest.mark.parametrize("attack", ATTACKS)
 def test_a_signed_seal_says_by_whom(bench, run, key, attack):
     assert bench("seal", "one", "--key", key)[0] == 0
-    assert "--key FILE tells whose key that is" in bench("show", "one", "--verify")[1]
+    assert "--key FILE checks whose key it is" in bench("show", "one", "--verify")[1]
     out = printed(bench("show", "one", "--verify", "--key", f"{key}.pub"), "signed with the given key")
     assert NOTHING_OUTSIDE not in out
     attack(run)
@@ -130,7 +130,7 @@ def test_a_damaged_seal_is_told(bench, run, text):
 
 def test_a_run_that_has_not_ended_is_not_sealed(bench):
     shutil.copytree(RECORDS / "interrupted", "runs/open")
-    refused(bench("seal", "open"), "only an ended run can be sealed; this one is interrupted")
+    refused(bench("seal", "open"), "the run is interrupted, and only an ended run can be sealed")
     assert not Path("runs/open/seal.json").exists()
 
 
@@ -187,7 +187,7 @@ def test_a_time_stamp_says_not_later_than_when(bench, run, key):
         assert bench("seal", "one", "--key", key, "--timestamp", served.url)[0] == 0
     ((kind, _),) = authority.requests
     assert kind == "application/timestamp-query"
-    assert "--authority FILE tells whose it is" in bench("show", "one", "--verify")[1]
+    assert "--authority FILE checks who issued it" in bench("show", "one", "--verify")[1]
     out = printed(
         bench("show", "one", "--verify", "--authority", "authority.pem"),
         "the record existed by 2026-03-01T12:00:00+00:00",

@@ -36,7 +36,7 @@ def test_a_run_over_temperature_is_compensated_and_written(bench, readings, poly
     status, out, err = bench("compensate", readings, "--json", "model.json")
     assert (status, err) == (0, "")
     assert "486 readings, -2" in out
-    assert "hysteresis, rising minus falling: p = " in out
+    assert "hysteresis, rising minus falling: " in out
     result = json.loads((tmp_path / "model.json").read_text())
     at = coefficients(polynomials, 23.0)
     for j, name in enumerate(COEFFICIENTS):
@@ -127,7 +127,7 @@ def test_twelve_points_separate_and_say_how_little(bench, turns):
     out = bench("tumble", "turn-12.csv", "--strict")[1]
     assert out.count("7 of 7 terms are determined") == 3
     assert out.count("are correlated (r = -0.99") == 3
-    assert "taken as zero in channel x: 1 µg/g² of Kpp moves K0 by +0.50" in out
+    assert "assumed zero in channel x: 1 µg/g² of Kpp moves K0 by +0.50" in out
     assert "u, readings" in out
 
 
@@ -135,8 +135,8 @@ def test_terms_that_are_left_out_show_as_lack_of_fit(bench, turns):
     status, out, _ = bench("tumble", "turn-12.csv", "--terms", "K3,Koq", "--strict")
     assert status == 1
     # a prior of K2 is in the uncertainty, one of Kpp is not
-    assert "not fitted, but in u, in channel x: 1 µg/g² of K2 moves" in out
-    assert "taken as zero in channel x: 1 µg/g² of Kpp moves" in out
+    assert "not fitted, but included in u, in channel x: 1 µg/g² of K2 moves" in out
+    assert "assumed zero in channel x: 1 µg/g² of Kpp moves" in out
 
 
 def test_points_of_a_centrifuge_join_and_python_gives_the_same(bench, turns):

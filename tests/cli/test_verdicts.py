@@ -146,7 +146,7 @@ def test_run_verify_report_and_list_tell_one_verdict(bench):
     assert (status, own["passed"], own["statement"]) == (1, False, "conditional pass")
     assert "one (SIMULATED): CONDITIONAL PASS, not accepted: worst" in out
     assert "rule: guarded (w = 3 U)" in out
-    assert "4 of 4 verification points within the limit by less than the guard band" in out
+    assert "at 4 of 4 verification points, |Δg| is within the limit by less than the guard band" in out
     assert told(bench, "verify", "one", "--json", "-") == (1, own)
     assert not Path("runs/one/what-if").exists()
     status, out, _ = bench("report", "one", "--json", "-")

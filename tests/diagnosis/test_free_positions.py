@@ -138,7 +138,8 @@ def test_too_few_positions_are_refused_with_what_to_do():
 
 def test_so_many_as_determine_the_coefficients_say_nothing_of_what_is_missing():
     with pytest.raises(
-        CalibrationError, match=r"10 free positions leave 1 to tell the noise, .* measure 2 more"
+        CalibrationError,
+        match=r"10 free positions are too few to show the noise: 1 degrees .* measure 2 more",
     ):
         diagnose_free([positions(5, 10)])
     # a fifth held out leaves too few: the gap is not measured, and nothing is named by it

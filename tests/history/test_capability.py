@@ -200,7 +200,9 @@ def test_of_long_histories_in_a_large_laboratory_a_part_is_taken_and_that_is_sai
         assert alike.rows[:, 0].tolist() == [0, 40, 80]
         assert alike.rows[:, -1].tolist() == [39, 79, 119]
     notes = capability(made).notes
-    assert "of 3 units with more than 16 runs so many, evenly over the time, show scatter and drift" in notes
+    assert (
+        "3 units have more than 16 runs; 16 of each, spread evenly in time, give scatter and drift" in notes
+    )
 
 
 def test_units_with_too_few_runs_to_tell_their_drift_are_told():

@@ -115,7 +115,7 @@ def test_a_block_that_is_turned_differs_in_the_twelve_and_in_none_of_the_nine():
     assert found.twelve.changes[0].p < 1e-9
     result = compare_result(found, ())
     assert not result.changed
-    assert "no change beyond the uncertainty" in verdict_of(result)
+    assert "no change exceeds the uncertainty" in verdict_of(result)
     assert "the block is turned" in verdict_of(result)
 
 
@@ -254,7 +254,7 @@ def test_the_command_compares_results_and_files_writes_and_judges(bench, tmp_pat
         (tmp_path / f"{name}.json").write_text(json.dumps(result))
     status, out, err = bench("compare", "r0.json", "r1.csv", "--strict", "--json", "alike.json")
     assert (status, err) == (0, "")
-    assert "no change beyond the uncertainty" in out
+    assert "no change exceeds the uncertainty" in out
     alike = json.loads((tmp_path / "alike.json").read_text())
     assert (alike["changed"], alike["drift"]) == (False, None)
     assert len(alike["compared"][0]["coefficients"]) == 12
@@ -285,7 +285,7 @@ def test_runs_bring_their_dates_and_their_block(bench, tmp_path):
     for found in (result["first"], result["compared"][0]):
         assert datetime.fromisoformat(found["made_at"]) == datetime.fromisoformat(told["created"])
     assert "not every" not in out
-    assert "two of these agree within a hundredth" in out
+    assert "two of these calibrations agree within a hundredth" in out
 
 
 @pytest.mark.parametrize(

@@ -160,7 +160,7 @@ def test_the_next_calibration_takes_it_and_its_u_is_smaller(turned, learned):
 
 def test_too_few_runs_and_repeats_are_refused(turned):
     runs = fits(turned)
-    with pytest.raises(CalibrationError, match="1 run does not show"):
+    with pytest.raises(CalibrationError, match="1 run cannot show"):
         learn(runs[:1], STATED)
     alone = fits(simulate(np.random.default_rng(17), TRUTH, 2, passes=1))
     with pytest.raises(CalibrationError, match="too few repeats"):

@@ -196,7 +196,7 @@ def test_a_text_written_by_hand_is_taken_and_a_double_change_is_asked_about(anna
     assert 'value="7"' in page
     both = {**sent, "typed": by_hand, names["reading.nplc"]: "1"}
     page = send(anna, both, new_name="mine", do="write").text
-    assert "The text was changed, too" in page
+    assert "Table and text were both changed" in page
     assert "# seven" in page
     assert not Path("procedures").exists()
     assert 'role="alert"' in send(anna, {**sent, "typed": "a: [b"}, do="text").text

@@ -212,7 +212,7 @@ def test_expired_and_due_certificates_are_in_view(runs, tmp_path):
     assert "9 more days" in told.certificates[1]
     Path("config/mine.yaml").write_text("name: [")
     assert "✗" in bench_today("mine", [], None).notes[0]
-    assert "any more" in bench_today("gone", [], None).notes[0]
+    assert "no longer exists" in bench_today("gone", [], None).notes[0]
 
 
 def test_a_stranger_is_sent_to_sign_in(runs, anna):

@@ -50,11 +50,11 @@ def test_what_is_wrong_stands_first_with_what_to_do_and_is_escaped():
     assert "b&lt;ench&gt;" in page
     assert page.index("&lt;script&gt;") < page.index("Every check") < page.index("fine")
     assert "Do &lt;b&gt;this" in page
-    assert "1 do not as expected" in page
+    assert "1 do not work as expected" in page
     assert "head: off" in page
 
 
 def test_an_evening_that_ended_early_says_why():
     page = render_commissioning(result(2, ended="stopped by a signal"))
-    assert "Not gone through to its end: stopped by a signal." in page
+    assert "Ended early: stopped by a signal." in page
     assert "could not be tested" in page

@@ -71,7 +71,7 @@ def test_the_verdict_is_said_first_and_in_words(calibration):
     failed = render_report(ReportContent("T", calibration, verification_of(calibration, 5e-4)))
     assert "Verification passed" in passed
     assert "Verification failed" in failed
-    assert "4 of 4 verification points outside the limit" in failed
+    assert "4 of 4 verification points lie outside the limit" in failed
     assert failed.index("Verification failed") < failed.index("Model and coefficients")
     missing = render_report(ReportContent("T", calibration, verification_of(calibration, missing=2)))
     assert "Verification not complete" in missing
@@ -83,7 +83,7 @@ def test_a_verdict_that_is_not_sure_says_so_in_words(calibration):
     page = Text(render_report(ReportContent("T", calibration, result))).text
     assert "✓ Verification: conditional pass, accepted" in page
     assert f"Probability of false acceptance {result.p_outside:.2g}" in page
-    assert "4 of 4 verification points within the limit by less than the guard band" in page
+    assert "t 4 of 4 verification points, |Δg| is within the limit by less than the guard band" in page
     unstated = verification_of(calibration, 2.8e-4)
     page = Text(render_report(ReportContent("T", calibration, unstated))).text
     assert "– Verification: conditional pass, the customer decides" in page

@@ -229,7 +229,7 @@ def test_a_bench_that_is_noisier_than_stated_is_told_so_and_then_learnt():
     assert watcher.noise.reading_v == pytest.approx(1e-3, rel=0.4)
     told = [sign for _, sign in signs if "the bench is noisier than its file states" in sign.causes]
     assert len(told) == 1
-    assert "where the bench file states 0.10 mV" in told[0].sentence
+    assert "but the bench file states 0.10 mV" in told[0].sentence
     assert sum(number > 27 for number, _ in signs) <= 2
 
 

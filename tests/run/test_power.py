@@ -197,7 +197,7 @@ class Answering:
 
     def ask(self, prompt):
         self.asked.append(prompt.text)
-        if "with other settings than the bench file states" in prompt.text:
+        if "its settings differ from the bench file" in prompt.text:
             return Answer(prompt.id, self.answers.pop(0))
         given = prompt.default or (prompt.choices[0] if prompt.choices else "yes")
         return Answer(prompt.id, "7" if prompt.unit else given)

@@ -62,7 +62,7 @@ def test_empty_means_the_default():
 
 
 def test_it_ends_after_many_answers_that_do_not_fit():
-    with pytest.raises(BenchError, match="no usable answer"):
+    with pytest.raises(BenchError, match="no valid answer"):
         ask(Script(*["x"] * 30), NUMBER)
 
 
@@ -70,7 +70,7 @@ def test_no_waits_until_a_task_is_done():
     person = Script("no", "n", "NO", "yes")
     confirm(person, Prompt("1", PromptKind.CONFIRM, "Mount the block"))
     assert len({p.id for p in person.seen}) == 4
-    assert person.seen[-1].text == "There is no hurry: say yes when it is done. Mount the block"
+    assert person.seen[-1].text == "There is no hurry: answer yes when it is done. Mount the block"
 
 
 def test_no_to_a_question_stops():
@@ -82,7 +82,7 @@ def test_no_to_a_question_stops():
 def test_a_mounting_is_confirmed_in_words_and_speaks_of_a_chamber_only_where_there_is_one(chamber):
     prompt = mount_prompt(Mount("m", "1", 1), chamber=chamber)
     assert ("chamber" in prompt.text) is chamber
-    with pytest.raises(BenchError, match="no usable answer"):
+    with pytest.raises(BenchError, match="no valid answer"):
         confirm(Script(*[""] * 30), prompt)
 
 
@@ -137,7 +137,7 @@ def test_the_terminal_says_when_the_answers_end():
     person = TerminalPerson(io.StringIO("yes\n"), Console(file=shown))
     prompt = Prompt("1#1", PromptKind.CONFIRM, "Mount the [block]", default="yes")
     assert person.ask(prompt) == Answer("1#1", "yes")
-    with pytest.raises(NoAnswer, match=r"no answer is left for the question: Mount the \[block\]"):
+    with pytest.raises(NoAnswer, match=r"the input ended before an answer to: Mount the \[block\]"):
         person.ask(prompt)
     assert "Mount the [block]" in shown.getvalue()
     assert "Enter = yes" in shown.getvalue()

@@ -346,7 +346,7 @@ class ReadOutHeadForm(HeadForm, WiredForm):
         if self.backoff <= self.tolerance:
             raise ValueError("state a back-off above the tolerance")
         if self.settle == 0.0:
-            raise ValueError("state 'settle' above 0 s: rest is judged over a time")
+            raise ValueError("state 'settle' above 0 s, because the head must rest for this time")
         if self.hands_free and self.typed:
             raise ValueError("state 'hands_free' or 'typed', not both: typing needs a hand")
         return self

@@ -142,7 +142,9 @@ def _sent(request: Request, person: Person, given: dict[str, str]) -> Response:
         state.text = typed
     elif typed != before:
         state.typed = typed
-        state.refusal = message("The text was changed, too: 'Use this text' takes it instead of the table.")
+        state.refusal = message(
+            "Table and text were both changed: 'Use this text' takes the text and drops the table."
+        )
     if not state.refusal and (change := CHANGES.get(do)):
         try:
             state.text = change(state.text, place_of(name, rows_of(_data(state.text))))
@@ -193,9 +195,7 @@ def _from_table(text: str, given: Mapping[str, str]) -> str:
     try:
         return table_text(text, values, fields)
     except (yaml.YAMLError, TypeError, KeyError, AttributeError, IndexError, RecursionError) as error:
-        raise Refusal(
-            409, message("the file has a form that is not understood here; change it in the text")
-        ) from error
+        raise Refusal(409, message("the table cannot show this file; change it in the text")) from error
 
 
 def _write(panel: Panel, person: Person, state: TableState, expected: str) -> bool:
@@ -228,7 +228,9 @@ def _named(state: TableState) -> str:
 def _form_page(request: Request, state: TableState) -> Response:
     data, procedure = _data(state.text), None
     if data is None:
-        state.refusal = state.refusal or message("The text is no procedure in YAML. Mend it in its field.")
+        state.refusal = state.refusal or message(
+            "The text is not a procedure in YAML. Correct it in its field."
+        )
         mistakes = _unreadable(state)
     else:
         state.groups, state.rows = sections_of(data), rows_of(data)
@@ -262,7 +264,13 @@ def check_beside(procedure: Procedure, bench: str, runs: Path) -> CheckBeside:
 
     plan = procedure.plan
     if len(plan.steps) > MOST_CHECKED:
-        return CheckBeside((message(f"{len(plan.steps)} steps: so many are checked before their run."),))
+        return CheckBeside(
+            (
+                message(
+                    f"{len(plan.steps)} steps are too many to check here; the check runs before you start the run."
+                ),
+            )
+        )
     try:
         file = load_bench(choices(CONFIG)[bench])
     except FileMistakes as mistakes:

@@ -187,7 +187,7 @@ def chosen_bench_file(name: str) -> Path:
     path = choices(CONFIG).get(name)
     if path is None:
         raise Refusal(
-            404, message(f"there is no bench file {name} any more; remove the unit and add it again")
+            404, message(f"the bench file {name} no longer exists; remove the unit and add it again")
         )
     return path
 
@@ -318,7 +318,8 @@ def _item_changed(panel: Panel, person: Person, item_id: str, do: str) -> str:
         runs = {row.name: row for row in panel.table.rows()}
         if not _row(panel, item, runs).returnable:
             raise Refusal(
-                409, message(f"{item.words}: its run goes on or is finished; add the unit again instead")
+                409,
+                message(f"{item.words}: its run continues or is finished; add the unit to the queue again"),
             )
         panel.queue.change(item_id, wish="", run="", begun=None)
     else:

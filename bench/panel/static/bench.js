@@ -25,7 +25,7 @@
         return;
       }
     } catch (error) {
-      if (searching) searching.textContent = _("The panel does not answer; it is asked again.");
+      if (searching) searching.textContent = _("The panel does not answer; this page asks again.");
     }
     setTimeout(look, 500);
   }

@@ -349,7 +349,7 @@
     const notes = [];
     if (!state.alive && !state.ended && me.role !== "viewer" && holder() && !holding()) notes.push(_(`${holder()} is in control: ask for control, then resume.`));
     if (prompt && !holding()) notes.push(holder() ? _(`${holder()} answers here, or somebody at the terminal.`) : _("Take control to answer here; the terminal answers too."));
-    if (state.refused && state.refused.why) notes.push(_(`Not taken: “${state.refused.answer}” – ${state.refused.why}.`));
+    if (state.refused && state.refused.why) notes.push(_(`Not accepted: “${state.refused.answer}” – ${state.refused.why}.`));
     else if (state.answered) notes.push(_(`Last answer: “${state.answered.answer}”${state.answered.by ? ` by ${state.answered.by}` : ""}${state.answered.place ? ` (${state.answered.place})` : ""}.`));
     if (state.why && !state.alarm) notes.push(state.why);
     put("told", state.ended ? "" : notes.join(" "));
@@ -424,7 +424,7 @@
     const told = BenchPlots.outside(points, kOfBand);
     const none = state.warnings.length ? "" : _("No early warning. ");
     if (!told.values) return none.trim();
-    return none + _(`${told.outside} of ${told.values} values lie outside ± ${kOfBand}·u; about ${told.expected} do by chance.`);
+    return none + _(`${told.outside} of ${told.values} values lie outside ± ${kOfBand}·u; about ${told.expected} are expected by chance.`);
   };
 
   const askOutcome = async () => {

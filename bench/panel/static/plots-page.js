@@ -93,7 +93,7 @@
 
   const ranking = ({ found, rivals }) => {
     const kind = (one) => (one.name === found ? "named" : one.tied ? "tied" : "less");
-    section(_(`Diagnosis: ${found.replaceAll("_", " ")} and its rivals`), _("How plausible each name is. A name that the readings cannot tell from the first says “tie”."), {
+    section(_(`Diagnosis: ${found.replaceAll("_", " ")} and its rivals`), _("How plausible each name is. “tie” marks a name that the readings cannot separate from the first."), {
       kind: "bars", channels: [_("ln odds")], unit: "", k: 2, ways: ["value"], axis: _("ln odds that the effect is present"), table: `${here}/ranking`, grey: null,
       sets: [{ name: "", points: [...rivals].sort((a, b) => b.ln_odds - a.ln_odds).map((one) => ofBar(one.name.replaceAll("_", " "), one.ln_odds, kind(one))) }],
     });

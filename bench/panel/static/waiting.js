@@ -11,7 +11,7 @@
       if (!now) { location.reload(); return; }
       if (now.textContent !== waiting.textContent) waiting.textContent = now.textContent;
     } catch (error) {
-      waiting.textContent = _("The panel does not answer; it is asked again.");
+      waiting.textContent = _("The panel does not answer; this page asks again.");
     }
     setTimeout(look, 1000);
   }

@@ -84,8 +84,8 @@ def _pulled(evening: CommissioningSession, cable: Cable, first: Instrument) -> F
     most_s = TRIES * 2.0 * evening.timeout_s(name)
     back_s, still = _wait_until_back(evening, [_look(evening, one) for one in cable.instruments])
     figures = (
-        Figure("loss reported after", told_s, "s", f"{most_s:.3g} s is the most"),
-        Figure("answers again after", back_s, "s", f"{PATIENCE_S:g} s is the most"),
+        Figure("loss reported after", told_s, "s", f"at most {most_s:.3g} s"),
+        Figure("answers again after", back_s, "s", f"at most {PATIENCE_S:g} s"),
     )
     if still is not None:
         said = f"did not respond again after its cable was plugged in ({still.cause})"
@@ -97,7 +97,7 @@ def _pulled(evening: CommissioningSession, cable: Cable, first: Instrument) -> F
         )
         return Finding(CABLE, name, State.OTHER, said, figures, remedy)
     if told_s > most_s:
-        said = f"its loss was reported after {told_s:.3g} s, more than {most_s:.3g} s"
+        said = f"the program reported its loss after {told_s:.3g} s; at most {most_s:.3g} s are allowed"
         return Finding(
             CABLE, name, State.SLOWER, said, figures, "give it a shorter timeout in the bench file"
         )
@@ -194,17 +194,18 @@ def _report_equal_serials(evening: CommissioningSession) -> None:
 PARTS: Final = (
     Part(
         "limits",
-        "Values beyond the limits of head, chamber and power supply are demanded while no wire is open: "
-        "they must be refused. Nothing can move.",
+        "The program demands values beyond the limits of head, chamber and power supply; their drivers must "
+        "refuse them. No wire is open, so nothing can move.",
         devices.check_limits,
     ),
     Part(
         "identity and settings",
-        "Every instrument is opened and asked who it is; the voltmeters are set up twice. Nothing moves.",
+        "The program opens every instrument, reads its identity, and sets the voltmeters up twice. Nothing "
+        "moves.",
         _identities,
     ),
     Part("time of a reading", "Each voltmeter takes a reading alone.", meters.check_time),
-    Part("together", "All voltmeters are started as in a run.", meters.check_together),
+    Part("together", "All voltmeters start together, as in a run.", meters.check_together),
     Part("noise", "The inputs of the voltmeters are shorted and read.", meters.check_noise),
     Part(
         "head",
@@ -219,13 +220,13 @@ PARTS: Final = (
     ),
     Part(
         "power supply",
-        "Its outputs are read. Nothing is set or switched.",
+        "The program reads its outputs and sets or switches nothing.",
         devices.check_outputs,
         applies=lambda evening: evening.instruments.power_supply is not None,
     ),
     Part(
         "level",
-        "The head is set to 0°, the level read on the platform in two positions half a turn apart.",
+        "The head turns to 0°; you read the level on the platform in two positions, half a turn apart.",
         devices.check_level,
         applies=lambda evening: evening.instruments.level is not None,
     ),
@@ -237,7 +238,7 @@ PARTS: Final = (
     ),
     Part(
         "cables",
-        "Every cable is pulled once and plugged in again: the program must report its loss.",
+        "You pull every cable once and plug it in again; the program must report each loss.",
         check_cables,
         applies=lambda evening: any(not section.by_hand for section in evening.file.instruments.all()),
     ),
@@ -253,7 +254,7 @@ def go_through(evening: CommissioningSession) -> None:
     for number, part in enumerate(parts, start=1):
         try:
             evening.confirm(
-                f"Part {number} of {len(parts)}, {part.title}: {part.announced} Go on?", default="yes"
+                f"Part {number} of {len(parts)}, {part.title}: {part.announced} Continue?", default="yes"
             )
             part.carry_out(evening)
         except Skipped as why:

@@ -227,7 +227,7 @@ def _moved(
     """Move the head after the person has confirmed that its path is clear; return the finding."""
     first = ""
     if from_rad is not None and getattr(form, "allow_homing", False):
-        first = " It may first turn to its reference, beyond any limit: its bench file allows that."
+        first = " It may first turn to its reference, even beyond its limits, as the bench file allows."
     evening.confirm(
         f"The head will turn to {degrees(target_rad)} with the angle {APPROACH[direction]}, at "
         f"{degrees(form.speed)} a second.{first} Is the way clear, and do all cables hang free?",
@@ -240,7 +240,12 @@ def _moved(
     least_s = abs(target_rad - start_rad) / form.speed + form.settle
     off_rad = position.angle_rad - target_rad
     figures = (
-        Figure("beside the target", math.degrees(off_rad) * 3600.0, "″", f"±{format_dms(form.tolerance, 1)}"),
+        Figure(
+            "distance from the target",
+            math.degrees(off_rad) * 3600.0,
+            "″",
+            f"±{format_dms(form.tolerance, 1)}",
+        ),
         Figure("took", took_s, "s", f"{least_s:.2g} s by its speed and settling"),
     )
     said = f"came to {degrees(target_rad)}, {APPROACH[direction]}"
@@ -264,8 +269,8 @@ def _stopped(
     way_rad = min(max(2.0 * STOPPED_AFTER_S * form.speed, form.backoff), room_rad)
     target_rad = here_rad + side * way_rad
     evening.confirm(
-        f"The head will set off from {degrees(here_rad)} towards {degrees(target_rad)} and be stopped half way. "
-        "Is the way clear, and your hand at the emergency stop?",
+        f"The head will start from {degrees(here_rad)} towards {degrees(target_rad)}; the program stops it "
+        "half way. Is the way clear, and your hand at the emergency stop?",
         action={"do": "stand_clear"},
     )
     try:
@@ -290,7 +295,7 @@ def _stopped(
         said = f"stopped at {degrees(rest_rad)}, on its way to {degrees(target_rad)}"
         return Finding(STOP, form.name, State.WORKS, said, figures)
     if left_rad > form.tolerance:
-        said, remedy = "did not set off before it was stopped", "check its load, its motor and its speed"
+        said, remedy = "had not yet moved when it was stopped", "check its load, its motor and its speed"
     else:
         said = f"was commanded to stop half way but continued to {degrees(rest_rad)}"
         remedy = "do not use it until its stop works; use the emergency stop meanwhile"
@@ -325,7 +330,7 @@ def _by_hand(evening: CommissioningSession, head: DividingHead) -> None:
 
 def _turned(head: DividingHead, target_rad: float, direction: Direction, number: int) -> Finding:
     position = head.move(target_rad, direction, f"commission/head-{number}")
-    off = Figure("beside the target", math.degrees(position.angle_rad - target_rad) * 3600.0, "″")
+    off = Figure("distance from the target", math.degrees(position.angle_rad - target_rad) * 3600.0, "″")
     said = f"was turned to {degrees(target_rad)}, {APPROACH[direction]}, and read"
     return Finding(MOVE, head.name, State.WORKS, said, (off,))
 
@@ -353,13 +358,17 @@ def _read_temperature(chamber: ThermalChamber, by_hand: bool) -> Finding:
 def _standby(evening: CommissioningSession, chamber: ThermalChamber, by_hand: bool) -> Finding:
     if by_hand:
         evening.confirm(
-            "Switch the chamber to standby. Does it stand by?", action={"do": "answer"}, default="yes"
+            "Switch the chamber to standby. Is it in standby?", action={"do": "answer"}, default="yes"
         )
         return Finding(STANDBY, chamber.name, State.WORKS, "was put into standby by hand")
-    evening.confirm("The chamber will stop conditioning and stand by. May it?", action={"do": "stand_clear"})
+    evening.confirm(
+        "The program will stop the chamber and put it into standby. May it?", action={"do": "stand_clear"}
+    )
     to_do = chamber.make_safe()
     if to_do:
-        return Finding(STANDBY, chamber.name, State.OTHER, "needs a hand to stand by", remedy=to_do)
+        return Finding(
+            STANDBY, chamber.name, State.OTHER, "can be put into standby only by hand", remedy=to_do
+        )
     return Finding(STANDBY, chamber.name, State.WORKS, "stopped conditioning, and its driver read that back")
 
 

@@ -189,7 +189,7 @@ def _started_together(evening: CommissioningSession, meters: Sequence[Voltmeter]
     most_s = START_PART * (expected_s or took_s)
     names = " ".join(meter.name for meter in meters)
     figures = (
-        Figure("starts within", spread.starts_s, "s", f"{most_s:.2g} s, a tenth of a reading, is the most"),
+        Figure("starts within", spread.starts_s, "s", f"at most {most_s:.2g} s, a tenth of a reading"),
         Figure("readings came within", spread.ends_s, "s"),
         Figure("the set took", took_s, "s", f"one reading {expected_s:.3g} s" if expected_s else ""),
     )
@@ -201,11 +201,11 @@ def _started_together(evening: CommissioningSession, meters: Sequence[Voltmeter]
     if spread.starts_s > most_s or (expected_s and took_s > late_s):
         return Finding(
             TOGETHER, meters[-1].name, State.SLOWER,
-            f"the meters ({names}) do not sample together: started within {spread.starts_s:.2g} s, the set took "
-            f"{took_s:.3g} s", figures,
+            f"the meters ({names}) do not sample together: their starts spread over {spread.starts_s:.2g} s, "
+            f"and the set took {took_s:.3g} s", figures,
             "find the slow wire in the times of the other checks, or settle longer before each reading",
         )  # fmt: skip
-    return Finding(TOGETHER, meters[0].name, State.WORKS, f"{names} sample the same moment", figures)
+    return Finding(TOGETHER, meters[0].name, State.WORKS, f"{names} sample at the same time", figures)
 
 
 def _one_set(evening: CommissioningSession, meters: Sequence[Voltmeter]) -> TimingSpread:
@@ -262,7 +262,8 @@ def _noise(evening: CommissioningSession, meter: Voltmeter) -> Finding:
         wrong += trouble
     n = settings.samples
     said = (
-        f"{n} samples at {settings.nplc:g} NPLC lie within the limits of data sheet or bench file about zero"
+        f"mean and scatter of {n} samples at {settings.nplc:g} NPLC are within the limits of data sheet or "
+        "bench file"
     )
     if not wrong:
         found = Finding(NOISE, meter.name, State.WORKS, said, tuple(figures))

@@ -190,8 +190,12 @@ def _compared(
         if abs(change) > most
     ]
     if abs(turned_rad) <= most_rad and not beyond:
-        return Finding(RETURN, name, State.WORKS, f"came back within {turned_rad * arcsec:+.1f}″", figures)
-    said = f"came back {turned_rad * arcsec:+.1f}″ off" + (f"; {', '.join(beyond)} changed" if beyond else "")
+        return Finding(
+            RETURN, name, State.WORKS, f"came back to within {abs(turned_rad) * arcsec:.1f}″", figures
+        )
+    said = f"came back with an error of {turned_rad * arcsec:+.1f}″" + (
+        f"; {', '.join(beyond)} changed" if beyond else ""
+    )
     remedy = "check the clamping of block and head, and let block and voltmeters warm up; then check again"
     return Finding(RETURN, name, State.OTHER, said, figures, remedy)
 
@@ -208,9 +212,10 @@ def _judged(serial: str, reading: Reading, judged: ReadingJudgement) -> Finding:
     )
     where = f"installation {reading.installation} at {degrees(math.radians(reading.target_deg or 0.0))}"
     if judged.p >= LEAST_P:
-        return Finding(CHECK_BLOCK, serial, State.WORKS, f"{where} as its control chart expects", figures)
+        return Finding(CHECK_BLOCK, serial, State.WORKS, f"{where} agrees with its control chart", figures)
     said = f"{where} differs from its control chart (p = {judged.p:.1g})"
     remedy = (
-        "check mounting and warm-up; if it stays, measure the whole check block and look at 'bench chart'"
+        "check mounting and warm-up; if the difference remains, measure the check block with its whole "
+        "procedure and run 'bench chart'"
     )
     return Finding(CHECK_BLOCK, serial, State.OTHER, said, figures, remedy)

@@ -363,7 +363,7 @@ class CommissioningSession:
         """Return the finding with faults on a wire added: failures followed by success, slow responses."""
         failures, after = self.watch.failures(mark, name), self._connection(name)
         if failures:
-            said = f"{found.said}, but its wire failed on the way ({failures[0]})"
+            said = f"{found.said}, but its wire failed meanwhile ({failures[0]})"
             return replace(found, instrument=name, state=State.OTHER, said=said, remedy=_CHECK_WIRE)
         if before is not None and after != before:
             said = f"{found.said}, but one answer was garbled and was requested again"

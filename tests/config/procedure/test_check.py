@@ -133,7 +133,7 @@ def test_a_prompt_without_default_is_no_mistake_but_a_dry_run_is_not_offered(ben
     assert status == 0
     assert "a dry run refuses it" in out
     assert "--dry-run" not in out
-    assert "no calibration: it has no reading" in out
+    assert "no calibration: the procedure has no reading" in out
 
 
 def test_the_mistakes_of_both_files_are_told_together(bench):
