@@ -72,6 +72,6 @@ def test_changed_runs_wait_for_acceptance(bench, past_runs, monkeypatch):
     result["coefficients"]["Kzz"]["value"] += result["coefficients"]["Kzz"]["u"]
     stored.write_text(json.dumps(result), encoding="utf-8")
     out = printed(
-        bench("validate", "--against", past_runs, "--out", "v"), "CHANGED: 1 change", "Kzz", status=1
+        bench("validate", "--against", past_runs, "--out", "v"), "CHANGED: 1 of", "Kzz", status=1
     )
     assert "1 changed by more than 0.1 u" in out

@@ -73,7 +73,7 @@ def test_a_validation_is_written_sealed_accepted_and_compared(bench, few, labora
     printed(bench("validate", "--accept", "v2", *lab, *BY), "V")
     file.write_text(file.read_text(encoding="utf-8") + "# again\n", encoding="utf-8")
     out = printed(
-        bench("validate", "--quick", "--out", "v3", "--bench", file, *lab), "CHANGED: 1 change", status=1
+        bench("validate", "--quick", "--out", "v3", "--bench", file, *lab), "CHANGED: 1 of", status=1
     )
     assert "bench file" in out
     number = printed(bench("validate", "--accept", "v3", *lab, *BY)).splitlines()[-2].split()[0]
