@@ -65,9 +65,7 @@ def answer_to(prompt: Prompt) -> str:
 
 
 class Hands:
-    """A simulated operator who follows the events of a run and answers its questions, by keyboard and in the
-    folder.
-    """
+    """A simulated operator who follows a run's events and answers its questions by keyboard and in files."""
 
     def __init__(self, folder: Path, rng: random.Random, keyboard: int | None, *, calm: bool = False) -> None:
         self.folder, self.rng, self.keyboard, self.calm = folder, rng, keyboard, calm

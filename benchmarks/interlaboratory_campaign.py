@@ -44,9 +44,7 @@ RETURNS: Final = 2
 
 
 def round_of(seed: int, number: int) -> tuple[Floats, Floats]:
-    """Return the nine numbers of one block (stops, 9) and their covariances (stops, 9, 9), the pilot's returns
-    last.
-    """
+    """Return a block's nine numbers (stops, 9) and their covariances (stops, 9, 9), the pilot's last."""
     values, covariances, bench = [], [], own("roll")
     for k in range(LABORATORIES + RETURNS):
         drawn = simulate_whole(np.random.default_rng([seed, number, k]), "roll")

@@ -46,7 +46,7 @@ CHANGE, FOUND = 6.0, 0.98
 
 
 def run(seed: int, turned: bool, numbers: range) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return errors and u of the nine (runs, 9), joint distances over their k (runs, 2), and changes (runs, 12)."""
+    """Return errors and u of the nine (runs, 9), joint distances / k (runs, 2), changes (runs, 12)."""
     rows = []
     bench = own("roll")
     for k in numbers:

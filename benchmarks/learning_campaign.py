@@ -72,7 +72,7 @@ def scores(found: Learned, bench: Bench) -> list[tuple[str, float, float, float]
 def next_blocks(
     rng: np.random.Generator, bench: Bench, found: Learned, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return z (count, 12) of further calibrations with the learned sizes, and u over that without them, (12,)."""
+    """Return z (count, 12) with the learned sizes, and (12,) their u divided by u without the sizes."""
     runs = simulate(rng, bench, count)
     with_it, without = ([calibrated(one, known) for one in runs.tables()] for known in (found.known, None))
     u, plain = (np.array([one.u for one in each]) for each in (with_it, without))
@@ -86,7 +86,7 @@ def calibrated(readings: Readings, known: KnownStand | None = None) -> Calibrati
 
 
 def exchanged_meters(rng: np.random.Generator, benches: int, runs: int, extra: float) -> np.ndarray:
-    """Return z, and u over the u of the limits, of the differences of two gains and of two zeros, (benches, 4).
+    """Return z, and u relative to u of the limits, for differences of two gains and two zeros (benches, 4).
 
     The block's rows and biases change from run to run by `extra` times the scatter of the readings.
     """

@@ -110,9 +110,7 @@ def signals(theta: Floats, force: Floats) -> Floats:
 
 
 class Estimator:
-    """Least squares with the stand's angles as prior, linearised about coefficients (12,), for a noise of a
-    reading.
-    """
+    """Least squares with prior stand angles and known reading noise, linearised about coefficients (12,)."""
 
     def __init__(self, theta: Floats, noise_v: float) -> None:
         fit = WHERE < 2

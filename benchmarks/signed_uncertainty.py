@@ -76,9 +76,7 @@ STATED = UncertaintySection.model_validate(
 
 @dataclass
 class Calibrator:
-    """A calibration as `bench calibrate` makes it, without its files; `wandering` is what the bench file then
-    states.
-    """
+    """Calibrates as `bench calibrate` does, without files; `wandering`: with `STATED` in the bench file."""
 
     wandering: bool = False
 
@@ -111,7 +109,8 @@ def own(case: str) -> Calibrator:
 def run(case: str, seed: int, numbers: range) -> tuple[Floats, ...]:
     """Return arrays over runs of a case.
 
-    They are errors, u, u of the readings (runs, 12), delta g and its u (runs, 8), differences, and added variances.
+    They are errors, u, u of the readings (runs, 12), delta g and its u (runs, 8); of the case's source: the
+    changes of the estimates and the variances that it adds to u^2 (runs, 12).
     """
     rows: list[list[Floats]] = []
     names = KNOWN.get(case, ())
@@ -171,10 +170,10 @@ def show(case: str, parts: list[Any], runs: int) -> list[str]:
 
 
 def pairs(case: str, seed: int, numbers: range) -> tuple[int, int, int, int, int]:
-    """Return how many pairs were compared, said to differ, changed by 6 u in one of the nine, and found changed.
+    """Return how many pairs were compared, said to differ, changed by 6 u in one of the nine, and so found.
 
-    The last count is of unchanged pairs that the twelve coefficients say to differ. In each calibration the block
-    is turned by 0 to 2 degrees, equally in both installations.
+    The last count is of unchanged pairs that the twelve coefficients say to differ. In each calibration the
+    block is turned by 0 to 2 degrees, equally in both installations.
     """
     differ = changed = found = by_twelve = 0
     for k in numbers:

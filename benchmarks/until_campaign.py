@@ -73,7 +73,7 @@ class World:
         return cls(*block, stand, scale, rng)
 
     def measured(self, points: list[PlannedPoint]) -> Readings:
-        """Return readings at points in their order; the head is at the angle it shows, except for its error."""
+        """Return readings at the points, in order; the head is at the angle it shows plus its error."""
         labels = [p.site.mount.installation for p in points]
         angle = np.array([p.site.angle_rad for p in points])
         errors = np.array([self.stand[label] for label in labels]).T

@@ -27,8 +27,8 @@ def message(text: str, context: str = "") -> str:
 class BenchError(Exception):
     """A failure that a person can remedy.
 
-    `instrument` is its name on the bench ("voltmeter.x"), `cause` what happened, `remedy` what to do.
-    The message combines all three in one sentence.
+    `instrument` is the instrument's name on the bench ("voltmeter.x"), `cause` what happened, `remedy` what
+    to do. The message combines all three in one sentence.
     """
 
     def __init__(self, instrument: str, cause: str, remedy: str) -> None:

@@ -1,6 +1,4 @@
-"""Base class of remote-controlled supplies, which checks limits, reads settings back and never sets an output that
-is on.
-"""
+"""Base class of remote-controlled supplies: it checks limits, reads back, sets only outputs that are off."""
 
 from __future__ import annotations
 

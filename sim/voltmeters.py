@@ -285,9 +285,7 @@ class Converter:
                 return 0.0
 
     def _at_input_v(self, configuration: Measurement, time_s: float) -> float:
-        """Return the voltage to be converted, V: the signal, reduced by the input resistance, plus errors of the
-        input.
-        """
+        """Return the voltage to be converted, V: the signal under the input's load, plus input errors."""
         signal_v, flaws = self._source.signal_v(time_s), self._flaws
         if flaws is None:
             return signal_v

@@ -151,7 +151,7 @@ class Logged:
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """A command with its reply, its failure, or None if the log has neither.
+    """A command with its reply or its failure (None if the log has neither).
 
     The command is None for a failure or data that no command preceded.
     """

@@ -76,7 +76,7 @@ def switched_on_since(
 
 
 def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> Floats:
-    """Return the signals of visits in the order of time, V, shape (n, 3); effects depend on the earlier visits.
+    """Return the signals of visits in time order, V, shape (n, 3); effects depend on the earlier visits.
 
     A visit with `input_v` shows that voltage with the effects of the meters alone.
     """
@@ -161,9 +161,7 @@ class HeadFault:
     runs_away: bool = False
 
     def end_rad(self, start_rad: float, target_rad: float) -> tuple[float, bool]:
-        """Return the angle at which a movement ends with this fault, and whether the head is then stuck or ran
-        away.
-        """
+        """Return the angle at which a movement with this fault ends, and whether it ends stuck or astray."""
         if self.runs_away:
             return start_rad + math.copysign(_ENDLESS_RAD, start_rad - target_rad), True
         end_rad = target_rad + self.stops_off_rad

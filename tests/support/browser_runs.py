@@ -18,8 +18,7 @@ PATIENCE_S = 180.0
 
 
 class Begun:
-    """A run carried out by a separate program; its questions are answered in its folder or at its
-    terminal."""
+    """A run carried out by a separate program, whose questions are answered in its folder or by typing."""
 
     def __init__(
         self,

@@ -10,8 +10,7 @@ PACKAGES = ("playwright", "axe_playwright_python")
 
 
 def find_chromium(path: str | None = None) -> str:
-    """Return the Chromium that BENCH_CHROMIUM names, else the first on `path` (None: PATH); "" if there is
-    none."""
+    """Return the Chromium that BENCH_CHROMIUM names, else the first on `path` (None: PATH); "" if none."""
     named = os.environ.get(NAMED, "")
     if named:
         return shutil.which(named) or ""

@@ -1,5 +1,4 @@
-"""The paper's bench as a `Setup` for budgets: block (11), 54 readings, four verification points turned by
-psi."""
+"""The paper's bench as a `Setup`: block (11), 54 readings, 4 verification points turned by psi about z."""
 
 from collections.abc import Mapping, Sequence
 

@@ -15,8 +15,7 @@ HELD: dict[str, Any] = {"number": "C-1", "laboratory": "Met Lab", "date": "2026-
 def meter_certificate(
     gain: str = "0 ppm", offset: str = "0 V", *, drift: bool = True, **others: Any
 ) -> dict[str, Any]:
-    """Return a meter's certificate for 10 V: U of 6 ppm and 10 µV (k = 2, dof 20), yearly drift 8 ppm and 12
-    µV."""
+    """Return a meter's certificate, 10 V: U 6 ppm and 10 µV, k = 2, dof 20; drift 8 ppm and 12 µV a year."""
     drifts: tuple[dict[str, str], ...] = (
         ({"drift": "8 ppm/year"}, {"drift": "12 uV/year"}) if drift else ({}, {})
     )
@@ -44,8 +43,7 @@ def write_bench(
     chamber: dict[str, Any] | None = None,
     **sections: Any,
 ) -> Path:
-    """Write the paper's bench file with certificates of head, chamber and, by channel, of meters; return its
-    path."""
+    """Write the paper's bench file with certificates of head, chamber, meters by channel; return its path."""
     data = yaml.safe_load(find_bench("paper-stand").read_text(encoding="utf-8"))
     instruments = data["instruments"]
     for meter in instruments["voltmeters"]:

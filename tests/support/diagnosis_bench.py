@@ -82,8 +82,7 @@ def paper_run(
 
 
 class OneThreshold(ThresholdCache):
-    """A cache that returns a given threshold for every design, by default about that of the paper's
-    design."""
+    """A cache that returns one threshold for any design, by default about that of the paper's design."""
 
     def __init__(self, *sizes: float) -> None:
         super().__init__(None)
@@ -122,8 +121,7 @@ def set_up(readings: Readings, model: ForwardModel = MODEL, sigma: float = NOISE
 
 
 def columns_by_model(listed: Any, system: Any) -> Iterator[tuple[Floats, Floats]]:
-    """Yield each column of the dictionary's term `listed`, and the forward model's response to the same
-    size."""
+    """Yield each column of the dictionary term `listed`, and the forward model's column of equal size."""
     term, _, sizes = listed
     effect = term.effect("one", per_channel=sizes[0][1] is not None)
     values = {p.name: np.asarray(p.default) for p in effect.parameters if p.is_shape}

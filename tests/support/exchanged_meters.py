@@ -29,8 +29,7 @@ uncertainty:
 
 
 def bench_text(order: str, learned: str = "") -> str:
-    """Return a bench file with the meters at addresses 22, 23, 24 on the channels of `order`, such as
-    "yzx"."""
+    """Return a bench file with the meters at addresses 22, 23, 24 on the channels `order`, such as "yzx"."""
     text = SHIPPED.read_text(encoding="utf-8")
     for was, channel in zip("xyz", order, strict=True):
         address = {"x": "22", "y": "23", "z": "24"}[was]

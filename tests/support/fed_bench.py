@@ -48,8 +48,7 @@ def write_fed(
     name: str = "bench-gpib",
     supply: dict[str, Any] | None = None,
 ) -> Path:
-    """Write a shipped bench file with these sections, by default `FEED` and a manual supply; return its
-    path."""
+    """Write a shipped bench file with these sections (default: `FEED`, a manual supply); return its path."""
     data = yaml.safe_load(find_bench(name).read_text(encoding="utf-8"))
     data["unit_under_test"]["supply"] = json.loads(json.dumps(FEED if feed is None else feed))
     data["instruments"]["power_supply"] = json.loads(json.dumps(MANUAL if supply is None else supply))

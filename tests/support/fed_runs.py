@@ -32,8 +32,7 @@ AS_NEW = OutputState(False, OutputSettings(0.0, 1.0), 0.0, 0.0)
 
 
 class Supply:
-    """A supply that lists its switching in `done`; `at` maps the number of a query to a change of its
-    outputs."""
+    """A supply that lists its switching in `done`; `at[n]` changes its outputs' states at the n-th query."""
 
     name = "power_supply"
     asks_person = False

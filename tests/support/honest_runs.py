@@ -69,8 +69,7 @@ class Runs:
 
     @property
     def paired_t(self) -> Floats:
-        """Paired t of the squared errors, closed form minus least squares; negative if least squares is
-        worse."""
+        """Paired t of squared errors, closed form minus least squares; below 0 if least squares is worse."""
         difference = self.error_closed**2 - self.error**2
         spread = difference.std(axis=0, ddof=1) / np.sqrt(len(difference))
         return np.asarray(difference.mean(axis=0) / spread)
@@ -154,8 +153,7 @@ def run_few(seed: int, numbers: range, design: str, times: float | None = None) 
 
 
 def components_taken(seed: int, numbers: range, case: str) -> int:
-    """Count the runs of a `simulate_whole` case in which the calibration includes a shared error
-    component."""
+    """Count the runs of a `simulate_whole` case whose calibration includes a shared error component."""
     runs = (simulate_whole(np.random.default_rng([seed, k]), case).readings for k in numbers)
     return sum(len(calibrate(run, MODEL, STAND_U, 9.81).shared) > 0 for run in runs)
 
@@ -171,8 +169,7 @@ def _prior_of(design: str) -> NoisePrior:
 def simulate_few(
     rng: np.random.Generator | None, design: str, noise_v: float = 0.0, setting_rad: float = 0.0
 ) -> Readings:
-    """Simulate a run of a design of `FEW`, with stand errors per installation; without `rng` no errors at
-    all."""
+    """Simulate a run of a design of `FEW`, with stand errors per installation; without `rng` no errors."""
     angles = dict(zip("12", FEW[design], strict=True))
     installation = [i for i, own in angles.items() for _ in own]
     point = [p for own in angles.values() for p in range(1, len(own) + 1)]
@@ -206,8 +203,7 @@ def with_free(readings: Readings, forces: Floats, noise: Floats | float) -> Read
 
 
 def simulate_with_roll(rng: np.random.Generator, noise_v: float, passes: int, count: int) -> Readings:
-    """Simulate the paper's procedure with a roll (third mounting angle) per installation, then free
-    positions."""
+    """Simulate the paper's procedure with a roll (third mounting angle) per installation, and positions F."""
     installation, pass_number, point, phi = design(passes)
     at = np.array([int(i) - 1 for i in installation])
     sizes = [*STAND_U.values(), ROLL_U]

@@ -70,8 +70,7 @@ class Between:
 
 
 def answering(reply: bytes) -> type[Between]:
-    """Return a class whose instruments give the same reply to everything, unlike any instrument of a
-    bench."""
+    """Return a class whose instruments give one reply to everything, unlike any instrument of a bench."""
 
     class Stranger(Between):
         def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
@@ -108,8 +107,7 @@ def _shipped() -> dict[str, Any]:
 
 
 def bench_data(device: Device, **changes: Any) -> dict[str, Any]:
-    """Return a bench file's data with a device in its role; a meter with one signal is entered three
-    times."""
+    """Return a bench file's data with a device in its role; a meter with one signal is entered thrice."""
     data = copy.deepcopy(_shipped())
     section = {"driver": device.name, **copy.deepcopy(dict(device.example)), **changes}
     if device.role != "voltmeter":
@@ -144,8 +142,7 @@ def written_bench(device: Device, folder: Path, **changes: Any) -> Path:
 
 @dataclass
 class Stand:
-    """The bench of a device: its driver, session and simulated dialect, the world, and the messages sent to
-    it."""
+    """The bench of a device: its driver, session and simulated dialect, the world, the messages sent."""
 
     device: Device
     bench: BenchFile

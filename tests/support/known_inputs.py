@@ -48,8 +48,7 @@ def switched_on(folder: Path, seed: int, settles_v: float, tau_min: float) -> Pa
 def twin(
     folder: Path, seed: int, gain_per_k: float = 0.74e-6, lag_min: float = 95.0, jump_v: float = 0.0
 ) -> Path:
-    """Write a 38 h record at 1 V like the air bath's: gain error with a thermal lag, random walk, white
-    noise."""
+    """Write a 38 h record at 1 V like the air bath's: gain with a thermal lag, random walk, white noise."""
     rng = np.random.default_rng(seed)
     time_s = np.arange(0.0, 38 * 3600.0, 60.0)
     hours, bath = [0, 3, 10, 13, 20, 26, 34, 37, 38], [24, 24, 36.7, 36.7, 24, 24, 18.6, 18.6, 20]

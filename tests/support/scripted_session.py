@@ -34,8 +34,7 @@ def until(pairs: Pairs, command: str) -> Pairs:
 
 
 class ScriptedSession:
-    """Expects the pairs of all `parts`; None is no reply. An exception or a malformed reply ends the
-    connection."""
+    """Expects all `parts` in order; None is no reply. An exception or a malformed reply disconnects."""
 
     resource = "TCPIP::192.0.2.5::9888::SOCKET"
     timeout_s = 3.0

@@ -31,8 +31,7 @@ class Issuer:
 
 @cache
 def authority(name: str, above: str = "") -> Issuer:
-    """Return the authority `name`, made once and certified by the authority `above`, or by itself if
-    empty."""
+    """Return the authority `name`, made once and certified by the authority `above`, or ("") by itself."""
     key = ec.generate_private_key(ec.SECP256R1())
     issuer = authority(above) if above else None
     return Issuer(key, certified(key.public_key(), name, issuer, ca=True, own=key))

@@ -15,8 +15,7 @@ REFERENCE_C = 23.0
 
 
 def truth(rng: np.random.Generator, sizes: tuple[float, ...] = (1e-4, 5e-7, 3e-9)) -> np.ndarray:
-    """Return polynomials (12, 1 + len(sizes)) about `REFERENCE_C`: random terms of these sizes per K, K^2,
-    …"""
+    """Return polynomials (12, 1 + len(sizes)) about `REFERENCE_C`: random terms of these sizes per K, K^2…"""
     higher = rng.normal(0.0, 1.0, (12, len(sizes))) * np.array(sizes)
     return np.column_stack([TRUTH, higher])
 

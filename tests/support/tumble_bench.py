@@ -47,8 +47,7 @@ class Terms:
 
 
 def design(points: int, passes: int) -> tuple[list[str], list[int], list[int], Floats]:
-    """Return installation, pass, point and head angle (rad) of turns that end at their first of `points`
-    points."""
+    """Return installation, pass, point and head angle (rad) of turns that end at their first point again."""
     rows = [(i, p, t) for i in "12" for p in range(1, passes + 1) for t in range(1, points + 2)]
     installation, pass_number, point = (list(column) for column in zip(*rows, strict=True))
     return installation, pass_number, point, 2 * np.pi / points * (np.array(point) - 1)

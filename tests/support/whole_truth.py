@@ -41,8 +41,7 @@ EVERYTHING = ("all", "all-wandering")
 
 @dataclass
 class Bench:
-    """Errors that persist from run to run: the meters' gain and offset, the block's K2, K3 and temperature
-    terms."""
+    """Errors that persist from run to run: gain and offset of the meters, K2, K3 and temperature terms."""
 
     gain: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     offset: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
@@ -165,8 +164,7 @@ def _shared(
 def _by_voltage(
     rng: np.random.Generator, installation: list[str], phi: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Draw the meters' linearity errors (n, 3), rectangular, equal wherever a channel has the same
-    voltage."""
+    """Draw linearity errors of the meters (n, 3), rectangular, equal wherever a channel has equal voltage."""
     own: dict[tuple[str, int], NDArray[np.float64]] = {}
     rows = []
     for label, angle in zip(installation, np.degrees(phi), strict=True):
