@@ -1,22 +1,24 @@
-"""Test the errors of a bench that `bench learn` estimates, on simulated benches with many runs and known truth.
+"""Test the errors of a bench that `bench learn` estimates, on simulated benches with known truth.
 
     python -m benchmarks.learning_campaign --runs 200 --blocks 30 --seed 1
     python -m benchmarks.learning_campaign --runs 40 --own K2 --seed 2
     python -m benchmarks.learning_campaign --runs 25 --next 100 --seed 3
     python -m benchmarks.learning_campaign --runs 400 --exchange 3 --seed 6
 
-The truth of each bench is drawn within its stated limits: means of four stand angles, the effect of a remount,
-noise of three meters, setting error, two harmonics of the head. Every run has a different block. Of three runs,
-one has all mountings repeated with a quarter turn on the platform, and one with a half turn. Promised: estimates
-with u <= 10 % are within 20 % of the truth; of the others, at least 93 % have |z| <= 2.
+The truth of each bench is drawn within its stated limits: means of four stand angles, the effect of a
+remount, noise of three meters, setting error, two harmonics of the head. Every run has a different block. One
+run in three repeats all mountings with a quarter turn on the platform, and another one in three with a half
+turn. Promised: estimates with u <= 10 % are within 20 % of the truth; of the others, at least 93 % have |z|
+<= 2.
 
 `--own` gives the fourth run a K2 or a drift of its own. Printed are the share of cases in which this run is
-named, and z of the bench's errors in these cases. `--next` calibrates that many further blocks of each bench in
-installations 1 and 2 with the learned sizes, and compares u with and without them. The benches then have no
-harmonics of the head, so that one model serves both (promised: rms z 0.93 to 1.07). `--exchange` gives each bench
-one block, measured that many times with its three voltmeters on different channels each time. The differences of
-their gains and zeros are compared with the truth, for blocks whose repeatability is as the readings state, and
-for less repeatable ones. The simulation shares no geometry with the model (`tests.support.learning_bench`).
+named, and z of the bench's errors in these cases. `--next` calibrates that many further blocks of each bench
+in installations 1 and 2 with the learned sizes, and compares u with and without them. The benches then have
+no harmonics of the head, so that one model serves both (promised: rms z 0.93 to 1.07). `--exchange` gives
+each bench one block, measured that many times with its three voltmeters on different channels each time. The
+differences of their gains and zeros are compared with the truth, for blocks whose repeatability is as the
+readings state, and for less repeatable ones. The simulation shares no geometry with the model
+(`tests.support.learning_bench`).
 """
 
 import argparse

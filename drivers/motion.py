@@ -38,7 +38,7 @@ _LEAST_OF_SPEED: Final = 0.05
 class TravelWatch:
     """Supervision of one move of the head `name`, which begins at `start_rad` at the clock time `begun_s`.
 
-    Once within half the back-off of its target, the head may overshoot it or stop: `Mover` decides whether it has
+    Within half the back-off of its target, the head may overshoot or stop: `Mover` decides whether it has
     settled.
     """
 

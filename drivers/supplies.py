@@ -105,8 +105,8 @@ class WiredSupply(ABC):
     def switch(self, output: str, on: bool, key: str) -> None:
         """Switch an output (all outputs, if they share one switch) and read the states back.
 
-        Raises `InstrumentRefused` if the output was not set up, no longer has its settings, did not switch or has
-        tripped, or if another output with a switch of its own changed, too; `InstrumentLost`, `BadReading`.
+        Raises `InstrumentRefused` if the output was not set up, lost its settings, did not switch or has
+        tripped, or if an output with another switch changed, too; `InstrumentLost`, `BadReading`.
         """
         before = self._states()
         if on:

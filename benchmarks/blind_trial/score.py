@@ -242,7 +242,7 @@ def judge(
 
 
 def _shrank(gap: dict[str, Any]) -> bool:
-    """Return whether both sizes of the gap on held-out readings are present, and smaller after than before."""
+    """Return whether both sizes of the gap are known, and smaller after naming than before."""
     sizes = [(gap.get(f"before{of}"), gap.get(f"after{of}")) for of in ("", "_rms")]
     return all(before is not None and after is not None and after < before for before, after in sizes)
 

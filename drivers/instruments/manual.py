@@ -325,7 +325,7 @@ class ManualChamber(ByHand):
         )
 
     def _ask(self, prompt: Prompt) -> str | None:
-        """Return the answer, or the default if it is empty; None if it belongs to an earlier prompt."""
+        """Return the answer (if empty, the default), or None if it answers an earlier prompt."""
         answer = self._person.ask(prompt)
         if answer.prompt_id != prompt.id:
             return None

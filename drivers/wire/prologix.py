@@ -144,8 +144,8 @@ class AdapterConnection:
 class _Adapter:
     """An adapter, shared by its instruments.
 
-    After any failure the link is dropped, and made again when an instrument is opened. Commands that other
-    instruments sent over the old link may be lost, so their connections become invalid (`has_link`).
+    After any failure the link is dropped, and made again when an instrument is opened. Commands to other
+    instruments over the old link may be lost, so their connections become invalid (`has_link`).
     """
 
     def __init__(self, resource: str, timeout_s: float) -> None:

@@ -427,10 +427,10 @@ class World(KeyedNumbers):
         input_v: float | None = None,
         scan: tuple[int, ...] = (0, 1, 2),
     ) -> None:
-        """Add a reading from before the world was rebuilt to the history on which effects depend.
+        """Add a reading, made before the world was rebuilt, to the history on which effects depend.
 
-        Arguments are as recorded; without an installation the block stays as in the setting recalled before. Call
-        it in the order of measurement, before the first new reading.
+        Arguments are as recorded; without an installation the block stays as in the setting recalled before.
+        Call it in the order of measurement, before the first new reading.
         """
         with self._lock:
             time_s = self.began_s + elapsed_s
