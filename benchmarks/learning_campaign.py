@@ -11,11 +11,11 @@ run in three repeats all mountings with a quarter turn on the platform, and anot
 turn. Promised: estimates with u <= 10 % are within 20 % of the truth; of the others, at least 93 % have |z|
 <= 2.
 
-`--own` gives the fourth run a K2 or a drift of its own. Printed are the share of cases in which this run is
-named, and z of the bench's errors in these cases. `--next` calibrates that many further blocks of each bench
-in installations 1 and 2 with the learned sizes, and compares u with and without them. The benches then have
-no harmonics of the head, so that one model serves both (promised: rms z 0.93 to 1.07). `--exchange` gives
-each bench one block, measured that many times with its three voltmeters on different channels each time. The
+`--own` gives the fourth run a K2 or a drift of its own, and prints in which share of cases this run is named,
+and z of the bench's errors in these cases. `--next` calibrates that many further blocks of each bench in
+installations 1 and 2 with the learned sizes, and compares u with and without them. The benches then have no
+harmonics of the head, so that one model serves both (promised: rms z 0.93 to 1.07). `--exchange` gives each
+bench one block, measured that many times with its three voltmeters on different channels each time. The
 differences of their gains and zeros are compared with the truth, for blocks whose repeatability is as the
 readings state, and for less repeatable ones. The simulation shares no geometry with the model
 (`tests.support.learning_bench`).
@@ -74,7 +74,7 @@ def scores(found: Learned, bench: Bench) -> list[tuple[str, float, float, float]
 def next_blocks(
     rng: np.random.Generator, bench: Bench, found: Learned, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return z (count, 12) with the learned sizes, and (12,) their u divided by u without the sizes."""
+    """Return z (count, 12) of further runs with the learned sizes, and u (12,) divided by u without them."""
     runs = simulate(rng, bench, count)
     with_it, without = ([calibrated(one, known) for one in runs.tables()] for known in (found.known, None))
     u, plain = (np.array([one.u for one in each]) for each in (with_it, without))

@@ -220,7 +220,7 @@ class _Hands:
             self._world.mount(wrong.label, series)
 
     def turn(self, scale_angle_rad: float, direction: Direction) -> None:
-        """Turn the head, until mended as the mistake demands: not at all, elsewhere, or the wrong way."""
+        """Turn the head correctly, or as the mistake demands: not at all, elsewhere, or the wrong way."""
         mistake, stood = self._mistake, self._world.scale_angle_rad
         if self.mended or mistake is None or self.index < mistake.index:
             self._world.turn(scale_angle_rad, direction)

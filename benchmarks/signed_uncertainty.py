@@ -8,15 +8,15 @@
     python -m benchmarks.signed_uncertainty --few 2000
     python -m benchmarks.signed_uncertainty --clean 1500
 
-The cases are those of tests/support/whole_truth.py, whose truth shares nothing with the model. Printed for
-each: root mean square of (estimate - truth)/u of each coefficient, with the combined u and with the u of the
-readings; coverage of k = 2; rms z of delta g at the verification points. For a source of known size, a ratio
-of variances is printed, too: what it adds to the estimates (the same run with and without it), divided by
-what it adds to u^2. The temperature has one error throughout a run, which the bench file does not state; in
-cases called wandering it is a process with the correlation time that the bench file states.
+The cases are those of tests/support/whole_truth.py, whose truth shares nothing with the model. For each case,
+the campaign prints: root mean square of (estimate - truth)/u of each coefficient, with the combined u and
+with the u of the readings; coverage of k = 2; rms z of delta g at the verification points. For a source of
+known size, a ratio of variances is printed, too: what it adds to the estimates (the same run with and without
+it), divided by what it adds to u^2. The temperature has one error throughout a run, which the bench file does
+not state; in cases called wandering it is a process with the correlation time that the bench file states.
 
 `--pairs`: two calibrations of a remounted block (turned by 0 to 2 degrees) are compared by the joint test of
-the nine intrinsic numbers. Printed are the share of unchanged pairs that the test says to differ, and the
+the nine intrinsic numbers. The table shows the share of unchanged pairs that the test says to differ, and the
 share of changed pairs that it finds, in which one number changes by six standard uncertainties of the
 difference. `--bound`: runs with noise and stand errors only, compared with a fit that knows the sizes of the
 noise, whose u is the Cramer-Rao bound.

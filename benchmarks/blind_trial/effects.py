@@ -358,7 +358,7 @@ def common(name: str, size: float, form: Form, channels: tuple[str, ...] = CHANN
 
 
 def _range_offset(rng: np.random.Generator, run: Run) -> Truth:
-    """Return the effect of range offsets, of one autoranging meter for all channels or of one of three meters."""
+    """Return the effect of range offsets in all channels (one autoranging meter) or in one of the three."""
     offset, gain = rng.normal(size=2) * (40 * MICROVOLT, 20 * PPM)
     one = rng.random() < 0.5
     weights = np.eye(3)[rng.integers(3)] if one else np.ones(3)

@@ -289,9 +289,9 @@ def _judge_kind(
 
 
 def _lone_name(answer: Answer, cosine: float, verdict: str) -> Marks:
-    """Return whether a single name was given; the column states what the nearest catalogue effect leaves.
+    """Return whether a single name was given, by how much the nearest catalogue effect leaves.
 
-    This remainder is in units of noise.
+    What it leaves is in units of noise; below `SOME_LEFT` there is no mark.
     """
     left = answer.effects[0].rho * np.sqrt(max(0.0, 1.0 - cosine**2))
     if left < SOME_LEFT:

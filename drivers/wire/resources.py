@@ -157,7 +157,7 @@ def _host(text: str) -> str:
 
 
 def _number(text: str) -> str:
-    """Return a hexadecimal number as decimal, "" for other text: USB resources may be written in either form."""
+    """Return a hexadecimal number as decimal ("" for other text): USB resources may be written either way."""
     return str(int(text, 16)) if re.fullmatch(r"0[xX][0-9a-fA-F]+", text) else ""
 
 

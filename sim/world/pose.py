@@ -102,7 +102,7 @@ def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> F
 
 
 def _supply_v(visits: Sequence[Visit]) -> Floats | None:
-    """Return rail voltages minus nominal voltages, V, shape (n, rails), or None if no visit has any.
+    """Return each rail's voltage minus its nominal voltage, V, (n, rails); None if no visit has voltages.
 
     Visits without voltages have NaN.
     """

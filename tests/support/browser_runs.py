@@ -103,7 +103,7 @@ def typed_for(asked: dict[str, Any], turn: int) -> str:
 
 
 def prompt_of(page: Any, before: str) -> str:
-    """Return the id of the page's next question after the question `before`; empty once the run has ended."""
+    """Return the id of the question that follows the question `before` on the page; "" once the run ended."""
     page.wait_for_function(
         "before => { const live = document.getElementById('live').dataset;"
         " return live.ended === 'true' || (live.prompt && live.prompt !== before) }",

@@ -7,7 +7,7 @@ Answer = tuple[int | str | None, str, str]
 
 
 def refused(answer: Answer, *words: str, lines: int = 1) -> str:
-    """Check for status 2, and for `words` in standard error, which has `lines` lines; return standard error.
+    """Assert status 2 and standard error with these `words` in `lines` lines; return standard error.
 
     Lines that begin with "note:" do not count.
     """
@@ -20,7 +20,7 @@ def refused(answer: Answer, *words: str, lines: int = 1) -> str:
 
 
 def printed(answer: Answer, *words: str, status: int = 0) -> str:
-    """Check for this status, and for `words` in standard output; return standard output."""
+    """Assert this status, and these `words` in standard output; return standard output."""
     found, out, err = answer
     assert found == status, err
     assert [one for one in words if one not in out] == [], out

@@ -32,7 +32,7 @@ def edited(folder: Path, name: str, *changes: Change) -> BenchFile:
 
 @contextmanager
 def composing(folder: Path) -> Iterator[Callable[..., tuple[BenchFile, Assembly]]]:
-    """Yield a function that returns an edited bench file and its dry run's assembly; leave all safe."""
+    """Yield a function that returns an edited bench and its dry run's assembly; at the end, make all safe."""
     with ExitStack() as stack:
 
         def compose(name: str, *changes: Change) -> tuple[BenchFile, Assembly]:
