@@ -70,10 +70,10 @@ METER_NOISE_V: Final = 5e-6
 class Outcome:
     """The outcome of a run.
 
-    `size` is the largest shift in standard deviations (None: no readings), `large_at` the step of the first reading
-    with a large shift. `late` is the number of readings after it until the run stopped, None if it did not.
-    `agrees` says whether the coefficients are within u of the undisturbed run's, None if they were not compared;
-    `worst` is the largest difference in u.
+    `size` is the largest shift in standard deviations (None: no readings), `large_at` the step of the first
+    reading with a large shift. `late` is the number of readings after that one until the run stopped, None if
+    it never stopped. `agrees` says whether the coefficients are within u of the undisturbed run's, None if
+    they were not compared; `worst` is the largest difference in u.
     """
 
     kind: str

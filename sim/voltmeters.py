@@ -448,8 +448,8 @@ class MeasuringCycle(ABC):
     """The trigger system: idle, start, wait for a trigger, measure; `source` is the trigger source.
 
     The latest `memory_depth` readings are kept. `interrupted` returns whether a device clear has arrived. A
-    measurement whose client has left is aborted when another client would have to wait for it; not on a virtual
-    clock, where a wait takes no real time.
+    measurement whose client has left is aborted when another client would have to wait for it, except on a
+    virtual clock, where a wait takes no real time.
     """
 
     memory_depth: int

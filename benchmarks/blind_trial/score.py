@@ -386,7 +386,8 @@ def _judge_gap(answer: Answer, diagnosis: Diagnosis) -> Marks:
 
     If a name was given, a further mark is that the verification points got no worse. Coefficients are right
     if the chi-square of their twelve errors has a p-value above 1 %; they are judged only if the true effect
-    was named alone. With a temperature effect in the model, they refer to its reference temperature.
+    was named alone. With a temperature effect in the model, the coefficients refer to the model's reference
+    temperature.
     """
     marks: Marks = {}
     p_after = diagnosis.get("gap", {}).get("p_after")

@@ -42,12 +42,13 @@ class Pose:
 
 
 class Visit(NamedTuple):
-    """A pose at one time of the clock, `elapsed_s` after the world began, with the block's temperature, °C.
+    """A pose at one time, `elapsed_s` after the world began, with the block's temperature, °C.
 
-    `scan` lists the channels 0, 1, 2 in the order in which the meters were triggered. `on_s` is the time since the
-    block got power, None if unknown; `supply_v` the voltage of each rail minus its nominal voltage, V. `series_on`
-    counts the power cycles since the block was mounted and first read; it adds to the mounting's series, so that
-    effects treat a power cycle like a remount. `meters_c` is the temperature of the voltmeters, °C.
+    `scan` lists the channels 0, 1, 2 in the order in which the meters were triggered. `on_s` is the time
+    since the block got power, None if unknown; `supply_v` the voltage of each rail minus its nominal voltage,
+    V. `series_on` counts the power cycles since the block was mounted and first read; it adds to the
+    mounting's series, so that effects treat a power cycle like a remount. `meters_c` is the temperature of
+    the voltmeters, °C.
     """
 
     pose: Pose
