@@ -8,8 +8,8 @@
 The truth of each bench is drawn within its stated limits: means of four stand angles, the effect of a
 remount, noise of three meters, setting error, two harmonics of the head. Every run has a different block. One
 run in three repeats all mountings with a quarter turn on the platform, and another one in three with a half
-turn. Promised: estimates with u <= 10 % are within 20 % of the truth; of the others, at least 93 % have |z|
-<= 2.
+turn. Promised: estimates with u <= 10 % are within 20 % of the truth; at least 93 % of the others have a |z|
+of at most 2.
 
 `--own` gives the fourth run a K2 or a drift of its own, and prints in which share of cases this run is named,
 and z of the bench's errors in these cases. `--next` calibrates that many further blocks of each bench in

@@ -19,15 +19,15 @@ not state; in cases called wandering it is a process with the correlation time t
 the nine intrinsic numbers. The table shows the share of unchanged pairs that the test says to differ, and the
 share of changed pairs that it finds, in which one number changes by six standard uncertainties of the
 difference. `--bound`: runs with noise and stand errors only, compared with a fit that knows the sizes of the
-noise, whose u is the Cramer-Rao bound.
+noise and whose u is the Cramer-Rao bound.
 
 `--few`: that many runs of each design with hardly any degrees of freedom (2+2, 3+2, 3+3, 4+2 readings), for
-which the bench file states the noise. With noise drawn from the prior that the program states, printed are
-the coverage of U (promised: 0.93 of all coefficients, 0.91 of each) and refusals (promised: at most 1 %). At
-twice the stated noise, the result must say that it depends on the stated noise (promised: always); printed is
-how often it says that the readings disagree. `--clean`: that many runs, with equal and with unequal channels,
-without any error that readings share: how often a component is found in error (promised: 1 %, within the
-binomial limit of 99 %). The exit status is 1 if a limit is broken.
+which the bench file states the noise. With noise drawn from the prior that the program states, the table
+shows the coverage of U (promised: 0.93 of all coefficients, 0.91 of each) and refusals (promised: at most 1
+%). At twice the stated noise, every result must say that it depends on the stated noise; the table shows how
+often it says that the readings disagree. `--clean`: that many runs without any error that readings share,
+with equal and with unequal channels. The table shows how often such an error is falsely found (promised: 1 %,
+within the binomial limit of 99 %). The exit status is 1 if a limit is broken.
 """
 
 import sys
