@@ -2,14 +2,15 @@
 
     python -m benchmarks.answering_campaign --runs 40 --seed 1
 
-Each dry run asks a person, and is carried out by a separate program on a terminal. The answer to each question is
-typed, left in the run's folder, or both at once. Stale, unsuitable or malformed answers precede it. At random
-moments the program is killed (SIGKILL) and the run resumed, with a terminal or without. Each typed angle deviates
-from its target by a few arcseconds of its own, so that an answer used for the wrong question is detected.
+Each dry run asks a person, and is carried out by a separate program on a terminal. The answer to each
+question is typed, left in the run's folder, or both at once. Stale, unsuitable or malformed answers precede
+it. At random moments the program is killed (SIGKILL) and the run resumed, with a terminal or without. Each
+typed angle deviates from its target by a few arcseconds of its own, so that an answer used for the wrong
+question is detected.
 
-Promised: Every run ends with exactly the readings of an undisturbed run of the same seed, none twice, and with a
-complete chain of hashes. No question is answered twice, only recorded answers are used, and none is lost. A
-question whose answer a kill prevented is asked again.
+Promised: every run ends with exactly the readings of an undisturbed run of the same seed, none twice, and
+with a complete chain of hashes. No question is answered twice, only recorded answers are used, and none is
+lost. A question whose answer a kill prevented is asked again.
 """
 
 import math
@@ -65,9 +66,7 @@ def answer_to(prompt: Prompt) -> str:
 
 
 class Hands:
-    """A simulated operator who follows the events of a run and answers its questions, by keyboard and in the
-    folder.
-    """
+    """A simulated operator who follows a run's events and answers its questions by keyboard and in files."""
 
     def __init__(self, folder: Path, rng: random.Random, keyboard: int | None, *, calm: bool = False) -> None:
         self.folder, self.rng, self.keyboard, self.calm = folder, rng, keyboard, calm

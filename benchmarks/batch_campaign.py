@@ -4,17 +4,16 @@
     python -m benchmarks.batch_campaign busy '/var/tmp/laboratory/*' --count 10000
     python -m benchmarks.batch_campaign kills '/var/tmp/laboratory/*' --count 600 --kills 50 --seed 1
 
-`busy` carries out one batch and observes its processes every second (in /proc, so on Linux only). It reports two
-shares of the processes' life after their first row: the share in which they computed (CPU), and the share in
-which they computed or waited for a core (from `schedstat`), because other programs compete for cores. On an
-otherwise idle machine both are the share of the cores that is used. At all other times they waited for work from
-the program, or for the disk. Memory is the resident set of the program and of the largest process, by tenths of
-the runs.
+`busy` carries out one batch and observes its processes every second (in /proc, so on Linux only). It reports
+in which share of their life after the first row the processes computed (CPU), and in which they computed or
+waited for a core (from `schedstat`), because other programs compete for cores. On an otherwise idle machine
+the two are equal. The rest of the time they waited for work from the program, or for the disk. Memory is the
+resident set of the program and of the largest process, by tenths of the runs.
 
-`kills` ends processes at random moments (SIGKILL): the program itself, a computing process, or the fork server
-from which these are copied. The program is then restarted with the same command. At the end every run must be in
-the result exactly once and in one part only, no part may have been rewritten, and the rows of a sample must
-equal, number by number, those of a single calibration. Otherwise the exit status is 1.
+`kills` ends processes at random moments (SIGKILL): the program itself, a computing process, or the fork
+server from which these are copied. The program is then restarted with the same command. At the end every run
+must be in the result exactly once and in one part only, no part may have been rewritten, and the rows of a
+sample must equal, number by number, those of a single calibration. Otherwise the exit status is 1.
 """
 
 import argparse
@@ -99,7 +98,7 @@ def workers_of(program: int) -> list[int]:
 
 
 def times_of(pid: int) -> tuple[float, float, int] | None:
-    """Return CPU time (s), queue time (s) of all threads and resident memory (kB); None after its end."""
+    """Return CPU time (s), threads' queue time (s) and memory (kB) of a process; None once it has ended."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         queued = sum(

@@ -284,7 +284,7 @@ def rms_told(z: Floats, by_run: bool = False) -> str:
 
 
 def show_by_coefficient(rows: Mapping[str, Floats]) -> None:
-    """Print a line of twelve numbers, by coefficient, for each name."""
+    """Print a line for each name: its twelve numbers, one per coefficient."""
     for name, values in rows.items():
         print(f"  {name:14}" + " ".join(f"{value:6.3f}" for value in values))
 

@@ -2,15 +2,16 @@
 
     python -m benchmarks.certificate_mutations --number 1000 --seed 16
 
-A dry run is made and its certificate issued: the XML is signed and put into the PDF, and the PDF is signed. Then
-one of the two is changed at random, by the seed: a byte of a value, a unit, the covariance, an embedded file or any
-other place; the order of labels or elements; comments and blanks inside values; exchanged parts of the PDF's
-attachments, appended data, or the file encoded again. The changed file is verified with the trust file, as `bench
-certificate verify` does, once alone and once with the other, unchanged form in the same folder.
+A dry run is made and its certificate issued: the XML is signed and put into the PDF, and the PDF is signed.
+Then the XML or the PDF is changed at random, by the seed: a byte of a value, a unit, the covariance, an
+embedded file or any other place; the order of labels or elements; comments and blanks inside values;
+exchanged parts of the PDF's attachments, appended data, or the file encoded again. The changed file is
+verified with the trust file, as `bench certificate verify` does, once alone and once with the other,
+unchanged form in the same folder.
 
-A change passes if it is rejected, or if the values shown are the signed ones, to the byte: comments and blanks
-between attributes are not signed, and hexadecimal digits have two cases. A table by kind is printed. The exit
-status is 1 if a changed file is accepted and shows anything else.
+A change passes if it is rejected, or if the values shown equal the signed ones byte by byte (comments and
+blanks between attributes are not signed, and hexadecimal digits have two cases). A table by kind is printed.
+The exit status is 1 if a changed file is accepted and shows anything else.
 """
 
 import io

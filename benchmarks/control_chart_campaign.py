@@ -126,7 +126,7 @@ def short_terms(rng: np.random.Generator, count: int, runs: int) -> Floats:
 
 
 def nominal() -> dict[str, float]:
-    """Return the stated rates of the default design."""
+    """Return the stated rate of false rejections of each chart in the default design."""
     design = ChartDesign()
     rates = {"T²": design.alpha, "EWMA": design.alpha_ewma(P), "s": design.alpha}
     # rate at which any of the three exceeds its limit, if they were independent

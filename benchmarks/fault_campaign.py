@@ -2,12 +2,13 @@
 
     python -m benchmarks.fault_campaign --faults 1200 --seed 1 --jobs 2
 
-Every trial is a dry run of a short procedure by the command line. Its bench file is a shipped one, without errors
-of stand, voltmeters and operator, and with short timeouts (0.2 s). One fault of a random kind affects one
-instrument at a random exchange; in a storm there are five. Judged are: the duration of the run; the text on
-standard error; the record's chain of hashes; every recorded sample against the forward model at the recorded
-angle. A stopped run must name the instrument, and end with all planned readings when it is resumed without
-faults. A table by kind of fault and every violation are printed; the exit status is 1 if there is one.
+Every trial is a dry run of a short procedure by the command line. Its bench file is a shipped one, without
+errors of stand, voltmeters and operator, and with short timeouts (0.2 s). One fault of a random kind affects
+one instrument at a random exchange; in a storm there are five. The campaign checks the duration of the run,
+the text on standard error, the record's chain of hashes, and every recorded sample against the forward model
+at the recorded angle. A stopped run must name the instrument, and end with all planned readings when it is
+resumed without faults. A table by kind of fault and every violation are printed; the exit status is 1 if
+there is one.
 """
 
 import contextlib
@@ -345,7 +346,7 @@ _ERRORS: Final = (-222, -113, -410)
 
 
 def draw(count: int, seed: int, benches: Sequence[Stand]) -> list[Trial]:
-    """Draw trials with at least `count` faults, the kinds in turn."""
+    """Draw trials with at least `count` faults in all, using the kinds of fault in turn."""
     generator = random.Random(seed)  # noqa: S311 - nothing secret
     trials: list[Trial] = []
     faults = 0

@@ -5,21 +5,21 @@
     python -m benchmarks.fleet_honesty crossed --runs 200 --seed 1
     python -m benchmarks.fleet_honesty capability --runs 20 --seed 2
 
-`prior`: units that differ by 5 u, with correlations. m of them, calibrated once or three times, give the prior of
-their type. The calibration of a further unit is combined with it. Printed is z of its coefficients with and without
-the prior, also as a Mahalanobis distance.
+`prior`: m units that differ by 5 u, with correlations, are calibrated once or three times and give the prior
+of their type. The calibration of a further unit is combined with this prior. The table shows z of this unit's
+coefficients with and without the prior, also as a Mahalanobis distance.
 
-`drift`: histories of n calibrations, about a year apart, of u = 1, with scatter between calibrations and a random
-walk of stated sizes. Printed is z of the rate and of the value predicted for a year later.
+`drift`: histories of n calibrations, about a year apart, of u = 1, with scatter between calibrations and a
+random walk of stated sizes. The table shows z of the rate and of the value predicted for a year later.
 
-`crossed`: calibrations of units on several benches. Printed are the true and the estimated standard deviations of
-units, benches and excess scatter, with standard errors of the mean; the ratio of the stated u to the estimated
-scatter; rms z of the benches' effects.
+`crossed`: calibrations of units on several benches. The table shows the true and the estimated standard
+deviations of units, benches and excess scatter, with standard errors of the mean; the ratio of the stated u
+to the estimated scatter; rms z of the benches' effects.
 
-`capability`: laboratories whose units are calibrated about once a year on random benches, with u = 1. Units differ
-by 5, drift along their own lines and walk; benches differ by 0.5; calibrations scatter by more than stated; the
-twelve coefficients are independent. Printed are the share of 95 % limits that contain the truth, the mean estimated
-scatter, and the same if drift is not removed.
+`capability`: laboratories whose units are calibrated about once a year on random benches, with u = 1. Units
+differ by 5, drift along their own lines and walk; benches differ by 0.5; calibrations scatter by more than
+stated; the twelve coefficients are independent. The table shows the share of 95 % limits that contain the
+truth, and the mean estimated scatter, with and without removal of drift.
 
 Standard errors are given; shares have Wilson's 95 % interval, and coverage is for k = 2.
 """

@@ -2,18 +2,18 @@
 
     python -m benchmarks.interlaboratory_campaign --runs 200
 
-In each round, five laboratories calibrate one block by the paper's procedure, each on a stand with angles drawn
-from the bench file, and with the noise of its voltmeters; geometry and truth are those of tests/support. In one of
-the laboratories, one of the nine intrinsic numbers is off by 6 u of its difference from the others' consensus. Each
-laboratory is judged against the others (Mandel-Paule, Holm). The first is the pilot, which measures again after
-every two others.
+In each round, five laboratories calibrate one block by the paper's procedure, each on a stand with angles
+drawn from the bench file, and with the noise of its voltmeters; geometry and truth are those of
+tests/support. In one of the laboratories, one of the nine intrinsic numbers is wrong by 6 times the u of its
+difference from the others' consensus. Each laboratory is judged against the others (Mandel-Paule, Holm). The
+first is the pilot, which measures again after every two others.
 
-Promised: the wrong laboratory is found in 95 % of the rounds, a right one accused in at most 5 %; without a wrong
-one, any is accused in at most 5 %. In a third case no laboratory is wrong, but one number of the block steps
-between the second and the third laboratory, by 6 u of the difference of two calibrations of the pilot. The
-pilot's returns show the step in 95 % of the rounds. With the block's scatter included in u, any laboratory is
-accused in at most 5 %; the share without the scatter is printed, too. Each limit has a binomial margin of 99.9 %.
-The exit status is 1 if a limit is broken.
+Promised: the wrong laboratory is found in 95 % of the rounds, and a right one accused in at most 5 %. In a
+second case, all laboratories are right, and any is accused in at most 5 %. In a third case, all are right,
+but one number of the block steps between the second and the third laboratory, by 6 times the u of the
+difference of two pilot calibrations. The pilot's returns show the step in 95 % of the rounds; with the
+block's scatter in u, any laboratory is accused in at most 5 %. The share without the scatter is printed, too.
+Each limit has a binomial margin of 99.9 %. The exit status is 1 if a limit is broken.
 """
 
 import sys
@@ -44,9 +44,7 @@ RETURNS: Final = 2
 
 
 def round_of(seed: int, number: int) -> tuple[Floats, Floats]:
-    """Return the nine numbers of one block (stops, 9) and their covariances (stops, 9, 9), the pilot's returns
-    last.
-    """
+    """Return a block's nine numbers (stops, 9), covariances (stops, 9, 9); the pilot's returns are last."""
     values, covariances, bench = [], [], own("roll")
     for k in range(LABORATORIES + RETURNS):
         drawn = simulate_whole(np.random.default_rng([seed, number, k]), "roll")

@@ -5,20 +5,21 @@
     python -m benchmarks.signed_uncertainty --pairs 2000 --cases all
 
 Each run is the paper's procedure on a stand with angles drawn from its bench file (the limits of the paper as
-three sigma, the third mounting angle as the second), with the noise of a voltmeter; geometry and truth are those
-of tests/support. In half of the runs the block is turned by 0 to 2 degrees about a random axis, equally in both
-installations: its twelve coefficients change, its nine intrinsic numbers do not. u is that of the readings and
-the stand, which covers all drawn errors. Printed for each of the nine, in the turned and in the other runs: root
-mean square of (estimate - truth)/u, and coverage of k = 2 (promised: 0.93 to 0.97, within binomial limits of 99.9
-%). The joint 95 % ellipsoid contains all nine, and all twelve (promised: at least 0.93). The change of the twelve
-coefficients by the turns is printed, too.
+three sigma, the third mounting angle with the limit of the second), with the noise of a voltmeter; geometry
+and truth are those of tests/support. In half of the runs the block is turned by 0 to 2 degrees about a random
+axis, equally in both installations: its twelve coefficients change, its nine intrinsic numbers do not. u is
+that of the readings and the stand, which covers all drawn errors. For each of the nine, in the turned and in
+the other runs, the campaign prints the root mean square of (estimate - truth)/u, and coverage of k = 2
+(promised: 0.93 to 0.97, within binomial limits of 99.9 %). It also prints how often the joint 95 % ellipsoid
+contains all nine, and all twelve (promised: at least 0.93), and the change of the twelve coefficients by the
+turns.
 
-The second command tests power. Each pair is two calibrations of one block by the same meters, with every error of
-a bench drawn, including the rolls of both mountings; with `--case roll`, stand, noise and roll only. Each of the
-nine in turn changes by 6 u of the difference of the pair. Promised: the joint test of the nine finds 98 % of the
-changes. Also printed are the shares that the twelve coefficients find, whose u includes the roll of both
-mountings: jointly, and by any of them alone (Holm). The third command is on pairs of calibrations of turned
-blocks. The exit status is 1 if a promise is broken.
+The second command tests power. Each pair is two calibrations of one block by the same meters, with every
+error of a bench drawn, including the rolls of both mountings; with `--case roll`, stand, noise and roll only.
+Each of the nine in turn changes by 6 u of the difference of the pair. Promised: the joint test of the nine
+finds 98 % of the changes. The command also prints the shares that the twelve coefficients find, jointly and
+by any of them alone (Holm); their u includes the roll of both mountings. The third command is on pairs of
+calibrations of turned blocks. The exit status is 1 if a promise is broken.
 """
 
 import sys
@@ -46,7 +47,7 @@ CHANGE, FOUND = 6.0, 0.98
 
 
 def run(seed: int, turned: bool, numbers: range) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return errors and u of the nine (runs, 9), joint distances over their k (runs, 2), and changes (runs, 12)."""
+    """Return errors and u of the nine (runs, 9), joint distances / k (runs, 2), changes (runs, 12)."""
     rows = []
     bench = own("roll")
     for k in numbers:

@@ -1,22 +1,24 @@
-"""Test the errors of a bench that `bench learn` estimates, on simulated benches with many runs and known truth.
+"""Test the errors of a bench that `bench learn` estimates, on simulated benches with known truth.
 
     python -m benchmarks.learning_campaign --runs 200 --blocks 30 --seed 1
     python -m benchmarks.learning_campaign --runs 40 --own K2 --seed 2
     python -m benchmarks.learning_campaign --runs 25 --next 100 --seed 3
     python -m benchmarks.learning_campaign --runs 400 --exchange 3 --seed 6
 
-The truth of each bench is drawn within its stated limits: means of four stand angles, the effect of a remount,
-noise of three meters, setting error, two harmonics of the head. Every run has a different block. Of three runs,
-one has all mountings repeated with a quarter turn on the platform, and one with a half turn. Promised: estimates
-with u <= 10 % are within 20 % of the truth; of the others, at least 93 % have |z| <= 2.
+The truth of each bench is drawn within its stated limits: means of four stand angles, the effect of a
+remount, noise of three meters, setting error, two harmonics of the head. Every run has a different block. One
+run in three repeats all mountings with a quarter turn on the platform, and another one in three with a half
+turn. Promised: estimates with u <= 10 % are within 20 % of the truth; at least 93 % of the others have a |z|
+of at most 2.
 
-`--own` gives the fourth run a K2 or a drift of its own. Printed are the share of cases in which this run is
-named, and z of the bench's errors in these cases. `--next` calibrates that many further blocks of each bench in
+`--own` gives the fourth run a K2 or a drift of its own, and prints in which share of cases this run is named,
+and z of the bench's errors in these cases. `--next` calibrates that many further blocks of each bench in
 installations 1 and 2 with the learned sizes, and compares u with and without them. The benches then have no
-harmonics of the head, so that one model serves both (promised: rms z 0.93 to 1.07). `--exchange` gives each bench
-one block, measured that many times with its three voltmeters on different channels each time. The differences of
-their gains and zeros are compared with the truth, for blocks whose repeatability is as the readings state, and
-for less repeatable ones. The simulation shares no geometry with the model (`tests.support.learning_bench`).
+harmonics of the head, so that one model serves both (promised: rms z 0.93 to 1.07). `--exchange` gives each
+bench one block, measured that many times with its three voltmeters on different channels each time. The
+differences of their gains and zeros are compared with the truth, for blocks whose repeatability is as the
+readings state, and for less repeatable ones. The simulation shares no geometry with the model
+(`tests.support.learning_bench`).
 """
 
 import argparse
@@ -72,7 +74,7 @@ def scores(found: Learned, bench: Bench) -> list[tuple[str, float, float, float]
 def next_blocks(
     rng: np.random.Generator, bench: Bench, found: Learned, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return z (count, 12) of further calibrations with the learned sizes, and u over that without them, (12,)."""
+    """Return z (count, 12) of further runs with the learned sizes, and u (12,) divided by u without them."""
     runs = simulate(rng, bench, count)
     with_it, without = ([calibrated(one, known) for one in runs.tables()] for known in (found.known, None))
     u, plain = (np.array([one.u for one in each]) for each in (with_it, without))
@@ -86,7 +88,7 @@ def calibrated(readings: Readings, known: KnownStand | None = None) -> Calibrati
 
 
 def exchanged_meters(rng: np.random.Generator, benches: int, runs: int, extra: float) -> np.ndarray:
-    """Return z, and u over the u of the limits, of the differences of two gains and of two zeros, (benches, 4).
+    """Return z, and u relative to u of the limits, for differences of two gains and two zeros (benches, 4).
 
     The block's rows and biases change from run to run by `extra` times the scatter of the readings.
     """

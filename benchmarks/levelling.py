@@ -2,13 +2,13 @@
 
     python -m benchmarks.levelling --levellings 1000 --runs 300
 
-First, levellings by `bench.run.workbench` with a level whose zero is off by 30 arcsec in a random direction:
-printed is how often α1 and α2 of the simulated platform are within U = 2 u of the recorded values. The level is
-electronic (noise, last digit, scale and axes as on the Nivel's data sheet), or a bubble that a person reads.
-Then, calibrations of the paper's procedure from the same readings, with and without the measured level; the truth
-comes from the geometry of bench/validation. Printed are the rms of (estimate - truth)/u of each
-coefficient, and the reduction of u, compared with that of least squares with known noise and these priors. The
-exit status is 1 if a limit is broken.
+First, `bench.run.workbench` levels with a level whose zero is off by 30 arcsec in a random direction: how
+often are α1 and α2 of the simulated platform within U = 2 u of the recorded values? The level is electronic
+(noise, last digit, scale and axes as on the Nivel's data sheet), or a bubble that a person reads. Then the
+paper's procedure is calibrated from the same readings with and without the measured level; the truth comes
+from the geometry of bench/validation. The program prints the rms of (estimate - truth)/u of each coefficient,
+and the reduction of u beside that of least squares with known noise and these priors. The exit status is 1 if
+a limit is broken.
 """
 
 import math

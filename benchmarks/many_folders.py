@@ -2,13 +2,13 @@
 
     python -m benchmarks.many_folders 1000 /var/tmp/laboratory --seed 1 --benches 10 --units 100
 
-One real dry run of the paper's points (54 readings and four verification points) is the template. The others are
-drawn in numpy from a truth, which is stored in `truth.json` beside them: units with spread and drift, effects of
-benches, meters that move between benches, mounting, setting and noise of each run. Each folder has the inputs, a
-record with its true chain of hashes, and results. The coefficients are from least squares with prior angles of the
-stand, at the template's covariance, with errors drawn from it for each run; they thus differ from `bench calibrate`
-of the folder by a fraction of u. Every 33rd run has a quadratic term of x and z together that no calibration there
-models.
+One real dry run of the paper's points (54 readings and four verification points) is the template. The others
+are drawn in numpy from a truth, which is stored in `truth.json` beside them: units with spread and drift,
+effects of benches, meters that move between benches, mounting, setting and noise of each run. Each folder has
+the inputs, a record with its true chain of hashes, and results. The coefficients are least-squares estimates
+with prior angles of the stand. Their covariance is the template's, from which each run's further errors are
+drawn. They differ from `bench calibrate` of the folder by a fraction of u. Every 33rd run has a quadratic
+term of x and z together that no calibration there models.
 """
 
 from __future__ import annotations
@@ -110,9 +110,7 @@ def signals(theta: Floats, force: Floats) -> Floats:
 
 
 class Estimator:
-    """Least squares with the stand's angles as prior, linearised about coefficients (12,), for a noise of a
-    reading.
-    """
+    """Least squares with prior stand angles and known reading noise, linearised about coefficients (12,)."""
 
     def __init__(self, theta: Floats, noise_v: float) -> None:
         fit = WHERE < 2

@@ -220,9 +220,7 @@ class _Hands:
             self._world.mount(wrong.label, series)
 
     def turn(self, scale_angle_rad: float, direction: Direction) -> None:
-        """Turn the head correctly, or as the mistake demands: not at all, elsewhere, or the wrong way until
-        corrected.
-        """
+        """Turn the head correctly, or as the mistake demands: not at all, elsewhere, or the wrong way."""
         mistake, stood = self._mistake, self._world.scale_angle_rad
         if self.mended or mistake is None or self.index < mistake.index:
             self._world.turn(scale_angle_rad, direction)
@@ -259,9 +257,7 @@ class MistakenOperator(ScriptedOperator):
         self.slips_told: list[str] = []
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Answer a prompt; at the question how to continue, correct the mistake and have the affected steps
-        repeated.
-        """
+        """Answer a prompt; if asked how to continue, mend the mistake and repeat the affected steps."""
         if prompt.id.startswith("halt@"):
             self.asked.append(prompt.text)
             self._hands.mend()

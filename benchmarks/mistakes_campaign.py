@@ -5,16 +5,16 @@ After an operator's mistake, a run stops in time and for the right reason; witho
     python -m benchmarks.mistakes_campaign watcher --runs 200 --clean 3000 --jobs 2
     python -m benchmarks.mistakes_campaign whole --runs 20 --clean 500 --jobs 2
 
-A scripted operator (`benchmarks.mistaken_operator`) makes one mistake of a kind, in each pass in turn. In part
-`watcher`, the early warning receives the readings of the simulated world. In part `whole`, every run is a dry run
-over the wires of simulated meters, which is recorded, stopped, continued as the question demands, and calibrated.
-Its coefficients are compared with those of the same run without the mistake. A repeated step has the random numbers
-of its first time, so that only consequences of the mistake make a difference.
+A scripted operator (`benchmarks.mistaken_operator`) makes one mistake in a run, in each pass in turn. In part
+`watcher`, the early warning receives the readings of the simulated world. In part `whole`, every run is a dry
+run over the wires of simulated meters, which is recorded, stopped, continued as the question demands, and
+calibrated. Its coefficients are compared with those of the same run without the mistake. A repeated step has
+the random numbers of its first time, so that only consequences of the mistake make a difference.
 
-A mistake counts if it shifts a reading by at least 8 standard deviations: the shift of the three signals relative
-to the covariance of their prediction from earlier readings. The run must stop at the first such reading or at the
-next one. A cause is right if it is the mistake made; if several are named as equally likely, one of them must be. A
-table with Wilson intervals (95 %) is printed; the exit status is 1 if a limit is missed.
+A mistake counts if it shifts the three signals of a reading by at least 8 standard deviations of their
+prediction from earlier readings. The run must stop at the first such reading or at the next one. A cause is
+right if it is the mistake made; if several are named as equally likely, one of them must be. A table with
+Wilson intervals (95 %) is printed; the exit status is 1 if a limit is missed.
 """
 
 import math
@@ -70,10 +70,10 @@ METER_NOISE_V: Final = 5e-6
 class Outcome:
     """The outcome of a run.
 
-    `size` is the largest shift in standard deviations (None: no readings), `large_at` the step of the first reading
-    with a large shift. `late` is the number of readings after it until the run stopped, None if it did not.
-    `agrees` says whether the coefficients are within u of the undisturbed run's, None if they were not compared;
-    `worst` is the largest difference in u.
+    `size` is the largest shift in standard deviations (None: no readings), `large_at` the step of the first
+    reading with a large shift. `late` is the number of readings after that one until the run stopped, None if
+    it never stopped. `agrees` says whether the coefficients are within u of the undisturbed run's, None if
+    they were not compared; `worst` is the largest difference in u.
     """
 
     kind: str

@@ -2,10 +2,10 @@
 
     python -m benchmarks.panel_fuzz --requests 10000 --seed 1
 
-The requests go to the application directly, past any server that would correct them. Reported is each request that
-was answered with 5xx, that changed a file without the right to, or that showed content from outside the folder of
-runs; further the growth of memory, and the slowest request. `--socket 500` sends raw bytes to a real server, which
-must log no traceback.
+The requests go to the application directly, past any server that would correct them. The report lists each
+request that was answered with 5xx, changed a file without the right to, or showed content from outside the
+folder of runs; it adds the growth of memory and the slowest request. `--socket 500` sends raw bytes to a real
+server, which must log no traceback.
 """
 
 import asyncio

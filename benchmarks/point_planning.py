@@ -1,6 +1,6 @@
-"""Compare the paper's 54 settings with chosen settings, and with the fewest chosen ones of the same uncertainty.
+"""Compare the paper's 54 settings with chosen ones, and with the fewest chosen ones of the same uncertainty.
 
-Both use the shipped bench of the paper: stand errors with k = 3, and its limits as one standard deviation.
+This is done twice on the paper's shipped bench: with its limits as k = 3, and as one standard deviation.
 
     python -m benchmarks.point_planning
 """

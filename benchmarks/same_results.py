@@ -7,11 +7,11 @@
 
 `store` makes seeded dry runs and stores the JSON, pages, records, readings and draft certificates of every
 command that evaluates them. It calls the program as a user does, so that it can store what an older version
-gives. `compare` requires that JSON and XML have the same members, texts and integers, and that numbers agree to
-1e-9 of the largest number in the same list. Of pages it compares the numbers of the text and the plotted data.
-Texts that differ in words alone are listed as reworded, which is no difference. `IGNORED` lists the members whose
-values are not compared. The exit status is 1 if anything differs. `schemas` requires that this version's JSON
-schemas have every member of those in a folder, and lists new members.
+gives. `compare` requires that JSON and XML have the same members, texts and integers, and that numbers agree
+to 1e-9 of the largest number in the same list. Of pages it compares the numbers of the text and the plotted
+data. Texts that differ in words alone are listed as reworded, which is no difference. `IGNORED` lists the
+members whose values are not compared. The exit status is 1 if anything differs. `schemas` requires that this
+version's JSON schemas have every member of the schemas in a folder, and lists new members.
 """
 
 import csv

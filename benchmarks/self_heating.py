@@ -1,12 +1,12 @@
-"""Test the self-heating of a voltmeter that diagnoses of simulated records state, with known truth.
+"""Test diagnoses of a voltmeter's self-heating, on simulated records with known truth.
 
     python -m benchmarks.self_heating --records 60 --seed 1
 
-A cold record settles by 20 uV with a time constant of 15 to 90 min, uniform in its logarithm; a warm record does
-not settle. The noise is that of tests/support/known_inputs.py, not of the model. Printed are the cold records whose
-only name is `voltmeter_warm_up`, the warm records without a name, and the rms of z = (estimate - truth)/u of size
-and time constant. Promised: at least 0.95 of each kind, and an rms within the 99 % interval of an honest u. The
-exit status is 1 if a promise is broken.
+A cold record settles by 20 uV with a time constant of 15 to 90 min, uniform in its logarithm; a warm record
+does not settle. The noise is that of tests/support/known_inputs.py, not of the model. The campaign prints the
+shares of cold records whose only name is `voltmeter_warm_up`, and of warm records without a name (promised:
+at least 0.95 each); and the rms of z = (estimate - truth)/u of size and time constant (promised: within the
+99 % interval of an honest u). The exit status is 1 if a promise is broken.
 """
 
 import sys

@@ -2,15 +2,15 @@
 
     python -m benchmarks.signal_campaign --runs 240 --seed 1 --jobs 2
 
-Every trial is a run by the command line in a separate process, on a bench with a motorised head and a chamber,
-served on loopback in real time. SIGINT, SIGTERM and SIGHUP come once, twice or in bursts. They come at a random
-moment in the life of the process, when a phase appears in the record, or by closing the terminal. Phases include
-the end: a further signal while instruments are made safe, after a signal, an error or the last step. In some trials
-an instrument hangs, so that the run ends by an error, or a chamber cannot be reached.
+Every trial is a run by the command line in a separate process, on a bench with a motorised head and a
+chamber, served on loopback in real time. SIGINT, SIGTERM and SIGHUP come once, twice or in bursts. They come
+at a random moment in the life of the process, when a phase appears in the record, or by closing the terminal.
+Phases include the end: a further signal while instruments are made safe, after a signal, an error or the last
+step. In some trials an instrument hangs, so that the run ends by an error, or a chamber cannot be reached.
 
-Judged are: how long the process takes to end; its status; the text on standard error; the record's chain and state.
-The head must be at rest and the chamber in standby, or the record must say that it continues to condition. The exit
-status is 1 after any fault.
+The campaign checks how long the process takes to end, its status, the text on standard error, and the
+record's chain and state. The head must be at rest and the chamber in standby, or the record must say that the
+chamber continues to condition. The exit status is 1 after any fault.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class Outcome:
 
 
 def draw(count: int, seed: int) -> list[Trial]:
-    """Draw trials, the phases and patterns in turn."""
+    """Draw `count` trials, using the phases and the patterns in turn."""
     generator = random.Random(seed)  # noqa: S311 - nothing secret
     patterns = list(PATTERNS)
     trials = []

@@ -8,26 +8,26 @@
     python -m benchmarks.signed_uncertainty --few 2000
     python -m benchmarks.signed_uncertainty --clean 1500
 
-The cases are those of tests/support/whole_truth.py, whose truth shares nothing with the model. Printed for each:
-root mean square of (estimate - truth)/u of each coefficient, with the combined u and with the u of the readings;
-coverage of k = 2; rms z of delta g at the verification points. For sources of known size, the variance that the
-source adds to the estimates (the same run with and without it), divided by the variance that it adds to u^2, is
-printed, too. The temperature has one error throughout a run, which the bench file does not state; in cases called
-wandering it is a process with the correlation time that the bench file states.
+The cases are those of tests/support/whole_truth.py, whose truth shares nothing with the model. For each case,
+the campaign prints: root mean square of (estimate - truth)/u of each coefficient, with the combined u and
+with the u of the readings; coverage of k = 2; rms z of delta g at the verification points. For a source of
+known size, a ratio of variances is printed, too: what it adds to the estimates (the same run with and without
+it), divided by what it adds to u^2. The temperature has one error throughout a run, which the bench file does
+not state; in cases called wandering it is a process with the correlation time that the bench file states.
 
-`--pairs`: two calibrations of a remounted block (turned by 0 to 2 degrees) are compared by the joint test of the
-nine intrinsic numbers. Printed are the share of unchanged pairs that the test says to differ, and the share of
-changed pairs that it finds; one number then changes by six standard uncertainties of the difference. `--bound`:
-runs with noise and stand errors only, compared with a fit that knows the sizes of the noise, whose u is the
-Cramer-Rao bound.
+`--pairs`: two calibrations of a remounted block (turned by 0 to 2 degrees) are compared by the joint test of
+the nine intrinsic numbers. The table shows the share of unchanged pairs that the test says to differ, and the
+share of changed pairs that it finds, in which one number changes by six standard uncertainties of the
+difference. `--bound`: runs with noise and stand errors only, compared with a fit that knows the sizes of the
+noise and whose u is the Cramer-Rao bound.
 
-`--few`: that many runs of each design with hardly any degrees of freedom (2+2, 3+2, 3+3, 4+2 readings), for which
-the bench file states the noise. With noise drawn from the prior that the program states, printed are the coverage
-of U (promised: 0.93 of all coefficients, 0.91 of each) and refusals (promised: at most 1 %). At twice the stated
-noise, the result must say that it depends on the stated noise (promised: always); printed is how often it says
-that the readings disagree. `--clean`: that many runs, with equal and with unequal channels, without any error
-that readings share: how often a component is found in error (promised: 1 %, within the binomial limit of 99 %).
-The exit status is 1 if a limit is broken.
+`--few`: that many runs of each design with hardly any degrees of freedom (2+2, 3+2, 3+3, 4+2 readings), for
+which the bench file states the noise. With noise drawn from the prior that the program states, the table
+shows the coverage of U (promised: 0.93 of all coefficients, 0.91 of each) and refusals (promised: at most 1
+%). At twice the stated noise, every result must say that it depends on the stated noise; the table shows how
+often it says that the readings disagree. `--clean`: that many runs without any error that readings share,
+with equal and with unequal channels. The table shows how often such an error is falsely found (promised: 1 %,
+within the binomial limit of 99 %). The exit status is 1 if a limit is broken.
 """
 
 import sys
@@ -76,9 +76,7 @@ STATED = UncertaintySection.model_validate(
 
 @dataclass
 class Calibrator:
-    """A calibration as `bench calibrate` makes it, without its files; `wandering` is what the bench file then
-    states.
-    """
+    """Calibrates as `bench calibrate` does, without files; `wandering`: with `STATED` in the bench file."""
 
     wandering: bool = False
 
@@ -111,7 +109,8 @@ def own(case: str) -> Calibrator:
 def run(case: str, seed: int, numbers: range) -> tuple[Floats, ...]:
     """Return arrays over runs of a case.
 
-    They are errors, u, u of the readings (runs, 12), delta g and its u (runs, 8), differences, and added variances.
+    They are errors, u, u of the readings (runs, 12), delta g and its u (runs, 8); of the case's source: the
+    changes of the estimates and the variances that it adds to u^2 (runs, 12).
     """
     rows: list[list[Floats]] = []
     names = KNOWN.get(case, ())
@@ -171,10 +170,10 @@ def show(case: str, parts: list[Any], runs: int) -> list[str]:
 
 
 def pairs(case: str, seed: int, numbers: range) -> tuple[int, int, int, int, int]:
-    """Return how many pairs were compared, said to differ, changed by 6 u in one of the nine, and found changed.
+    """Return how many pairs were compared, said to differ, changed by 6 u in one of the nine, and so found.
 
-    The last count is of unchanged pairs that the twelve coefficients say to differ. In each calibration the block
-    is turned by 0 to 2 degrees, equally in both installations.
+    The last count is of unchanged pairs that the twelve coefficients say to differ. In each calibration the
+    block is turned by 0 to 2 degrees, equally in both installations.
     """
     differ = changed = found = by_twelve = 0
     for k in numbers:

@@ -10,10 +10,10 @@ The first word names the part:
     python -m benchmarks.speed catalogue --folder LABORATORY --hold-back 100 [--catalogue FILE|URL]
 
 `plan`, `record`, `runs` and `catalogue` work in separate processes, whose start is part of their cost.
-`diagnosis` uses cases of the blind trial: nothing hidden, one effect, one effect outside the catalogue. Each is
-diagnosed first without a simulated threshold, then with it in the cache. In `runs`, each run has the same hidden
-effect of rho 2.3, which no single run shows. `catalogue` reserves the last folders of `benchmarks.many_folders`
-for a second sync. The exit status is 1 if a promise is broken.
+`diagnosis` uses cases of the blind trial: nothing hidden, one effect, one effect outside the catalogue. Each
+is diagnosed twice: first its threshold is simulated, then the threshold is in the cache. In `runs`, each run
+has the same hidden effect of rho 2.3, which no single run shows. `catalogue` reserves the last folders of
+`benchmarks.many_folders` for a second sync. The exit status is 1 if a promise is broken.
 """
 
 import argparse

@@ -2,13 +2,13 @@
 
     nice -n 10 python -m benchmarks.supply_campaign --runs 360 --seed 1 --jobs 1
 
-Every trial is a dry run of a short procedure by the command line, on a shipped bench file without errors, fed by a
-simulated supply. Once, at a random moment, a rail drops, trips, goes into current limit, drifts, loses its contact
-or is switched off by hand, or the mains fail and return. Judged are: every recorded value, against an undisturbed
-run and against the true state of the rails at that time; the block's absolute limits, in the simulated world
-instead of the driver. A stopped run must name the supply and the rail. When it is resumed undisturbed, it must end
-with all planned readings, which agree; those after the block was off must belong to a new series. A table by kind
-and every violation are printed; the exit status is 1 if there is one.
+Every trial is a dry run of a short procedure by the command line, on a shipped bench file without errors, fed
+by a simulated supply. Once, at a random moment, a rail drops, trips, goes into current limit, drifts, loses
+its contact or is switched off by hand, or the mains fail and return. Every recorded value is compared with an
+undisturbed run and with the true state of the rails at that time. The block's absolute limits are checked in
+the simulated world, not by the driver. A stopped run must name the supply and the rail. When it is resumed
+undisturbed, it must end with all planned readings, which agree; those after the block was off must belong to
+a new series. A table by kind and every violation are printed; the exit status is 1 if there is one.
 """
 
 import contextlib
@@ -357,7 +357,7 @@ def _drawn(kind: str, generator: random.Random, stand: FedStand, at_s: float, ou
 
 
 def draw(count: int, seed: int, benches: Sequence[FedStand]) -> list[FedTrial]:
-    """Draw `count` trials, the kinds in turn."""
+    """Draw `count` trials, using the kinds of disturbance in turn."""
     generator = random.Random(seed)  # noqa: S311 - nothing secret
     trials = []
     for number in range(count):

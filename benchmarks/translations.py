@@ -75,9 +75,7 @@ def _in_module(tree: ast.AST, file: Path) -> Iterator[Entry]:
 
 
 def _wordings(node: ast.expr) -> Iterator[Entry]:
-    """Yield the possible wordings of a text: one for each branch of its conditions; a choice by number gives a
-    plural.
-    """
+    """Yield the wordings of a text, one per branch of its conditions; a choice by number gives a plural."""
     match node:
         case ast.Constant(value=str(text)):
             yield Entry(text)

@@ -4,22 +4,22 @@
     python -m benchmarks.until_campaign --runs 500 --seed 2 --goal vector=6.83e-5
     python -m benchmarks.until_campaign --stopping --runs 625 --seed 3
 
-Each run draws a size of the noise (a fraction of the bench file's, `--noise`, equally often), a block near the
-paper's, and a stand. It takes the readings that `bench.planning.choice` chooses from the paper's procedure, step
-by step, as `bench run --until` does; geometry and noise are not the application's. It stops when the u from a
-calibration of the readings so far reaches the goal. Printed, for all runs and by noise: rms of z = (estimate -
-truth)/u over the twelve coefficients at the stop (wanted: 0.93 to 1.07) with its standard error over runs;
-coverage of k = 2 (wanted: at least 0.93); the runs that reached the goal; settings; mean bench time over that of
-the best fixed plan for the same goal and known noise (wanted: at most 1.10), and the same without warm-up and
-verification. For every fourth run, z of a fixed number of readings is printed, too, to show the effect of
-stopping.
+Each run draws a size of the noise (one of the fractions `--noise` of the bench file's, equally often), a
+block near the paper's, and a stand. It takes the readings that `bench.planning.choice` chooses from the
+paper's procedure, step by step, as `bench run --until` does; geometry and noise are not the application's. It
+stops when the u from a calibration of the readings so far reaches the goal. For all runs and by noise, the
+campaign prints: rms of z = (estimate - truth)/u over the twelve coefficients at the stop (wanted: 0.93 to
+1.07) with its standard error over runs; coverage of k = 2 (wanted: at least 0.93); the runs that reached the
+goal; settings; mean bench time divided by that of the best fixed plan for the same goal and known noise
+(wanted: at most 1.10), and the same without warm-up and verification. For every fourth run, z of a fixed
+number of readings is printed, too, to show the effect of stopping.
 
-`--stopping`: many simultaneous runs (`--runs` for each size of the noise) that use one order of the paper's points:
-first the best fixed plan with the least number of repeats, then the points that help most, `--step` points at a
-time. After each step the readings so far are calibrated, and a run stops when its stated u reaches the goal.
-Printed are rms z, coverage, the fraction that reached the goal and the mean number of settings. The same is printed
-for a number of settings fixed at this mean, and for known noise. The comparison shows the effect of stopping, and
-of estimating the noise from few repeats.
+`--stopping`: many simultaneous runs (`--runs` for each size of the noise) that use one order of the paper's
+points: first the best fixed plan with the least number of repeats, then the points that help most, `--step`
+points at a time. After each step the readings so far are calibrated, and a run stops when its stated u
+reaches the goal. The table shows rms z, coverage, the fraction that reached the goal and the mean number of
+settings; then the same for a number of settings fixed at this mean, and for known noise. The comparison shows
+the effect of stopping, and of estimating the noise from few repeats.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class World:
         return cls(*block, stand, scale, rng)
 
     def measured(self, points: list[PlannedPoint]) -> Readings:
-        """Return readings at points in their order; the head is at the angle it shows, except for its error."""
+        """Return readings at the points, in order; the head is at the angle it shows plus its error."""
         labels = [p.site.mount.installation for p in points]
         angle = np.array([p.site.angle_rad for p in points])
         errors = np.array([self.stand[label] for label in labels]).T

@@ -3,21 +3,22 @@
     python -m benchmarks.verdict_risk --runs 4000 --joint 1500 --seed 1
     python -m benchmarks.verdict_risk --blocks 700 --seed 1
 
-Each run is the paper's procedure on a stand whose errors have the sizes that the fit assumes (the limits of the
-paper as three sigma; voltmeter noise `--noise`, V, which the fit does not know), followed by readings at the
-verification points. At each point the modulus has a true error of its own, uniform within the limit plus four u:
-without prior knowledge of it, its posterior distribution is that of JCGM 106. The program calibrates and verifies
-as usual; geometry and truth are this benchmark's own. The points are sorted into steps of the stated risk: of a
-false acceptance for accepted points, of a false rejection for rejected points. The mean stated risk and the
-fraction of wrong decisions are printed for each step. Promised for risks of 0.5 to 50 %: agreement within 10 % or
-0.002, whichever is more, with a margin of three standard errors of the counts (runs are independent, points of a
-run are not). `--joint`: the same for the four points of a pass, accepted together.
+Each run is the paper's procedure on a stand whose errors have the sizes that the fit assumes (the limits of
+the paper as three sigma; voltmeter noise `--noise`, V, which the fit does not know), followed by readings at
+the verification points. At each point the modulus has a true error of its own, uniform within the limit plus
+four u, so that its posterior distribution is that of JCGM 106 without prior knowledge. The program calibrates
+and verifies as usual; geometry and truth are this benchmark's own. The points are sorted into steps of the
+stated risk: of a false acceptance for accepted points, of a false rejection for rejected points. The mean
+stated risk and the fraction of wrong decisions are printed for each step. Promised for risks of 0.5 to 50 %:
+agreement within 10 % or 0.002, whichever is more, with a margin of three standard errors of the counts (runs
+are independent, points of a run are not). `--joint`: the same for the four points of a pass, accepted
+together.
 
 `--blocks`: blocks with true errors from a population (`POPULATION`) that is stated to the verification, each
-calibrated and verified once, by the default rule. With `--apart`, each of the four points has its own error instead
-of a common one. In five declared bins of the stated risk (`BINS`), the number of wrong decisions must be within the
-limits of its distribution (Poisson-binomial), at 1 % over all bins (Holm). The exit status is 1 if a promise is
-broken.
+calibrated and verified once, by the default rule. With `--apart`, each of the four points has its own error
+instead of a common one. In five declared bins of the stated risk (`BINS`), the number of wrong decisions must
+be within the limits of its distribution (Poisson-binomial), at 1 % over all bins (Holm). The exit status is 1
+if a promise is broken.
 """
 
 import sys

@@ -144,7 +144,7 @@ def format_dms(angle_rad: float, decimals: int = 0) -> str:
 
 
 def scale_text(angle_rad: float) -> str:
-    """Return an angle as the scale shows it, with the fewest decimals of a second that state it, at most 3."""
+    """Return an angle as the scale shows it, with as many decimals of a second as it needs, at most 3."""
     shown_rad = angle_rad if 0.0 <= angle_rad <= math.tau else angle_rad % math.tau
     for decimals in range(3):
         text = format_dms(shown_rad, decimals)
@@ -156,9 +156,9 @@ def scale_text(angle_rad: float) -> str:
 def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> str | None:
     """Return in words the common mistake that turns `target_rad` into `read_rad`, or None.
 
-    The mistakes are: a scale line one off (10°, 1°, 10′, 1′), the opposite side of the circle, 360° - x, two digits
-    swapped. Except for swapped digits, the reading that the mistake predicts must differ from `read_rad` by at most
-    `tolerance_rad`, and by at most a third of the target's difference.
+    The mistakes are: a scale line one off (10°, 1°, 10′, 1′), the opposite side of the circle, 360° - x, two
+    digits swapped. Except for swapped digits, the reading that the mistake predicts must be within
+    `tolerance_rad` of `read_rad`, and at most a third as far from it as the target.
     """
     difference = wrapped_rad(read_rad - target_rad)
     if abs(difference) <= tolerance_rad:

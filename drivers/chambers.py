@@ -157,8 +157,8 @@ class ControlledChamber(ABC):
     def temperature(self, key: str, *, settling: bool = False) -> float:
         """Return the temperature of the air, °C.
 
-        Raises `InstrumentRefused` for faults that the controller reports, for a state or set point that somebody
-        changed, and for air out of the band, unless `settling`; also `BadReading`, `InstrumentLost`.
+        Raises `InstrumentRefused` for air out of the band (unless `settling`), for faults that the controller
+        reports, and for a state or set point that somebody changed; also `BadReading`, `InstrumentLost`.
         """
         air_c = self._air_c(self._target_c)
         return self._limits.in_band(self.name, air_c, None if settling else self._target_c)

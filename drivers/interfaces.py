@@ -27,8 +27,8 @@ def message(text: str, context: str = "") -> str:
 class BenchError(Exception):
     """A failure that a person can remedy.
 
-    `instrument` is its name on the bench ("voltmeter.x"), `cause` what happened, `remedy` what to do.
-    The message combines all three in one sentence.
+    `instrument` is the instrument's name on the bench ("voltmeter.x"), `cause` what happened, `remedy` what
+    to do. The message combines all three in one sentence.
     """
 
     def __init__(self, instrument: str, cause: str, remedy: str) -> None:
@@ -281,7 +281,7 @@ class Level(Instrument, Protocol):
         """The standard uncertainties of the level."""
 
     def inclination(self, key: str, *, turned: bool) -> Inclination:
-        """Return the reading at rest in the first position, or `turned` by half a turn, with the level's own signs.
+        """Return the reading, with the level's own signs, in its first position or `turned` by half a turn.
 
         Raises `BadReading` if the level is out of range, `InstrumentRefused`, `InstrumentLost`, `NoAnswer`.
         """

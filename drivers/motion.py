@@ -38,7 +38,7 @@ _LEAST_OF_SPEED: Final = 0.05
 class TravelWatch:
     """Supervision of one move of the head `name`, which begins at `start_rad` at the clock time `begun_s`.
 
-    Once within half the back-off of its target, the head may overshoot it or stop: `Mover` decides whether it has
+    Within half the back-off of its target, the head may overshoot or stop: `Mover` decides whether it has
     settled.
     """
 
@@ -120,9 +120,9 @@ class Travel:
     """The limits of a head's moves and the criterion of arrival.
 
     The head stays within [`minimum_rad`, `maximum_rad`] at all times. Its final approach covers at least
-    `backoff_rad` in the requested direction. It has arrived when every sample, one per `poll_s`, has stayed within
-    `tolerance_rad` of the target for `settle_s`. A move may take twice its time at `speed_rad_s`, plus `settle_s`
-    and 10 s. Raises `ValueError` for inconsistent values.
+    `backoff_rad` in the requested direction. It has arrived when, for `settle_s`, all samples (one per
+    `poll_s`) were within `tolerance_rad` of the target. A move may take twice its time at `speed_rad_s`, plus
+    `settle_s` and 10 s. Raises `ValueError` for inconsistent values.
     """
 
     minimum_rad: float

@@ -120,8 +120,7 @@ class LevelPlatform(TypedDict):
 
 
 class Say(TypedDict):
-    """A task without any movement or setting: read a thermometer, answer, wait, or check that the head's path is
-    clear.
+    """A task without any setting: read a thermometer, answer, wait, see that the head's path is clear.
 
     `of` is "meter" or "room" for a thermometer that is neither at the block nor the chamber's.
     """

@@ -289,9 +289,7 @@ class ScpiVoltmeter(ABC):
     # --- settings, errors ---------------------------------------------------------------------------
 
     def _be_remote(self) -> None:
-        """Set a meter on RS-232 to remote, so that it accepts commands; over other interfaces it does this by
-        itself.
-        """
+        """Set a meter on RS-232 to remote, so that it accepts commands; other interfaces do not need this."""
         if self._interface == "rs232" and self.remote_command:
             self._session.write(self.remote_command)
         self._spoke_s = self._clock.now_s()

@@ -1,6 +1,4 @@
-"""Base class of remote-controlled supplies, which checks limits, reads settings back and never sets an output that
-is on.
-"""
+"""Base class of remote-controlled supplies: it checks limits, reads back, sets only outputs that are off."""
 
 from __future__ import annotations
 
@@ -107,8 +105,8 @@ class WiredSupply(ABC):
     def switch(self, output: str, on: bool, key: str) -> None:
         """Switch an output (all outputs, if they share one switch) and read the states back.
 
-        Raises `InstrumentRefused` if the output was not set up, no longer has its settings, did not switch or has
-        tripped, or if another output with a switch of its own changed, too; `InstrumentLost`, `BadReading`.
+        Raises `InstrumentRefused` if the output was not set up, lost its settings, did not switch or has
+        tripped, or if an output with another switch changed, too; `InstrumentLost`, `BadReading`.
         """
         before = self._states()
         if on:

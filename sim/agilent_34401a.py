@@ -316,9 +316,9 @@ class Trigger(MeasuringCycle):
     def read(self) -> str | None:
         """READ?: measure and return the readings without storing them.
 
-        With an external trigger there is no reply, and the meter waits until a device clear. Raises `ScpiError`
-        -213 if a measurement is in progress, -214 for the trigger source BUS, 522 for more readings than the
-        largest sample count, which this simulation does not support.
+        With an external trigger there is no reply, and the meter waits until a device clear. Raises
+        `ScpiError` -213 if a measurement is in progress, -214 for the trigger source BUS, 522 (unsupported by
+        this simulation) for more readings than the largest sample count.
         """
         self._require_idle()
         if self.source == "BUS":

@@ -116,7 +116,7 @@ class AimTti(PlainDialect):
         return "\r\n".join(lines).encode("ascii") if lines else None
 
     def input_overflow(self) -> None:
-        """Report a line that was too long as a command error."""
+        """Report an overlong line as a command error."""
         self._event |= facts.COMMAND_ERROR
 
     def press_local(self) -> None:

@@ -55,7 +55,7 @@ class SimulatedMeter:
 
 
 class Elsewhere:
-    """The world as a thermometer away from the block observes it: block and air have the temperature at its place.
+    """The world as seen by a thermometer away from the block: block and air have the temperature there.
 
     `at_c` returns the temperature there at a time, s.
     """

@@ -153,7 +153,7 @@ class _Reply:
         self._example = example[first:last]
 
     def to(self, message: bytes, value: float, failed: bool) -> bytes | None:
-        """Return the reply to the request, an error line if `failed`; None for any other message."""
+        """Return the line for `value`, or an error line if `failed`; None if `message` is not the request."""
         if message.removesuffix(b"\r") != self._request:
             return None
         begin, end = self._around

@@ -189,7 +189,7 @@ class KeysightE36300(KeysightSupply):
 
 
 class _Selected:
-    """The name of an output: CH1, OUTPut2, or P6V, P25V, N25V as on an E3631A."""
+    """A parameter that names an output: CH1, OUTPut2, or P6V, P25V, N25V as on an E3631A."""
 
     optional = False
 

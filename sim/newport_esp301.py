@@ -100,7 +100,7 @@ class Esp301(PlainDialect):
         return facts.READ_TERMINATION.join(replies).encode("ascii") if replies else None
 
     def input_overflow(self) -> None:
-        """Report a line that was too long as an unknown command."""
+        """Report an overlong line as an unknown command."""
         self._errors.append(facts.UNKNOWN_COMMAND)
 
     def power_cycle(self) -> None:

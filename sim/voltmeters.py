@@ -48,12 +48,12 @@ class Function:
 
     @property
     def has_nplc(self) -> bool:
-        """Whether it integrates over power-line cycles; autozero then doubles the measuring time."""
+        """Whether the function integrates over power-line cycles; autozero doubles its measuring time."""
         return self.keyword == "NPLCycles"
 
     @property
     def has_aperture(self) -> bool:
-        """Whether it counts during a gate time."""
+        """Whether the function counts during a gate time."""
         return self.keyword == "APERture"
 
     @property
@@ -285,9 +285,7 @@ class Converter:
                 return 0.0
 
     def _at_input_v(self, configuration: Measurement, time_s: float) -> float:
-        """Return the voltage to be converted, V: the signal, reduced by the input resistance, plus errors of the
-        input.
-        """
+        """Return the voltage to be converted, V: the signal under the input's load, plus input errors."""
         signal_v, flaws = self._source.signal_v(time_s), self._flaws
         if flaws is None:
             return signal_v
@@ -301,7 +299,7 @@ class Converter:
         return signal_v + (self._flicker_v(flaws.flicker_v, time_s) if flaws.flicker_v else 0.0)
 
     def _flicker_v(self, deviation_v: float, time_s: float) -> float:
-        """Return 1/f noise at a time: in each decade four sines of equal power, of fixed frequency and phase."""
+        """Return 1/f noise at a time, V: per decade, four sines of equal power, fixed frequency and phase."""
         drawn = self._source.fixed_random("voltmeter flicker").random((len(_FLICKER_DECADES), 4, 2))
         per_sine_v = deviation_v * math.sqrt(2.0 / 4.0)
         return per_sine_v * sum(
@@ -450,8 +448,8 @@ class MeasuringCycle(ABC):
     """The trigger system: idle, start, wait for a trigger, measure; `source` is the trigger source.
 
     The latest `memory_depth` readings are kept. `interrupted` returns whether a device clear has arrived. A
-    measurement whose client has left is aborted when another client would have to wait for it; not on a virtual
-    clock, where a wait takes no real time.
+    measurement whose client has left is aborted when another client would have to wait for it, except on a
+    virtual clock, where a wait takes no real time.
     """
 
     memory_depth: int
@@ -482,9 +480,9 @@ class MeasuringCycle(ABC):
         self._keeps = False
 
     def sent_by(self, left: Callable[[], bool]) -> None:
-        """Store `left`, which returns whether the client that sends the following commands has disconnected.
+        """Store `left`, which returns whether the client of the following commands has disconnected.
 
-        If the client that started a measurement has disconnected by now, this aborts that measurement.
+        A measurement whose client has disconnected is then aborted.
         """
         if self._client_has_left:
             self.abort()

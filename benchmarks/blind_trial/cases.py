@@ -107,13 +107,13 @@ TRIES: Final = 5
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the score table: the hidden effect, its design, its visibility, the noise, the number of cases.
+    """A row of the score table: hidden effect, design, visibility, noise, and number of cases.
 
-    `kind` is null, single, pair, outside, hidden, equal_k2, mounting_roll, one of `SLIPS`, `KNOWN`, `SUPPLIED` or
-    mistake:NAME, or one of `FREE`, which has its own noise and design. `noise_v` is the noise that the bench file
-    states; the true noise of readings and settings is `noise_factor` times as large. `noise` is its kind
-    (`NOISES`). A case may have several `runs` with the same effect, each with visibility `rho`: of one block, or of
-    a different block each (`blocks`).
+    `kind` is null, single, pair, outside, hidden, equal_k2, mounting_roll, one of `SLIPS`, `KNOWN`,
+    `SUPPLIED` or mistake:NAME, or one of `FREE`, which has its own noise and design. `noise_v` is the noise
+    that the bench file states; the true noise of readings and settings is `noise_factor` times as large.
+    `noise` is its kind (`NOISES`). The `runs` of a case have the same effect, each with visibility `rho`;
+    with `blocks`, each has another block.
     """
 
     kind: str
@@ -143,7 +143,7 @@ class Case:
     """The input of the diagnosis: a table of readings, and the noise that the bench file states (1 σ).
 
     `reading_noise_v` is in V, `setting_noise` in rad. With `own`, the diagnosis also gets user formulas.
-    `stated_psi_deg` is the angle of the verification points that the bench file states, None if it is right. For
+    `stated_psi_deg` is the wrong angle of the verification points in the bench file, None if it is right. For
     free positions, `free` are the records. The name does not reveal what is hidden.
     """
 

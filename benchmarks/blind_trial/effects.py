@@ -25,7 +25,7 @@ from benchmarks.blind_trial.stand import (
 
 
 def _per_mount(name: str, arcsec: float, key: str, *, after_remount: bool = False) -> Draw:
-    """Return the draw of an effect that adds a constant angle in some mountings."""
+    """Return a `Draw` of an effect that adds a constant angle in some mountings."""
 
     def draw(rng: np.random.Generator, run: Run) -> Truth:
         weights, mounts = mount_weights(rng, run, after_remount=after_remount)
@@ -50,7 +50,7 @@ def _head_eccentricity(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _head_ellipticity(rng: np.random.Generator, run: Run) -> Truth:
-    """Return the effect of a scale elongated along `along`: tan φ on the ellipse is (1 + e) tan φ on the circle."""
+    """Return the effect of a scale elongated along `along`: tan φ is 1 + e times that on the circle."""
     along = rng.uniform(0, np.pi)
 
     def shift(r: Run, x: float) -> Shift:
@@ -73,7 +73,7 @@ def _head_graduation(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def turned(name: str, arcsec: float, key: str, form: Callable[[Run], Floats], shape: str = "") -> Draw:
-    """Return the draw of an effect of either sign that adds `form(run)` (n,) to one of the stand's angles."""
+    """Return a `Draw` of an effect of either sign that adds `form(run)` (n,) to one of the stand's angles."""
 
     def draw(rng: np.random.Generator, run: Run) -> Truth:
         sign = rng.choice([-1.0, 1.0])
@@ -141,7 +141,7 @@ Form = Callable[[Run, Floats], Floats]
 
 
 def per_channel(name: str, size: float, form: Form, stage: Stage = "block") -> Draw:
-    """Return the draw of an effect whose `form(run, seen)` (n, 3) or (n, 1) is weighted per channel."""
+    """Return a `Draw` of an effect whose `form(run, seen)` (n, 3) or (n, 1) is weighted per channel."""
 
     def draw(rng: np.random.Generator, run: Run) -> Truth:
         weights, channels = channel_weights(rng)
@@ -151,7 +151,7 @@ def per_channel(name: str, size: float, form: Form, stage: Stage = "block") -> D
 
 
 def _shaped(name: str, size: float, shapes: dict[str, Form]) -> Draw:
-    """Return the draw of an effect as `per_channel` does, with one of several shapes chosen at random."""
+    """Return a `Draw` of an effect as `per_channel` does, with one of several shapes chosen at random."""
 
     def draw(rng: np.random.Generator, run: Run) -> Truth:
         shape = str(rng.choice(list(shapes)))
@@ -166,9 +166,7 @@ def _others(force: Floats) -> tuple[Floats, Floats]:
 
 
 def _mixed(name: str, size: float, *forms: Form, thermal: bool = False) -> Draw:
-    """Return the draw of a random mixture of forms, weighted per channel, and proportional to temperature if
-    `thermal`.
-    """
+    """Return a `Draw` of a random mixture of forms, weighted per channel; `thermal`: times temperature."""
 
     def draw(rng: np.random.Generator, run: Run) -> Truth:
         weights, channels = channel_weights(rng)
@@ -348,7 +346,7 @@ def _voltmeter_nonlinearity(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def common(name: str, size: float, form: Form, channels: tuple[str, ...] = CHANNELS) -> Draw:
-    """Return the draw of an effect of either sign that all channels have alike."""
+    """Return a `Draw` of an effect of either sign that all channels have alike."""
 
     def draw(rng: np.random.Generator, run: Run) -> Truth:
         sign = rng.choice([-1.0, 1.0])
@@ -360,7 +358,7 @@ def common(name: str, size: float, form: Form, channels: tuple[str, ...] = CHANN
 
 
 def _range_offset(rng: np.random.Generator, run: Run) -> Truth:
-    """Return the effect of range offsets, of one autoranging meter for all channels or of one of three meters."""
+    """Return the effect of range offsets in all channels (one autoranging meter) or in one of the three."""
     offset, gain = rng.normal(size=2) * (40 * MICROVOLT, 20 * PPM)
     one = rng.random() < 0.5
     weights = np.eye(3)[rng.integers(3)] if one else np.ones(3)
@@ -379,7 +377,7 @@ def _range_offset(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def _channel_crosstalk(rng: np.random.Generator, run: Run) -> Truth:
-    """Return the effect of an input that has not settled from the channel read before it.
+    """Return the effect of an input that still shows part of the channel read before it.
 
     The first channel of a reading follows an open input.
     """

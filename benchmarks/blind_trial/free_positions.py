@@ -1,7 +1,8 @@
 """Free positions of the trial: a sensor at rest in all orientations, with its own matrix, zeros and effects.
 
-U = S (a + e) + b with |a| = 1: S is a full matrix, a has no preferred direction, and e is the hidden effect, g. Its
-visibility rho is the size of the part of e that nine coefficients cannot absorb, in units of the noise of |a|.
+U = S (a + e) + b with |a| = 1: S is a full matrix, a has no preferred direction, and e is the hidden effect,
+g. The visibility rho of e is the size of the part of e that nine coefficients cannot absorb, in units of the
+noise of |a|.
 """
 
 from collections.abc import Callable
@@ -101,7 +102,7 @@ def _zeros(rng: np.random.Generator, of: Positions) -> FreeTruth:
 
 
 def _outlier(rng: np.random.Generator, of: Positions) -> FreeTruth:
-    """Return the effect of one position that was read while the sensor was moved, along a."""
+    """Return the effect of one position that was read while the sensor moved: an error along a."""
     added = [np.zeros_like(a) for a in of.force]
     row = int(rng.integers(len(added[0])))
     size = rng.choice([-1.0, 1.0]) * rng.uniform(*OUTLIER) * NOISE_G
@@ -164,7 +165,7 @@ def _rho(of: Positions, added: tuple[Floats, ...]) -> float:
 
 
 def judge_free(kind: str, truth: str, diagnosis: dict[str, Any]) -> dict[str, bool]:
-    """Return the marks of a diagnosis of free positions, right or wrong, by column of the table."""
+    """Return the marks (right or wrong) of a diagnosis of free positions, by column of the table."""
     verdict = diagnosis["verdict"]
     if kind.startswith("free:null"):
         return {"agrees": verdict == "agrees"}

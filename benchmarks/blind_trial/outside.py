@@ -1,6 +1,4 @@
-"""Effects outside the catalogue: user formulas, effects without a name, the supply, and known properties of
-benches.
-"""
+"""Effects outside the catalogue: user formulas, unnamed effects, the supply, known properties of benches."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -59,8 +57,9 @@ SIZE: Final = 30e-6
 def _one_channel(
     name: str, rng: np.random.Generator, column: Floats | Callable[[Floats], Floats], stage: Stage = "block"
 ) -> Truth:
-    """Return the effect of adding to one channel a series (n,) over the rows, or a function of what the stage
-    receives, in units of 30 µg or 30 µV.
+    """Return an effect that adds a column to one channel, in units of 30 µg or 30 µV.
+
+    `column` is a series (n,) over the rows, or a function of the input of `stage`.
     """
     channel = int(rng.integers(3))
 
@@ -232,7 +231,7 @@ def recorded(rng: np.random.Generator, above_v: Floats) -> dict[str, Any]:
 
 
 def judge_supply(kind: str, diagnosis: dict[str, Any]) -> dict[str, bool]:
-    """Return the marks of a diagnosis of one of the supply kinds, right or wrong, by column of the table."""
+    """Return the marks (right or wrong) of a diagnosis of one of the supply kinds, by column of the table."""
     verdict = diagnosis["verdict"]
     own, other = "supply_sensitivity", "bias_drift"
     if kind == DRIFTING:
@@ -294,7 +293,7 @@ def hand_set(rng: np.random.Generator, run: Run) -> Truth:
 
 
 def judge_known(kind: str, truth: tuple[str, ...], diagnosis: dict[str, Any]) -> dict[str, bool]:
-    """Return the marks of a diagnosis of one of the known kinds, right or wrong, by column of the table."""
+    """Return the marks (right or wrong) of a diagnosis of one of the known kinds, by column of the table."""
     verdict = diagnosis["verdict"]
     names = [{e["name"], *e.get("cannot_tell_from", ())} for e in diagnosis["effects"]]
     if kind == OTHER_PSI:

@@ -90,7 +90,7 @@ def _row(row: Row, shares: Mapping[str, Share], outcomes: Sequence[Outcome]) -> 
 
 
 def _gap(row: Row, outcomes: Sequence[Outcome]) -> Stored | None:
-    """Return the mean reduced chi-square of held-out readings, before and after naming; None without any."""
+    """Return a row's mean reduced chi-square, before and after naming, on held-out readings, or None."""
     gaps = [
         outcome.diagnosis["gap"]
         for outcome in outcomes

@@ -59,7 +59,7 @@ def true_closing(case: Case, answer: Answer) -> float | None:
 
 
 def _predicted(left: Floats, columns: Floats, priors: Floats, held: Mask) -> float:
-    """Return the chi-square of held-out rows, with the covariance of a fit to all others."""
+    """Return the chi-square of the rows `held`, as predicted by a fit to all other rows."""
     rest = np.vstack([columns[~held], priors])
     target = np.concatenate([left[~held], np.zeros(len(priors))])
     scale = np.linalg.norm(rest, axis=0)
@@ -229,7 +229,7 @@ def judge(
     diagnosis: Diagnosis,
     likeness: Callable[[Answer], float] | None = None,
 ) -> Marks:
-    """Return the marks of a diagnosis, right or wrong, by column of the table.
+    """Return the marks (right or wrong) of a diagnosis, by column of the table.
 
     Only applicable marks are present: for example, a lone name is judged only if one was given. `likeness`
     returns the largest cosine between an effect outside the catalogue and an effect of the catalogue; effects
@@ -242,7 +242,7 @@ def judge(
 
 
 def _shrank(gap: dict[str, Any]) -> bool:
-    """Return whether both sizes of the gap on held-out readings are present, and smaller after than before."""
+    """Return whether both sizes of the gap are known, and smaller after naming than before."""
     sizes = [(gap.get(f"before{of}"), gap.get(f"after{of}")) for of in ("", "_rms")]
     return all(before is not None and after is not None and after < before for before, after in sizes)
 
@@ -289,9 +289,9 @@ def _judge_kind(
 
 
 def _lone_name(answer: Answer, cosine: float, verdict: str) -> Marks:
-    """Return whether a single name was given, by the part that the nearest catalogue effect leaves.
+    """Return whether a single name was given, by how much the nearest catalogue effect leaves.
 
-    This part is in units of noise.
+    What it leaves is in units of noise; below `SOME_LEFT` there is no mark.
     """
     left = answer.effects[0].rho * np.sqrt(max(0.0, 1.0 - cosine**2))
     if left < SOME_LEFT:
@@ -305,9 +305,10 @@ MUCH_LEFT: Final = 7.0
 
 
 def _judge_form(case: Case, answer: Answer, diagnosis: Diagnosis) -> Marks:
-    """Return whether an effect with a mean form is found, and whether the form that describes it closes the gap.
+    """Return whether an effect with a mean form is found, and whether the form found closes the gap.
 
-    The comparison is on held-out readings, in excess of noise, with the true form with a fitted size.
+    It must close 80 % of what the true form with a fitted size closes, on held-out readings in excess of
+    noise.
     """
     if answer.names[0] in WITHOUT_MEAN:
         return {}
@@ -383,9 +384,10 @@ def _judge_single(answer: Answer, diagnosis: Diagnosis) -> Marks:
 def _judge_gap(answer: Answer, diagnosis: Diagnosis) -> Marks:
     """Return whether the gap is closed on held-out readings, and whether the coefficients are right again.
 
-    If a name was given, the marks also say whether the verification points are not worse. Coefficients are right
-    if the chi-square of their twelve errors has a p-value above 1 %; they are judged only if the true effect was
-    named alone. With a temperature effect in the model, they refer to its reference temperature.
+    If a name was given, a further mark is that the verification points got no worse. Coefficients are right
+    if the chi-square of their twelve errors has a p-value above 1 %; they are judged only if the true effect
+    was named alone. With a temperature effect in the model, the coefficients refer to the model's reference
+    temperature.
     """
     marks: Marks = {}
     p_after = diagnosis.get("gap", {}).get("p_after")

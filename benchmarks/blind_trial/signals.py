@@ -154,7 +154,7 @@ def _stand_slope(run: Run, mount: int, kind: int) -> Floats:
 
 
 def scaled_to(truth: Truth, run: Run, rho: float, seen: Visibility, most: float = np.inf) -> Truth | None:
-    """Return the effect with the amplitude that gives it ρ; None if this needs more than `most` times its size."""
+    """Return the effect with the amplitude that gives it ρ; None if this amplitude is above `most`."""
     for _ in range(30):
         got = seen.rho(signature(run, truth))
         if got * most < rho * truth.amplitude:

@@ -263,9 +263,9 @@ def make_run(name: str) -> Run:
 def head_path(name: str) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64]]:
     """Return the specific force along the path of the head, in steps of at most 3°, without errors.
 
-    The result is the force (m, 3), for each row of the run the index of the step at which it is read, and the
-    indices at which a mounting begins. The head arrives in the noted direction: it continues over a full turn if
-    necessary, and where the direction changes it goes 20° past a stop and back.
+    The result is the force (m, 3), the step at which each row of the run is read, and the steps at which
+    mountings begin. The head arrives in the noted direction: it continues over a full turn if necessary, and
+    where the direction changes it goes 20° past a stop and back.
     """
     run = make_run(name)
     angles: list[float] = []

@@ -38,9 +38,7 @@ WRONG, MISSED, UNTOLD = "wrong lone name", "missed", "a jump not published"
 
 @dataclass(frozen=True)
 class Row:
-    """The outcome for a record: its diagnosis, that of its twin, and the scatter of repeats before and after
-    naming.
-    """
+    """The outcome for a record: diagnoses of it and its twin, scatter of repeats before and after naming."""
 
     case: Case
     found: RecordDiagnosis | FreeDiagnosis
@@ -136,7 +134,7 @@ def rows() -> Iterator[Row]:
 
 
 def twins(seeds: int) -> Iterator[str]:
-    """Yield, for each record with effects, how many of its twins have the same names, and names of others."""
+    """Yield for each record with effects how many of its twins get the same names, and other names given."""
     with tempfile.TemporaryDirectory() as folder:
         for case in cases():
             if case.free or not (found := diagnose_record(readings := case.readings(Path(folder)))).applied:

@@ -58,7 +58,7 @@ class Case:
 
 
 def cases() -> list[Case]:
-    """Return the cases of the truth file."""
+    """Return the cases that `truth.yaml` lists."""
     return [Case(**entry) for entry in yaml.safe_load(TRUTH.read_text(encoding="utf-8"))["records"]]
 
 

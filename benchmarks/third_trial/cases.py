@@ -140,7 +140,7 @@ def _angle_off(rng: Rng, on: Day, degrees: float, rows: Mask) -> Truth:
 
 
 def _angle_before(on: Day, rows: NDArray[np.int64]) -> Truth:
-    """Return the truth that in these rows the head was still at the angle of the preceding row."""
+    """Return a `Truth` with the head, in these rows, still at the angle of the preceding row."""
     angle = on.angle.copy()
     angle[rows] = on.angle[rows - 1]
     return Truth(angle=angle)
@@ -168,7 +168,7 @@ def _stuck(rng: Rng, on: Day, signal: Floats) -> Floats:
 
 
 def _meters(rng: Rng, on: Day, signal: Floats) -> Floats:
-    """Return signals after two meters were exchanged in an installation, and the truth if they had not been."""
+    """Return the signals as after two meters were exchanged in a part of the run."""
     rows, channel = _part(rng, on), int(rng.integers(3))
     sign = np.eye(3)[channel] - np.eye(3)[(channel + 1) % 3]
     gain, zero = 80e-6 * rng.standard_normal(), 400e-6 * rng.standard_normal()

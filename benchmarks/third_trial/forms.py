@@ -21,7 +21,7 @@ def one(rng: Rng) -> Floats:
 
 
 def error(number: int, shape: Floats) -> Floats:
-    """Return a shape (n,) as an addition to an error.
+    """Return a shape (n,) as an addition to error `number` of the stand.
 
     `number` is 0 for the head's angle, 1 for tilt, 2 for mounting error, 3 for roll.
     """
@@ -39,10 +39,10 @@ def fade(on: Day, tau_min: float, since: Floats | None = None) -> Floats:
 
 
 def loop(on: Day, widths: Sequence[float], weights: Sequence[float]) -> Floats:
-    """Return the sum of hysteresis plays with these half widths, g, for each channel, (n, 3); it is 1 on the way
-    up.
+    """Return the weighted sum of hysteresis plays (half widths in g), (n, 3); on the way up it rises to 1.
 
-    The head rises from point to point in steps of 1°. It approaches the first point of a mounting from 25° below.
+    The head rises from point to point in steps of 1°. It approaches the first point of a mounting from 25°
+    below.
     """
     result, width = np.zeros((len(on), 3)), np.array(widths)[:, None]
     for mount in range(3):

@@ -100,7 +100,7 @@ def predicted(path: Path, number: int) -> Floats:
 
 
 def closed(form: Form, path: Path, number: int) -> float:
-    """Return the fraction of the true form's closed gap on another day that the model closes, as an expectation."""
+    """Return the expected fraction of the gap on another day that the model closes (the true form: 1)."""
     true = signature(form, number)
     return 1.0 - (rho(true - predicted(path, number), number) / rho(true, number)) ** 2
 

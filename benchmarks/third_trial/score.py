@@ -45,11 +45,10 @@ def in_set(one: Record) -> set[str]:
 
 
 def true_name(one: Record) -> str:
-    """Return the true name of a finding, `UNNAMED` for a form without a name, and nothing for a null case.
+    """Return the true name of a case's effect, `UNNAMED` for a form without a name, "" for a null case.
 
-    Alternative names of one finding exclude each other, so that at most one is true. For a form outside the
-    catalogue, it is the first name that leaves less than a unit of noise unexplained. A name that this trial
-    does not know is judged by how far it closes the gap.
+    For a form outside the catalogue, it is the first name found, if that leaves less than a unit of noise
+    unexplained or, for a name that this trial does not know, closes the gap.
     """
     if one["group"] != "outside":
         return str(one["name"])

@@ -206,9 +206,9 @@ def table(on: Day, signal: Floats) -> pd.DataFrame:
 def sight(number: int) -> Floats:
     """Return the matrix that maps signals (3n,) of a day to their visible part, in units of normal noise.
 
-    The three readings of each setting are whitened by their covariance; a verification point is visible only by its
-    modulus. The part that the twelve coefficients can absorb is removed, and also the part that stand errors within
-    their sizes can. The norm of the visible part is rho.
+    The three readings of each setting are whitened by their covariance; a verification point is visible only
+    by its modulus. The part that the twelve coefficients and stand errors (within their sizes) can absorb is
+    removed. The norm of the visible part is rho.
     """
     on, inverse = day(number), np.linalg.inv(K)
     plain, step = volts(on), 1e-6

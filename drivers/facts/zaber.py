@@ -29,5 +29,5 @@ MOST_NUMBERS: Final = 99
 
 
 def checksum(message: str) -> str:
-    """Return the LRC of a message without its type character: two's complement of the sum, two hex digits."""
+    """Return the LRC of a message without its type character: two's complement of the sum, in hex."""
     return f"{-sum(message.encode('ascii', 'replace')) & 0xFF:02X}"

@@ -68,7 +68,7 @@ class KeysightE3631A(WiredSupply):
     def _refuse_unready(
         self, states: Mapping[str, OutputState], settings: Mapping[str, OutputSettings]
     ) -> None:
-        """Raise `InstrumentRefused` if the common switch would power an unused output, or in track mode."""
+        """Raise `InstrumentRefused` in track mode, or if the common switch would power an unused output."""
         if any(state.on for state in states.values()):
             return
         if others := [

@@ -246,7 +246,7 @@ _PLAUSIBLE_K: Final = 20.0
 
 
 class ManualChamber(ByHand):
-    """A `ThermalChamber` that a person sets and reads; limits in °C. `safe_c` None means to switch it off."""
+    """A `ThermalChamber` that a person sets and reads; safe at `safe_c`, °C, or (None) switched off."""
 
     model = "thermal chamber"
     asks_person = True
@@ -325,7 +325,7 @@ class ManualChamber(ByHand):
         )
 
     def _ask(self, prompt: Prompt) -> str | None:
-        """Return the answer, or the default if it is empty; None if it belongs to an earlier prompt."""
+        """Return the answer (if empty, the default), or None if it answers an earlier prompt."""
         answer = self._person.ask(prompt)
         if answer.prompt_id != prompt.id:
             return None

@@ -235,7 +235,7 @@ class ManualSupply(ByHand):
         choices: tuple[str, ...] = (),
         attempt: int = 1,
     ) -> str:
-        """Show a prompt and return the answer: the default if it is empty, "" if it belongs to another prompt."""
+        """Show a prompt and return the answer (if empty, the default), or "" if it answers another prompt."""
         prompt = Prompt(
             id=f"{prompt_id}#{attempt}",
             kind=kind,

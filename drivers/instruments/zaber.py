@@ -187,7 +187,7 @@ class ZaberHead(MotorisedHead):
         self._identity = Identity(facts.MAKER, device_id, serial, version)
 
     def _if_known(self, text: str) -> str:
-        """Return the reply to a command that older firmware may not know, "" if it is rejected."""
+        """Return the reply to a command that older firmware may not know; "" if the command is rejected."""
         try:
             return self._ask(text, _WORD, axis=0).data
         except InstrumentRefused:

@@ -144,8 +144,8 @@ class AdapterConnection:
 class _Adapter:
     """An adapter, shared by its instruments.
 
-    After any failure the link is dropped, and made again when an instrument is opened. Commands that other
-    instruments sent over the old link may be lost, so their connections become invalid (`has_link`).
+    After any failure the link is dropped, and made again when an instrument is opened. Commands to other
+    instruments over the old link may be lost, so their connections become invalid (`has_link`).
     """
 
     def __init__(self, resource: str, timeout_s: float) -> None:
@@ -280,9 +280,7 @@ def _join(link_resource: str, timeout_s: float) -> _Adapter:
 
 
 def _is_quiet(link: Connection) -> bool:
-    """Return whether no received bytes but NUL are waiting; others show a broken link or another program at the
-    adapter.
-    """
+    """Return whether only NUL bytes wait; others show a broken link or another program at the adapter."""
     while link.by_bytes and link.wait(0.0):
         chunk = link.take_all()
         if not chunk or chunk.strip(_NUL):

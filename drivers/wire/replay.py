@@ -16,7 +16,7 @@ of the log; `clock.catch_up()` advances it to the next line before a call of the
 
 prints pairs of (sent, answered), for tests of another form. A log of an earlier version has no `!` lines: a query
 without reply then counts as silence, every reply as complete, every connection as made. No log holds the driver's
-settings, or that another instrument on the same GPIB adapter lost the link. The log of a dry run has the
+settings, or the loss of the link by another instrument on the same GPIB adapter. The log of a dry run has the
 computer's time, not the bench's. In a reply, `\\x` with two hex digits, `\\n`, `\\r` and `\\t` are unescaped.
 """
 
@@ -151,7 +151,7 @@ class Logged:
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """A command with its reply, its failure, or None if the log has neither.
+    """A command with its reply or its failure (None if the log has neither).
 
     The command is None for a failure or data that no command preceded.
     """

@@ -128,8 +128,8 @@ def normalised(resource: str) -> str:
     """Return one name for all usual spellings of a resource.
 
     Spellings that differ in case, in optional parts, in hexadecimal or decimal numbers, or in localhost or
-    127.0.0.1 get the same name. Different names result from leading zeros (`GPIB0::022`, `GPIB0::22`), and from the
-    name and the address of a host, because host names are not resolved. Instruments behind one adapter share the
+    127.0.0.1 get the same name. Leading zeros (`GPIB0::022`, `GPIB0::22`) give different names, as do a
+    host's name and its address, because host names are not resolved. Instruments behind one adapter share the
     adapter's name. A serial port is named after the device to which its symbolic links resolve.
     """
     if (adapter := _ADAPTER.fullmatch(resource)) is not None:
@@ -157,7 +157,7 @@ def _host(text: str) -> str:
 
 
 def _number(text: str) -> str:
-    """Return a hexadecimal number as decimal, "" for other text: USB resources may be written in either form."""
+    """Return a hexadecimal number as decimal ("" for other text): USB resources may be written either way."""
     return str(int(text, 16)) if re.fullmatch(r"0[xX][0-9a-fA-F]+", text) else ""
 
 

@@ -250,7 +250,7 @@ class MessageSession:
             connection.close()
 
     def _failed(self, when: str, error: BaseException, at: str = "") -> BaseException:
-        """Log a failure with its phase `when`; return it, a foreign `Exception` converted to `InstrumentLost`."""
+        """Log a failure with its phase `when`; return it, or `InstrumentLost` for a foreign `Exception`."""
         if isinstance(error, Exception) and not isinstance(error, BenchError):
             cause, remedy = probable_cause(error)
             error = InstrumentLost(self.name, f"{self.resource} {cause}{at}", remedy)
@@ -313,7 +313,7 @@ class MessageSession:
         return data.endswith(end)
 
     def _bytes_after(self, data: bytes, end: bytes, lines: int) -> int:
-        """Return the number of bytes in `data` after a reply of `lines` lines; negative if it is incomplete."""
+        """Return how many bytes of `data` follow a reply of `lines` lines; negative if it is incomplete."""
         at = -1
         for _ in range(lines):
             at = data.find(end, at + 1)

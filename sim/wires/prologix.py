@@ -148,9 +148,9 @@ _Instrument = TypeVar("_Instrument", bound=ScpiInstrument)
 class GpibAdapter(PlainDialect):
     """A GPIB adapter in a bench with the time `clock`; `attach` puts instruments on its bus.
 
-    With `nul` it sends a NUL after the LF of each reply (a GPIB-USB: pymeasure issue 954). An AR488 calls itself
-    "AR488 version 6.102" or "Prologix AR488 HRK version 6.101" (Twilight-Logic/AR488 issues 22 and 50), and its
-    ++savecfg saves at once.
+    With `nul` it sends a NUL after the LF of each reply (as a GPIB-USB does: pymeasure issue 954). An AR488
+    calls itself "AR488 version 6.102" or "Prologix AR488 HRK version 6.101" (Twilight-Logic/AR488 issues 22
+    and 50), and its ++savecfg saves at once.
 
     `settings` are those at switch-on. `writes_to_memory` counts how often settings were saved (savecfg 1),
     because each write wears the adapter's memory.

@@ -107,11 +107,12 @@ LEAVING_S: Final = 2.0
 class LineEnds:
     """The line ends of an instrument: each of `messages` ends a message, `reply` is appended to each reply.
 
-    If `reply` is None, the wire's own terminator is appended. A CR before an LF that ends a message is dropped;
-    other ends leave the surrounding bytes unchanged. `frame`, if given, replaces `reply`: it converts a reply to
-    the bytes that are sent. `clears` is False if ETX is an ordinary character and not a device clear. A longer
-    message than `buffer` overflows. With `loses_early` the instrument loses what arrives between a query and the
-    end of its reply, except the first characters, as if the sender ignored its flow control.
+    If `reply` is None, the wire's own terminator is appended. A CR before an LF that ends a message is
+    dropped; other ends leave the surrounding bytes unchanged. `frame`, if given, replaces `reply`: it
+    converts a reply to the bytes that are sent. `clears` is False if ETX is an ordinary character and not a
+    device clear. A longer message than `buffer` overflows. With `loses_early` the instrument loses what
+    arrives between a query and the end of its reply, except the first characters, as if the sender ignored
+    the flow control.
     """
 
     messages: tuple[bytes, ...] = (TERMINATOR,)

@@ -31,10 +31,10 @@ class KeyedNumbers:
         self.told_scan: tuple[int, ...] = ()
 
     def begin_step(self, key: str, scan: tuple[int, ...] = ()) -> None:
-        """Use this step of the procedure, and its attempt, as key of random numbers from now on.
+        """Use `key`, a step of the procedure and its attempt, as key of random numbers from now on.
 
-        `scan` lists the channels 0, 1, 2 in the order in which the step reads them. If it is empty, the order of
-        the triggers is used, which is not reproducible for several meters on separate wires.
+        `scan` lists the channels 0, 1, 2 in the order in which the step reads them. If it is empty, the order
+        of the triggers is used, which is not reproducible for several meters on separate wires.
         """
         with self._lock:
             self._step, self.told_scan = key, scan

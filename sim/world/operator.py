@@ -140,10 +140,10 @@ class ScriptedOperator:
     def turn_to(
         self, prompt_id: str, angle_rad: float, direction: Direction, backoff_rad: float | None = None
     ) -> None:
-        """Turn the head until its scale shows `angle_rad`; the duration is the same as if `ask` handled this
-        prompt.
+        """Turn the head until its scale shows `angle_rad`; this takes as long as if `ask` handled the prompt.
 
-        If an encoder reads the head, it first turns to more than `backoff_rad` before the angle, then to the angle.
+        If an encoder reads the head, it first turns to more than `backoff_rad` before the angle, then to the
+        angle.
         """
         generator = self._generator("turn", prompt_id.partition("#")[0])
         generator.normal()  # skip the setting error, so that the next number is the duration, as in `_turn`
@@ -192,7 +192,7 @@ class ScriptedOperator:
             self._pass_time(share * duration_s)
 
     def _wait_for_encoder(self) -> None:
-        """Call `meanwhile` with the head at rest until it is None, for at most `LONGEST_WAIT_S`."""
+        """Call `meanwhile`, with the head at rest, until it is None, for at most `LONGEST_WAIT_S`."""
         end_s = self._world.clock.now_s() + LONGEST_WAIT_S
         while self.meanwhile is not None and self._world.clock.now_s() < end_s:
             self._world.clock.sleep(REST_LOOK_S)

@@ -42,12 +42,13 @@ class Pose:
 
 
 class Visit(NamedTuple):
-    """A pose at one time of the clock, `elapsed_s` after the world began, with the block's temperature, °C.
+    """A pose at one time, `elapsed_s` after the world began, with the block's temperature, °C.
 
-    `scan` lists the channels 0, 1, 2 in the order in which the meters were triggered. `on_s` is the time since the
-    block got power, None if unknown; `supply_v` the voltage of each rail minus its nominal voltage, V. `series_on`
-    counts the power cycles since the block was mounted and first read; it adds to the mounting's series, so that
-    effects treat a power cycle like a remount. `meters_c` is the temperature of the voltmeters, °C.
+    `scan` lists the channels 0, 1, 2 in the order in which the meters were triggered. `on_s` is the time
+    since the block got power, None if unknown; `supply_v` the voltage of each rail minus its nominal voltage,
+    V. `series_on` counts the power cycles since the block was mounted and first read; it adds to the
+    mounting's series, so that effects treat a power cycle like a remount. `meters_c` is the temperature of
+    the voltmeters, °C.
     """
 
     pose: Pose
@@ -76,7 +77,7 @@ def switched_on_since(
 
 
 def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> Floats:
-    """Return the signals of visits in the order of time, V, shape (n, 3); effects depend on the earlier visits.
+    """Return the signals of visits in time order, V, shape (n, 3); effects depend on the earlier visits.
 
     A visit with `input_v` shows that voltage with the effects of the meters alone.
     """
@@ -102,7 +103,7 @@ def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> F
 
 
 def _supply_v(visits: Sequence[Visit]) -> Floats | None:
-    """Return rail voltages minus nominal voltages, V, shape (n, rails), or None if no visit has any.
+    """Return each rail's voltage minus its nominal voltage, V, (n, rails); None if no visit has voltages.
 
     Visits without voltages have NaN.
     """
@@ -161,9 +162,7 @@ class HeadFault:
     runs_away: bool = False
 
     def end_rad(self, start_rad: float, target_rad: float) -> tuple[float, bool]:
-        """Return the angle at which a movement ends with this fault, and whether the head is then stuck or ran
-        away.
-        """
+        """Return the angle at which a movement with this fault ends, and whether it ends stuck or astray."""
         if self.runs_away:
             return start_rad + math.copysign(_ENDLESS_RAD, start_rad - target_rad), True
         end_rad = target_rad + self.stops_off_rad

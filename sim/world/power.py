@@ -335,9 +335,7 @@ class Power:
         self.violations.append(violation)
 
     def _crossing(self, beyond: Callable[[float], bool], begin_s: float, end_s: float) -> float:
-        """Return, by bisection, the time at which `beyond` becomes true; it is false at `begin_s` and true at
-        `end_s`.
-        """
+        """Return, by bisection, when `beyond` changes from False (at `begin_s`) to True (at `end_s`)."""
         while end_s - begin_s > _CLOSE_S:
             middle_s = (begin_s + end_s) / 2.0
             begin_s, end_s = (begin_s, middle_s) if beyond(middle_s) else (middle_s, end_s)

@@ -44,10 +44,9 @@ _LEAST_SPREAD: Final = 1e-6
 
 @dataclass(frozen=True)
 class _Stretch:
-    """A period from `since_s` in which the air is base + slope·s + Re(excess·exp(-s/lag)), °C, s after its
-    beginning.
+    """A period from `since_s` on; s after its start the air is base + slope·s + Re(excess·exp(-s/lag)), °C.
 
-    With a complex lag the air rings. `block_c` is the block's temperature at the beginning.
+    With a complex lag the air rings. `block_c` is the block's temperature at the start.
     """
 
     since_s: float
@@ -264,9 +263,10 @@ class World(KeyedNumbers):
 
     @contextmanager
     def aside(self) -> Iterator[None]:
-        """Let instruments be read within this context; at its end time, history and random numbers are restored.
+        """Let instruments be read in this context; its end restores time, history and random numbers.
 
-        Random numbers drawn in it belong to no step. The clock must be virtual, because no other can be set back.
+        Random numbers drawn in it belong to no step. The clock must be virtual, because no other can be set
+        back.
         """
         with self._lock:
             now_s, kept = self.clock.now_s(), (self._step, self._counts.copy(), self._aside)
@@ -294,7 +294,7 @@ class World(KeyedNumbers):
             self._pose_on(installation=installation, series=series, stand_rad=stand_rad)
 
     def level_platform(self, installation: str, series: int) -> None:
-        """Set tilt and zero offset of the platform to those of a mounting, as levelling before it does."""
+        """Set tilt and zero offset of the platform to those of a mounting, as levelling before it would."""
         with self._lock:
             stand_rad = self._poses[-1].stand_rad.copy()
             stand_rad[:2] = self._stand_rad(installation, series)[:2]
@@ -427,10 +427,10 @@ class World(KeyedNumbers):
         input_v: float | None = None,
         scan: tuple[int, ...] = (0, 1, 2),
     ) -> None:
-        """Add a reading from before the world was rebuilt to the history on which effects depend.
+        """Add a reading, made before the world was rebuilt, to the history on which effects depend.
 
-        Arguments are as recorded; without an installation the block stays as in the setting recalled before. Call
-        it in the order of measurement, before the first new reading.
+        Arguments are as recorded; without an installation the block stays as in the setting recalled before.
+        Call it in the order of measurement, before the first new reading.
         """
         with self._lock:
             time_s = self.began_s + elapsed_s

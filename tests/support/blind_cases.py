@@ -1,4 +1,4 @@
-"""Cases of the blind trial by what is hidden in them, and what a diagnosis may say."""
+"""Cases of the blind trial selected by what they hide, and made-up diagnoses of them."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ CLOSES = {"before": 2.0, "after": 1.0, "before_rms": 4e-5, "after_rms": 3e-5}
 
 
 def mistaken(name: str, wanted: str) -> tuple[Floats, Case, Answer]:
-    """Readings less what a stand without errors gives, with the mistake whose place contains `wanted`."""
+    """Return the first case of the mistake `name` whose place contains `wanted`: signal, case and answer."""
     for index in range(200):
         case, answer = make_case(SEED, Row(f"mistake:{name}"), index)
         if wanted in answer.place:

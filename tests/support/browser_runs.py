@@ -1,5 +1,4 @@
-"""Runs that a person answers in a browser or at a terminal: begun as programs of their own, answered step by
-step."""
+"""Runs carried out by a separate program, whose questions a person answers in a browser or at a terminal."""
 
 import json
 import math
@@ -19,8 +18,7 @@ PATIENCE_S = 180.0
 
 
 class Begun:
-    """A run that a program of its own carries out, its questions answered in the run's folder or at its
-    terminal."""
+    """A run carried out by a separate program, whose questions are answered in its folder or by typing."""
 
     def __init__(
         self,
@@ -55,7 +53,7 @@ class Begun:
         self.process.stdin.flush()
 
     def ended(self) -> tuple[int, str]:
-        """Wait for the end; return the exit status and all that was printed."""
+        """Wait for the end of the program; return its exit status and its output."""
         said, _ = self.process.communicate(timeout=PATIENCE_S)
         return self.process.returncode, said
 
@@ -72,7 +70,7 @@ class Begun:
 
 
 def until(holds: Any, patience_s: float = PATIENCE_S) -> None:
-    """Wait for what another program does."""
+    """Wait until `holds` returns true. Raises `AssertionError` after `patience_s`."""
     end_s = time.monotonic() + patience_s
     while not holds():
         if time.monotonic() > end_s:
@@ -81,8 +79,10 @@ def until(holds: Any, patience_s: float = PATIENCE_S) -> None:
 
 
 def typed_for(asked: dict[str, Any], turn: int) -> str:
-    """Return what a person types to a question: of an angle what the scale shows, a few seconds off, written
-    in many ways."""
+    """Return the answer to a question: an angle, the temperature that it states, or "yes".
+
+    The angle is 0 to 19 arcsec above its target, in three notations in turn.
+    """
     action = asked["action"]
     match action["do"]:
         case "turn":
@@ -103,7 +103,7 @@ def typed_for(asked: dict[str, Any], turn: int) -> str:
 
 
 def prompt_of(page: Any, before: str) -> str:
-    """Return the id of the question that the page shows after another, empty where the run has ended."""
+    """Return the id of the question that follows the question `before` on the page; "" once the run ended."""
     page.wait_for_function(
         "before => { const live = document.getElementById('live').dataset;"
         " return live.ended === 'true' || (live.prompt && live.prompt !== before) }",
@@ -113,7 +113,7 @@ def prompt_of(page: Any, before: str) -> str:
 
 
 def answer_on(page: Any, text: str) -> None:
-    """Answer the question that the page shows, as a person does: by its button, or by keys and Enter."""
+    """Answer the question on the page: by text and Enter or, without an input field, by a button."""
     if page.is_visible("#typed"):
         page.fill("#typed", text)
         page.press("#typed", "Enter")

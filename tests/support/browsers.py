@@ -1,4 +1,4 @@
-"""The browser of the system, which the tests of the panel drive; what of it is not here is said in one sentence."""
+"""The system's Chromium for tests of the panel, and a sentence on what these tests lack."""
 
 import os
 import shutil
@@ -10,7 +10,7 @@ PACKAGES = ("playwright", "axe_playwright_python")
 
 
 def find_chromium(path: str | None = None) -> str:
-    """Return the Chromium that BENCH_CHROMIUM names, or the first on the path; empty where there is none."""
+    """Return the Chromium that BENCH_CHROMIUM names, else the first on `path` (None: PATH); "" if none."""
     named = os.environ.get(NAMED, "")
     if named:
         return shutil.which(named) or ""
@@ -18,7 +18,7 @@ def find_chromium(path: str | None = None) -> str:
 
 
 def what_is_missing(path: str | None = None) -> str:
-    """Say in one sentence what the tests in a browser lack here; empty where nothing is missing."""
+    """Return a sentence on what the tests in a browser lack; "" if nothing is missing."""
     lacking = [name for name in PACKAGES if find_spec(name) is None]
     if lacking:
         return f"the tests in a browser need {' and '.join(lacking)}: pip install 'triaxial-bench[browser]'"

@@ -1,4 +1,4 @@
-"""The paper's bench as a setup for budgets: (11), 54 readings, four verification points turned by psi about z."""
+"""The paper's bench as a `Setup`: block (11), 54 readings, 4 verification points turned by psi about z."""
 
 from collections.abc import Mapping, Sequence
 
@@ -46,6 +46,6 @@ def paper_setup(
 def stand(
     sizes: Mapping[str, float] | None = None, dof: Mapping[str, float] | None = None
 ) -> list[ErrorSource]:
-    """The stand's sources, normal, of these standard uncertainties."""
+    """Return normal error sources of the stand with these standard uncertainties and degrees of freedom."""
     sizes = ONE_SIGMA if sizes is None else sizes
     return [stand_source(n, Distribution(u), (dof or {}).get(n, np.inf)) for n, u in sizes.items()]

@@ -1,4 +1,4 @@
-"""Laboratory, order and a recorded run, of which certificates are made in tests."""
+"""A laboratory, an order and a recorded run for certificates in tests."""
 
 import shutil
 from pathlib import Path
@@ -12,5 +12,5 @@ RECORDED = Path(__file__).parents[1] / "data" / "records" / "finished"
 
 
 def copy_run(runs: Path, name: str = "finished") -> Path:
-    """Copy the recorded run into a folder of runs; return its folder."""
+    """Copy the recorded run into the folder `runs` as `name`; return the copy's folder."""
     return shutil.copytree(RECORDED, runs / name)

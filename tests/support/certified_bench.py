@@ -1,4 +1,4 @@
-"""A bench file with certificates, for tests."""
+"""A bench file with calibration certificates, for tests."""
 
 from copy import deepcopy
 from pathlib import Path
@@ -15,7 +15,7 @@ HELD: dict[str, Any] = {"number": "C-1", "laboratory": "Met Lab", "date": "2026-
 def meter_certificate(
     gain: str = "0 ppm", offset: str = "0 V", *, drift: bool = True, **others: Any
 ) -> dict[str, Any]:
-    """A certificate of the 10 V range: U of 6 ppm and 10 µV, k = 2, dof 20; drifts of 8 ppm and 12 µV a year."""
+    """Return a meter's certificate, 10 V: U 6 ppm and 10 µV, k = 2, dof 20; drift 8 ppm and 12 µV a year."""
     drifts: tuple[dict[str, str], ...] = (
         ({"drift": "8 ppm/year"}, {"drift": "12 uV/year"}) if drift else ({}, {})
     )
@@ -28,7 +28,7 @@ def meter_certificate(
 
 
 def table_certificate(corrections_arcsec: dict[float, float], **others: Any) -> dict[str, Any]:
-    """A certificate of a head: corrections by angle in degrees, U of 2″, k = 2."""
+    """Return a head's certificate: corrections by angle in degrees, each with U of 2″, k = 2."""
     rows = [
         {"angle": f"{angle} deg", "correction": f"{size!r} arcsec", "U": "2 arcsec", "k": 2}
         for angle, size in corrections_arcsec.items()
@@ -43,7 +43,7 @@ def write_bench(
     chamber: dict[str, Any] | None = None,
     **sections: Any,
 ) -> Path:
-    """Write the paper's bench file with certificates of meters by their channel, head and chamber."""
+    """Write the paper's bench file with certificates of head, chamber, meters by channel; return its path."""
     data = yaml.safe_load(find_bench("paper-stand").read_text(encoding="utf-8"))
     instruments = data["instruments"]
     for meter in instruments["voltmeters"]:
@@ -60,5 +60,5 @@ def write_bench(
 
 
 def certified(folder: Path, **parts: Any) -> BenchFile:
-    """Write that bench file and return it."""
+    """Write a bench file with certificates, as `write_bench` does, and load it."""
     return load_bench(write_bench(folder, **parts))

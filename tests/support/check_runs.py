@@ -23,7 +23,7 @@ def write_bench() -> None:
 def measured(
     name: str, seed: int, *, unit: str | None = "CHECK-1", model: Path | None = None, **asked: Any
 ) -> Run:
-    """Return a run of the check block, or of another unit."""
+    """Carry out a dry run of the check block or another `unit`; return the run."""
     new = new_run(
         RunRequest(
             "quick",

@@ -1,4 +1,4 @@
-"""What commands answer, held against what they promise."""
+"""Checks of a command's exit status and output."""
 
 from pathlib import Path
 
@@ -7,9 +7,9 @@ Answer = tuple[int | str | None, str, str]
 
 
 def refused(answer: Answer, *words: str, lines: int = 1) -> str:
-    """Fail unless a command ended with status 2 and one line, or so many, with these words; return standard error.
+    """Assert status 2 and standard error with these `words` in `lines` lines; return standard error.
 
-    Notes do not count as lines.
+    Lines that begin with "note:" do not count.
     """
     status, _, err = answer
     assert status == 2, err
@@ -20,7 +20,7 @@ def refused(answer: Answer, *words: str, lines: int = 1) -> str:
 
 
 def printed(answer: Answer, *words: str, status: int = 0) -> str:
-    """Fail unless a command ended with this status and printed these words; return all that it printed."""
+    """Assert this status, and these `words` in standard output; return standard output."""
     found, out, err = answer
     assert found == status, err
     assert [one for one in words if one not in out] == [], out
@@ -28,7 +28,7 @@ def printed(answer: Answer, *words: str, status: int = 0) -> str:
 
 
 def without_figures(folder: Path) -> None:
-    """Let programs with this folder on `PYTHONPATH` leave figures empty, as tests do: drawing takes seconds."""
+    """Make programs with `folder` on `PYTHONPATH` leave figures empty, as drawing takes seconds."""
     (folder / "sitecustomize.py").write_text(
         "from bench.results import plots\n"
         "plots._written = lambda name, inches, draw: '<svg viewBox=\"0 0 1 1\"></svg>'\n",

@@ -1,4 +1,4 @@
-"""An evening over instruments of the tests' own, with a shipped bench file, a virtual clock, a scripted person."""
+"""A commissioning session ("evening") with instruments in memory, a virtual clock and a scripted person."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
@@ -22,7 +22,7 @@ from sim.world.clock import VirtualClock
 
 @dataclass
 class Says:
-    """A person who answers what is in `answers`, then "yes"; an exception among them is raised."""
+    """A person who gives the `answers` in turn, then always "yes"; an exception among them is raised."""
 
     answers: list[str | BaseException] = field(default_factory=list)
     asked: list[Prompt] = field(default_factory=list)
@@ -39,7 +39,7 @@ class Says:
 
 @dataclass
 class Meter:
-    """A voltmeter that takes `sample_s` for each sample, and has these samples in turn."""
+    """A voltmeter that takes `sample_s` per sample, and repeats `samples_v` as often as needed."""
 
     name: str
     channels: tuple[Channel, ...]
@@ -81,7 +81,7 @@ class Meter:
 
 @dataclass
 class Head:
-    """A head with a motor that moves at 10 deg/s on the clock; `obeys` says whether it heeds limits and stops."""
+    """A motorised head at 10 deg/s of the clock; unless it `obeys`, it ignores limits and stops."""
 
     name: str
     clock: VirtualClock
@@ -142,7 +142,7 @@ def motorised() -> BenchFile:
 def evening(
     person: Says, clock: VirtualClock, instruments: Instruments, file: BenchFile | None = None
 ) -> CommissioningSession:
-    """Return an evening; its durations are the virtual clock's."""
+    """Return a commissioning session that measures its durations by the virtual clock."""
     watch = WireWatch(None, clock.now_s)
     return CommissioningSession(
         file or motorised(), instruments, CommissioningPerson(person), clock, clock.now_s, watch, {}

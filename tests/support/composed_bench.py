@@ -1,4 +1,4 @@
-"""Dry runs of shipped bench files with changes of their text, put together and ready to be opened."""
+"""Shipped bench files with edited texts, and their dry runs, composed and ready to be opened."""
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -20,7 +20,7 @@ Change = tuple[str, str]
 
 
 def edited(folder: Path, name: str, *changes: Change) -> BenchFile:
-    """Return a shipped bench with changes of its text; every change must apply."""
+    """Return a shipped bench file after replacements (old, new) in its text; each old text must occur."""
     text = find_bench(name).read_text(encoding="utf-8")
     for old, new in changes:
         assert old in text, old
@@ -32,7 +32,7 @@ def edited(folder: Path, name: str, *changes: Change) -> BenchFile:
 
 @contextmanager
 def composing(folder: Path) -> Iterator[Callable[..., tuple[BenchFile, Assembly]]]:
-    """Yield what returns an edited bench and its dry run's assembly; all are left safe at the end."""
+    """Yield a function that returns an edited bench and its dry run's assembly; at the end, make all safe."""
     with ExitStack() as stack:
 
         def compose(name: str, *changes: Change) -> tuple[BenchFile, Assembly]:

@@ -42,7 +42,7 @@ def paper_run(
     backlash_rad: float = 0.0,
     verification: bool = True,
 ) -> Readings:
-    """One run; stand errors are drawn per mounting. Without `rng` there is no error at all."""
+    """Simulate one run; stand errors are drawn per mounting. Without `rng` there are no random errors."""
     rows = [
         (label, number, point, direction)
         for label in "12"
@@ -82,7 +82,7 @@ def paper_run(
 
 
 class OneThreshold(ThresholdCache):
-    """A threshold that nobody simulated, by default about that of the paper's design: few tests need another."""
+    """A cache that returns one threshold for any design, by default about that of the paper's design."""
 
     def __init__(self, *sizes: float) -> None:
         super().__init__(None)
@@ -94,7 +94,7 @@ class OneThreshold(ThresholdCache):
 
 
 class Set:
-    """Readings made ready for the search; what takes long is made when it is asked for."""
+    """Readings prepared for the search; slow parts are computed on first use."""
 
     def __init__(self, linear: LinearSystem, sigma: float) -> None:
         self.linear, self.sigma = linear, sigma
@@ -116,12 +116,12 @@ class Set:
 
 
 def set_up(readings: Readings, model: ForwardModel = MODEL, sigma: float = NOISE_V) -> Set:
-    """Make readings linear, with all candidates, in units of the noise."""
+    """Linearise readings for a search with all candidates, in units of the noise."""
     return Set(make_linear(readings, model, STAND_U), sigma)
 
 
 def columns_by_model(listed: Any, system: Any) -> Iterator[tuple[Floats, Floats]]:
-    """Yield each column of a listed term of the dictionary, and what the forward model adds by the same size."""
+    """Yield each column of the dictionary term `listed`, and the forward model's column of equal size."""
     term, _, sizes = listed
     effect = term.effect("one", per_channel=sizes[0][1] is not None)
     values = {p.name: np.asarray(p.default) for p in effect.parameters if p.is_shape}

@@ -1,7 +1,7 @@
-"""A run for tests of effects: every condition that an effect may depend on varies in it.
+"""A run for tests of effects, in which every condition that an effect may depend on varies.
 
-Two installations turned by PSI, so that all axes of the block feel gravity; a rising and a falling pass in
-each; the second pass is scanned in reverse. Forces come from bench.validation, not from the application.
+Both installations are turned by PSI, so that all axes of the block feel gravity. Each has a rising pass and a
+falling pass, which is scanned in reverse. Forces come from bench.validation, not from `bench.model`.
 """
 
 from typing import Any
@@ -46,7 +46,7 @@ ALPHA4 = 4 * ARCSEC * np.cos(2.3 * np.arange(36))
 def force(
     phi: float = 0.0, alpha1: float = 0.0, alpha2: float = 0.0, alpha3: float = 0.0, alpha5: float = 0.0
 ) -> Floats:
-    """The force at the stand's angles, each larger by so much, rad."""
+    """Return the specific force with head angle and stand angles increased by the arguments, rad."""
     a1, a2, a3, _, a5 = STAND[SECOND.astype(int)].T
     return specific_force(
         LABELS, PHI + phi, a1 + alpha1, a2 + alpha2, a3 + alpha3, ALPHA4, alpha5=a5 + alpha5, psi=PSI
@@ -54,7 +54,7 @@ def force(
 
 
 def readings(*effects: AppliedEffect, conditions: Conditions = CONDITIONS) -> Floats:
-    """What the application's model reads."""
+    """Return the readings of the application's model with these effects, V."""
     return ForwardModel(INSTALLATIONS, effects).readings(BLOCK, conditions, STAND, ALPHA4)
 
 
@@ -66,6 +66,6 @@ def effect(name: str, installations: tuple[str, ...] = (), **values: Any) -> App
 def added(
     name: str, installations: tuple[str, ...] = (), conditions: Conditions = CONDITIONS, **values: Any
 ) -> Floats:
-    """What one effect adds to the readings of the application's model, V."""
+    """Return the change of the model's readings by one effect, V."""
     one = effect(name, installations, **values)
     return readings(one, conditions=conditions) - readings(conditions=conditions)

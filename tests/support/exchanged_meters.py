@@ -1,4 +1,4 @@
-"""Runs of one block whose voltmeters were exchanged between the channels, as files that a run would have left."""
+"""Files of runs of one block whose voltmeters were exchanged between the channels."""
 
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -29,7 +29,7 @@ uncertainty:
 
 
 def bench_text(order: str, learned: str = "") -> str:
-    """A bench file with the meters at addresses 22, 23, 24 on the channels in this order, such as "yzx"."""
+    """Return a bench file with the meters at addresses 22, 23, 24 on the channels `order`, such as "yzx"."""
     text = SHIPPED.read_text(encoding="utf-8")
     for was, channel in zip("xyz", order, strict=True):
         address = {"x": "22", "y": "23", "z": "24"}[was]
@@ -41,7 +41,7 @@ def bench_text(order: str, learned: str = "") -> str:
 
 
 def of_one_block(rng: np.random.Generator, runs: int) -> Runs:
-    """Runs of one block, which is the same in each."""
+    """Simulate runs that all have the same block."""
     made = simulate(rng, TRUTH, runs)
     for r in range(1, runs):
         for signals in (made.signals,):
@@ -54,7 +54,7 @@ def of_one_block(rng: np.random.Generator, runs: int) -> Runs:
 def leave(
     name: str, table: Readings, order: str, begun: datetime, bench: str | None = None, serial: str = "7"
 ) -> str:
-    """Write a readings file with what tells where it comes from, and its bench file; return its name."""
+    """Write a readings file with the gains of its meters, its origin and its bench file; return its name."""
     text = bench_text(order) if bench is None else bench
     file = Path(f"bench-{name}.yaml").absolute()
     file.write_text(text, encoding="utf-8")
@@ -76,5 +76,5 @@ def leave(
 
 
 def today(days: float = 0.0) -> datetime:
-    """Now, so many days later."""
+    """Return the current time plus `days`."""
     return datetime.now(UTC) + timedelta(days=days)

@@ -1,4 +1,4 @@
-"""A shipped bench with a block that is fed: its supply section as a mapping, to be changed and written."""
+"""A shipped bench whose block is fed by a supply, with sections as mappings that tests can change."""
 
 import json
 from pathlib import Path
@@ -48,7 +48,7 @@ def write_fed(
     name: str = "bench-gpib",
     supply: dict[str, Any] | None = None,
 ) -> Path:
-    """Write a shipped bench file whose block is fed so, by a supply that a person works; return the path."""
+    """Write a shipped bench file with these sections (default: `FEED`, a manual supply); return its path."""
     data = yaml.safe_load(find_bench(name).read_text(encoding="utf-8"))
     data["unit_under_test"]["supply"] = json.loads(json.dumps(FEED if feed is None else feed))
     data["instruments"]["power_supply"] = json.loads(json.dumps(MANUAL if supply is None else supply))
@@ -58,5 +58,5 @@ def write_fed(
 
 
 def fed_bench(folder: Path, **changes: Any) -> BenchFile:
-    """Return a bench whose block is fed, with changes of the section on its supply."""
+    """Return a bench whose block is fed as `FEED` states, with changes of its members."""
     return load_bench(write_fed(folder, {**FEED, **changes}))

@@ -1,4 +1,4 @@
-"""A supply in memory that feeds the block of a bench in memory, and runners over them."""
+"""A supply in memory for a block that is fed, and runners that use it."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -32,7 +32,7 @@ AS_NEW = OutputState(False, OutputSettings(0.0, 1.0), 0.0, 0.0)
 
 
 class Supply:
-    """Keeps what was done to it; `at` says what befalls it at the n-th look: a change of its outputs' states."""
+    """A supply that lists its switching in `done`; `at[n]` changes its outputs' states at the n-th query."""
 
     name = "power_supply"
     asks_person = False
@@ -85,7 +85,7 @@ class Supply:
         return ""
 
     def befall(self, output: str, **changes: Any) -> None:
-        """Change how an output is."""
+        """Change the state of an output."""
         self.states[output] = replace(self.states[output], **changes)
 
     @property
@@ -94,19 +94,19 @@ class Supply:
 
 
 def found_on() -> dict[str, OutputState]:
-    """Outputs that are on and as the bench file says."""
+    """Return outputs that are on, with the settings of the bench file."""
     return {rail.output: OutputState(True, rail.settings, rail.voltage, 0.05) for rail in section_of().rails}
 
 
 def section_of(**changes: Any) -> UnitSupplySection:
-    """How the block is fed, with changes of the section."""
+    """Return the section `FEED` of the block's supply, with changes."""
     return UnitSupplySection.model_validate({**FEED, **changes})
 
 
 def fed_runner(
     bench: Bench, record: Record, supply: Supply, plan: Plan = PLAN, person: Any = None, **options: Any
 ) -> Runner:
-    """A runner over a bench whose block is fed; `feed` are changes of how."""
+    """Return a runner over a bench whose block is fed; the option `feed` changes members of `FEED`."""
     feed = options.pop("feed", {})
     having = replace(instruments(bench), power_supply=supply)
     options["feeding"] = Feeding(section_of(**feed), LIMITS)

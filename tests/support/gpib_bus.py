@@ -28,7 +28,7 @@ def a_world() -> World:
 
 
 class Bus:
-    """Three 34401A on a GPIB bus, and the adapter that leads to it."""
+    """Three 34401A on a GPIB bus, and its adapter."""
 
     def __init__(self, **options: object) -> None:
         self.world = a_world()

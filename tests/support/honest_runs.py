@@ -39,7 +39,10 @@ STAND_WITH_ROLL = STAND_U | {"mounting_roll": ROLL_U}
 
 @dataclass(frozen=True)
 class Runs:
-    """Errors and stated u of the coefficients (runs, 12) by both estimators; the fit's p and noise sizes."""
+    """Errors and u of the coefficients (runs, 12) by least squares and by the closed form (`…_closed`).
+
+    `p` is the fit's p-value; `reading` and `setting_rad` are its noise sizes.
+    """
 
     error: Floats
     u: Floats
@@ -51,34 +54,34 @@ class Runs:
 
     @property
     def z(self) -> Floats:
-        """Root mean square of error over u, least squares."""
+        """The rms of error/u of least squares, (12,)."""
         return rms(self.error / self.u)
 
     @property
     def z_closed(self) -> Floats:
-        """Root mean square of error over u, closed form."""
+        """The rms of error/u of the closed form, (12,)."""
         return rms(self.error_closed / self.u_closed)
 
     @property
     def gain(self) -> Floats:
-        """How many times smaller the errors of least squares are than those of the closed form."""
+        """The rms error of the closed form divided by that of least squares, (12,)."""
         return rms(self.error_closed) / rms(self.error)
 
     @property
     def paired_t(self) -> Floats:
-        """Mean of (closed form's squared error - least squares') over its standard error; negative is worse."""
+        """Paired t of squared errors, closed form minus least squares; below 0 if least squares is worse."""
         difference = self.error_closed**2 - self.error**2
         spread = difference.std(axis=0, ddof=1) / np.sqrt(len(difference))
         return np.asarray(difference.mean(axis=0) / spread)
 
 
 def rms(values: Floats) -> Floats:
-    """Root mean square over the runs."""
+    """Return the root mean square over the runs, the first axis."""
     return np.asarray(np.sqrt(np.mean(np.square(values), axis=0)))
 
 
 def run(seed: int, numbers: range, noise_v: float, passes: int = 3) -> Runs:
-    """Simulate and calibrate the runs of these numbers, noise sizes unknown; run k has the seed [seed, k]."""
+    """Simulate and calibrate runs with unknown noise sizes; run k of `numbers` has the seed [seed, k]."""
     rows = []
     for k in numbers:
         readings = simulate(np.random.default_rng([seed, k]), noise_v, passes=passes)
@@ -100,10 +103,10 @@ def run(seed: int, numbers: range, noise_v: float, passes: int = 3) -> Runs:
 
 @dataclass(frozen=True)
 class FewRuns:
-    """Errors and u of the readings (runs, 12) of runs with few readings, and what became of each.
+    """Errors and u of the readings (runs, 12) of runs with few readings, and what the program said of them.
 
-    `refused` are the messages; `rests` (runs,) whether a note says that u rests on the bench file, `disagrees`
-    whether it says that the readings disagree with it.
+    `refused` are messages of refused runs. `rests` (runs,): a note says that u rests on the bench file;
+    `disagrees`: it says that the readings disagree with the file.
     """
 
     error: Floats
@@ -114,15 +117,15 @@ class FewRuns:
 
     @property
     def covered(self) -> Floats:
-        """Part of the intervals k u that hold the truth, of each coefficient."""
+        """The fraction of intervals ± k u that contain the truth, for each coefficient."""
         return np.asarray(np.mean(np.abs(self.error) <= COVERAGE_FACTOR * self.u, axis=0))
 
 
 def run_few(seed: int, numbers: range, design: str, times: float | None = None) -> FewRuns:
-    """Simulate and calibrate runs of a design of `FEW`, the bench's sizes stated; run k has the seed [seed, k].
+    """Simulate and calibrate runs of a design of `FEW` with stated noise sizes; run k has the seed [seed, k].
 
-    The sizes of the noise are so many `times` the stated ones, or drawn from the prior that the program states:
-    a scaled inverse chi-square of the variance of the readings and of that of the settings.
+    The true sizes of the noise are `times` the stated ones. With None, their variances are drawn from the
+    prior that the program states: scaled inverse chi-square.
     """
     rows, refused = [], []
     for k in numbers:
@@ -150,14 +153,14 @@ def run_few(seed: int, numbers: range, design: str, times: float | None = None) 
 
 
 def components_taken(seed: int, numbers: range, case: str) -> int:
-    """Count runs of `simulate_whole` of a case in which something that readings share is taken in."""
+    """Count the runs of a `simulate_whole` case whose calibration includes a shared error component."""
     runs = (simulate_whole(np.random.default_rng([seed, k]), case).readings for k in numbers)
     return sum(len(calibrate(run, MODEL, STAND_U, 9.81).shared) > 0 for run in runs)
 
 
 @cache
 def _prior_of(design: str) -> NoisePrior:
-    """What the program states of the noise of any run of the design."""
+    """Return the noise prior that the program states for each run of the design."""
     prior = calibrate(simulate_few(None, design), MODEL, STATED, 9.81).noise.prior
     assert prior is not None
     return prior
@@ -166,7 +169,7 @@ def _prior_of(design: str) -> NoisePrior:
 def simulate_few(
     rng: np.random.Generator | None, design: str, noise_v: float = 0.0, setting_rad: float = 0.0
 ) -> Readings:
-    """One run of a design of `FEW` with stand errors drawn for each installation; without `rng` no error at all."""
+    """Simulate a run of a design of `FEW`, with stand errors per installation; without `rng` no errors."""
     angles = dict(zip("12", FEW[design], strict=True))
     installation = [i for i, own in angles.items() for _ in own]
     point = [p for own in angles.values() for p in range(1, len(own) + 1)]
@@ -182,13 +185,13 @@ def simulate_few(
 
 
 def free_forces(count: int, rng: np.random.Generator) -> Floats:
-    """Directions all round, uniform on the sphere, shape (count, 3): the specific force in free positions."""
+    """Return random directions (count, 3), uniform on the sphere: the specific force in free positions, g."""
     directions = rng.normal(size=(count, 3))
     return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
 
 
 def with_free(readings: Readings, forces: Floats, noise: Floats | float) -> Readings:
-    """The readings with further rows F, in which the block of (11) feels `forces` (m, 3), g."""
+    """Return the readings with further rows F, in which the paper's block (11) feels `forces` (m, 3), g."""
     count = len(forces)
     return make_readings(
         [*readings.installation.tolist(), *["F"] * count],
@@ -200,7 +203,7 @@ def with_free(readings: Readings, forces: Floats, noise: Floats | float) -> Read
 
 
 def simulate_with_roll(rng: np.random.Generator, noise_v: float, passes: int, count: int) -> Readings:
-    """The paper's procedure with a third mounting angle in each installation, then free positions."""
+    """Simulate the paper's procedure with a roll (third mounting angle) per installation, and positions F."""
     installation, pass_number, point, phi = design(passes)
     at = np.array([int(i) - 1 for i in installation])
     sizes = [*STAND_U.values(), ROLL_U]
@@ -213,7 +216,7 @@ def simulate_with_roll(rng: np.random.Generator, noise_v: float, passes: int, co
 
 
 def run_joined(seed: int, numbers: range, noise_v: float, passes: int = 3, count: int = 8) -> Floats:
-    """(estimate - truth)/u (runs, 12) where free positions join; run k has the seed [seed, k]."""
+    """Return (estimate - truth)/u (runs, 12) of runs with free positions; run k has the seed [seed, k]."""
     results: list[Calibration] = [
         calibrate(
             simulate_with_roll(np.random.default_rng([seed, k]), noise_v, passes, count),

@@ -1,7 +1,7 @@
-"""One instrument of the registry on a simulated bench, over a real loopback socket, for the conformance suite.
+"""One registered instrument on a simulated bench, over a real loopback socket, for the conformance suite.
 
-The bench is the paper's with this instrument in its place, as its `Device.example` has it. What stands between the
-wire and its simulation can be chosen: somebody else's instrument, nobody, one that takes another value.
+The bench is the paper's, with this instrument configured as in its `Device.example`. A `Between` can disturb
+the simulation: another maker's replies, no replies, a changed number.
 """
 
 import copy
@@ -42,13 +42,13 @@ SILENCE_S = 0.05
 
 
 def known(role: Role | None = None, *, wired: bool = True) -> list[Device]:
-    """Return the devices there are, plug-ins too: those of a role, those that have a wire."""
+    """Return the devices of a role (None: all), also plug-ins; by default only those with a wire."""
     every = [device for name in get_args(Role) for device in devices().of(name)]
     return [d for d in every if role in (None, d.role) and (d.simulation is not None or not wired)]
 
 
 def turned_by(who: Literal["motor", "hand"]) -> list[Device]:
-    """Return the heads with a wire that a motor turns, or that a person turns and an encoder reads."""
+    """Return the wired heads that a motor turns, or those that a person turns and an encoder reads."""
     return [d for d in known("head") if issubclass(d.section, MotorisedHeadForm) == (who == "motor")]
 
 
@@ -56,7 +56,7 @@ def turned_by(who: Literal["motor", "hand"]) -> list[Device]:
 
 
 class Between:
-    """A dialect in front of another; whatever it does not do itself the other does."""
+    """A dialect in front of another, to which it passes on whatever a subclass does not handle."""
 
     def __init__(self, dialect: Any) -> None:
         self._dialect = dialect
@@ -70,7 +70,7 @@ class Between:
 
 
 def answering(reply: bytes) -> type[Between]:
-    """Return what answers everything alike, and is no instrument of a bench."""
+    """Return a class whose instruments give one reply to everything, unlike any instrument of a bench."""
 
     class Stranger(Between):
         def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
@@ -80,14 +80,14 @@ def answering(reply: bytes) -> type[Between]:
 
 
 class Mute(Between):
-    """An instrument that takes everything and never says a word."""
+    """An instrument that accepts every message and never replies."""
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
         return None
 
 
 def taking(wanted: str, instead: str) -> Callable[[Any], Between]:
-    """Return what makes an instrument that takes one number in place of another, wherever it is sent."""
+    """Return a class whose instruments read the number `wanted` in any message as the number `instead`."""
     number = re.compile(rf"(?<![\d.]){wanted}(?=\.0*(?!\d)|(?![\d.]))".encode())
 
     class Taking(Between):
@@ -107,7 +107,7 @@ def _shipped() -> dict[str, Any]:
 
 
 def bench_data(device: Device, **changes: Any) -> dict[str, Any]:
-    """Return a bench file with a device in the place of its role; a meter with one signal stands three times."""
+    """Return a bench file's data with a device in its role; a meter with one signal is entered thrice."""
     data = copy.deepcopy(_shipped())
     section = {"driver": device.name, **copy.deepcopy(dict(device.example)), **changes}
     if device.role != "voltmeter":
@@ -125,7 +125,7 @@ def bench_data(device: Device, **changes: Any) -> dict[str, Any]:
 
 
 def _next_resource(resource: str, further: int) -> str:
-    """Return a resource with its last number but the port counted on."""
+    """Return a resource whose last number, the port excepted, is increased by `further`."""
     match = re.fullmatch(r"(.*?)(\d+)(\D*(?:::\d+::SOCKET)?)", resource)
     assert match is not None, resource
     head, number, tail = match.groups()
@@ -133,7 +133,7 @@ def _next_resource(resource: str, further: int) -> str:
 
 
 def written_bench(device: Device, folder: Path, **changes: Any) -> Path:
-    """Write the bench file of a device; return where."""
+    """Write the bench file of a device; return its path."""
     path = folder / f"{device.name}.yaml"
     # JSON is YAML, and written in a twentieth of the time
     path.write_text(json.dumps(bench_data(device, **changes)), encoding="utf-8")
@@ -142,7 +142,7 @@ def written_bench(device: Device, folder: Path, **changes: Any) -> Path:
 
 @dataclass
 class Stand:
-    """The bench of a device: its driver and wire, what stands for it there, the world, what was sent to it."""
+    """The bench of a device: its driver, session and simulated dialect, the world, the messages sent."""
 
     device: Device
     bench: BenchFile
@@ -155,7 +155,7 @@ class Stand:
 
     @contextmanager
     def expecting_nothing(self) -> Iterator[None]:
-        """Wait but shortly for replies; a silence ends it."""
+        """Within the context, wait only `SILENCE_S` for a reply, because none is expected."""
         patience_s, self.session.timeout_s = self.session.timeout_s, SILENCE_S
         try:
             yield
@@ -168,7 +168,7 @@ class Stand:
         return next(section for section in self.bench.instruments.all() if section.name == self.driver.name)
 
     def settings(self, **changes: Any) -> VoltmeterSettings:
-        """Return settings that the voltmeter can have: seven samples, if it takes so few."""
+        """Return settings that the voltmeter supports: seven samples, or the nearest number that it takes."""
         limits = self.driver.limits
         samples = min(max(7, limits.least_samples), limits.most_samples)
         nplc = min(limits.nplc, key=lambda n: abs(n - 1.0))
@@ -179,7 +179,7 @@ class Stand:
 def standing(
     device: Device, folder: Path, between: Callable[[Any], Any] = Between, **changes: Any
 ) -> Iterator[Stand]:
-    """Put the bench of a device together; nothing is opened. `changes` are of its section."""
+    """Assemble a device's bench, unopened; `between` wraps its simulation, `changes` alter its section."""
     bench = load_bench(written_bench(device, folder, **changes))
     clock = VirtualClock()
     world = world_of(bench, ForwardModel(bench.installation_models()), SEED, clock)

@@ -1,4 +1,4 @@
-"""Records at a known input: those that strangers published, and twins of them made apart from `bench/model`."""
+"""Records at a known input: published ones, and twins simulated without `bench/model`."""
 
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ SWEPT_COLUMNS = {
 
 
 def as_readings(log: Path, columns: dict[str, Any], folder: Path, **constants: str) -> Readings:
-    """The readings of a log with these columns, through a readings file."""
+    """Return the readings of a log with these columns, by way of a readings file in `folder`."""
     mapping = LogColumns.model_validate(
         {"log_columns": "1", "columns": columns, "constants": {"installation": "R", **constants}}
     )
@@ -34,7 +34,7 @@ def as_readings(log: Path, columns: dict[str, Any], folder: Path, **constants: s
 
 
 def switched_on(folder: Path, seed: int, settles_v: float, tau_min: float) -> Path:
-    """A record of 10 h at 1 V from the moment of switching on: a settling zero, a random walk, white noise."""
+    """Write a record of 10 h at 1 V after switch-on: a settling zero, a random walk, white noise."""
     rng = np.random.default_rng(seed)
     time_s = np.arange(0.0, 10 * 3600.0, 30.0)
     walk = np.cumsum(rng.normal(0.0, 0.05e-6, len(time_s)))
@@ -48,7 +48,7 @@ def switched_on(folder: Path, seed: int, settles_v: float, tau_min: float) -> Pa
 def twin(
     folder: Path, seed: int, gain_per_k: float = 0.74e-6, lag_min: float = 95.0, jump_v: float = 0.0
 ) -> Path:
-    """A record of 38 h at 1 V like that of the air bath: a gain behind a lag, a random walk, white noise."""
+    """Write a 38 h record at 1 V like the air bath's: gain with a thermal lag, random walk, white noise."""
     rng = np.random.default_rng(seed)
     time_s = np.arange(0.0, 38 * 3600.0, 60.0)
     hours, bath = [0, 3, 10, 13, 20, 26, 34, 37, 38], [24, 24, 36.7, 36.7, 24, 24, 18.6, 18.6, 20]

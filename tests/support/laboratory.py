@@ -1,4 +1,4 @@
-"""Run folders of a small laboratory, written at once: short records with their chain, and results."""
+"""Run folders of a small laboratory: short records with their chain of hashes, and results."""
 
 import hashlib
 import json
@@ -62,7 +62,7 @@ def write_run(
 
 
 def events_of(created: str, meters: tuple[str, str, str]) -> list[dict[str, Any]]:
-    """Return the events of a run with one reading, without numbers, times and hashes."""
+    """Return the events of a run with one reading, without numbers and hashes."""
     begun = datetime.fromisoformat(created)
     names = [f"voltmeter.{channel}" for channel in "xyz"]
     identities = {n: f"Keysight Technologies 34461A {m} A.02" for n, m in zip(names, meters, strict=True)}
@@ -84,7 +84,7 @@ def events_of(created: str, meters: tuple[str, str, str]) -> list[dict[str, Any]
 
 
 def write_events(folder: Path, events: list[dict[str, Any]]) -> str:
-    """Write the record with its chain of hashes; return its head."""
+    """Write a record with its chain of hashes; return the hash of its last line."""
     head = hashlib.sha256((folder / "run.json").read_bytes()).hexdigest()
     lines = []
     for n, event in enumerate(events, start=1):
@@ -97,7 +97,7 @@ def write_events(folder: Path, events: list[dict[str, Any]]) -> str:
 
 
 def write_result(folder: Path, vector: Any, head: str) -> None:
-    """Write calibrate.json with independent coefficients, of standard uncertainty `U` each."""
+    """Write calibrate.json with uncorrelated coefficients, each with the standard uncertainty `U`."""
     coefficients = {
         name: {"value": value, "u": U}
         for name, value in zip(COEFFICIENTS, np.asarray(vector).tolist(), strict=True)

@@ -18,7 +18,7 @@ CORRELATION = np.array([[1, 0.2, 0, 0], [0.2, 1, -0.6, 0.1], [0, -0.6, 1, 0.3], 
 
 
 def content(**parts: Any) -> dict[str, Any]:
-    """What a learned file of the shipped bench says; `parts` in place of some of it."""
+    """Return the content of the shipped bench's learned file; `parts` replace members of it."""
     bench = load_bench(SHIPPED)
     return {
         "bench": bench.name,
@@ -44,7 +44,7 @@ def content(**parts: Any) -> dict[str, Any]:
 
 
 def leave(name: str = "mine.yaml", **parts: Any) -> None:
-    """Write learned.yaml and a bench file that names it into the present folder, and one that does not."""
+    """Write learned.yaml, the bench file `name` that uses it, and plain.yaml, which does not."""
     Path("learned.yaml").unlink(missing_ok=True)
     write_learned(Path("learned.yaml"), content(**parts), ())
     text = SHIPPED.read_text(encoding="utf-8")

@@ -1,6 +1,6 @@
-"""Many runs of one bench whose truth is known: what the stand has in every run, and what each mounting adds.
+"""Many runs of one bench with known truth: stand errors common to all runs, and those of each mounting.
 
-Nothing of `bench.model` is used: the geometry is that of `paper_bench`, the axes of the block as vectors.
+Nothing of `bench.model` is used: the geometry is that of `paper_bench`, with vectors as axes of the block.
 """
 
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ QUARTERS = ("", "T90", "T180")
 
 @dataclass
 class Bench:
-    """The truth of one bench: means and remounts (4,), setting and waves (4,) in rad, noise (3,) in V."""
+    """The truth of one bench: `means`, `remounts` and `waves` (4,) and `setting`, rad; noise (3,), V."""
 
     means: np.ndarray
     remounts: np.ndarray
@@ -29,7 +29,7 @@ class Bench:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, waves: bool = True) -> "Bench":
-        """A bench within what was stated of it: how much of each angle is the mean is anybody's guess."""
+        """Draw a bench within its stated limits; mean and remounts share each angle's variance at random."""
         stated = np.array(list(STATED.values()))
         part = rng.uniform(0.02, 1.0, 4)
         part[2:] = rng.uniform(0.005, 0.1, 2)
@@ -46,14 +46,14 @@ Columns = tuple[list[str], list[int], list[int], np.ndarray]
 
 @dataclass
 class Runs:
-    """Signals of each run (n, 3) in V with its columns, and the coefficients (runs, 12), a block in each run."""
+    """Signals (n, 3), V, and columns of each run, and the coefficients (runs, 12) of its own block."""
 
     signals: list[np.ndarray]
     columns: list[Columns]
     truths: np.ndarray
 
     def tables(self) -> list[Readings]:
-        """The runs as tables of readings, settings three minutes apart."""
+        """Return the runs as tables of readings, with settings three minutes apart."""
         return [
             make_readings(
                 labels,
@@ -79,9 +79,10 @@ def simulate(
     K2: dict[int, float] | None = None,
     drift: dict[int, float] | None = None,
 ) -> Runs:
-    """Runs of installations 1 and 2, and of both again where `turned` says so: quarters of a turn, run by run.
+    """Simulate runs of installations 1 and 2; `turned` says for each run in turn how both are repeated.
 
-    They are turned on the platform then. `K2` (g/g²) and `drift` (V/h) are those of a run by its number.
+    It counts quarter turns on the platform; 0 means no repeat. `K2` (g/g²) and `drift` (V/h) are by number of
+    run.
     """
     made = [
         _run(rng, truth, passes, turned[r % len(turned)], (K2 or {}).get(r, 0.0), (drift or {}).get(r, 0.0))

@@ -14,7 +14,7 @@ RECORD = Path(__file__).parents[1] / "data" / "records" / "finished"
 
 
 def runs_in(folder: Path, count: int, *, stored: bool = True) -> list[Path]:
-    """Make runs `run-1` … in a folder; the results that they have stored are those of this program."""
+    """Make the runs `run-1` … in a folder; with `stored`, they have results computed by this program."""
     results = results_of(RECORD) if stored else {}
     made = []
     for number in range(1, count + 1):
@@ -28,14 +28,14 @@ def runs_in(folder: Path, count: int, *, stored: bool = True) -> list[Path]:
 
 @cache
 def results_of(run: Path) -> dict[str, Any]:
-    """Return what calibrate and verify find in a run, by the name of the file."""
+    """Return the results of calibrating and verifying a run, by file name."""
     (source,) = load_sources(Request([str(run)], run.parent))
     found = calibration_of(source)
     return {"calibrate.json": found.to_dict(), "verify.json": verification_of(source, found).to_dict()}
 
 
 def edited(file: Path, edit: Any) -> None:
-    """Change what a JSON file says."""
+    """Apply `edit` to the data of a JSON file, in place."""
     told = json.loads(file.read_text(encoding="utf-8"))
     edit(told)
     file.write_text(to_text(told), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Runs of the paper's procedure with mistakes and effects in them, from the paper bench's own geometry."""
+"""Simulated runs of the paper's procedure with mistakes and effects, by the paper bench's own geometry."""
 
 from collections.abc import Callable, Collection
 from dataclasses import replace
@@ -32,10 +32,10 @@ def run(
     falling: Collection[int] = (),
     known: bool = True,
 ) -> Readings:
-    """A run of the paper's procedure with its four verification points at the end.
+    """Simulate the paper's procedure, with its four verification points at the end.
 
-    `off` (row, rad) is a wrong setting; `stand` enlarges the stand's errors; `added(labels, passes, phi, force,
-    slope)` returns what else is in the signals; passes in `falling` go down.
+    `off` (row, rad) is an error of one setting; `stand` multiplies the stand's errors; `added(labels, passes,
+    phi, force, slope)` returns an addition to the signals. Passes in `falling` go down, as stated if `known`.
     """
     rng = np.random.default_rng(seed)
     labels, numbers, points, phi = design(passes)
@@ -80,7 +80,7 @@ def find(readings: Readings, **options: Any) -> MistakeSearch:
 def place(
     rng: np.random.Generator, readings: Readings, scope: str
 ) -> tuple[NDArray[np.bool_], tuple[str, ...], int | None]:
-    """A mask of rows, and the installations and the pass that name it."""
+    """Draw a place of this `scope`; return its mask of rows, its installations, and its pass or None."""
     label, number = str(rng.integers(1, 3)), int(rng.integers(1, 4))
     if scope == "run":
         return np.ones(len(readings), dtype=bool), (), None
@@ -112,7 +112,7 @@ def keys(readings: Readings) -> list[tuple[str, int, int]]:
 
 
 def outlier_v(readings: Readings, row: int, channel: int, sigma: float, noise_v: float) -> float:
-    """The shift of one signal that is so many standard deviations, the setting error being known in size."""
+    """Return the shift of one signal, V, by `sigma` standard deviations, at known noise and setting error."""
     h = 1e-5
     label, phi = [str(readings.installation[row])], readings.angle_rad[row : row + 1]
     slope = ((specific_force(label, phi + h) - specific_force(label, phi - h)) @ K.T / (2 * h))[0]

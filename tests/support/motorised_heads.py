@@ -1,4 +1,4 @@
-"""Motorised heads in driver tests: how far and how fast they turn, and one opened on its served simulation."""
+"""Motorised heads in driver tests: their travel, and a head opened on its served simulation."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -15,7 +15,7 @@ DEG = math.pi / 180
 
 
 def travel(tolerance_rad: float, speed_rad_s: float = 10 * DEG, settle_s: float = 0.5) -> Travel:
-    """Return a travel from -10 to 370 degrees."""
+    """Return a `Travel` from -10° to 370°."""
     return Travel(-10 * DEG, 370 * DEG, tolerance_rad, speed_rad_s, settle_s=settle_s)
 
 
@@ -23,7 +23,7 @@ def travel(tolerance_rad: float, speed_rad_s: float = 10 * DEG, settle_s: float 
 def opened(
     dialect: Dialect, make: Callable[..., Any], world: World, facts: ModuleType, **wire: Any
 ) -> Iterator[Any]:
-    """Serve a simulated head; yield the driver that `make` makes of session and clock, opened, and close it."""
+    """Serve a simulated head; yield its opened driver, which `make(session, clock)` returns, and close it."""
     ends = {"read_termination": facts.READ_TERMINATION, "write_termination": facts.WRITE_TERMINATION}
     with served(dialect, "head", world, **ends, **wire) as session:
         head = make(session, world.clock)

@@ -1,8 +1,9 @@
-"""Pages of the documentation as what they show: blocks of code, commands with their output.
+"""The documentation's pages as blocks of code, and as commands with their output.
 
-A comment on the line before a block marks it: `<!-- file: NAME -->` is a file that later commands read,
-`data: PATH` one of the repository that they read, `status: N` how the last command ends. Not carried out are blocks
-with `shell: WHY`; with `hardware: WHY`, `checked: WHY` or `not run: WHY`, whose commands and options must exist.
+A comment on the line before a block marks it. `<!-- file: NAME -->`: later commands read this file; `data:
+PATH`: they read this file of the repository; `status: N`: exit status of the last command. Blocks with
+`shell: WHY` are not carried out, nor those with `hardware: WHY`, `checked: WHY` or `not run: WHY`, whose
+commands and options must exist.
 """
 
 import re
@@ -23,7 +24,7 @@ _BLOCK = re.compile(
 
 @dataclass(frozen=True)
 class Block:
-    """One block: its kind ("console", "python"), its text, what it is marked with, its line on the page."""
+    """One block: its kind ("console", "python"), its text, its mark, and its line on the page."""
 
     page: str
     kind: str
@@ -33,30 +34,30 @@ class Block:
 
     @property
     def why_not_run(self) -> str:
-        """Why it is not carried out, empty where it is."""
+        """The mark, if it says that the block is not carried out; else empty."""
         return self.mark if self.mark.partition(":")[0] in {"shell", "hardware", "checked", "not run"} else ""
 
     def marked(self, word: str) -> str:
-        """Return what a mark says, empty without it."""
+        """Return the text after `word` in the mark; empty if the mark is another."""
         name, _, rest = self.mark.partition(": ")
         return rest if name == word else ""
 
 
 @dataclass
 class Command:
-    """A command of a console block, and the lines that are shown below it."""
+    """A command of a console block, and the output shown below it."""
 
     words: list[str]
     shown: list[str] = field(default_factory=list)
 
 
 def pages() -> list[Path]:
-    """Return the pages that people write: those of the folder, and the README."""
+    """Return the pages that people write: those of docs/, and the README."""
     return [*sorted(DOCS.glob("*.md")), ROOT / "README.md"]
 
 
 def blocks(page: Path) -> list[Block]:
-    """Return the blocks of a page in their order."""
+    """Return the blocks of a page in order."""
     text = page.read_text(encoding="utf-8")
     return [
         Block(page.name, *_shown(m), m["mark"] or "", text.count("\n", 0, m.start()) + 1)
@@ -87,9 +88,9 @@ def commands(block: Block) -> Iterator[Command]:
 
 
 def told_apart(shown: list[str], printed: str) -> str:
-    """Return where an output leaves what the page shows, empty where it does not.
+    """Return in words the first shown line that the printed output lacks; empty if they agree.
 
-    A line "…" stands for any lines, an ellipsis in a line for anything in it.
+    The line "…" matches any lines, an ellipsis within a line any text.
     """
     if not shown:
         return ""

@@ -1,4 +1,4 @@
-"""A panel in the test's own process, and persons who are signed in to it."""
+"""A panel in the test's own process, and browsers of signed-in persons."""
 
 import json
 import warnings
@@ -17,13 +17,13 @@ OWN = {"origin": HOME}
 
 
 def stranger(runs: Path, catalogue: str = "") -> TestClient:
-    """Return a browser of nobody."""
+    """Return a browser in which nobody is signed in."""
     runs.mkdir(exist_ok=True)
     return TestClient(make_app(Settings(runs, catalogue=catalogue)), base_url=HOME, follow_redirects=False)
 
 
 class Browser:
-    """A browser of a person who is signed in."""
+    """A browser in which a person is signed in."""
 
     def __init__(self, runs: Path, name: str, role: Role = Role.OPERATOR, catalogue: str = "") -> None:
         self.client = stranger(runs, catalogue)
@@ -35,14 +35,14 @@ class Browser:
         self.csrf = person.csrf
 
     def get(self, path: str, **given: Any) -> Any:
-        """Look at a page."""
+        """Get a page."""
         return self.client.get(path, **given)
 
     def post(self, path: str, **sent: str) -> Any:
-        """Send a form of the panel's own."""
+        """Send a form as a page of the panel does, with its token."""
         return self.client.post(path, data={"csrf": self.csrf, **sent}, headers=OWN)
 
     def ask(self, path: str, **sent: str) -> tuple[int, dict[str, Any]]:
-        """Ask as the script does; return the status and what is answered."""
+        """Send JSON as the panel's script does; return status and content of the reply."""
         reply = self.client.post(path, json=sent, headers={**OWN, "x-csrf": self.csrf})
         return reply.status_code, json.loads(reply.text)

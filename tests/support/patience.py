@@ -11,7 +11,7 @@ PATIENCE_S = 600.0
 
 
 def wait_for(reached: Callable[[], bool], process: subprocess.Popen[Any]) -> None:
-    """Wait until something is so, as long as the process lives that is to bring it about."""
+    """Wait until `reached` returns true; fail if the process ends before."""
     give_up = time.monotonic() + PATIENCE_S
     while not reached():
         assert process.poll() is None, f"the process ended with {process.returncode}"
@@ -20,7 +20,7 @@ def wait_for(reached: Callable[[], bool], process: subprocess.Popen[Any]) -> Non
 
 
 def together(*calls: Callable[[], object]) -> None:
-    """Make all calls at once, each in a thread of its own, and wait for their ends."""
+    """Make all calls at once, each in its own thread, and wait until they end."""
     threads = [threading.Thread(target=call) for call in calls]
     for thread in threads:
         thread.start()

@@ -1,4 +1,4 @@
-"""Runs with everything that the panel plots: two calibrations of one unit, the later one diagnosed."""
+"""Runs with everything that the panel plots: two calibrations of one unit, the later one with a diagnosis."""
 
 import contextlib
 import io

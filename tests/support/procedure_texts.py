@@ -1,4 +1,4 @@
-"""Procedures written as text, for the tests of the language."""
+"""Procedures written as text, for tests of the procedure language."""
 
 import math
 from pathlib import Path
@@ -22,7 +22,7 @@ HEAD = "procedure: p\nreading: {samples: 3, nplc: 1, settle: 2 s}\nsteps:\n"
 
 
 def load_steps(folder: Path, steps: str, head: str = HEAD, **files: str) -> Procedure:
-    """Load a procedure of these steps; `files` are what it includes, by name."""
+    """Load a procedure with these steps; `files` are the texts of procedures that it includes, by name."""
     for name, text in files.items():
         (folder / f"{name}.yaml").write_text(text, encoding="utf-8")
     path = folder / "p.yaml"
@@ -31,7 +31,7 @@ def load_steps(folder: Path, steps: str, head: str = HEAD, **files: str) -> Proc
 
 
 def mistakes_in(folder: Path, steps: str, head: str = HEAD, **files: str) -> list[str]:
-    """Return the mistakes in it: file, line, place, what is wrong."""
+    """Return the mistakes in such a procedure: file, line, place, text."""
     with pytest.raises(FileMistakes) as error:
         load_steps(folder, steps, head, **files)
     return [f"{Path(m.file).name}{m.line} {m.place}: {m.text}" for m in error.value.mistakes]

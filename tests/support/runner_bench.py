@@ -23,7 +23,7 @@ NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
 
 
 class Bench:
-    """A bench in memory that keeps what was done to it; `trouble` raises at the n-th action."""
+    """A bench in memory that lists its actions in `done`; after `at` of them, `trouble` is raised once."""
 
     def __init__(self, trouble: BaseException | None = None, at: int | None = None) -> None:
         self.done: list[tuple[Any, ...]] = []
@@ -93,7 +93,7 @@ class Person:
 
 
 class Wishing:
-    """Wishes once, or raises, when the runner listens for the n-th time; None does neither."""
+    """A run control that returns or raises `what` at its `at`-th poll, once; None means no wish."""
 
     def __init__(self, what: RunControl | BaseException | None, at: int = 1) -> None:
         self.what, self.left, self.stopped = what, at, None
@@ -140,14 +140,14 @@ def make_runner(
 def runner_of(
     plan: Plan, having: Instruments, person: Any, clock: Clock, record: Record, **options: Any
 ) -> Runner:
-    """A runner with options of the bench, the people, the recorder or itself, by their names."""
+    """Return a runner; each option goes to its bench, people, recorder or itself, by name."""
     setup = BenchSetup(having, clock, options.pop("range_v", 10.0), **_of(BenchSetup, options))
     people, recorder = People(person, **_of(People, options)), Recorder(record, **_of(Recorder, options))
     return Runner(plan, setup, people, recorder, **options)
 
 
 def changed(runner: Runner, **options: Any) -> Runner:
-    """The same runner with other options."""
+    """Return the runner with other options, distributed as in `runner_of`."""
     setup = replace(runner.bench, **_of(BenchSetup, options))
     people = replace(runner.people, **_of(People, options))
     recorder = replace(runner.recorder, **_of(Recorder, options))
@@ -155,7 +155,7 @@ def changed(runner: Runner, **options: Any) -> Runner:
 
 
 def _of(part: type, options: dict[str, Any]) -> dict[str, Any]:
-    """Take the options of a part out of all."""
+    """Remove the options that are fields of `part`, and return them."""
     return {name: options.pop(name) for name in [f.name for f in fields(part)] if name in options}
 
 
@@ -171,7 +171,7 @@ def recorded(folder: Path) -> tuple[History, list[str], list[dict[str, Any]]]:
 
 
 def interrupt_at(event: int) -> Any:
-    """`Recorder.emit` that is hit by Ctrl-C right after it wrote the n-th event, once."""
+    """Return a `Recorder.emit` that raises Ctrl-C once, right after it wrote the event of this number."""
     original = Recorder.emit
     left = [event]
 

@@ -1,4 +1,4 @@
-"""Results held against their JSON schemas."""
+"""Checks of results against their JSON schemas."""
 
 from functools import cache
 from typing import Any
@@ -10,11 +10,11 @@ from bench.results.schemas import model_of
 
 @cache
 def validator(name: str) -> Draft202012Validator:
-    """Return what validates a result, by the name of its schema."""
+    """Return the validator of a JSON schema by name."""
     return Draft202012Validator(model_of(name).schema_of(name))
 
 
 def keeps_to(name: str, result: Any) -> None:
-    """Fail where a result leaves its schema, with every place."""
+    """Fail if a result deviates from its schema; the failure lists every place."""
     problems = [f"{list(e.absolute_path)}: {e.message[:200]}" for e in validator(name).iter_errors(result)]
     assert problems == []

@@ -1,4 +1,4 @@
-"""Stands for a message session in driver tests: expects (sent, answered) pairs in order."""
+"""A substitute for a message session in driver tests, which expects (sent, answered) pairs in order."""
 
 import re
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ Pairs = Sequence[tuple[str, str | BaseException | None]]
 
 
 class Clock:
-    """A clock that a test sets; to sleep is to move it on."""
+    """A clock that a test sets; a sleep advances it."""
 
     def __init__(self) -> None:
         self.time_s = 0.0
@@ -23,18 +23,18 @@ class Clock:
 
 
 def swapped(pairs: Pairs, command: str, reply: str | BaseException) -> Pairs:
-    """Return the pairs with another reply to a command."""
+    """Return the pairs with another reply to `command`."""
     assert command in [sent for sent, _ in pairs]
     return [(sent, reply if sent == command else answered) for sent, answered in pairs]
 
 
 def until(pairs: Pairs, command: str) -> Pairs:
-    """Return the pairs up to a command and its reply."""
+    """Return the pairs up to and including `command`."""
     return list(pairs)[: [sent for sent, _ in pairs].index(command) + 1]
 
 
 class ScriptedSession:
-    """A reply of None has none; an exception is raised. A reply of another form ends the connection."""
+    """Expects all `parts` in order; None is no reply. An exception or a malformed reply disconnects."""
 
     resource = "TCPIP::192.0.2.5::9888::SOCKET"
     timeout_s = 3.0

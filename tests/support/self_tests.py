@@ -1,4 +1,4 @@
-"""The tests that exported files carry of themselves, run as a reader of the file runs them."""
+"""The self-tests in exported files, run as a reader of the file would run them."""
 
 import json
 import shutil
@@ -10,7 +10,7 @@ import pytest
 
 
 def own_test(path: Path) -> int:
-    """The exit status of the test that a file carries, run as its own text says."""
+    """Run the test in an exported file as its text says; return the exit status."""
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".json":
         data = json.loads(text)
@@ -23,7 +23,7 @@ def own_test(path: Path) -> int:
 
 
 def compiled_test(folder: Path, name: str, text: str) -> int:
-    """What `<name>_self_test()` of a header returns, compiled strictly."""
+    """Compile a header strictly; return the result of its `<name>_self_test()`."""
     compiler = shutil.which("gcc")
     if compiler is None:
         pytest.skip("no gcc here to compile the header with")
@@ -35,7 +35,7 @@ def compiled_test(folder: Path, name: str, text: str) -> int:
 
 
 def with_a_digit_changed(text: str, at: int) -> str:
-    """The text with the seventh significant digit of the number that begins at `at` changed."""
+    """Return the text with another seventh significant digit of the number that begins at `at`."""
     digits = [k for k in range(at, min(at + 24, len(text))) if text[k].isdigit()]
     first = next(k for k in digits if text[k] != "0")
     k = [d for d in digits if d >= first][6]

@@ -1,4 +1,4 @@
-"""A panel that is served in a thread, for browsers that look at it: in tests, for pictures, in benchmarks."""
+"""A panel served in a thread, for browsers in tests, for pictures and in benchmarks."""
 
 import contextlib
 import socket
@@ -15,7 +15,7 @@ from bench.panel.app import config_of, make_app
 
 @dataclass
 class ServedPanel:
-    """A panel that is served at `url` over the folder `runs`, in a thread of the tests."""
+    """A panel over the folder `runs`, served at `url` in a thread of the tests."""
 
     runs: Path
     port: int
@@ -23,17 +23,17 @@ class ServedPanel:
 
     @property
     def url(self) -> str:
-        """Its address."""
+        """The address of the panel."""
         return f"http://127.0.0.1:{self.port}"
 
     def token(self, name: str, role: Role) -> str:
-        """Return the token of a person, made at the first call."""
+        """Return a person's token, which the first call makes."""
         if name not in self.tokens:
             self.tokens[name] = Access(self.runs / STATE).new_token(name, role)
         return self.tokens[name]
 
     def sign_in(self, page: Any, name: str = "anna", role: Role = Role.OPERATOR) -> None:
-        """Sign a person in on a page of a browser."""
+        """Sign a person in on a browser's page."""
         page.goto(f"{self.url}/sign-in")
         page.fill("#token", self.token(name, role))
         page.click("main button[type=submit]")
@@ -42,7 +42,7 @@ class ServedPanel:
 
 @contextlib.contextmanager
 def served(runs: Path, catalogue: str = "") -> Iterator[ServedPanel]:
-    """Serve a panel on a free port of the loopback."""
+    """Serve a panel on a free loopback port."""
     import uvicorn
 
     with socket.socket() as listener:

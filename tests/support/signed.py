@@ -1,4 +1,4 @@
-"""Keys, authorities and a small PDF for what signs certificates."""
+"""Keys, certification authorities and a small PDF for tests of signing."""
 
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -17,7 +17,7 @@ NOW = datetime(2026, 11, 22, 12, 0, 0, tzinfo=UTC)
 
 
 def no_passphrase() -> bytes:
-    """Be asked for a passphrase where none is meant to be."""
+    """Fail, because no passphrase should be requested."""
     raise AssertionError("a passphrase was asked for")
 
 
@@ -31,7 +31,7 @@ class Issuer:
 
 @cache
 def authority(name: str, above: str = "") -> Issuer:
-    """Return an authority of a name, made once; `above` names the one that stands for it, "" itself."""
+    """Return the authority `name`, made once and certified by the authority `above`, or ("") by itself."""
     key = ec.generate_private_key(ec.SECP256R1())
     issuer = authority(above) if above else None
     return Issuer(key, certified(key.public_key(), name, issuer, ca=True, own=key))
@@ -46,7 +46,7 @@ def certified(
     ca: bool = False,
     own: Any = None,
 ) -> x509.Certificate:
-    """Return a certificate of a public key, by an issuer, or by its `own` key where there is none."""
+    """Return a certificate of a public key, signed by an issuer or, without one, by the key `own`."""
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
     usage = x509.KeyUsage(sign and not ca, sign and not ca, not sign, False, False, ca, ca, False, False)
     return (
@@ -64,7 +64,7 @@ def certified(
 
 
 def in_file(folder: Path, key: Any, chain: list[x509.Certificate]) -> Signatory:
-    """Write a key and its chain into a folder; return who signs with them."""
+    """Write a key and its certificate chain into a folder; return the signatory who uses them."""
     folder.chmod(0o700)
     file, beside = folder / "lab.pem", folder / "chain.pem"
     plain = (serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
@@ -88,7 +88,7 @@ def blank_pdf() -> bytes:
 
 @cache
 def a_signatory(name: str = "Laboratory of Tests") -> Signatory:
-    """Return who signs with a P-256 key and a certificate of its own, made once for each name."""
+    """Return a signatory with a P-256 key and a self-signed certificate, made once for each name."""
     key = ec.generate_private_key(ec.SECP256R1())
     own = certified(key.public_key(), name, None, own=key)
     return Signatory((own,), lambda message: key.sign(message, ec.ECDSA(hashes.SHA256())))

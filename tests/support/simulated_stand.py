@@ -22,7 +22,7 @@ BLOCK = Block(np.diag([-2.177, -2.142, -2.163]), np.array([0.07, -0.2, -0.41]))
 
 
 class EndlessClock:
-    """A clock on which nothing ends by itself; `entered` is set once somebody waits on it."""
+    """A clock that stays at 0 s; `entered` is set once somebody sleeps on it."""
 
     def __init__(self) -> None:
         self.entered = threading.Event()
@@ -41,7 +41,7 @@ def a_world(setting_error_rad: float = 0.0, seed: int = 3) -> World:
 
 
 def tell(instrument: Dialect, *messages: str) -> str | None:
-    """Send messages without a wire; return the last reply."""
+    """Pass messages to an instrument without a wire; return the last reply."""
     reply = None
     for message in messages:
         reply = instrument.handle(message.encode(), never)
@@ -49,14 +49,14 @@ def tell(instrument: Dialect, *messages: str) -> str | None:
 
 
 def ask(instrument: Dialect, message: str) -> str:
-    """Send a message that has a reply; return that."""
+    """Pass a message to an instrument, and return its reply; fail if there is none."""
     reply = tell(instrument, message)
     assert reply is not None, f"no reply to {message}: {tell(instrument, 'SYST:ERR?')}"
     return reply
 
 
 def a_34401a(channel: Channel, **options: object) -> SimulatedMeter:
-    """A 34401A at a channel of the block, to be put on a `SimulatedBench`."""
+    """Return a 34401A on a channel of the block, for a `SimulatedBench`."""
     return SimulatedMeter(Agilent34401A, channel, options)
 
 
@@ -73,9 +73,9 @@ def served(
     log: list[tuple[str, str]] | None = None,
     wire: Wire | None = None,
 ) -> Iterator[MessageSession]:
-    """Serve a dialect; yield the session that a driver talks through. `log` or `wire` takes what is on the wire.
+    """Serve a dialect; yield a driver's session with it. `log` or `wire` receives the messages.
 
-    The world's clock waits, before it moves, until what is on the wire has been carried out.
+    The world's clock advances only after all messages on the wire have been carried out.
     """
     clock = world.clock
     assert isinstance(clock, VirtualClock)

@@ -1,4 +1,4 @@
-"""Simulated readings over temperature with known coefficients, by the tests' own geometry."""
+"""Readings over temperature, simulated from known coefficients by the tests' own geometry."""
 
 from typing import Any
 
@@ -15,19 +15,19 @@ REFERENCE_C = 23.0
 
 
 def truth(rng: np.random.Generator, sizes: tuple[float, ...] = (1e-4, 5e-7, 3e-9)) -> np.ndarray:
-    """Polynomials (12, 1 + len(sizes)) about `REFERENCE_C`: random terms of these sizes per K, K^2, …"""
+    """Return polynomials (12, 1 + len(sizes)) about `REFERENCE_C`: random terms of these sizes per K, K^2…"""
     higher = rng.normal(0.0, 1.0, (12, len(sizes))) * np.array(sizes)
     return np.column_stack([TRUTH, higher])
 
 
 def coefficients(polynomials: np.ndarray, temperature_c: np.ndarray | float) -> np.ndarray:
-    """Coefficients (…, 12) at temperatures."""
+    """Return the coefficients (…, 12) at these temperatures."""
     offset = np.asarray(temperature_c, dtype=float) - REFERENCE_C
     return np.stack([np.polynomial.polynomial.polyval(offset, row) for row in polynomials], axis=-1)
 
 
 def branches(cycle: tuple[float, ...]) -> np.ndarray:
-    """+1 where a temperature of the cycle was reached from below, -1 from above, 0 for the first."""
+    """Return +1 for temperatures of the cycle reached from below, -1 from above, and 0 for the first."""
     return np.sign(np.diff(cycle, prepend=cycle[0]))
 
 
@@ -42,10 +42,10 @@ def simulate(
     hysteresis: np.ndarray | float = 0.0,
     drift_k: float = 0.2,
 ) -> Readings:
-    """The procedure 'temperature': each installation is mounted once and taken through the cycle.
+    """Simulate the procedure 'temperature': each installation is mounted once and taken through the cycle.
 
-    `hysteresis` (12,) is rising minus falling; the block's temperature wanders by `drift_k` (1 sigma). `cycle_2`
-    is that of installation 2, where it is another.
+    `hysteresis` (12,) is the rising minus the falling branch; temperatures scatter by `drift_k` (1 sigma).
+    Installation 2 has the cycle `cycle_2`, if given.
     """
     one, pass_number, point, phi = design(passes)
     columns: dict[str, list[Any]] = {

@@ -1,7 +1,7 @@
-"""Thresholds of the designs that tests diagnose: simulating one takes seconds, and they never change.
+"""Stored thresholds of the designs that tests diagnose: simulating one takes seconds, and they never change.
 
-`tests/data/thresholds.json` holds them by the key of their design. What is not there is simulated as for any user,
-once for all workers, so that a stale file costs time and nothing else. `make thresholds` writes it anew.
+`tests/data/thresholds.json` has them by key of the design. A missing one is simulated once for all workers,
+so that a stale file costs nothing but time. `make thresholds` writes it again.
 """
 
 import json
@@ -17,12 +17,12 @@ ASKED: Final = "BENCH_KEEP_THRESHOLDS"
 
 
 def kept() -> dict[str, dict[str, Any]]:
-    """Return what is kept: the fields of a `Threshold` by key."""
+    """Return the stored thresholds: the fields of a `Threshold` by key."""
     return dict(json.loads(KEPT.read_text(encoding="utf-8"))) if KEPT.exists() else {}
 
 
 def unpack(folder: Path, base: Path) -> None:
-    """Put what is kept where the cache has it: in a folder that the workers of a session share."""
+    """Copy the stored thresholds into a folder that all workers share, and make `folder` a link to it."""
     worker = os.environ.get("PYTEST_XDIST_WORKER")
     shared = (base.parent if worker else base) / "thresholds"
     shared.mkdir(exist_ok=True)
@@ -35,9 +35,9 @@ def unpack(folder: Path, base: Path) -> None:
 
 
 def keep(folder: Path) -> None:
-    """Where that is asked for, keep what the tests of this process left in the cache, beside what others did.
+    """If `ASKED` is set in the environment, add the thresholds in the cache `folder` to the stored ones.
 
-    Elsewhere warn of designs that are not kept, each of which costs seconds.
+    Otherwise warn of designs that are not stored, each of which costs seconds.
     """
     if not os.environ.get(ASKED):
         if new := {file.stem for file in folder.glob("*.json")} - kept().keys():

@@ -1,6 +1,7 @@
-"""A time-stamping authority of RFC 3161 on the loopback interface, made of nothing but DER and a key of its own.
+"""A time-stamping authority of RFC 3161 on the loopback interface, with its own DER encoding and key.
 
-Sources: RFC 3161, 2.4 (request, response, TSTInfo); RFC 5652, 5 (SignedData); RFC 5035, 5.4 (signing certificate).
+Sources: RFC 3161, 2.4 (request, response, TSTInfo); RFC 5652, 5 (SignedData); RFC 5035, 5.4 (signing
+certificate).
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ def attribute(name: str, value: bytes) -> bytes:
 
 
 def certificate(name: str, key: Key, issuer: tuple[x509.Certificate, Key] | None = None) -> x509.Certificate:
-    """A certificate of its own, or one for time stamps by an issuer (certificate, key)."""
+    """Return a self-signed certificate or, from an issuer (certificate, key), one for time stamps."""
     called = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
     built = (
         x509.CertificateBuilder()
@@ -94,7 +95,7 @@ def certificate(name: str, key: Key, issuer: tuple[x509.Certificate, Key] | None
 
 
 class Authority:
-    """Answers requests; `answer` may be replaced by what it is to say instead."""
+    """Answers requests by `answer`, which a test may replace; by default it is `stamp`."""
 
     def __init__(self) -> None:
         root_key, self._key = ec.generate_private_key(ec.SECP256R1()), ec.generate_private_key(ec.SECP256R1())
@@ -107,7 +108,7 @@ class Authority:
         return self.root.public_bytes(Encoding.PEM)
 
     def stamp(self, request: bytes) -> bytes:
-        """The response (DER) to a request (DER)."""
+        """Return the response (DER) to a request (DER)."""
         asked = _rust.parse_timestamp_request(request)
         imprint = sequence(sequence(oid(SHA256), b"\x05\x00"), octets(asked.message_imprint.message))
         time = der(0x18, STAMPED.strftime("%Y%m%d%H%M%SZ").encode())
@@ -144,7 +145,7 @@ class Authority:
 
 
 class Served:
-    """An authority behind HTTP on the loopback interface; `url` is its address while the context lasts."""
+    """An authority served over HTTP on loopback; `url` is its address within the context."""
 
     def __init__(self, authority: Authority) -> None:
         class Handler(BaseHTTPRequestHandler):

@@ -1,4 +1,4 @@
-"""Multi-point tumbles with a known truth: geometry of paper_bench.py, nonlinear terms written out here."""
+"""Multi-point tumbles with known truth: geometry of paper_bench.py, nonlinear terms defined here."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Terms:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Terms:
-        """Return K2, K3 and Koq of plausible sizes: 20, 10, 10 ug/g^n."""
+        """Draw K2, K3 and Koq with standard deviations of 20, 10 and 10 ug/g^n."""
         return cls(*(rng.normal(0.0, size * 1e-6, 3) for size in (20, 10, 10)))
 
     def output(self, a: Floats) -> Floats:
-        """Return what they add to E/K1 for specific forces (n, 3), g."""
+        """Return the terms' contribution to E/K1, g, at specific forces (n, 3), g."""
         x, y, z = a.T
         nxt, then = np.stack([y, z, x], axis=1), np.stack([z, x, y], axis=1)
         return np.asarray(
@@ -47,7 +47,7 @@ class Terms:
 
 
 def design(points: int, passes: int) -> tuple[list[str], list[int], list[int], Floats]:
-    """A turn of so many points and its first once more, in both: installation, pass, point, angle (rad)."""
+    """Return installation, pass, point and head angle (rad) of turns that end at their first point again."""
     rows = [(i, p, t) for i in "12" for p in range(1, passes + 1) for t in range(1, points + 2)]
     installation, pass_number, point = (list(column) for column in zip(*rows, strict=True))
     return installation, pass_number, point, 2 * np.pi / points * (np.array(point) - 1)
@@ -62,7 +62,7 @@ def tumble(
     passes: int = 3,
     setting_u_rad: float = SETTING_U_RAD,
 ) -> Readings:
-    """One run, stand errors drawn per installation and noise per reading; without `rng` no error at all."""
+    """Simulate one run, with stand errors per installation and noise per reading; without `rng` no errors."""
     installation, pass_number, point, phi = design(points, passes)
     n = len(phi)
     angles, setting, noise = np.zeros((3, n)), np.zeros(n), np.zeros((n, 3))
@@ -83,7 +83,7 @@ def centrifuge(
     u_ms2: float = 1e-5,
     u_radius: float = 1e-6,
 ) -> CentrifugePoints:
-    """Points at 2, 5 and 10 g, up and down along each axis, which is the only one that is read."""
+    """Simulate points at ±2, ±5 and ±10 g along each axis; only the channel of this axis is read."""
     force = (
         np.concatenate([size * np.eye(3)[[k]] for k in range(3) for size in (-10, -5, -2, 2, 5, 10)]) * 9.81
     )
@@ -99,7 +99,7 @@ def centrifuge(
 
 
 def truth(terms: Terms) -> dict[str, float]:
-    """The quantities of the view by name ("x.K0"), each by itself: nothing contained of another."""
+    """Return the true quantities by name ("x.K0"), each alone and not as a sum with others."""
     found: dict[str, float] = {}
     after = {"x": ("y", "z"), "y": ("z", "x"), "z": ("x", "y")}
     for i, channel in enumerate("xyz"):

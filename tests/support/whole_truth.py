@@ -1,9 +1,9 @@
-"""Runs of the paper's procedure with every error of a bench in them, one at a time or all together.
+"""Runs of the paper's procedure with every error of a bench, one at a time or all together.
 
-Nothing of `bench.model` or `bench.analysis` is used: geometry from bench.validation, every other error
-written out here. Sizes are those of the shipped paper-stand file, of the 34401A's data sheet (90 days, 10 V:
-20 ppm of reading, 5 ppm of range) and of a quartz-flexure block (30 ug/K, 180 ppm/K), rectangular; a run of 54
-readings and 8 verification points takes five hours.
+Nothing of `bench.model` is used: geometry from bench.validation, every other error defined here. Sizes are
+those of the shipped paper-stand file, of the 34401A's data sheet (90 days, 10 V: 20 ppm of reading, 5 ppm of
+range) and of a quartz-flexure block (30 ug/K, 180 ppm/K), rectangular; a run of 54 readings and 8
+verification points takes five hours.
 """
 
 from dataclasses import dataclass, field
@@ -41,7 +41,7 @@ EVERYTHING = ("all", "all-wandering")
 
 @dataclass
 class Bench:
-    """What stays from one run to the next: the meters' gain and offset, the block's temperature coefficients."""
+    """Errors that persist from run to run: gain and offset of the meters, K2, K3 and temperature terms."""
 
     gain: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     offset: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
@@ -51,7 +51,7 @@ class Bench:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, case: str) -> "Bench":
-        """Draw what the case has of it; meters within their limits, coefficients of the block within theirs."""
+        """Draw the persistent errors that a case has, within their limits; the others are zero."""
         bench = cls()
         if case in {"meters", *EVERYTHING}:
             bench.gain, bench.offset = rng.uniform(-GAIN, GAIN, 3), rng.uniform(-OFFSET_V, OFFSET_V, 3)
@@ -65,7 +65,7 @@ class Bench:
 
 @dataclass(frozen=True)
 class Drawn:
-    """A run, the twelve coefficients that are true of it (U0 at its mean), and the coefficients of a used block."""
+    """The readings of a run, and its true coefficients (12,), of which U0 is the mean over the run."""
 
     readings: Readings
     truth: NDArray[np.float64]
@@ -127,7 +127,7 @@ def simulate_whole(
 
 
 def turned(rng: np.random.Generator, limit_rad: float) -> NDArray[np.float64]:
-    """Draw a rotation matrix: by up to `limit_rad`, about an axis in any direction (Rodrigues)."""
+    """Return a random rotation matrix: by up to `limit_rad`, about an axis in any direction (Rodrigues)."""
     axis = rng.normal(size=3)
     cross = np.cross(np.eye(3), axis / np.linalg.norm(axis))
     angle = rng.uniform(0.0, limit_rad)
@@ -135,7 +135,7 @@ def turned(rng: np.random.Generator, limit_rad: float) -> NDArray[np.float64]:
 
 
 def wandering(rng: np.random.Generator, time_h: NDArray[np.float64], size: float) -> NDArray[np.float64]:
-    """A stationary first-order autoregression with a correlation time of one hour."""
+    """Return a stationary first-order autoregression of this size, with a correlation time of one hour."""
     course = np.empty(len(time_h))
     course[0] = rng.normal(0.0, size)
     for i in range(1, len(time_h)):
@@ -151,7 +151,7 @@ def _three(values: NDArray[np.float64]) -> tuple[float, float, float]:
 def _shared(
     rng: np.random.Generator, installation: list[str], point: list[int], size: float
 ) -> NDArray[np.float64]:
-    """An error of each channel that is the same at an installation and point in every pass."""
+    """Draw errors (n, 3) that are the same for an installation and point in every pass."""
     own: dict[tuple[str, int], NDArray[np.float64]] = {}
     rows = []
     for key in zip(installation, point, strict=True):
@@ -164,7 +164,7 @@ def _shared(
 def _by_voltage(
     rng: np.random.Generator, installation: list[str], phi: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The meters' linearity: the same error wherever a channel has the same voltage, rectangular."""
+    """Draw linearity errors of the meters (n, 3), rectangular, equal wherever a channel has equal voltage."""
     own: dict[tuple[str, int], NDArray[np.float64]] = {}
     rows = []
     for label, angle in zip(installation, np.degrees(phi), strict=True):
