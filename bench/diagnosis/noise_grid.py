@@ -13,6 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from bench.base.arrays import Floats, Ints, Mask
+from bench.calibration.design import FIXED
 from bench.diagnosis.levels import LEAST_FREEDOM, MOSTLY, NEGLIGIBLE
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.readings.table import Readings
@@ -258,7 +259,9 @@ def _fitted(half: Whitener, fixed: Floats, wide: Floats) -> tuple[tuple[Span, ..
     white = half @ fixed
     spans = []
     log_det = 0.0
-    for rows, columns in coupled(white):
+    # the coefficients of one block share rows as soon as a setting has an error
+    parts = coupled(white) if white.shape[1] > FIXED else [tuple(map(np.flatnonzero, _used(white)))]
+    for rows, columns in parts:
         if not len(rows):
             continue  # a coefficient of which no row tells
         q, r = np.linalg.qr(white[np.ix_(rows, columns)])
@@ -273,6 +276,11 @@ def _fitted(half: Whitener, fixed: Floats, wide: Floats) -> tuple[tuple[Span, ..
     left = 1.0 - size**2
     kept = np.sqrt(np.where(left > NEGLIGIBLE, left, 0.0))
     return (*spans, Span(slice(None), basis, kept)), log_det
+
+
+def _used(matrix: Floats) -> tuple[Mask, Mask]:
+    """Return the masks of the rows and of the columns of a matrix that are not all zero."""
+    return np.any(matrix, axis=1), np.any(matrix, axis=0)
 
 
 def _as_slice(rows: Ints) -> slice | Ints:
