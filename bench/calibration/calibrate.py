@@ -40,7 +40,7 @@ from bench.model.geometry import STAND_ANGLES, Block
 from bench.readings.table import FREE, REFERENCE, VERIFICATION, Readings
 
 ROUNDING: Final = 1e-9
-"""Noise below this fraction of the largest signal means computed readings, which have no outliers."""
+"""Readings with noise below this fraction of the largest signal count as computed, without outliers."""
 
 
 def calibrate(
@@ -275,7 +275,7 @@ def first_guess(problem: Problem, signal: Floats, resolution: float = 0.0) -> Bl
 def _fitted(
     problem: Problem, signal: Floats, refit: partial[gls.Fit], by: Estimator, chosen: FittedRows
 ) -> tuple[gls.Fit, tuple[Outlier, ...], tuple[str, ...]]:
-    """Return the estimator's fit, the outliers to which it gives no weight, and a note on any that it keeps."""
+    """Return the estimator's fit, the outliers that have no weight in it, and notes on outliers that have."""
     fit = refit()
     largest = max(float(np.max(np.abs(t.signal), initial=0.0)) for t in (chosen.oriented, chosen.free))
     if fit.noise.reading < ROUNDING * largest:

@@ -332,10 +332,10 @@ def _drift(
 
 
 def heavy_tails(problem: Problem, fit: Fit) -> float:
-    """Return the p-value of heavy tails among the repeats, for Gaussian noise; NaN if the repeats are too few.
+    """Return the p-value of a test of the repeats for heavy tails; NaN if the repeats are too few.
 
-    The statistic is the excess kurtosis of normalised deviations of repeats, whose standard deviation is
-    sqrt(24/N).
+    The statistic is the excess kurtosis of the normalised deviations of repeats. With N degrees of freedom,
+    its standard deviation is sqrt(24/N).
     """
     if not len(problem.conditions) or fit.noise.source != "repeats":
         return float("nan")

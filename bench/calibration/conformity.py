@@ -161,8 +161,9 @@ class DecisionRule:
     def statements(self, value: Floats, limit: float, known: MeasuredValues) -> list[Statement]:
         """Return the statements on measured values (n,).
 
-        Where U exceeds the limit, a value beyond the limit by more than the guard band and U fails, any other is
-        inconclusive. Beyond the limit the guard band ignores the population: it comes from the measurement alone.
+        Where U exceeds the limit, a value fails only if it is beyond the limit by more than both the guard
+        band and U; otherwise it is inconclusive. Beyond the limit, the guard band follows from the
+        measurement alone, without the population.
         """
         if self.guard_band is None:
             guard = _quantile(1.0 - FALSE_ACCEPTANCE, known.dof) * known.u

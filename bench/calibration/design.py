@@ -31,7 +31,7 @@ STEP_RAD = 1e-5
 """Step of the central differences: truncation and rounding error are both about 1e-11 of the derivative."""
 
 WEAK = 10.0
-"""Prior u of an effect parameter without stated u, over its plausible size: wide, so that the data decide."""
+"""Prior u of an effect parameter without stated u, in plausible sizes: wide, so that the data decide."""
 
 SYMBOLS: Mapping[str, str] = {
     "axis_tilt": "alpha1",
@@ -209,7 +209,7 @@ class Problem:
 
     @cached_property
     def _places_of(self) -> list[list[int]]:
-        """For each effect of the model, the places of its unknowns after the coefficients."""
+        """For each effect of the model, the indices of its unknowns among those after the coefficients."""
         places: list[list[int]] = [[] for _ in self.model.effects]
         for place, unknown in enumerate(self.effects, len(self.stand)):
             places[unknown.effect].append(place)
@@ -326,11 +326,11 @@ class Problem:
 
 
 class _Chain:
-    """The chain from the stand to the readings at one point, for steps of single unknowns from there.
+    """The chain from the stand to the readings, evaluated at one point and for steps of single unknowns.
 
-    A step evaluates only the additions of effects that it changes. Which these are is tried at the point, by a
-    step of the signal at the stage of the effect (in both directions), of Kxx, Kyy and Kzz, and of all other
-    coefficients.
+    A step evaluates only the additions of effects that it changes. Trials at the point show which these are:
+    a step of the signal at the stage of the effect (in both directions), of Kxx, Kyy and Kzz, and of all
+    other coefficients.
     """
 
     def __init__(self, model: ForwardModel, conditions: Conditions, block: Block, stand_rad: Floats) -> None:
@@ -392,8 +392,10 @@ class _Chain:
         setting_rad: float = 0.0,
         instead: Mapping[int, AppliedEffect] = NO_EFFECTS,
     ) -> Floats:
-        """Return the readings (n, 3) with a step of one unknown: of the `block`, the stand angles (mounts, 5), the
-        setting of the head, or of the effect with an index, `instead`.
+        """Return the readings (n, 3) after a step of one unknown.
+
+        It is a step of the `block`, of the stand angles (mounts, 5), of the setting of the head, or of an
+        effect, which `instead` maps from its index.
         """
         stages = [self._model.effects[i].effect.stage for i in instead]
         changed = [block.vector[j] != self._block.vector[j] for j in range(FIXED)]

@@ -457,9 +457,9 @@ class Estimator:
     """An estimator of the coefficients; `phrase` describes it in a few words, `also` are aliases.
 
     An estimator with fixed weights has `gain`, which returns its linear map (12, n, 3), and uses oriented
-    readings alone. Any other estimator has `weigh`, which returns its fit. A budget uses the map of such a fit to
-    readings without errors, and so without outliers. If another estimator has the same map, `counts_as` names
-    that estimator. `angles_rad` returns the angles (n,) that the estimator assumes, and raises `CalibrationError`
+    readings alone. Any other estimator has `weigh`, which returns its fit. A budget uses the map of its fit
+    to readings without errors or outliers. If another estimator has the same map, `counts_as` names that
+    estimator. `angles_rad` returns the angles (n,) that the estimator assumes, and raises `CalibrationError`
     for unsuitable readings; if it is None, the estimator uses the angles of the readings.
     """
 

@@ -25,9 +25,9 @@ INTRINSIC: Final = ("Sx", "Sy", "Sz", "theta_xy", "theta_xz", "theta_yz", "bx", 
 
 PAIRS: Final = tuple(combinations(range(3), 2))
 HELD: Final = 0.1
-"""Least change, as a part of a number, by which the number counts as dependent on limits.
+"""A number depends on limits if it changes by more than this fraction.
 
-The change is that due to a change of K that no reading shows, of relative size 1.
+The change is due to a change of K, of relative size 1, that no reading shows.
 """
 JOINT_LEVEL: Final = 0.95
 

@@ -31,7 +31,7 @@ CLIPPED: Final = 3
 CLIPPED_FREE: Final = 4
 FAR_APART: Final = 0.05
 LEAST_CLIPPED: Final = 1e-4
-"""Least excess of the predicted signal, as a fraction of the range, for saturation: repeats may be equal."""
+"""Saturation needs a predicted excess above this fraction of the range: repeats may be equal by chance."""
 
 COPLANAR: Final = 0.02
 """Least singular value of K, its rows scaled to unit length: real axes are orthogonal within arcminutes."""
@@ -260,7 +260,7 @@ LEAST_SPAN_G: Final = 0.5
 """Least span of specific force along a channel, g, in a part of the table that shows its signal per g."""
 PREFIXES: Final = (-2, -1, 0, 1, 2)
 MUCH_BETTER: Final = 1e-4
-"""A still part is in another unit if that reduces the residual sum of squares below this fraction."""
+"""A part in which a channel hardly moves is in another unit if the residual square falls below this part."""
 CLEARLY: Final = 30.0
 """Ratio of a row's signal norm to the median (or its inverse) from which the row is in another unit."""
 FITS: Final = 0.02

@@ -249,8 +249,8 @@ _NO_COLUMN: Final = 1e-8
 class Observability:
     """The rank of the derivatives by the unknowns `names`, and the null directions.
 
-    There are as many null directions as the rank is below the number of unknowns. `null` (p, d) is an orthonormal
-    basis of the null space, in unknowns scaled so that their columns have unit length.
+    The null directions are as many as the unknowns minus the rank. `null` (p, d) is an orthonormal basis of
+    the null space, in unknowns scaled so that their columns have unit length.
     """
 
     names: tuple[str, ...]

@@ -431,10 +431,11 @@ def _table(model: TemperatureModel, reach_g: float, steps: int) -> CompensationT
 def _by_steps(
     model: TemperatureModel, nodes_c: Floats, exact: Floats, between: Floats
 ) -> tuple[float, float, Floats]:
-    """Return the largest interpolation errors of a, at 0 g (g) and in proportion to |a| (g/g), and the entries.
+    """Return the largest interpolation errors of the force: at 0 g (g), and per |a| (g/g); and the entries.
 
-    `exact` (n, 12) are the entries of N and U0 at the nodes (n,), °C; the returned entries (m, 12) are interpolated
-    at the temperatures `between` (m,), °C. The errors are of one component of a; at most `ROUNDING` counts as zero.
+    `exact` (n, 12) are the entries of N and U0 at the nodes (n,), °C; the returned entries (m, 12) are
+    interpolated at the temperatures `between` (m,), °C. The errors are those of one component of the force;
+    up to `ROUNDING` they count as zero.
     """
     entries = np.stack([np.interp(between, nodes_c, column) for column in exact.T], axis=1)
     truth = model.coefficients(between)

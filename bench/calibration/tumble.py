@@ -152,7 +152,7 @@ def separable(force: Floats, channel: int, terms: Sequence[str], conditions: Con
 NO_PRIOR: Final = 1.0
 """Prior standard deviation of a term, g/g^n: far beyond any plausible size, so that the data decide."""
 OPEN_AT_1_G: Final = 1e-2
-"""`NO_PRIOR` if points above 1 g follow: 500 times a plausible size, so that their fit is well conditioned."""
+"""In place of `NO_PRIOR` before points above 1 g: 500 plausible sizes, for a well-conditioned fit."""
 K: Final = 2.0
 """Coverage factor of U."""
 MOVES: Final = 0.01
@@ -384,7 +384,7 @@ def sized(
 def _contained(judged: Separable, name: str, channel: int) -> dict[str, float]:
     """Return the shares of inseparable terms that the quantity `name` contains.
 
-    For an angle they have the sign of the angle.
+    The shares in an angle have the sign of that angle.
     """
     if name not in MISALIGNMENTS:
         return judged.part_in(name)

@@ -90,9 +90,7 @@ UNNAMED: Final = (
 
 SINGLE: Final = (SINGLE_READING, SINGLE_SETTING)
 RARE: Final = 1e-3
-"""Prior odds that a single reading deviates, against another unnamed pattern. Tails of the noise give such
-readings.
-"""
+"""Prior odds of a single deviating reading against another unnamed pattern: noise has such tails, too."""
 KIND_PRIOR: Final = (0.03, 0.01, 0.96)
 """Prior probabilities of what is missing: an unnamed form with a formula, one without, an effect of the
 catalogue.
@@ -194,7 +192,7 @@ class Collector:
         shape: tuple[tuple[str, float], ...],
         mounts: tuple[str, ...],
     ) -> dict[int | None, Floats]:
-        """Return the same as `plausible_columns`, reusing an earlier computation where possible.
+        """Return `plausible_columns`, from an earlier computation where possible.
 
         An effect that does not depend on earlier readings is computed once for all rows. Where it acts in some
         mountings only, its column is the same with zeros in the rows of all other mountings.

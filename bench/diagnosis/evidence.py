@@ -6,8 +6,8 @@ ln|I + s^2 A^T A| - nu/2 ln(r^T r - r^T A (A^T A + 1/s^2)^-1 A^T r). It is avera
 size is a guess, and over the ratio of the two noise sizes. The evidence depends on the data only by r^T r and A^T
 r. Therefore many data sets can be scored at once.
 
-The threshold is the evidence that chance alone reaches: the same search runs on simulated readings without
-missing effects.
+The threshold is the evidence that chance alone reaches: the same search runs on readings simulated with a
+complete model.
 """
 
 from __future__ import annotations
@@ -348,7 +348,7 @@ def _log_sum(logarithms: Floats) -> Floats:
 
 
 NULLS: Final = 1000
-"""Simulated data sets for a threshold: `OFTEN` of them, 50, determine the tail to 14 %."""
+"""Number of simulated data sets for a threshold: the fraction `OFTEN`, 50, determines the tail to 14 %."""
 SEED: Final = 20260
 FALSE_ALARMS: Final = 0.006
 """Probability of a false alarm: the search finds an effect although none is missing.
@@ -361,10 +361,10 @@ It is below `BY_CHANCE`, as the choice of the noise adds a few alarms.
 class Threshold:
     """The least evidence that counts as a finding, and the probability that chance exceeds it.
 
-    The evidence is ln of the odds that the model lacks some effect. If the model lacks none, the evidence still
-    exceeds `value` with `probability`, by chance. The upper tail of these chance values is exponential: they
-    exceed `start` with probability `p_start`, and `start` plus x with probability `p_start` exp(-x / `decay`).
-    `nulls` is the number of simulated data sets from which the tail was determined.
+    The evidence is ln of the odds that the model lacks some effect. If the model is complete, chance evidence
+    still exceeds `value` with `probability`. The upper tail of these chance values is exponential: they
+    exceed `start` with probability `p_start`, and `start` plus x with probability `p_start` exp(-x /
+    `decay`). `nulls` is the number of simulated data sets from which the tail was determined.
     """
 
     value: float
@@ -399,7 +399,7 @@ def total_evidence(scores: Scores, whitened: Whitened) -> Floats:
 
 
 def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.random.Generator) -> Floats:
-    """Return simulated residuals (N, sets) of data sets in which no effect is missing.
+    """Return residuals (N, sets) of data sets simulated with a complete model.
 
     `sigma` is the noise of a reading in the unit of the signal, and `ratios` (sets,) the noise ratio of each
     data set.
@@ -429,10 +429,10 @@ def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS)
 
 
 def fit_tail(evidence: Floats) -> Threshold:
-    """Return the threshold that the fraction `FALSE_ALARMS` of data sets exceeds, from a fit to the upper tail.
+    """Return the threshold that data sets exceed in the fraction `FALSE_ALARMS`, by a fit to the upper tail.
 
-    `evidence` (sets,) is the evidence of each simulated data set without a missing effect. The tail begins at the
-    level `OFTEN`, the largest probability used with `Threshold.at`. The quantile of the fitted exponential has a
+    `evidence` (sets,) is that of each data set simulated with a complete model. The tail begins at the level
+    `OFTEN`, the largest probability used with `Threshold.at`. The quantile of the fitted exponential has a
     smaller variance than the empirical quantile.
     """
     ordered = np.sort(evidence)

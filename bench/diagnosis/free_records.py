@@ -98,7 +98,11 @@ class FreeRows:
         return columns
 
     def change(self, of: Sequence[int], sensor: int, channel: int) -> Floats:
-        """Return the change of |a| in the N rows, in g, if one coefficient in the conversion to |a| is larger."""
+        """Return the change of |a| (N,), g, if one coefficient grows by the size of its scale factor.
+
+        The coefficient has the index `of[channel]` among the nine of the `sensor`; the scale factor is that
+        of the `channel`.
+        """
         size = abs(float(self.block[sensor].K[channel, channel]))
         return -size * self.coefficients[:, OWN * sensor + of[channel]]
 

@@ -302,9 +302,10 @@ def _tell(
 ) -> bool:
     """Return whether the readings outside each held-out part show every find and determine its form.
 
-    The remaining readings show a find if they contain `MOSTLY` of the square of its signature. They determine its
-    form unless another form of the family leaves at most `ALIAS` of the signature in them, but more than
-    `LEAST_FALL` in all readings: chance would then choose the form that predicts the part.
+    The remaining readings show a find if they contain `MOSTLY` of the square of its signature. They do not
+    determine its form if another form of the family explains the signature in them (leaves at most `ALIAS`),
+    but not in all readings (leaves more than `LEAST_FALL`): chance would then choose the form that predicts
+    the part.
     """
     amplitudes = posterior(linear, candidates.columns[:, list(naming.columns)], noise).amplitudes
     every = np.ones(len(linear), dtype=bool)

@@ -103,7 +103,7 @@ class JointSystem(LinearSystem):
     def stage_columns(
         self, of: AppliedEffect | Floats, stage: Stage, adds_to: str = "", *, of_force: bool = False
     ) -> Floats:
-        """Return the change of the rows by one stage of the model, the same in all blocks.
+        """Return the change of the rows by an effect or course that is the same in all blocks, at one stage.
 
         Arguments and result are those of `LinearSystem.stage_columns`.
         """
@@ -503,7 +503,7 @@ def _name_in_all_and_each(
 
 
 def _stays(whitened: Whitened, data: Data, naming: Naming, one: FoundEffect) -> bool:
-    """Return whether a single-run find is still likely given all other finds, or was replaced by another form."""
+    """Return whether a single-run find stays: likely given all other finds, or replaced by another form."""
     if one.variant not in [found.variant for found in naming.found]:
         return True
     others = [i for found in naming.found if found.variant != one.variant for i in found.variant.columns]

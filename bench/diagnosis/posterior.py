@@ -159,8 +159,8 @@ def _of_any_size(precision: Floats, right: Floats, parts: Sequence[slice]) -> tu
 def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -> list[tuple[int, ...]]:
     """Return, for each part, the indices of the prior sizes (`SIZES`) over which to average.
 
-    A size index is an index into `SIZES`. If there are many parts, only the `MOST_EFFECTS` parts whose size is
-    least certain have all; each other part has the likeliest size.
+    If there are many parts, only the `MOST_EFFECTS` parts whose size is least certain have all indices; each
+    other part has that of its likeliest size.
     """
     every = tuple(range(len(SIZES)))
     if len(parts) <= MOST_EFFECTS:
@@ -396,7 +396,7 @@ def other_shapes(effect: Effect, found: Shape) -> Iterator[Shape]:
 def beside(
     candidates: Candidates, naming: Naming, sized: Posterior, channels: Mapping[int, Floats] | None = None
 ) -> tuple[tuple[AppliedEffect, ...], ...]:
-    """Return, for each effect found, the parts that may be present in addition with other shapes or channels.
+    """Return, for each effect found, parts of other shapes or in other channels that may act besides it.
 
     Their values are zero, with their prior u in SI. `sized` are the estimates with the shapes found.
     `channels` maps the index of an effect found to the probability (3,) that it acts in each channel
@@ -409,7 +409,7 @@ def beside(
 
 
 def channels_of(whitened: Whitened, data: Data, naming: Naming) -> dict[int, Floats]:
-    """Return, by index of each effect of the catalogue found, the probability (3,) that a channel has it.
+    """Return the probabilities (3,) that a found effect of the catalogue acts in each channel, by its index.
 
     It follows from the evidence of the forms of the effect.
     """

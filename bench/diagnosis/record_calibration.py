@@ -185,7 +185,11 @@ def _channels(
 def _channel(
     record: Record, channel: str, level: float, mean: Floats, spread: Floats, noise: Noise, left: Floats
 ) -> ChannelCalibration:
-    """Return gain, offset and drift from the deviation at the mean level, the slope in time, and gain - 1."""
+    """Return gain, offset and drift of a `channel`.
+
+    `mean` has, in its first column, the deviation at the mean level, the slope in time and, for several
+    levels, gain - 1; in the others, their changes by errors of one u. `spread` is their covariance.
+    """
     several, has_gain = len(mean) > 2, len(mean) > 2 or abs(level) >= ZERO_V
     per_hour = 2.0 / float(record.time_h[-1])
     if several:

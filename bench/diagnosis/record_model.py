@@ -358,8 +358,8 @@ class Products:
         """The size of each column in the first target, if the model has this column in addition.
 
         Three arrays (h,) are returned: ln of the restricted likelihood, the size, and its variance. They are
-        averages over the trial noises of one kind. If the record does not show which kind of slow noise it has,
-        that with the largest u is used: u then holds for each of them.
+        averages over the trial noises of one kind. Of the kinds of slow noise that the record allows, the one
+        with the largest u is used, so that u holds for each.
         """
         product, square, freedom = self.product[:, :, 0], np.maximum(self.square, 1e-300), self.freedom - 1
         size = product / square
@@ -447,8 +447,7 @@ def make_courses(record: Record) -> Candidates:
 def _shapes(record: Record, effect: Effect) -> list[Shape]:
     """Return the shapes of an effect to try: each shape parameter by itself, the others at their default.
 
-    A parameter has the values of the catalogue's grid and one `BEYOND` its end, unless it is a number without a
-    unit.
+    A parameter has the values of the catalogue's grid and, if it has a unit, one value `BEYOND` its end.
     """
     if effect.name == MOVE:
         time_s = record.conditions.elapsed_s

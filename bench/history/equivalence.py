@@ -1,4 +1,4 @@
-"""Degrees of equivalence of benches that measured the same units, by number and for all numbers jointly."""
+"""Degrees of equivalence of benches that measured the same units, in each number and in all jointly."""
 
 from __future__ import annotations
 
@@ -78,11 +78,11 @@ def _left(V: Floats, X: Floats) -> Floats:
 class Equivalence:
     """The reference value of each unit and the degree of equivalence of each bench, for one coefficient.
 
-    `reference` (U,) are the reference values, and `u_reference` (U,) their standard uncertainties. `degree` (B,)
-    are the degrees of equivalence d, and `covariance` (B, B) is their covariance. `dark` is the dark uncertainty
-    of benches (1 σ). The variance of d includes the dark uncertainty of all benches except the bench of d itself,
-    whose stated u is kept. `chi2` with `dof` tests the stated uncertainties; `map` (B, n) is the matrix that maps
-    `y` to d.
+    `reference` (U,) are the reference values, and `u_reference` (U,) their standard uncertainties. `degree`
+    (B,) are the degrees of equivalence d, and `covariance` (B, B) is their covariance. `dark` is the dark
+    uncertainty of benches (1 σ). The variance of d includes the dark uncertainty of all benches except the
+    bench of d itself, whose stated u is kept. `chi2` with `dof` tests the stated uncertainties; `map` (B, n)
+    maps `y` to d.
     """
 
     method: str
@@ -187,7 +187,7 @@ def _by(of: Participants, dark: float, method: str) -> Equivalence:
 class Pair:
     """The difference between two benches, first minus second, from the number `units` of common units.
 
-    `map` (n,) is the vector that maps `y` to the difference.
+    `map` (n,) maps `y` to the difference.
     """
 
     first: int

@@ -21,7 +21,7 @@ from bench.history.measured import STANDARD_GRAVITY, ComparedCalibrations, coded
 from bench.stats import chi_square
 
 LEAST_UNITS: Final = 6
-"""Fewer units give no meaningful covariance of twelve coefficients."""
+"""Least number of units that give a meaningful covariance of twelve coefficients."""
 
 
 CONFLICT_P: Final = 0.01

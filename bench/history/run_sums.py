@@ -189,9 +189,9 @@ class Layout:
     """The parameters that the runs of a bench may share, in order.
 
     `kinds` are the names of stand angles with `stated` (kinds,) u, rad. `means` are pairs of an angle and an
-    installation (empty for all) that have a mean. The variances are those of the kinds, then of the drift of x, y
-    and z in terms of `walk` (unit of the signal, per root hour). With `waves`, the harmonics of the head are
-    parameters, too.
+    installation (empty for all) that have a mean. The variances are those of the kinds, then of the drift of
+    x, y and z in units of `walk` squared (`walk` is in signal units per root hour). With `waves`, the
+    harmonics of the head are parameters, too.
     """
 
     kinds: tuple[str, ...]
@@ -368,13 +368,14 @@ def known_noise(runs: Sequence[RunFit], variances: Floats) -> tuple[KnownNoise, 
 
 
 LEAST_SHOWN: Final = 0.01
-"""Least fraction of the noise variance due to a setting error, from which a smaller setting error gets its u."""
+"""A setting error that causes less than this fraction of the noise gets the u of one that causes as much."""
 
 
 def _pooled_dof(freedom: Floats, slope: Floats, variances: Floats) -> Floats:
     """Return the degrees of freedom 2 v^2/u(v)^2 of the variances v (4,).
 
-    The u(v) of a setting error near zero is bounded, so that its degrees of freedom stay defined.
+    The setting error's v counts as at least a small value in u(v), so that its degrees of freedom stay
+    defined.
     """
     shown = float(np.mean(np.sum(slope**2, axis=1)))
     least = LEAST_SHOWN * float(np.mean(variances[:3])) / shown if shown > 0 else 0.0

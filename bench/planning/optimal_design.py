@@ -26,16 +26,16 @@ DIRECTIONS: Final = 128
 """Number of directions over which the goals of a measured acceleration are evaluated."""
 WHOLE: Final = 10.0
 LEAST_WHOLE_G: Final = 1e-3
-"""Required uncertainty of the loose goal on the whole block: a multiple of the other goals, at least 1 mg."""
+"""Required uncertainty of the loose goal for the whole block: `WHOLE` times that of others, at least 1 mg."""
 
 
 @dataclass(frozen=True)
 class Goal:
     """A goal: a required standard uncertainty `asked` of linear functionals (k, 12) of the coefficients.
 
-    The variances of the k functionals are summed. `floor` is the variance that no calibration lowers: the noise
-    of the reading at the verification point `judged`, and in a plan the errors that no reading reveals. A `loose`
-    goal only makes a plan determine the whole block.
+    The variances of the k functionals are summed. `floor` is the variance that no calibration lowers: the
+    noise of the reading at the verification point `judged` and, in a plan, the errors that no reading
+    reveals. A `loose` goal only makes a plan determine the whole block.
     """
 
     name: str
@@ -119,7 +119,7 @@ def delta_g_goals(
 
 
 def modulus_goals(block: Block, magnitude_g: float, asked_g: float) -> list[Goal]:
-    """Return goals for the modulus of specific forces up to `magnitude_g` in many directions.
+    """Return goals for the measured modulus of specific forces up to `magnitude_g`, in many directions.
 
     The variance is convex in the magnitude, so goals at zero and at `magnitude_g` cover all between.
     """
@@ -136,7 +136,7 @@ def modulus_goals(block: Block, magnitude_g: float, asked_g: float) -> list[Goal
 
 
 def vector_goal(block: Block, magnitude_g: float = 1.0, asked_g: float = 1.0) -> Goal:
-    """Return the goal for the error vector of a measured specific force: its root mean square over directions."""
+    """Return the goal for the error vector of a measured specific force, root mean square over directions."""
     inverse = np.linalg.inv(block.K)
     force = magnitude_g * directions(DIRECTIONS)[:DIRECTIONS]  # only the evenly spread directions
     weight = np.zeros((12, 12))
@@ -259,7 +259,7 @@ class ExchangeDesign:
 
     @property
     def determines(self) -> bool:
-        """Whether all candidates together determine the coefficients, without the help of their weak prior."""
+        """Whether all candidates together determine the coefficients even without their weak prior."""
         covariance = self.covariance(np.full(len(self._rows), _MANY))
         return bool(np.max(np.diag(covariance)[:FIXED]) < _DETERMINED)
 
@@ -507,7 +507,7 @@ def repeats(conditions: Conditions) -> int:
 
 
 def whitened(stand: Stand, conditions: Conditions) -> tuple[Floats, Problem]:
-    """Return derivatives (n, 3, 12 + q) of readings in units of the stand's noise, and the problem of their fit.
+    """Return the problem of a fit, after derivatives (n, 3, 12 + q) of its readings in units of the noise.
 
     The q stand angles, or independent combinations of correlated angles, are in units of their prior standard
     uncertainty.

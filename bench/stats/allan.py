@@ -18,7 +18,7 @@ CONFIDENCE: Final = 0.95
 LAGS: Final = 100
 """Greenhall and Riley's J_max: largest number of windows whose correlations are summed one by one."""
 LONG_RECORD: Final = {0: (2.0 / 3.0, 1.0 / 3.0), -1: (0.852, 0.375), -2: (1.079, 0.368)}
-"""Greenhall and Riley's table 2 for second differences: by alpha, the a0 and a1 of 1/edf = (a0 - a1/r)/r."""
+"""Greenhall and Riley's table 2 for second differences: (a0, a1) in 1/edf = (a0 - a1/r)/r, by alpha."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class AllanCurve:
         return np.array([max(_freedom(int(a), m, self.samples), 1.0) for m, a in rows], dtype=np.float64)
 
     def limits(self, freedom: Floats) -> tuple[Floats, Floats]:
-        """Return lower and upper 95 % limits (k,) of the deviation, by chi-square with `freedom` (k,)."""
+        """Return the lower and upper 95 % limits (k,) of `deviation`, by chi-square with `freedom` (k,)."""
         tail = (1.0 - CONFIDENCE) / 2.0
         low = self.deviation * np.sqrt(freedom / special.chdtri(freedom, tail))
         high = self.deviation * np.sqrt(freedom / special.chdtri(freedom, 1.0 - tail))
@@ -155,7 +155,8 @@ class NoiseTerm:
     """A noise term: its symbol, name, unit relative to the signal's, and contribution to sigma^2.
 
     A term of size x contributes `factor` x^2 tau^`power`. `alpha` is the power of frequency in its spectrum.
-    `alike` is the correlation between the Allan variances at tau and 2 tau if this term prevails, from simulations.
+    `alike` is the correlation, from simulations, between the Allan variances at tau and 2 tau if this term
+    prevails.
     """
 
     symbol: str

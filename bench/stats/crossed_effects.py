@@ -340,9 +340,7 @@ def most(found: Crossed, which: int) -> float:
 
 
 def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
-    """Return rough sizes (3,): of units, the spread of their means; of benches and excess, the scatter within
-    units.
-    """
+    """Return rough sizes (3,): for units the spread of their means, for the others that within units."""
     count = np.bincount(crossing.unit, minlength=crossing.units)
     mean = np.bincount(crossing.unit, y, crossing.units) / count
     kind = crossing.group
@@ -354,7 +352,7 @@ def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
 
 
 def _variance_covariance(at: MixedModelEquations, y: Floats) -> Floats:
-    """Return the covariance (3, 3) of the variances; zero for variances that are zero or infinite."""
+    """Return the covariance (3, 3) of the estimated squared sizes; zero where a size is zero or infinite."""
     free = np.flatnonzero((at.sizes > 0) & np.isfinite(at.sizes))
     covariance = np.zeros((3, 3))
     if len(free):

@@ -99,7 +99,7 @@ class Projection:
         return cls(P, P @ mixed.y)
 
     def scores(self, Z: ComponentColumns) -> Floats:
-        """Return the derivatives of ln L by the variances, shape (k,)."""
+        """Return the scores: the derivatives of ln L by the variances, shape (k,)."""
         traces = Z.sums(np.asarray(Z.whole.multiply(self.P @ Z.whole).sum(axis=0)).ravel())
         return np.asarray(0.5 * (self._squares(Z) - traces))
 
@@ -132,7 +132,7 @@ def scoring_step(
     ridge: float,
     most_change: float = MOST_CHANGE,
 ) -> Floats:
-    """Return variances (…, k) after one more scoring step for their logarithms, none below `least`.
+    """Return the variances (…, k), at least `least`, after one more scoring step in their logarithms.
 
     The diagonal of the information (…, k, k) is raised by a fraction `damping` of itself and `ridge` of the
     trace. No variance changes by more than a factor of `most_change`; one at `least` stays there if the score is
@@ -176,7 +176,7 @@ def maximise(
 
 @dataclass(frozen=True)
 class ComponentsAsked:
-    """Tests of k components that the model does not yet include.
+    """Tests of k components not yet in the model.
 
     `chance` (k,) is the p-value of the score for a variance of zero. `expected` (k,) is the posterior mean of the
     variance: the prior is flat above zero, the likelihood is normal about one scoring step.

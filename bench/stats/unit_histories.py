@@ -116,9 +116,9 @@ class Within:
 
     @cached_property
     def _data(self) -> list[tuple[SameLength, Floats, Floats]]:
-        """For each number of runs per unit: units, contrasts of values and benches (m, r, 1 + B), and covariance.
+        """By number of runs: units, contrasts (m, r, 1 + B) of values and benches, and covariance (m, r, r).
 
-        The stated covariance of the contrasts has the shape (m, r, r).
+        The covariance is that of the contrasts of values, as stated.
         """
         y = self.y - np.median(self.y)
         return [
@@ -294,7 +294,7 @@ def _gained(more: HistoryLikelihood, fewer: HistoryLikelihood) -> float:
 
 
 def _least(within: Within, moving: HistoryLikelihood, first: Sequence[int], mean: float) -> float:
-    """Return the lower 95 % limit of the scatter by the profile likelihood over drift; 0 if not significant."""
+    """Return the lower 95 % limit of the scatter by the profile likelihood; 0 if it is not significant."""
     others = [j for j in (*first, RATE, WALK) if j != SCATTER]
     end = float(np.sqrt(moving.variances[SCATTER]))
 

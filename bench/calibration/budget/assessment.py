@@ -183,7 +183,7 @@ def magnitudes(range_g: float) -> tuple[float, ...]:
 
 
 class AtMagnitude(ResultModel):
-    """Uncertainties over all directions at one magnitude, g: mean and largest of vector and modulus."""
+    """Mean and largest u of vector and modulus over all directions, g, at one magnitude."""
 
     magnitude_g: float
     u_vector_mean: float
@@ -333,7 +333,7 @@ def exact_readings(budget: Budget, trials: int, rng: np.random.Generator) -> Flo
 
 
 def _linear(budget: Budget) -> Propagated:
-    """Return coefficients and delta g of the linear budget, without covariances between the two."""
+    """Return coefficients, then delta g, of the linear budget; their cross-covariances are left out."""
     total, variances = budget.combined, delta_g_variances(budget)
     count = len(variances)
     covariance = np.diag(np.concatenate([np.zeros(12), variances.sum(axis=1)]))
@@ -446,7 +446,7 @@ class Assessment:
 
     @property
     def capable(self) -> bool | None:
-        """Whether a calibration without a mistake passes each verification point with the coverage probability.
+        """Whether a calibration without a mistake passes each point with at least the coverage probability.
 
         None without verification points.
         """

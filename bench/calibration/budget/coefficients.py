@@ -74,7 +74,7 @@ class Setup:
     def stand_slope(self, name: str) -> Floats:
         """Return the derivatives of the readings by the stand angle `name`, V/rad, shape (n, 3).
 
-        Each is by the angle in the mounting of the reading.
+        Each reading has the derivative by the angle of its own mounting.
         """
         if name not in self._stand_slopes:
             self._stand_slopes[name] = self._slope(lambda step: (self._angles(name, step), 0.0))
@@ -198,10 +198,11 @@ def estimator_map(
 ) -> Floats:
     """Return an estimator's linear map (12, n, 3) from readings to coefficients; zero at verification points.
 
-    `stated` maps stand errors to standard uncertainties (rad, V), by which generalised least squares weighs the
-    readings. `known`, prior knowledge from other runs, replaces these uncertainties. For an iterative estimator
-    it is the map of its last step, for readings without outliers. Raises `CalibrationError` for an unknown
-    estimator, and for readings that do not determine the coefficients or do not suit the closed form.
+    `stated` maps stand errors to standard uncertainties (rad, V), by which generalised least squares weighs
+    the readings. `known`, prior knowledge from other runs, replaces these uncertainties. For an iterative
+    estimator, the result is the map of its last step, for readings without outliers. Raises
+    `CalibrationError` for an unknown estimator, and for readings that do not determine the coefficients or do
+    not suit the closed form.
     """
     by = in_a_budget(estimator)
     require_rank(setup.force[setup.fitted])
@@ -223,7 +224,7 @@ def _task(
 ) -> WeightingTask:
     """Return the input of an estimator's weighting for noise-free readings of the setup.
 
-    Its fit has the linear map that the last step of a fit to real readings would have.
+    The linear map of its fit is that of the last step of a fit to real readings.
     """
     signal = setup.signal[setup.fitted]
     floor = gls.LEAST_NOISE * float(np.max(np.abs(signal)))

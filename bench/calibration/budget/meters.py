@@ -82,7 +82,7 @@ def size_of(quantity: Quantity, meter: VoltmeterForm, day: datetime.date | None)
 
 
 def may_move(quantity: Quantity, meter: VoltmeterForm) -> float:
-    """Return the standard uncertainty due to drift within 90 days of a meter's relative gain, or of its zero, V."""
+    """Return the standard uncertainty of a meter's relative gain, or zero (V), from drift within 90 days."""
     found = _certified(quantity, meter)
     drift = _limit(quantity, meter, 0.0) if found is None or found.drift is None else found.drift * DAYS_90
     return drift / math.sqrt(3.0)
@@ -124,7 +124,7 @@ def _limit(quantity: Quantity, meter: VoltmeterForm, years: float) -> float:
 
 
 def _age(certificate: Certificate, day: datetime.date | None) -> float:
-    """Return the years from the calibration to `day`, or to the end of its validity if the day is unknown."""
+    """Return the years from calibration to `day` or, if unknown, to the end of the certificate's validity."""
     if day is not None:
         return certificate.years_until(day)
     return (
@@ -204,7 +204,7 @@ def joint_errors(
 def _as_certified(found: JointErrors, prior: Floats, certified: Mask) -> JointErrors:
     """Return joint errors in which certified meters keep their certified u and have no mean error.
 
-    The errors of the other meters are their conditional distribution, given the errors of the certified meters.
+    The errors of the other meters have their conditional distribution, given those of the certified meters.
     """
     if not np.any(certified):
         return found
@@ -251,7 +251,7 @@ class KnownMeters:
 def known_meters(
     bench: BenchFile, day: datetime.date, meters: Sequence[str], learned: LearnedMeters
 ) -> tuple[KnownMeters | None, tuple[str, ...]]:
-    """Return the voltmeters' errors on a day from learned differences, or None if none are used, and notes.
+    """Return the voltmeters' errors on `day` by learned differences (None if these are not used), and notes.
 
     `meters` are the identities of the voltmeters.
     """

@@ -64,7 +64,7 @@ class MeasuredReadings:
 
     @cached_property
     def orientation(self) -> Ints:
-        """Orientation number of each reading, (n,): equal for the same installation and whole degree.
+        """Orientation number of each reading, (n,): equal in one installation at the same whole degree.
 
         A reading without an orientation has a number of its own.
         """

@@ -86,10 +86,11 @@ class GrossSearch:
     def find(self, readings: Readings) -> GrossMistake | None:
         """Return the most probable mistake; None if its odds are too small.
 
-        The odds must exceed the number of suppositions tried over `HARDLY_EVER`. Each supposition also competes
-        with the assumption that a reading, pass or mounting is useless. If the corrected readings are still
-        far off, there may be two mistakes that hide each other. The search is then repeated without each
-        mounting in turn, and the mistake is returned after which a second one explains the most.
+        The odds must exceed the number of suppositions tried over `HARDLY_EVER`. Each supposition also
+        competes with the assumption that a reading, pass or mounting is useless. If the corrected readings
+        are still far off, there may be two mistakes that hide each other. The search is then repeated without
+        each mounting in turn, and that mistake is returned which, together with a second one, explains the
+        most.
         """
         table = OrientedRows.of(readings)
         maps = suppositions(table, units=self.nominal is not None)
