@@ -65,7 +65,7 @@ class _Term:
     channels: str
     columns: Floats
     unit_of: Floats
-    """Standard deviation of a random effect of unit variance: one per channel (signal unit), or one in rad."""
+    """Standard deviation of a random effect of unit variance, by channel (signal unit) or common (rad)."""
 
 
 def take_in(problem: Problem, fit: Fit, unit: str, floor: float = 0.0) -> SharedErrorFit:

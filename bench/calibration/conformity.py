@@ -235,8 +235,9 @@ def _largest_sure(limit: float, known: MeasuredValues) -> Floats:
 
 
 def coverage_factor(dof: ArrayLike) -> Floats:
-    """Return the coverage factor k for degrees of freedom of any shape: 2 if they are infinite, else the k that has
-    the same coverage probability. Source: JCGM 100:2008, G.3.
+    """Return the coverage factor k: 2 for infinite degrees of freedom, else the k of equal probability.
+
+    `dof` may have any shape. Source: JCGM 100:2008, G.3.
     """
     nu = np.asarray(dof, dtype=np.float64)
     return np.where(np.isinf(nu), COVERAGE_FACTOR, _quantile(0.5 * (1.0 + _COVERAGE), nu))

@@ -91,9 +91,10 @@ class FreeRows:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """The model linearised about a point: the predicted readings (n, 3), and their derivatives (n, 3, 12 + q) by
-    the 12 coefficients and the q other unknowns. `slope` (n, 3) is du/dphi, the sensitivity of the signals to a
-    setting error of the head, unit/rad.
+    """The model linearised about a point: the readings `predicted` (n, 3) and their derivatives.
+
+    `jacobian` (n, 3, 12 + q) are those by the 12 coefficients and the q other unknowns; `slope` (n, 3) is
+    du/dphi, that by a setting error of the head, unit/rad.
     """
 
     predicted: Floats
@@ -226,8 +227,8 @@ class Problem:
         return (forward - back) / (2 * STEP_RAD)
 
     def jacobian(self, block: Block, others: Floats) -> Floats:
-        """Return the derivatives of the readings by the 12 coefficients and the q other unknowns, shape (n, 3, 12 +
-        q).
+        """Return the derivatives (n, 3, 12 + q) of the readings by the 12 coefficients and the q other
+        unknowns.
         """
         return self.linear(block, others).jacobian
 

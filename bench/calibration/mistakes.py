@@ -146,9 +146,7 @@ def _equal_where_forces_differ(columns: Floats, signal: Floats, sides: Floats) -
 
 
 def refuse_saturated_free(signal: Floats) -> None:
-    """Raise `CalibrationError` if many readings of free positions are equal at one end of their range: without
-    saturation they all differ.
-    """
+    """Raise `CalibrationError` if many free positions read equal values at one end of the range."""
     for i, axis in enumerate("xyz"):
         ends = (signal[:, i] == signal[:, i].max(), signal[:, i] == signal[:, i].min())
         there = max(ends, key=np.count_nonzero)
@@ -471,7 +469,5 @@ def _of_other(readings: Readings, row: int, power: Ints, scaled: Floats, *, ever
 
 
 def sheet_of(unit: str, scale_factors: Sequence[float]) -> Sequence[float] | None:
-    """Return the nominal signal per g (3,) in a unit: `scale_factors` for V, constants for g and m/s^2, None for
-    any other unit.
-    """
+    """Return the nominal signal per g (3,): `scale_factors` for V, constants for g and m/s^2, else None."""
     return {"V": scale_factors or None, "g": (1.0, 1.0, 1.0), "m/s^2": (9.81, 9.81, 9.81)}.get(unit)

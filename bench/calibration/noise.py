@@ -183,7 +183,7 @@ def drifted(
 
 
 LEAST_REPEATS: Final = 12
-"""Least number of repeats (readings less groups) from which the noise is estimated by their scatter."""
+"""Least number of repeats (readings minus groups) whose scatter serves as estimate of the noise."""
 
 
 SAME_SCATTER: Final = 1e-3

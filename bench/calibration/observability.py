@@ -18,7 +18,7 @@ from bench.model.conditions import Conditions
 from bench.model.geometry import COEFFICIENTS, STAND_ANGLES, Block, hidden_axes
 
 MEMBER: Final = 0.02
-"""An unknown belongs to a null direction if its part exceeds this fraction of the largest part."""
+"""An unknown is a member of a null direction if its part exceeds this fraction of the largest part."""
 _IN_SPAN: Final = 1e-3
 _NOTHING: Final = 1e-6
 _MOST_NAMED: Final = 4
@@ -50,12 +50,12 @@ class Direction:
 
     @property
     def others(self) -> list[str]:
-        """Stand angles, settings and effects in the direction, without small parts."""
+        """The stand angles, settings and effects in the direction, except those with small parts."""
         return self._telling([name for name in self.members if name not in COEFFICIENTS])
 
     @property
     def coefficients(self) -> list[str]:
-        """Return the direction's coefficients, without small parts."""
+        """Return the direction's coefficients, except those with small parts."""
         return self._telling([name for name in self.members if name in COEFFICIENTS])
 
     def _telling(self, names: list[str]) -> list[str]:
@@ -112,10 +112,10 @@ class Direction:
 
 
 class _Directions:
-    """The null space (p, d), resolved into named directions with as few members as possible.
+    """A null space, resolved into named directions with as few members as possible.
 
-    `null` is an orthonormal basis of the space that remains. All vectors are in scaled unknowns: the unknowns
-    times `length` (p,), the norms of their columns.
+    `null` (p, d) is an orthonormal basis of the space that remains. All vectors are in scaled unknowns: the
+    unknowns times `length` (p,), the norms of their columns.
     """
 
     def __init__(self, null: Floats, length: Floats, names: tuple[str, ...], block: Block) -> None:
@@ -160,9 +160,9 @@ class _Directions:
             self._null = self._null @ _null_space(vectors.T @ self._null)
 
     def _sparse(self, basis: Floats) -> list[Floats]:
-        """Return a basis of the same space in which each vector has an unknown that is zero in all other vectors.
+        """Return a basis of the same space: each vector has an unknown of its own, zero in all other vectors.
 
-        That unknown is a coefficient only if no stand angle or effect is possible.
+        Its own unknown is a coefficient only if no stand angle or effect can be chosen.
         """
         vectors = basis.copy()
         free = np.ones(len(vectors), dtype=bool)
@@ -240,7 +240,8 @@ def axis_in_words(axis: tuple[float, float, float] | None) -> str:
 TRACELESS: Final = 1e-4
 """A direction is null if its singular value is below this fraction of the largest.
 
-Angles read back differ from nominal ones by arcseconds, which gives a null vector a singular value of about 1e-5.
+Angles read back differ from nominal ones by arcseconds, which gives a null vector a singular value of about
+1e-5.
 """
 _NO_COLUMN: Final = 1e-8
 
@@ -484,7 +485,9 @@ def _absent(
 
 
 def _shown(columns: Sensitivities, oriented: int, block: Block, name: str) -> str:
-    """Return in words how well the readings show an assumed angle, apart from a common turn of the block's axes."""
+    """Return in words how well readings show the assumed angle `name`, but for a common turn of the block's
+    axes.
+    """
     if _is_hidden(columns, block, name):
         return message("nothing in these readings shows it")
     if not _is_hidden(Sensitivities(columns.rows[:oriented], columns.names), block, name):
@@ -522,7 +525,9 @@ def _together(names: list[str]) -> str:
 
 
 def _undetermined(found: Observability, unit: str) -> list[str]:
-    """Return sentences on unknowns that only their limits confine: one on all turns, one per other direction."""
+    """Return sentences on unknowns confined only by limits: one on all turns, one per other null
+    direction.
+    """
     turns = [d for d in found.directions if d.kind is DirectionKind.TURN]
     sentences = []
     if turns:

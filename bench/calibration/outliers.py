@@ -80,9 +80,7 @@ def looks(problem: Problem) -> int:
 
 
 def critical(candidates: int, dof: float) -> float:
-    """Return the limit for the largest studentised residual: by chance alone, it is exceeded with probability
-    `LEVEL`.
-    """
+    """Return the limit that the largest studentised residual exceeds by chance with probability `LEVEL`."""
     p = 1.0 - LEVEL / (2 * candidates)
     return float(special.ndtri(p) if np.isinf(dof) else special.stdtrit(dof, p))
 

@@ -328,9 +328,7 @@ class Calibration(HasCovariance):
 
     @property
     def covariance_same_meters(self) -> Floats:
-        """Combined covariance (12, 12) for later readings with the same meters: it omits the errors that then
-        cancel.
-        """
+        """Combined covariance (12, 12) without errors that cancel in later readings with the same meters."""
         return self.covariance - sum((s.covariance for s in self.sources if s.cancels), np.zeros((12, 12)))
 
     @property

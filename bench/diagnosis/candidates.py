@@ -92,9 +92,7 @@ SINGLE: Final = (SINGLE_READING, SINGLE_SETTING)
 RARE: Final = 1e-3
 """Prior odds of a single deviating reading against another unnamed pattern: noise has such tails, too."""
 KIND_PRIOR: Final = (0.03, 0.01, 0.96)
-"""Prior probabilities of what is missing: an unnamed form with a formula, one without, an effect of the
-catalogue.
-"""
+"""Prior probabilities that an unnamed form with a formula, one without, or a catalogue effect is missing."""
 
 
 @dataclass(frozen=True)
@@ -287,9 +285,7 @@ def without_copies(candidates: Candidates, white: Whitener) -> Candidates:
 
 
 MountSets = Callable[[LinearSystem, Effect], Iterator[tuple[tuple[str, ...], ...]]]
-"""Yields sets of groups of mountings for an effect. Each group has its own parameters; the group () is all
-mountings.
-"""
+"""Yields sets of groups of mountings for an effect; each group has its own parameters, () is all."""
 
 
 def make_candidates(

@@ -40,9 +40,7 @@ LOG_SIZE_WEIGHTS: Final = tuple(float(np.log(w)) for w in (0.6, 0.28, 0.12))
 """ln of the prior probability of each of `SIZES`: larger effects are rarer."""
 
 KNOWN_SIZE: Final = max(SIZES)
-"""Prior size of an effect already in the model, as a multiple of its plausible size: the widest, as data determine
-it.
-"""
+"""Prior size, in plausible sizes, of an effect already in the model: the widest, so that data decide."""
 
 CHUNK: Final = 100
 """Data sets or columns computed at once: 100 evidences of 3,000 columns at six ratios need 15 MB."""

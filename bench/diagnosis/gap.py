@@ -368,9 +368,7 @@ def _fold(
     label: str,
     held: Mask,
 ) -> Fold:
-    """Search the rows outside the mask `held` (N,), and predict the rows in it with and without the effects
-    found.
-    """
+    """Search rows outside the mask `held` (N,); predict those in it with and without the effects found."""
     part, candidates = restrict(linear, ~held), whitened.candidates
     kept = replace_columns(candidates, candidates.columns[~held])
     grid = make_noise_grid(part, whitened.grid.sigma, setting_rad, near_ratios(linear, noise))
@@ -390,9 +388,7 @@ def _fold(
 def _held_out(
     linear: LinearSystem, candidates: Candidates, noise: NoiseSize, held: Mask, columns: Sequence[int]
 ) -> HeldOut:
-    """Predict the rows in the mask `held` (N,) from all others, with the candidates' `columns` (indices) in the
-    model.
-    """
+    """Predict the rows in the mask `held` (N,) from the others; `columns` (indices) are in the model."""
     effects = candidates.columns[:, list(columns)]
     fitted = posterior(linear, effects, noise, ~held)
     error, chi2 = predicted_error(linear, effects, noise, fitted, held)

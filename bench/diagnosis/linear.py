@@ -293,8 +293,8 @@ class LinearSystem:
 
     @cached_property
     def _stand(self) -> tuple[Floats, Floats]:
-        """The specific force (n, 3) without effects, and the derivatives (n, 3, 6) of the readings by the angles
-        of stand and head.
+        """The specific force (n, 3) without effects; derivatives (n, 3, 6) of readings by stand and head
+        angles.
         """
         model, conditions = replace(self.model, effects=()), self.conditions
         still = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))

@@ -82,9 +82,7 @@ class JointSystem(LinearSystem):
 
     @property
     def relative_of_channel(self) -> Floats:
-        """The relative noise (N,) of each row that is due to its channel; for a modulus, to the channels of its
-        block.
-        """
+        """The part (N,) of each row's relative noise due to its channel or, for a modulus, to its block's."""
         return self._of_each_block(lambda part: replace(part, by_channel=self.by_channel).relative_of_channel)
 
     @cached_property
@@ -414,9 +412,7 @@ TOGETHER: Final = FALSE_ALARMS - ALONE
 
 @dataclass(frozen=True)
 class _Run:
-    """A single run: the mask `rows` (N,) of its rows in the joint system, and its own system, candidates and
-    noise grid.
-    """
+    """A single run with its own system, candidates and noise grid; `rows` (N,) masks it in the joint one."""
 
     rows: Mask
     linear: LinearSystem
@@ -556,9 +552,7 @@ def _runs(task: SearchTask, linear: LinearSystem, sigma_of_all: float) -> Iterat
 
 
 def _embedded(candidates: Candidates, one: FoundEffect, run: _Run) -> tuple[Candidates, FoundEffect]:
-    """Return the candidates with the columns of a single-run find added, and the find. The columns are 0 in other
-    runs.
-    """
+    """Return the candidates, with a single-run find added, and the find; its columns are 0 in other runs."""
     labels, own = _labels_of_runs(run.linear.readings), run.candidates
     chosen = list(one.variant.columns)
     first = candidates.columns.shape[1]

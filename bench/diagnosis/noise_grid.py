@@ -33,9 +33,7 @@ def coupled(matrix: Floats) -> Iterator[tuple[Ints, Ints]]:
 
 
 RATIOS: Final = (0.0, 0.7, 1.4, 2.6, 5.0, 12.0)
-"""Grid of the noise ratio gamma: the signal of a setting error at the typical slope, divided by the noise of a
-reading.
-"""
+"""Grid of the noise ratio: a setting error's signal at the typical slope over the noise of a reading."""
 
 RATIO_SPREAD: Final = 1.0
 """Prior standard deviation of ln gamma about the bench file's value, which is known to a factor of three."""

@@ -179,7 +179,7 @@ def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -
 def _of_sizes(
     precision: Floats, right: Floats, parts: Sequence[slice], sizes: Sequence[int]
 ) -> tuple[float, Floats, Floats]:
-    """Return ln of the probability of the prior `sizes`, and for them the mean and covariance of the amplitudes."""
+    """Return ln of the probability of the prior `sizes`, and mean and covariance of amplitudes with them."""
     prior = np.ones(len(right))
     for size, mine in zip(sizes, parts, strict=True):
         prior[mine] = 1.0 / SIZES[size] ** 2
@@ -192,7 +192,9 @@ def _of_sizes(
 def _normal(
     linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mask | None = None
 ) -> tuple[Floats, Floats]:
-    """Return the normal matrix and the right-hand side, without a prior for the effects' columns (N, m)."""
+    """Return normal matrix and right-hand side of a fit in which the effects' columns (N, m) have no
+    prior.
+    """
     mine = slice(None) if rows is None else rows
     columns = np.column_stack([linear.design(effects), linear.response])[mine]
     white = whiten_rows(linear, noise, columns, rows)
@@ -203,7 +205,7 @@ def _normal(
 
 
 def _inverse(normal: Floats) -> Floats:
-    """Return the inverse of a positive matrix whose rows have units of their own."""
+    """Return the inverse of a positive matrix whose rows have different units."""
     scale = 1.0 / np.sqrt(np.diag(normal))
     return np.asarray(np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale))
 
@@ -252,7 +254,7 @@ ADDED: Final = ("warm_up", "bias_drift", "thermal_bias", "turn_on_shift")
 
 
 def common_volts(naming: Naming, fitted: Posterior, linear: LinearSystem) -> Iterator[str]:
-    """Yield a sentence for each effect whose size in volts is the same in all three channels within its u."""
+    """Yield a sentence for each effect whose sizes in the three channels, in volts, agree within u."""
     # one prior size of each channel's column is the same part of its K_ii
     scale = np.diag(linear.block.K)
     apart = np.diff(np.eye(3), axis=0)
@@ -275,7 +277,7 @@ def common_volts(naming: Naming, fitted: Posterior, linear: LinearSystem) -> Ite
 
 
 FAR_BETTER: Final = 0.25
-"""A sum or difference is stated when its u is at most this fraction of the u of either value."""
+"""A sum or difference of two values is stated if its u is at most this fraction of either's u."""
 
 
 @dataclass(frozen=True)
@@ -540,7 +542,7 @@ def left_open(
 
 
 def _follows(covariance: Floats, own: Floats, places: Floats) -> Floats:
-    """Return the regression coefficients (own, others) of the amplitudes found on the other sizes."""
+    """Return the coefficients (own, others) of a regression of the amplitudes found on the other sizes."""
     of_others = covariance[np.ix_(places, places)]
     return np.asarray(np.linalg.lstsq(of_others, covariance[np.ix_(places, own)], rcond=NEGLIGIBLE)[0].T)
 

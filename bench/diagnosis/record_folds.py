@@ -147,7 +147,7 @@ def _predicted(
 
 
 def _rivals(work: RecordWork, finds: Sequence[FoundEffect], noises: Sequence[Noise]) -> Iterator[Rival]:
-    """Yield how well each kind of shape of the first effect of the meter's temperature predicts excursions."""
+    """Yield how well each kind of response predicts excursions, for the first find of meter temperature."""
     thermal = next((one for one in finds if FOLLOWS[one.variant.family] == "meter"), None)
     masks = [] if thermal is None else list(_excursions(work, thermal.variant))
     if thermal is None or len(masks) < 2:

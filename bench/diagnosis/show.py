@@ -67,9 +67,7 @@ class Simulation:
 
 @dataclass(frozen=True)
 class CoefficientChange:
-    """A coefficient and its u: `before` and `u_before` with the given model, `after` and `u_after` with the
-    effects found.
-    """
+    """A coefficient and its u, `before` with the given model and `after` with the effects found."""
 
     before: float
     u_before: float

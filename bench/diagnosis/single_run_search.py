@@ -46,9 +46,9 @@ class Prepared:
     """Readings prepared for the search: linear system, whitened candidates, and threshold.
 
     `repeats` is the noise from repeats; `data`, the scalar products of the residuals with the columns of the
-    candidates; `limit`, the threshold. `bend` (N,) is the nonlinear part of the effects found, which is already
-    subtracted from the response. `log_odds` is ln of the prior odds of the noise hypotheses accepted, less the
-    cost of their parameters. `chosen` maps the kind of each of these hypotheses to its words.
+    candidates; `limit`, the threshold. `bend` (N,) is the nonlinear part of the effects found, which is
+    already subtracted from the response. `log_odds` is ln of the prior odds of the noise hypotheses accepted,
+    minus the cost of their parameters. `chosen` maps the kind of each of these hypotheses to its words.
     """
 
     linear: LinearSystem

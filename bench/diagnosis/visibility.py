@@ -211,9 +211,7 @@ class ReadingDesign:
         self._make_free([*self._known, *new])
 
     def _make_free(self, known: list[Floats]) -> None:
-        """Project out the coefficients, and, as far as their priors allow, the stand angles and the `known`
-        columns.
-        """
+        """Project out the coefficients and, up to their priors, the stand angles and the `known` columns."""
         self._known = known
         self._seen: dict[EffectPart, Floats] = {}
         rows = self.linear.with_random(*known)

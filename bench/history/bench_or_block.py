@@ -144,8 +144,9 @@ class OutlyingEffect:
 
 @dataclass(frozen=True)
 class BenchOrBlock:
-    """The variation between units and between B benches: `effect` (B, 12) of each bench, with its standard
-    uncertainty `u`.
+    """The variation between units and between B benches.
+
+    `effect` (B, 12) are the effects of the benches and `u` their standard uncertainties.
 
     `connected` are the sets of benches linked by common units; an effect is the difference from the mean of its
     set. The effect of a bench that shares no unit with another is NaN. `units_apart` are the outlying units.

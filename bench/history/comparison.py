@@ -183,11 +183,12 @@ class DriftLines:
 
 @dataclass(frozen=True)
 class InNumbers:
-    """The changes of all later calibrations from the first, in nine intrinsic numbers or twelve coefficients:
-    `names`.
+    """The changes of all later calibrations from the first, in the numbers `names`.
 
-    `p_constant` is the p-value of the hypothesis that none of them changed in any calibration. `drift` is None if
-    dates are missing, the calibrations are too few, or their time span is too short.
+    These are the nine intrinsic numbers or the twelve coefficients.
+
+    `p_constant` is the p-value of the hypothesis that all stayed constant. `drift` is None if dates are
+    missing, the calibrations are too few, or their time span is too short.
     """
 
     names: tuple[str, ...]

@@ -54,7 +54,7 @@ class Participants:
 
     @cached_property
     def between_dof(self) -> int:
-        """Degrees of freedom between benches: the number of benches less the number of their connected sets."""
+        """Degrees of freedom between benches: the number of benches minus that of their connected sets."""
         both = np.linalg.matrix_rank(np.concatenate([self.Z_unit, self.Z_bench], axis=1))
         return int(both) - int(self.unit.max()) - 1
 
@@ -65,7 +65,7 @@ class Participants:
 
 
 def _left(V: Floats, X: Floats) -> Floats:
-    """Return V^-1 less its part in the column space of X (n, p), whose columns may be linearly dependent."""
+    """Return V^-1 minus its part in the column space of X (n, p), whose columns may be linearly dependent."""
     lower = linalg.cholesky(V, lower=True)
     whitened = linalg.solve_triangular(lower, X, lower=True)
     along, size, _ = np.linalg.svd(whitened, full_matrices=False)

@@ -47,9 +47,7 @@ class LearnedSize:
 
 @dataclass(frozen=True)
 class Variance:
-    """A variance component `theta` with its u, both in multiples of `unit` squared; `held` is true if its prior is
-    kept.
-    """
+    """A variance component `theta` and its u in units of `unit` squared; if `held`, its prior is kept."""
 
     name: str
     theta: float

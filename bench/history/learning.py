@@ -246,7 +246,7 @@ def _angle_test(
 
 
 def _fit(body: RunSums, means: Floats) -> list[Contradiction]:
-    """Return tests of each run's lack of fit, less the head's harmonics, against that of the other runs."""
+    """Return tests of each run's lack of fit, after the head's harmonics, against that of the other runs."""
     waves = means[len(means) - body.waves :]
     c = body.columns
     H = slice(c, c + body.waves)

@@ -56,9 +56,7 @@ class RunFit:
     unit: str
 
     def noise(self) -> Floats | None:
-        """Return the noise variances (4,) of x, y, z and of the setting error from the run's repeats; None
-        for too few.
-        """
+        """Return the noise variances (4,) of x, y, z and the setting error by repeats; None for too few."""
         if self.scatter.settings < LEAST_SETTINGS:
             return None
         own = self.scatter
@@ -131,10 +129,10 @@ def _walk(conditions: Conditions) -> Floats:
 class RunSums:
     """Runs as arrays of equal shape: `gram` (runs, w, w) of W = (B, H, y), with zeros for columns that a run lacks.
 
-    B has c columns for stand angles and drift, H has `waves` columns for harmonics of the head. `random` (runs,
-    c) is the index of the variance of each column of B; `mean` (runs, c) is the index of the mean of each column;
-    -1 means that there is none. `chi2` (runs,) with `dof` (runs,) is y^T P y less the scatter of repeats, where P
-    projects out the run's own coefficients, but not B and H.
+    B has c columns for stand angles and drift, H has `waves` columns for harmonics of the head. `random`
+    (runs, c) is the index of the variance of each column of B; `mean` (runs, c) is the index of the mean of
+    each column; -1 means that there is none. `chi2` (runs,) with `dof` (runs,) is y^T P y minus the scatter
+    of repeats; P projects out the run's own coefficients, but not B and H.
     """
 
     names: tuple[str, ...]
@@ -297,8 +295,7 @@ def _beyond_repeats(run: RunFit, gram: Floats, variances: Floats, angles: int) -
 
 
 def pooled_noise(runs: Sequence[RunFit], floor: float) -> Floats:
-    """Return the noise variances (4,) of channels x, y, z and of the setting error, from the repeats of all
-    runs.
+    """Return the noise variances (4,) of x, y, z and the setting error from the repeats of all runs.
 
     `floor` is the lowest credible noise. Raises `CalibrationError` for too few repeats.
     """

@@ -288,7 +288,7 @@ class Spectrum:
 
 
 SHORT_GAP: Final = 3
-"""Most missing samples in a row that the spectrum bridges by a straight line; a longer gap parts the record."""
+"""Longest gap, in samples, that the spectrum bridges by a straight line; a longer one splits the record."""
 
 
 def spectrum_of(record: StaticRecord) -> Spectrum:

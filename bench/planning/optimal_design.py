@@ -175,7 +175,7 @@ _WITHIN_REACH: Final = 1.05
 """Greatest ratio of u to required u at which exchanges are tried: they lower the ratio by a few percent only."""
 _GAIN: Final = 1e-6
 _WEAKLY_KNOWN: Final = 1.0
-"""Prior standard uncertainty of the coefficients, V/g and V: without influence, it keeps matrices invertible."""
+"""Prior u of the coefficients, V/g and V, too weak to have an influence: it keeps matrices invertible."""
 _DETERMINED: Final = 1e-2
 _MANY: Final = 1e5
 LEAST_FREEDOM: Final = 6

@@ -43,7 +43,7 @@ _EVENLY_MOST: Final = 4
 """Largest even spread of settings that is tried, as a multiple of the number found by a search."""
 _PARTS_TOLD: Final = 3
 _PART_NAMED: Final = 0.01
-"""Most irreducible sources that an error message names, and their least size as a fraction of the largest."""
+"""Largest number of irreducible sources in an error message, and their least size relative to the largest."""
 _ROUNDS: Final = 4
 """Greatest number of searches, each with tighter goals, to allow for noise estimated from the readings."""
 
@@ -93,7 +93,7 @@ class Sites:
 
 
 def _kinds(model: ForwardModel, mounts: Sequence[Mounting], angle_rad: Floats) -> list[tuple[float, ...]]:
-    """Return a key for each mounting, equal for equivalent ones; all keys differ if the angles are asymmetric."""
+    """Return a key for each mounting: equal for equivalent ones, but not if the angles are asymmetric."""
     turned = np.exp(1j * np.concatenate([angle_rad, -angle_rad, np.pi - angle_rad]))
     if len(np.unique(np.round(turned, 6))) > len(angle_rad):
         return [(float(i),) for i in range(len(mounts))]

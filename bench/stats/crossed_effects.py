@@ -235,8 +235,8 @@ def solve(crossing: Crossing, y: Floats, variance: Floats, sizes: Floats) -> Mix
 class Crossed:
     """The estimated sizes of units, benches and excess for one coefficient.
 
-    `at` are the equations solved at these sizes. `y` (n,) are the values less `centre`, `variance` (n,) their
-    stated variances; `variance_covariance` (3, 3) is the covariance of the estimated squared sizes.
+    `at` are the equations solved at these sizes. `y` (n,) are the values minus `centre`, `variance` (n,)
+    their stated variances; `variance_covariance` (3, 3) is the covariance of the estimated squared sizes.
     """
 
     at: MixedModelEquations

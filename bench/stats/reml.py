@@ -153,8 +153,7 @@ def scoring_step(
 def maximise(
     mixed: Mixed, start: Floats, scale: Floats, believed: Floats | None = None
 ) -> tuple[Floats, Projection]:
-    """Return the non-negative variances (k,) that maximise the restricted likelihood, and the projection P at the
-    maximum.
+    """Return the non-negative variances (k,) of largest restricted likelihood, and the projection P there.
 
     `start` (k,) are start values. A variance below 1e-5 of `scale` (k,) counts as zero. `believed` (k,) holds lower
     limits of the variances, by default zero.
@@ -233,7 +232,7 @@ LIMIT_AT_REST: Final = 0.01
 
 @dataclass(frozen=True)
 class Profile:
-    """The profile of the restricted likelihood over one size, 1 sigma; the other variances are linear in its
+    """The profile of the restricted likelihood over one size (1 sigma), with other variances linear in its
     square.
 
     The linear relation is exact near the maximum, which is at `variances` (k,). `follow` (k,) is the change of

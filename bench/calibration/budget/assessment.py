@@ -255,8 +255,7 @@ def delta_g(
     reading: bool = True,
     population: Population | None = None,
 ) -> tuple[DeltaG, ...]:
-    """Return, for each verification point of the setup, the uncertainty of delta g and the limit up to which the
-    rule accepts it.
+    """Return the uncertainty and the acceptance limit of delta g at each verification point of the setup.
 
     For `reading` see `delta_g_variances`. Raises `CalibrationError` for an unknown rule.
     """

@@ -404,7 +404,7 @@ def _warmed(source: ErrorSource, seen: AnyReadings, course: Floats) -> _Patterns
 
 
 HARDLY_ANY: Final = 1e-3
-"""Eigenvectors with less than this fraction of the total variance are left out."""
+"""Principal components with less than this fraction of the total variance are left out."""
 
 
 def _unknown(time_s: Floats, correlation_s: float) -> Floats:

@@ -168,7 +168,9 @@ class _Beside:
         return self.weight[:, None] + [one.of_readings() for one in self.seen]
 
     def of_readings(self) -> Floats:
-        """Return, for each reading, ln of the odds (n,) that it has an error; the odds are divided by n."""
+        """Return ln of the odds (n,) of an error of each reading; the prior odds of an error are 1/n for
+        each.
+        """
         return np.asarray(logsumexp(self._of_readings, axis=0) - np.log(self._of_readings.shape[1]))
 
     def likeliest(self, row: int) -> ProjectedReadings:
@@ -214,7 +216,9 @@ def _slips(table: Table) -> list[tuple[Floats, Floats]]:
 def _classified(
     seen: ProjectedReadings, row: int, slips: Sequence[tuple[Floats, Floats]], p: float
 ) -> WrongReadings:
-    """Return a wrong reading as a wrong setting if one explains the three signals, else as an outlier."""
+    """Return the wrong reading `row`: a wrong setting if one of `slips` explains its three signals, else an
+    outlier.
+    """
     table, block, pull = seen.table, seen.blocks[row], seen.pulls[row]
     shift = np.linalg.solve(block, pull)
     free = len(seen.pull) - float(np.sum(seen.basis**2)) - 3.0
@@ -240,7 +244,7 @@ def _classified(
 
 
 def _outlier(shift: Floats, precision: Floats) -> tuple[str, ...]:
-    """Return the fewest channels whose errors explain a reading."""
+    """Return the smallest set of channels whose errors explain a reading."""
     pull = precision @ shift
     for number in (1, 2):
         left = {}
@@ -259,7 +263,7 @@ def _outlier(shift: Floats, precision: Floats) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class _Pass:
-    """The readings about a block that was fitted to all but one pass, at the likeliest noise ratio `ratio`.
+    """One pass, in readings about a block fitted to all other passes, at the likeliest noise ratio `ratio`.
 
     `rows` (n,) is the mask of the readings of this pass.
     """
@@ -275,8 +279,8 @@ class _Pass:
         return cls(table, rows, max(RATIOS, key=lambda ratio: table.seen(ratio, [free]).log_evidence))
 
     def seen(self, columns: Floats, beyond: Floats | float = 0.0) -> ProjectedReadings:
-        """Return the readings with the changes `columns` (n, 3, p) of the pass in the model, with amplitudes N(0,
-        1).
+        """Return the readings, with the changes `columns` (n, 3, p) of the pass, of amplitudes N(0, 1), in
+        the model.
 
         `beyond` (n, 3) is added to the predicted signals of the pass.
         """
@@ -301,7 +305,8 @@ class _Pass:
 def _of_mistakes(one: _Pass) -> Iterator[tuple[float, MistakeName, float | None, tuple[str, ...]]]:
     """Yield ln of the evidence of each mistake of a pass, its name, the error of the angle, and the channels.
 
-    In order: an angle misread by a mark that is no plausible zero, a stuck channel, another block.
+    In order: an angle misread by a mark, unless that is a plausible shift of the zero; a stuck channel;
+    another block.
     """
     marks = [slip for slip in SLIPS_RAD.values() if slip > SIZES[1] * _zero_shift_rad()]
     for off in (sign * slip for slip in marks for sign in (1.0, -1.0)):
@@ -360,7 +365,7 @@ def _bent(one: _Pass, columns: Floats, unit: float) -> Floats:
 
 
 def _stuck(one: _Pass, channel: int) -> float:
-    """Return ln of the evidence of a `channel` (0, 1, 2) with the same unknown reading throughout the pass."""
+    """Return ln of the evidence that a `channel` (0, 1, 2) has one unknown reading throughout the pass."""
     table = one.table
     deaf = np.outer(one.rows, np.eye(3)[channel]) == 1.0
     hearing = replace(
