@@ -25,7 +25,7 @@ ASKED_P: Final = 0.01
 SOME: Final = 0.2
 """Start value of a component's variance, as a fraction of the noise variance."""
 HARDLY_ANY: Final = 0.01
-"""Components with a variance below this fraction of the noise variance are dropped: others explain them."""
+"""Components of variance below this fraction of the noise variance are dropped; other ones explain them."""
 MOST_SIGNALS: Final = 1500
 """Above this number of signals no components are searched for: the matrices would take minutes."""
 WAVES: Final = 8
@@ -252,7 +252,7 @@ def _walk(time_s: Floats) -> Floats:
 
 
 def walk_since(time_s: Floats, later_s: Floats) -> Floats:
-    """Return the covariance (v, v) of a random walk at `later_s` (v,) about its mean over times `time_s` (n,).
+    """Return the covariance (v, v), at `later_s` (v,), of a random walk about its mean over `time_s` (n,).
 
     The unit is the mean variance of the walk over the readings' times `time_s`; the size of a drift is stated in
     this unit, too.

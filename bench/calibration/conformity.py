@@ -31,7 +31,7 @@ RULES: Final = (SIMPLE, GUARDED, NON_BINARY)
 FALSE_ACCEPTANCE: Final = 0.05
 """Largest probability of a false acceptance at a point under the default decision rule."""
 NOMINAL_BAND: Final = float(special.ndtri(1.0 - FALSE_ACCEPTANCE)) / 2.0
-"""Guard band of the default rule in units of U, for a normal distribution far from the other limit: 1.645 u."""
+"""Default guard band in units of U: 1.645 u, for a normal distribution far from the other limit."""
 
 COVERAGE_FACTOR: Final = 2.0
 """Coverage factor k of U = k u for infinite degrees of freedom."""
@@ -132,8 +132,8 @@ class DecisionRule:
     def acceptance_limit(self, limit: float, known: MeasuredValues) -> Floats:
         """Return the largest |y| that is accepted, for each of n measured values, (n,).
 
-        It is negative where no value is accepted, as where U exceeds the limit. Source: JCGM 106:2012, 8.2.1 and
-        8.3.2.1.
+        A negative result means that no value is accepted, for example because U exceeds the limit. Source:
+        JCGM 106:2012, 8.2.1 and 8.3.2.1.
         """
         sure = self.pass_limit(limit, known)
         return np.where(known.expanded <= limit, limit, sure) if self.name == SIMPLE else sure
@@ -149,7 +149,7 @@ class DecisionRule:
         )
 
     def rejects(self, statement: Statement) -> bool:
-        """Return whether the rule rejects a value that it does not accept and to which it gives this statement.
+        """Return whether the rule rejects, rather than leaves open, a value not accepted with this statement.
 
         An inconclusive value is not rejected, nor is a conditional pass under the non-binary rule. A conditional
         fail is rejected, because nonconformity is more likely than conformity; the result states the probability
@@ -217,8 +217,8 @@ class MeasuredValues:
 def _largest_sure(limit: float, known: MeasuredValues) -> Floats:
     """Return the largest |y| (n,) at which a false acceptance is at most as probable as `FALSE_ACCEPTANCE`.
 
-    This applies to y and to −y. The result is at most the limit, and −limit if even y = 0 is too risky. Bisection
-    finds it, because the probability for the worse sign grows with |y|.
+    The limit holds for y and for −y. The result is at most the limit, and −limit if even y = 0 is too risky.
+    Bisection finds it, because the probability for the worse sign grows with |y|.
     """
 
     def sure(size: Floats) -> Mask:
@@ -258,9 +258,9 @@ def probability_outside(
 ) -> Floats:
     """Return the probability that the measurand lies outside ±limit: one minus the conformance probability.
 
-    `value`, `u` and `dof` are broadcast to one shape. The result is the specific consumer's risk of an accepted
-    value; one minus the result is the specific producer's risk of a rejected value. `population` is the prior of
-    the measurand. Source: JCGM 106:2012, 7.4, 9.3 and A.4.
+    `value`, `u` and `dof` are broadcast to one shape. For an accepted value, the result is the specific
+    consumer's risk; for a rejected value, one minus the result is the specific producer's risk. `population`
+    is the prior of the measurand. Source: JCGM 106:2012, 7.4, 9.3 and A.4.
     """
     y, size, nu = np.broadcast_arrays(*(np.asarray(each, dtype=np.float64) for each in (value, u, dof)))
     if population is not None:
@@ -421,7 +421,7 @@ class Population:
 
 @dataclass(frozen=True)
 class GlobalRisk:
-    """Global risks: the parts of a population accepted without conforming, and rejected although they conform."""
+    """Global risks: fractions of a population accepted but nonconforming, and rejected but conforming."""
 
     false_accept: float
     false_reject: float

@@ -95,7 +95,7 @@ class KnownNoise:
         )  # fmt: skip
 
     def contradicts(self, sizes: Floats, dof: Floats) -> bool:
-        """Return whether a run's sizes (3,) with degrees of freedom (3,) contradict the known ones (F tests)."""
+        """Return whether a run's noise `sizes` (3,), of `dof` (3,), contradict the known noise (F tests)."""
         ratio = np.square(sizes / self.channels)
         above = special.fdtrc(dof, self.channel_dof, ratio)
         chance = 2.0 * np.minimum(above, 1.0 - above)
@@ -243,7 +243,7 @@ def _group_sum(values: Floats, groups: Ints) -> Floats:
 
 
 def noise_from_repeats(scatter: RepeatScatter, floor: float, *, one_size: bool = False) -> Noise:
-    """Return the noise from repeats by restricted maximum likelihood, for each channel if they differ.
+    """Return the noise from repeats by restricted maximum likelihood, by channel if the channels differ.
 
     `floor` (unit of the signal) is the lower limit of the noise, given by the last digit of a reading.
     """

@@ -37,10 +37,10 @@ class DirectionKind(StrEnum):
 class Direction:
     """A null direction: a change of unknowns that no reading shows.
 
-    `members` maps names to changes, in SI and the unit of the signals: angles and effects before coefficients, the
-    largest first. They belong to a turn by one radian or, for other directions, to one unit of the first member.
-    `axis` is the axis of a turn, on block axes, up to its sign. `only` is the combination of two angles that the
-    readings do show ("sum" or "difference"), else empty.
+    `members` maps names to changes, in SI and the unit of the signals: angles and effects before
+    coefficients, the largest first. The changes are those for a turn by one radian or, in other directions,
+    for one unit of the first member. `axis` is the axis of a turn, on block axes, up to its sign. `only` is
+    the combination of two angles that the readings do show ("sum" or "difference"), else empty.
     """
 
     kind: DirectionKind
@@ -280,7 +280,7 @@ class Observability:
 
 
 def with_angles(problem: Problem, names: Collection[str]) -> Problem:
-    """Return the problem with these stand angles of every mounting as additional unknowns."""
+    """Return the problem with the stand angles `names` of every mounting as additional unknowns."""
     taken = {(s.mount, s.column) for s in problem.stand}
     further = tuple(
         StandUnknown(mount, STAND_ANGLES.index(name), ARCSEC)
@@ -333,10 +333,10 @@ def observability(
 ) -> Observability:
     """Return which of the problem's unknowns are determined by readings under its conditions.
 
-    The derivatives are at zero stand angles, where the null vectors are exact, and at the coefficients of
-    `block`. `modulus` are additional readings of which only |a| = 1 g is used. A stand angle named in `common`
-    is one unknown for all mountings. With `settings` the setting error of each point is an unknown, the same in
-    every pass. Raises `KeyError` for an installation that the model lacks.
+    The derivatives are taken at zero stand angles, where null vectors are exact, for the coefficients of
+    `block`. `modulus` are additional readings of which only |a| = 1 g is used. A stand angle named in
+    `common` is one unknown for all mountings. With `settings` the setting error of each point is an unknown,
+    the same in every pass. Raises `KeyError` for an installation that the model lacks.
     """
     columns = columns_of(problem, block, modulus)
     for name in common:

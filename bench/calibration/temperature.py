@@ -203,8 +203,8 @@ class ThermalHysteresis(HasCovariance):
     def scatter(self) -> Floats:
         """Covariance (12, 12) of the coefficients if the branch is unknown.
 
-        The coefficients then deviate by half the size in either direction; the part of the size that noise alone
-        explains (chi-square twelve) is subtracted.
+        The coefficients then deviate by half the hysteresis in either direction, after the part that noise
+        alone explains (chi-square of twelve) is subtracted.
         """
         chi2 = float(self.size @ np.linalg.solve(self.covariance, self.size))
         real = max(1.0 - len(self.size) / chi2, 0.0) if chi2 > 0 else 0.0
@@ -213,7 +213,7 @@ class ThermalHysteresis(HasCovariance):
 
 @dataclass(frozen=True)
 class Compensated:
-    """Specific forces (n, 3) in local g, their covariance (n, 3, 3) from the model and the thermometer."""
+    """Specific forces (n, 3), local g, with the covariance (n, 3, 3) due to model and thermometer."""
 
     specific_force: Floats
     covariance: Floats
@@ -319,7 +319,7 @@ class TemperatureModel:
 
 MOST_STEPS: Final = 1024
 SMALL: Final = 0.1
-"""The table is fine enough if its error at 1 g is below this fraction of the least standard uncertainty."""
+"""A table is fine enough if its error at 1 g is below this fraction of the least u of an acceleration."""
 ROUNDING: Final = 1e-12
 """Error, g, below which a table error is only the rounding of double precision."""
 LOOKS: Final = 16
@@ -328,7 +328,7 @@ LOOKS: Final = 16
 
 @dataclass(frozen=True)
 class TableError:
-    """The largest errors of a compensation table against the polynomials, g.
+    """The largest errors, g, of a compensation table against the polynomials.
 
     `bias` is the interpolation error at 0 g, `per_g` its increase per g along any axis. `single` is the
     additional error of single precision at accelerations up to `reach_g`. `looks` is the number of temperatures
@@ -450,7 +450,7 @@ def _by_steps(
 def _by_rounding(
     model: TemperatureModel, table: CompensationTable, entries: Floats, between: Floats, reach_g: float
 ) -> float:
-    """Return the largest error that single precision adds to a component of a, g.
+    """Return the largest error, g, that single precision adds to a component of the force.
 
     It is the maximum over the temperatures `between` (m,), °C, and over 26 directions, at 1 g and at `reach_g`.
     `entries` (m, 12) are the interpolated entries of N and U0 in double precision.
@@ -469,7 +469,7 @@ def _by_rounding(
 
 
 def _least_u(model: TemperatureModel) -> float:
-    """Return the least standard uncertainty of a compensated component, g, at 1 g along an axis."""
+    """Return the least standard uncertainty, g, of a compensated component at 1 g along an axis."""
     least = np.inf
     for t in np.linspace(model.minimum_c, model.maximum_c, 9):
         signal = model.block(float(t)).output(np.eye(3))

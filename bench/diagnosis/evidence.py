@@ -35,7 +35,7 @@ from bench.model import CATALOGUE
 from bench.model.effects import FormulaEffect
 
 SIZES: Final = (1.0, 4.0, 20.0)
-"""Prior 1 sigma of an effect, in plausible sizes: as large as plausible, a few times as large, and far larger."""
+"""Prior standard deviations of an effect, in plausible sizes: plausible, a few times larger, far larger."""
 LOG_SIZE_WEIGHTS: Final = tuple(float(np.log(w)) for w in (0.6, 0.28, 0.12))
 """ln of the prior probability of each of `SIZES`: larger effects are rarer."""
 
@@ -129,7 +129,7 @@ class Whitened:
         )
 
     def reduce(self, response: Floats) -> Data:
-        """Return the scalar products of data sets that the evidence is computed from.
+        """Return the scalar products of data sets with the columns, from which the evidence follows.
 
         `response` (N, sets) has the residuals, measured minus predicted, of each data set as a column, in the
         unit of the signal.
@@ -175,9 +175,9 @@ class Search:
     """A search over all variants for what is missing in a model that contains the columns `known`.
 
     `inverse` (ratios, known, known) is the inverse Cholesky factor of the Gram matrix of the known columns,
-    including their prior (1 sigma: `KNOWN_SIZE` plausible sizes). `half` (ratios, known, P) is `inverse` times
-    the scalar products of the known columns with all P columns. `log_det` (ratios,) is the contribution of the
-    known columns to ln of the evidence that is the same for all data.
+    including their prior (1 sigma: `KNOWN_SIZE` plausible sizes). `half` (ratios, known, P) is `inverse`
+    times the scalar products of the known columns with all P columns. `log_det` (ratios,) is that
+    contribution of the known columns to ln of the evidence which is the same for all data.
     """
 
     whitened: Whitened
@@ -267,7 +267,7 @@ class Search:
         return float(logsumexp(grid.log_prior + grid.log_det + self.log_det + grid.log_likelihood(square)))
 
     def score(self, data: Data) -> Scores:
-        """Return, for each data set, ln of the Bayes factor of adding each variant to the model."""
+        """Return ln of the Bayes factor of adding each variant to the model, for each data set."""
         left = self.left_over(data)
         begun = tracked(range(0, left.sets, CHUNK), "what chance alone would show")
         parts = [self._score(left.part(slice(i, i + CHUNK))) for i in begun]
@@ -304,7 +304,7 @@ class Search:
 
 @dataclass(frozen=True)
 class Scores:
-    """ln of the Bayes factor of the model with each variant added against the present model.
+    """For each variant, ln of the Bayes factor of adding it to the present model.
 
     `variants` (variants, sets) has an entry for each data set. `ratio` (ratios, sets) is the posterior
     probability of each noise ratio under the present model.
@@ -316,7 +316,7 @@ class Scores:
     def families(self, candidates: Candidates) -> Floats:
         """Return ln of the Bayes factor of each family, shape (families, sets).
 
-        It is ln of the mean over the forms of the family, so that a family with many forms has no advantage.
+        It is ln of the mean Bayes factor of the family's forms, so that many forms are no advantage.
         """
         ordered = self.variants[candidates.by_family]
         starts = candidates.family_starts
@@ -349,7 +349,7 @@ NULLS: Final = 1000
 """Number of simulated data sets for a threshold: the fraction `OFTEN`, 50, determines the tail to 14 %."""
 SEED: Final = 20260
 FALSE_ALARMS: Final = 0.006
-"""Probability of a false alarm: the search finds an effect although none is missing.
+"""Probability of a false alarm: the search finds an effect although the model is complete.
 
 It is below `BY_CHANCE`, as the choice of the noise adds a few alarms.
 """

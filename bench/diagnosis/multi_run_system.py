@@ -259,8 +259,8 @@ def find_mistakes_in_each(
 def _searched_together(readings: Readings, model: ForwardModel) -> Iterator[tuple[Mask, int]]:
     """Yield the mask (n,) of each run's rows, and the index of the run's block.
 
-    A run that does not determine the coefficients of its block is joined to the first run that does, or else to
-    the others.
+    A run that does not determine the coefficients of its block joins the first run that does, or else the
+    other runs.
     """
     run = readings.run
     block = np.zeros(len(readings), dtype=np.int64) if readings.block is None else readings.block
@@ -459,9 +459,8 @@ def _name_in_all_and_each(
 ) -> tuple[Whitened, Naming]:
     """Return the finds in all runs and in single runs, with the whitened candidates that contain them.
 
-    Effects of a few single runs are searched first, as they could be mistaken for common effects. Common effects
-    are then searched with these in the model, and at last effects of single runs with the common effects in the
-    model.
+    Effects of a few single runs are searched first, as they could be mistaken for common effects; with them
+    in the model, common effects follow, and at last effects of single runs beside these.
     """
     response = linear.response[:, None]
     data = whitened.reduce(response)

@@ -51,8 +51,8 @@ def half_power(whitened: Whitened, threshold: float) -> float:
 class Smallest:
     """The size of several parameters of one unit, in any proportions, that is found in half of all runs.
 
-    `size` is the root of the sum of the parameters' squares, in `unit`. If `part`, it holds for some proportions
-    only, and in the other proportions no credible size is found.
+    `size` is the root of the sum of the parameters' squares, in `unit`. If `part`, this holds for some
+    proportions only; in other proportions no credible size would be found.
     """
 
     parameters: tuple[str, ...]
@@ -165,7 +165,7 @@ def forms_of(candidates: Candidates, family: str) -> tuple[Form, ...]:
 def forms_everywhere(family: str, mounts: tuple[str, ...] = ()) -> tuple[Form, ...]:
     """Return a form for each shape of an effect, in all channels at once.
 
-    It acts in the mountings `mounts`, by default in all.
+    The effect acts in the mountings `mounts`, by default in all.
     """
     parameters = CATALOGUE[family].parameters
     grids = [[(p.name, value) for value in p.grid] for p in parameters if p.grid]
@@ -195,8 +195,8 @@ class ReadingDesign:
     def remounted(self, families: Sequence[str], before: Sequence[str]) -> None:
         """Add, for each mounting not in `before`, an unknown error of the mounting, of plausible size.
 
-        `families` are the effects concerned. Of these, only those that differ from mounting to mounting are
-        added, as the error of one mounting says nothing about the next; those that outlast a remount are not.
+        Of the effects `families`, only those are added that differ from mounting to mounting and do not
+        outlast a remount: the error of one mounting says nothing about the next.
         """
         labels = [str(m) for m in self.linear.moved.mounts if m.installation != VERIFICATION]
         effects = [CATALOGUE[family] for family in families]

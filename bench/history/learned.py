@@ -17,7 +17,7 @@ from bench.stats import contrasts_within
 NONE: Final = 1e-6
 """A variance below this fraction of its stated value counts as zero."""
 FEW_DOF: Final = 4.0
-"""Up to this many degrees of freedom, only the upper limit of a standard deviation is meaningful."""
+"""With at most these degrees of freedom, only the upper limit of a standard deviation is meaningful."""
 SHOWN_P: Final = 0.01
 """Significance level of a harmonic of the head's scale."""
 HARDLY_BETTER: Final = 0.95
@@ -195,7 +195,7 @@ def _u(size: float, dof: float) -> float:
 
 
 LEAST_FREEDOM: Final = 2
-"""Least degrees of freedom to separate a block's variation between runs from differences of meters."""
+"""Least degrees of freedom that separate a block's variation between runs from meter differences."""
 NOT_EXCHANGED: Final = (
     "differences between the voltmeters: unknown, as no block was measured with exchanged voltmeters; "
     "measure three runs of one block (two of two blocks), each voltmeter on another channel"
@@ -235,7 +235,7 @@ class MeterRun:
         cls, name: str, unit: str, meters: tuple[str, str, str], day: float, coefficients: Floats,
         covariance: Floats, block: Floats, drift: Floats, per_days: float,
     ) -> MeterRun:  # fmt: skip
-        """Return the run for coefficients (12,) with covariance (12, 12) and errors of the block (12, q)."""
+        """Return the run for `coefficients` (12,) with a `covariance` (12, 12) and block errors (12, q)."""
         values, slope = lengths_and_biases(coefficients)
         return cls(
             name, unit, meters, day, values, slope @ covariance @ slope.T, slope @ block, drift, per_days

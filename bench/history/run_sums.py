@@ -323,7 +323,7 @@ def scatter_of(runs: Sequence[RunFit], variances: Floats) -> tuple[Floats, Float
 
 
 def between_runs(ratio: Floats, dof: Floats) -> tuple[float, float, float]:
-    """Return the mean logarithm of mean squares (n,), its variance between runs, and the variance of the mean.
+    """Return the mean of ln of mean squares (n,), the variance of ln between runs, and that of the mean.
 
     The logarithm of a mean square with nu degrees of freedom has the variance psi'(nu/2) (trigamma function).
     """
@@ -342,7 +342,8 @@ def between_runs(ratio: Floats, dof: Floats) -> tuple[float, float, float]:
 def known_noise(runs: Sequence[RunFit], variances: Floats) -> tuple[KnownNoise, Floats]:
     """Return the noise of the next run as prior knowledge, and the degrees of freedom (4,) of the pooled noise.
 
-    The degrees of freedom of the prior include the variation of the noise between runs, and its uncertainty.
+    The degrees of freedom of the prior allow for the variation of the noise between runs and the uncertainty
+    of this variation.
     """
     told = [run for run in runs if run.scatter.settings]
     freedom = np.concatenate([run.scatter.freedom for run in told])

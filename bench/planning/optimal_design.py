@@ -59,14 +59,14 @@ class Goal:
         return self.u(covariance) / self.asked
 
     def relaxed(self, endless: float) -> Goal:
-        """Return a loose goal relaxed to twice the u in the limit of endless readings, if that is larger.
+        """Return the goal; a loose one asks for no less than twice the u in the limit of endless readings.
 
         `endless` is the variance in this limit.
         """
         return replace(self, asked=max(self.asked, 2.0 * float(np.sqrt(endless)))) if self.loose else self
 
     def tightened(self, wider2: float) -> Goal:
-        """Return the goal with its permitted variance above the floor divided by `wider2`."""
+        """Return the goal after dividing its permitted variance, in excess of the floor, by `wider2`."""
         return replace(self, asked=float(np.sqrt(self.floor + (self.asked**2 - self.floor) / wider2)))
 
 

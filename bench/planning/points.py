@@ -220,7 +220,7 @@ def cheapest(
 
 
 def _floored(stand: Stand, sites: Sites, goals: Sequence[Goal]) -> tuple[list[Goal], list[Goal]]:
-    """Return the goals with loose ones relaxed, then the same with their floors for readings at all angles.
+    """Return the goals after loose ones are relaxed, and the same with the floors for readings at all angles.
 
     Both lists are the given goals if all settings together do not determine the block.
     """

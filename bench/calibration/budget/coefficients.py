@@ -317,7 +317,7 @@ _EVERYTHING: Final = np.zeros((1, 1), dtype=np.int64)
 def influences(source: ErrorSource, setup: AnyReadings) -> tuple[Influence, ...]:
     """Return the independent influences of a source on the readings, for an error of one unit.
 
-    Stand angles and effects act on a `Setup` alone: for measured readings the fit has estimated them.
+    Stand angles and effects have influences on a `Setup` only: a fit to measured readings estimates them.
     """
     if isinstance(setup, Setup) and source.effect is not None:
         column = setup.effect_problem.effects.index(source.effect)
@@ -375,7 +375,7 @@ def _supply(source: ErrorSource, seen: AnyReadings) -> _Patterns:
 
 
 def _unknown_and_recorded(source: ErrorSource, seen: AnyReadings, recorded: Floats) -> _Patterns:
-    """Return the patterns of an unknown variation in time within limits, and of the variation `recorded` (n,)."""
+    """Return patterns for a variation in time: an unknown one within limits, and the `recorded` one (n,)."""
     courses = list(_unknown(seen.conditions.elapsed_s, source.correlation_s).T)
     known = recorded - recorded.mean()
     if source.u > 0 and np.any(known):
@@ -410,8 +410,8 @@ HARDLY_ANY: Final = 1e-3
 def _unknown(time_s: Floats, correlation_s: float) -> Floats:
     """Return the principal components (n, q) of a stationary process of unit variance.
 
-    Without a correlation time (infinite) the process is a constant: limits do not state how a quantity varies
-    within them, and averaging over passes does not reduce a constant (GUM, 4.3.7).
+    With an infinite correlation time the process is a constant, which averaging over passes does not reduce:
+    limits do not state how a quantity varies within them (GUM, 4.3.7).
     """
     if math.isinf(correlation_s):
         return np.ones((len(time_s), 1))

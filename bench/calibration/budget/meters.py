@@ -171,7 +171,11 @@ class JointErrors:
 def joint_errors(
     told: LearnedDifferences, at: Sequence[int | None], prior_u: Floats, certified: Mask, kept: float
 ) -> JointErrors | str:
-    """Return the joint errors of n meters given learned differences, or the reason why these are not used."""
+    """Return the joint errors of n meters from learned differences, or the reason why these are not used.
+
+    `at` has the index of each meter in `told` (None: not learned); `kept` is the correlation of a meter's
+    error with its error on the day of learning.
+    """
     n = len(prior_u)
     places = [place if place is not None else -1 for place in at]
     group = np.array([told.group[place] if place >= 0 else -1 - k for k, place in enumerate(places)])

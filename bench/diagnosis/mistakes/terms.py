@@ -26,12 +26,13 @@ from bench.readings.corrected import SLIPS_RAD, MistakeName, reflected_rad
 BEYOND_TAILS: Final = 17.0
 """Least size of an outlier, in units of the noise of a reading.
 
-A smaller one may be a tail of the noise: the comparison of noise hypotheses and single readings decides. Student's
-t of 4 degrees of freedom, with a scale a fifth too small for its tails, exceeds this size in 7 of 1,000 runs of the
-paper's length. An outlier of 20 times the noise still exceeds it if the noise is estimated 15 % too large.
+A smaller deviation may be a tail of the noise: a comparison of hypotheses on the noise and on single readings
+decides. In 7 of 1,000 runs of the paper's length, noise distributed as Student's t (4 degrees of freedom,
+scale estimated a fifth too small) exceeds it. An outlier of 20 times the noise still exceeds it if the noise
+is estimated 15 % too large.
 """
 SLIP_PART: Final = 0.01
-"""Relative uncertainty of the shift by a wrong setting: effects that the model lacks change it a little."""
+"""Relative u of the signal shift that a wrong setting causes; it allows for effects missing in the model."""
 
 
 @dataclass(frozen=True)
@@ -129,8 +130,8 @@ class TermSearch:
     def _of_pass(self, rows: Mask) -> WrongReadings | None:
         """Return the likeliest mistake in the pass of the rows in the mask `rows` (n,).
 
-        None if effects or chance are likelier. Each hypothesis on the pass is a set of columns that change the
-        signals of its rows, with normal priors of their sizes.
+        The result is None if effects or chance are likelier. Each hypothesis is a set of changes of the
+        signals in the pass, with normal priors of their sizes.
         """
         one = _Pass.of(self._without(rows), rows)
         nothing, effects = one.evidence(), list(_of_effects(one))
@@ -149,7 +150,7 @@ class TermSearch:
 
 @dataclass(frozen=True)
 class _Beside:
-    """The readings at each noise ratio, `seen`, and ln of the odds of each ratio, `weight` (ratios,).
+    """The readings at each noise ratio, `seen`, and ln of the probability of each ratio, `weight` (ratios,).
 
     Known columns are projected out of the readings.
     """
