@@ -373,7 +373,9 @@ class _Chain:
         self._after[stage] = self._base(stage, signal, self._block) + own
 
     def _differs(self, index: int, signal: Floats, block: Block) -> bool:
-        """Whether the addition of an effect differs from that at the point, or cannot be computed."""
+        """Whether an effect's addition to `signal` differs from its addition at the point, or cannot be
+        computed.
+        """
         try:
             return not np.array_equal(self._addition(index, signal, block), self._own[index])
         except ExpressionError:
@@ -477,7 +479,7 @@ def make_problem(
 
 
 def _with_known(problem: Problem, known: KnownStand) -> Problem:
-    """Return the problem with the priors of other runs for all angles that no level measured."""
+    """Return the problem with priors from other runs for all angles that no level measured."""
     stand, mounts = problem.stand, problem.conditions.mounts
     told = [j for j, unknown in enumerate(stand) if not unknown.measured]
     if not told:

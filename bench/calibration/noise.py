@@ -30,7 +30,7 @@ LEAST_SIGNALS: Final = 1.5 * LEAST_DOF
 
 @dataclass(frozen=True)
 class KnownNoise:
-    """Prior knowledge of the noise: channels (3,), signal unit, and setting, rad, with degrees of freedom.
+    """Prior knowledge of the noise of `channels` (3,), signal unit, and of the setting, rad, each with dof.
 
     Each variance has a scaled inverse chi-square distribution: it counts like repeats with as many degrees of
     freedom. The degrees of freedom of sizes from other runs allow for variation of the noise between runs. Sizes

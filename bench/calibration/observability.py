@@ -525,9 +525,7 @@ def _together(names: list[str]) -> str:
 
 
 def _undetermined(found: Observability, unit: str) -> list[str]:
-    """Return sentences on unknowns confined only by limits: one on all turns, one per other null
-    direction.
-    """
+    """Return sentences on unknowns confined only by limits: one for all turns, one per other direction."""
     turns = [d for d in found.directions if d.kind is DirectionKind.TURN]
     sentences = []
     if turns:

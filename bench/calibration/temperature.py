@@ -124,7 +124,9 @@ def sort_readings(tables: Sequence[Readings]) -> ThermalReadings:
 
 
 def _walk(rows: Readings) -> tuple[Ints, Ints, Ints, Floats]:
-    """Return mounting, visit, branch and mean temperature of the visit, for each row in measurement order."""
+    """Return, for each row in measurement order, its mounting, visit, branch, and the visit's mean
+    temperature.
+    """
     unknown = _oriented(rows) & ~np.isfinite(rows.temperature_c)
     if np.any(unknown):
         i = int(np.argmax(unknown))

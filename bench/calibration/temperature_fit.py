@@ -282,9 +282,9 @@ class _Body:
     scale_k: float
 
     def powers(self, degree: int, *, of_levels: bool = False) -> Floats:
-        """Return powers 0…degree (n, degree + 1) of the scaled temperature, or of its level mean.
+        """Return the powers 0…degree (n, degree + 1) of the scaled temperature of each row.
 
-        With `of_levels`, the temperature of each row is the mean of its level.
+        With `of_levels`, the temperature of a row is the mean of its level.
         """
         rows = self.sorted
         temperature = rows.rows.temperature_c

@@ -29,11 +29,12 @@ Cell = tuple[str, int]
 def spells(readings: Readings, *, lasting: bool) -> Iterator[tuple[str, ...]]:
     """Yield each set of passes or mountings in which an effect may act, as a tuple of their labels.
 
-    The sets are: each mounting from its second or a later pass onwards, each single pass, and each whole
-    mounting. A whole mounting is yielded only if its installation was mounted more than once, because otherwise
-    the mounting angles describe the same change. If the effect outlasts a remount (`lasting`), every mounting is
-    yielded, and also everything from each later pass onwards, verification points included. If a set contains all
-    passes of a mounting, it has the label of the mounting in place of those of the passes.
+    The sets are: the passes of a mounting from any but its first onwards, each single pass, and each whole
+    mounting. A whole mounting is yielded only if its installation was mounted more than once, because
+    otherwise the mounting angles describe the same change. If the effect outlasts a remount (`lasting`),
+    every mounting is yielded, and also everything from each later pass onwards, verification points included.
+    If a set contains all passes of a mounting, it has the label of the mounting in place of those of the
+    passes.
     """
     conditions = readings.conditions()
     mounts = [str(conditions.mounts[number]) for number in conditions.mount]
@@ -136,10 +137,11 @@ class Candidates:
     """All variants that the search compares, with the columns that they need.
 
     `columns` (N, P): each column is the change of the N rows of the linear system by a parameter of plausible
-    size. `kinds` says what each column estimates. `scale` (P,) is the plausible size of each column's parameter
-    in SI, or 1 if the family is unnamed. `families` are the distinct names. `by_family` has the indices of all
-    variants, sorted by family; those of family number f begin at `by_family[family_starts[f]]`. `log_prior`
-    (families,) is ln of the probability of each family, given that exactly one is missing in the model.
+    size. `kinds` says what each column estimates. `scale` (P,) is the plausible size of each column's
+    parameter in SI, or 1 if the family is unnamed. `families` are the distinct names. `by_family` has the
+    indices of all variants, sorted by family; those of family number f begin at
+    `by_family[family_starts[f]]`. `log_prior` (families,) is ln of the probability that a family is missing,
+    given that exactly one is.
     """
 
     columns: Floats

@@ -255,7 +255,7 @@ def thirds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
 
 
 FoldSearch = Callable[[Whitened, Data, Threshold, int], Naming]
-"""Searches the readings that are not held out, for a number of effects at most."""
+"""Searches the readings that are not held out; the last argument is the largest number of effects."""
 
 
 def measure_gap(

@@ -382,7 +382,7 @@ def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
 
 
 def _likeliest(squares: Floats, along: Floats) -> float:
-    """Return the maximum likelihood noise of m independent residuals with the `squares` (m,).
+    """Return the likeliest noise, by maximum likelihood, of m independent residuals with `squares` (m,).
 
     `along` (m,) is the factor with which the variance of the setting error enters each square. This variance is
     tried on a grid of multiples of the noise variance.

@@ -76,10 +76,10 @@ ONE_SIDED: Final = 1.645
 
 @dataclass(frozen=True)
 class EstimatedSize:
-    """An estimated standard deviation with its u (NaN if the estimate is zero) and its upper 95 % limit.
+    """An estimated standard deviation, its u (NaN if the estimate is zero) and its upper 95 % limit, `most`.
 
-    `p_all_looks` is the p-value of the likelihood-ratio test that the standard deviation is zero, corrected for
-    twelve coefficients; NaN if not tested.
+    `p_all_looks` is the p-value of a likelihood-ratio test against zero, corrected for twelve coefficients;
+    NaN if not tested.
     """
 
     value: float
@@ -146,10 +146,9 @@ class OutlyingEffect:
 class BenchOrBlock:
     """The variation between units and between B benches.
 
-    `effect` (B, 12) are the effects of the benches and `u` their standard uncertainties.
-
-    `connected` are the sets of benches linked by common units; an effect is the difference from the mean of its
-    set. The effect of a bench that shares no unit with another is NaN. `units_apart` are the outlying units.
+    `effect` (B, 12) are the effects of the benches, `u` (B, 12) their standard uncertainties. `connected` are
+    the sets of benches linked by common units; an effect is the difference from the mean of its set. The
+    effect of a bench that shares no unit with another is NaN. `units_apart` are the outlying units.
     """
 
     benches: tuple[str, ...]

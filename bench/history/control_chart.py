@@ -370,7 +370,7 @@ def control_chart(
 
 
 class _Pooled:
-    """Covariances by design, pooled over the baseline runs, or the later runs if a design is only there."""
+    """Covariances by design, pooled over its baseline runs or, if there are none, over its later runs."""
 
     def __init__(self, baseline: Sequence[CheckRun], later: Sequence[CheckRun]) -> None:
         self._by_design: dict[str, Floats] = {}
@@ -403,7 +403,7 @@ class _Lines:
         return values - self.years(runs)[:, None] * self._drift.per_year
 
     def error(self, runs: Sequence[CheckRun]) -> Floats:
-        """Return the change (n, 12, 12) of each run's values if the drift rate of each coefficient is wrong by one
+        """Return the change (n, 12, 12) of each run's values if one coefficient's drift rate is wrong by one
         u.
         """
         return self.years(runs)[:, None, None] * np.diag(self.u(len(runs[0].value)))

@@ -109,7 +109,9 @@ def _levels(problem: Problem) -> Floats:
 
 
 def _walk(conditions: Conditions) -> Floats:
-    """Return the shapes (n, WALKS) of a random walk of the bias with unit variance per hour, centred on the run."""
+    """Return shapes (n, WALKS) of a random walk of a bias, of unit variance per hour and mean zero over the
+    run.
+    """
     hours = conditions.elapsed_s / HOUR
     shapes = np.zeros((len(hours), WALKS))
     if np.ptp(hours) > 0:
@@ -162,7 +164,7 @@ class RunSums:
         return self._kept[key]
 
     def belongs(self, variances: int) -> Floats:
-        """Return the indicators (runs, c, k): 1 if a column of a run has that variance."""
+        """Return indicators (runs, c, k): 1 where column c of a run has variance k."""
         key = ("belongs", variances)
         if key not in self._kept:
             self._kept[key] = (self.random[:, :, None] == np.arange(variances)).astype(np.float64)
@@ -372,8 +374,7 @@ LEAST_SHOWN: Final = 0.01
 def _pooled_dof(freedom: Floats, slope: Floats, variances: Floats) -> Floats:
     """Return the degrees of freedom 2 v^2/u(v)^2 of the variances v (4,).
 
-    The setting error's v counts as at least a small value in u(v), so that its degrees of freedom stay
-    defined.
+    In u(v), a setting error's v has a small lower limit, so that its degrees of freedom stay defined.
     """
     shown = float(np.mean(np.sum(slope**2, axis=1)))
     least = LEAST_SHOWN * float(np.mean(variances[:3])) / shown if shown > 0 else 0.0

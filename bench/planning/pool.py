@@ -366,7 +366,7 @@ class Visits(ExchangeDesign):
 
     @property
     def wider(self) -> float:
-        """The factor by which u grows because the noise is estimated, not known."""
+        """The factor by which u grows because the noise is only estimated."""
         return widening(self._freedom)
 
     @property

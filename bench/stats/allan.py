@@ -152,7 +152,7 @@ def _kernel(t: Floats, alpha: int) -> Floats:
 
 @dataclass(frozen=True)
 class NoiseTerm:
-    """A noise term: its symbol, name, unit relative to the signal's, and contribution to sigma^2.
+    """A noise term: symbol, name, unit (relative to that of the signal), and contribution to sigma^2.
 
     A term of size x contributes `factor` x^2 tau^`power`. `alpha` is the power of frequency in its spectrum.
     `alike` is the correlation, from simulations, between the Allan variances at tau and 2 tau if this term
@@ -276,7 +276,7 @@ def _columns(tau_s: Floats) -> Floats:
 
 
 def _start(curve: AllanCurve, columns: Floats, measured: Floats) -> Floats:
-    """Return start values, none zero: the terms contribute equally at the middle of the curve."""
+    """Return nonzero start values, for which all terms contribute equally at the middle of the curve."""
     middle = len(measured) // 2
     return np.asarray(measured[middle] / columns[middle] / len(TERMS), dtype=np.float64)
 
@@ -289,7 +289,7 @@ def _unit_columns(columns: Floats) -> tuple[Floats, Floats]:
 def _spread(predicted: Floats, freedom: Floats, kind: Ints) -> Floats:
     """Return the covariance (k, k) of the measured Allan variances.
 
-    Each has the variance 2 sigma^4/edf; those at neighbouring averaging times are correlated.
+    Each value has the variance 2 sigma^4/edf; values at neighbouring averaging times are correlated.
     """
     alike = np.array([TERMS[k].alike for k in kind])
     steps = np.concatenate([[0.0], np.cumsum(np.log(np.sqrt(alike[1:] * alike[:-1])))])

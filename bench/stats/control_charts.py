@@ -97,7 +97,7 @@ def mewma_limit(smoothing: float, arl: float, dimensions: int) -> float:
 
 
 def _root(length: Callable[[float], float], arl: float, most: float) -> float:
-    """Return the limit for which `length`, which increases with the limit, is `arl`; the limit is below `most`."""
+    """Return the limit, below `most`, for which `length` is `arl`; `length` increases with the limit."""
     return float(
         scipy.optimize.brentq(lambda limit: np.log(length(limit) / arl), 0.2 * most, 1.01 * most, xtol=1e-6)
     )

@@ -28,7 +28,7 @@ UNIT, BENCH, EXCESS = 0, 1, 2
 LEAST_PART: Final = 1e-3
 """A size below this fraction of its scale (see `scales_of`) counts as zero."""
 TRIED: Final = 0.1
-"""A size below this fraction of its scale is set to zero, unless that lowers the likelihood."""
+"""A size below this fraction of its scale is tried as zero, and stays zero unless the likelihood falls."""
 
 
 @dataclass(frozen=True)

@@ -218,7 +218,7 @@ def over_directions(
 
 
 class DeltaG(ResultModel):
-    """Delta g at one verification point, in local g: its uncertainty, and the acceptance limit of the rule."""
+    """The uncertainty of delta g at one verification point, and the acceptance limit of the rule, local g."""
 
     angle_deg: float
     point: int
@@ -416,9 +416,9 @@ NAMED: Final = 0.01
 
 @dataclass(frozen=True)
 class Question:
-    """Options of an assessment: measuring range (g), limit of delta g (g), decision rule, trials, voltmeters.
+    """Options of an assessment: measuring range (g), limit of delta g (g), decision rule, Monte Carlo trials.
 
-    `population` is the distribution of delta g over many blocks.
+    `same_voltmeters` is as in `measured`; `population` is the distribution of delta g over many blocks.
     """
 
     range_g: float

@@ -99,7 +99,9 @@ class ErrorSource:
         return np.array([float(channel in self.channels) for channel in CHANNELS])
 
     def acting(self, draws: Floats) -> Floats:
-        """Return the effects (..., q) of draws of size u, from the effects of draws of size 1."""
+        """Return the effects (..., q) of draws of the source's u, from the effects `draws` of draws of size
+        1.
+        """
         return self.u * draws if self.root is None else self.u * draws @ np.array(self.root)
 
     def sized(self, u: float) -> ErrorSource:

@@ -30,7 +30,7 @@ UNKNOWN_AGE: Final = 1.0
 
 USUAL_ACCURACY: Final = (20e-6, 5e-6)
 USUAL_LINEARITY: Final = (2e-6, 1e-6)
-"""90-day limits, as fractions of reading and range, of a voltmeter whose driver is not installed.
+"""90-day linearity limits, as fractions of reading and range, of a voltmeter whose driver is missing.
 
 These are the limits of a 34401A on 10 V; other meters of 6½ digits meet them, too.
 """

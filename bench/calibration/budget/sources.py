@@ -28,7 +28,7 @@ ANOMALY_M_S2: Final = 5e-4
 MEASURED_M_S2: Final = 1e-5
 """Least standard uncertainty of local gravity if it was stated as a number: 1 mGal."""
 CHAMBER: Final = Distribution(0.5, "rectangular")
-"""Prior of the chamber's stability, K."""
+"""Prior distribution of the chamber's temperature about its set point, K."""
 BIAS_PER_K: Final = Distribution(30e-6, "rectangular")
 SCALE_PER_K: Final = Distribution(180e-6, "rectangular")
 """Priors of the block's temperature coefficients, g/K and 1/K: limits of a quartz-flexure accelerometer."""

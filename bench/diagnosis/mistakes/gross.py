@@ -141,9 +141,9 @@ class GrossSearch:
         return None
 
     def _best(self, table: OrientedRows, supposed: Sequence[Reinterpretation], odds: Floats) -> int:
-        """Return the index of the likeliest supposition. A changed unit must bring its channels to the data sheet.
+        """Return the index of the likeliest supposition; `odds` are ln of their odds.
 
-        If it does not, ln of its odds is set to minus infinity.
+        Those of a changed unit that does not bring its channels to the data sheet are set to minus infinity.
         """
         while True:
             best = int(np.argmax(odds))
