@@ -235,7 +235,7 @@ def _largest_sure(limit: float, known: MeasuredValues) -> Floats:
 
 
 def coverage_factor(dof: ArrayLike) -> Floats:
-    """Return the coverage factor k: 2 for infinite degrees of freedom, else the k of equal probability.
+    """Return the coverage factor k of the coverage probability that k = 2 has for infinite `dof`.
 
     `dof` may have any shape. Source: JCGM 100:2008, G.3.
     """

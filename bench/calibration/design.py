@@ -316,7 +316,7 @@ class Problem:
         return Linearisation(chain.readings, columns, (forward - back) / (2 * STEP_RAD))
 
     def _model_at(self, others: Floats) -> ForwardModel:
-        """Return the model with these values of the unknowns."""
+        """Return the model with the values `others` (q,) of the unknowns after the coefficients."""
         return replace(self.model, effects=self.effects_at(others)) if self.effects else self.model
 
     def other_step(self, j: int) -> Floats:

@@ -135,7 +135,7 @@ class KnownStand:
     noise: KnownNoise | None = None
 
     def place(self, name: str, installation: str) -> int | None:
-        """Return the index in `keys` of the mean of an angle in an installation; None if there is none."""
+        """Return the index in `keys` of an angle's mean in an installation; None without such a mean."""
         for key in ((name, ""), (name, installation)):
             if key in self.keys:
                 return self.keys.index(key)

@@ -212,7 +212,7 @@ class Verification:
 
     @cached_property
     def global_risk(self) -> GlobalRisk | None:
-        """Global risks of the rule over the population, at the point with the largest U; None without one."""
+        """Global risks of the rule at the point with the largest U; None without a population."""
         if self.population is None:
             return None
         point = max(self.points, key=lambda p: p.U)

@@ -71,7 +71,7 @@ class Data:
 class Whitened:
     """The scalar products of the candidates' columns, whitened at each noise ratio of a grid.
 
-    `kept` caches the scores of repeated searches in the same data.
+    `kept` is a cache of scores, for repeated searches in the same data.
     """
 
     grid: NoiseGrid

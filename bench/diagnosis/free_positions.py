@@ -136,7 +136,7 @@ def _fit(linear: FreeSystem, effects: Floats, fitted: Posterior) -> FreeFit:
 def _where(
     linear: FreeSystem, whitened: Whitened, naming: Naming, noise: NoiseSize
 ) -> tuple[ResidualPattern, ...]:
-    """Return the records and sensors in which |a| scatters significantly more, the largest first."""
+    """Return the records and sensors where |a| scatters significantly more than elsewhere, largest first."""
     rows, white = linear.positions, whitened.grid.white[0] @ linear.response
     if not naming.found and not np.any(np.abs(white) > 4 * noise.reading):
         return ()

@@ -128,24 +128,22 @@ class Gap:
 
     @property
     def before_rms(self) -> float:
-        """Root mean square of measured minus predicted, for the given model, in the unit of the signal."""
+        """Root mean square of measured minus predicted, unit of the signal, for the given model."""
         return self._rms(lambda fold: fold.before.error)
 
     @property
     def after_rms(self) -> float:
-        """Root mean square of measured minus predicted, for the model with the effects found, in the unit of the
-        signal.
-        """
+        """Root mean square of measured minus predicted, unit of the signal, with the effects found."""
         return self._rms(lambda fold: fold.after.error)
 
     @property
     def before_rms_g(self) -> float:
-        """Root mean square of measured minus predicted, for the given model, in g."""
+        """Root mean square of measured minus predicted, g, for the given model."""
         return self._rms(lambda fold: fold.before.error_g)
 
     @property
     def after_rms_g(self) -> float:
-        """Root mean square of measured minus predicted, for the model with the effects found, in g."""
+        """Root mean square of measured minus predicted, g, with the effects found."""
         return self._rms(lambda fold: fold.after.error_g)
 
     @property
@@ -206,7 +204,7 @@ class Gap:
 
 
 def part_closed(before: float, after: float) -> float | None:
-    """Return the fraction of the excess of a reduced chi-square over 1 that vanishes; None if there is none.
+    """Return by which fraction the excess of reduced chi-square over 1 falls; None without an excess.
 
     `before` and `after` are the reduced chi-squares of two models of the same readings.
     """

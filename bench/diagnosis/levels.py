@@ -7,16 +7,15 @@ from typing import Final
 OFTEN: Final = 0.05
 """Level of tests whose errors cost little.
 
-They are tests in folds, upper limits of scatter, ties of a mistake, and single names.
-
-The simulated tail of a threshold begins here, too.
+It serves tests in folds, upper limits of scatter, ties of a mistake, and single names. The tail of a
+simulated threshold begins at this probability, too.
 """
 BY_CHANCE: Final = 0.01
 """Level of a single conclusion: a p-value of at least this is attributed to chance."""
 HARDLY_EVER: Final = 1e-4
 """Level of a conclusion that would change the record or replace the noise stated in the bench file."""
 FOLDS: Final = 5
-"""Number of parts into which readings without passes and visits are split; four fifths remain for the fit."""
+"""Number of parts into which readings are split that have no passes or visits; the fit uses four of five."""
 LEAST_FREEDOM: Final = 3
 """Least degrees of freedom, of readings or repeated settings, from which their scatter is estimated."""
 FEW: Final = 1 / 8

@@ -239,7 +239,9 @@ def _re_examine(
     among: Among | None,
     kept: int,
 ) -> list[FoundEffect]:
-    """Test each find but the first `kept` again, given all others: another effect may explain it better by now."""
+    """Test each find after the first `kept` again, given all others: another effect may now explain it
+    better.
+    """
     for _ in range(2):
         changed = False
         for i in range(kept, len(found)):

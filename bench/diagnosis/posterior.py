@@ -192,9 +192,7 @@ def _of_sizes(
 def _normal(
     linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mask | None = None
 ) -> tuple[Floats, Floats]:
-    """Return normal matrix and right-hand side of a fit in which the effects' columns (N, m) have no
-    prior.
-    """
+    """Return normal matrix and right-hand side of a fit; columns `effects` (N, m) have no prior in it."""
     mine = slice(None) if rows is None else rows
     columns = np.column_stack([linear.design(effects), linear.response])[mine]
     white = whiten_rows(linear, noise, columns, rows)

@@ -62,7 +62,7 @@ class Prepared:
     chosen: Mapping[str, str] = field(default_factory=dict)
 
     def log_evidence(self, naming: Naming) -> float:
-        """Return ln of the evidence of this noise, with as many effects as `naming` has, up to a constant.
+        """Return ln of the evidence of this noise, up to a constant, with as many effects as `naming` has.
 
         The evidence of each effect is averaged over all families, so that the choice of noise does not depend on
         the names.
@@ -194,10 +194,10 @@ def search_run(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]:
 
 
 def _beside_shapes(task: SearchTask, prepared: Prepared, naming: Naming) -> Naming:
-    """Drop the finds that are no longer found if the largest effect may have parts with other shapes.
+    """Drop the finds that are not found once the largest effect may have parts of other shapes.
 
-    If its shape is between two shapes of the catalogue's grid, a large effect leaves residuals that others would
-    explain.
+    A large effect whose shape lies between two shapes of the catalogue's grid leaves residuals, which other
+    effects would explain.
     """
     largest = max(naming.found, key=lambda found: found.size, default=None)
     if largest is None or len(naming.found) < 2 or not largest.variant.named:
@@ -242,7 +242,7 @@ def _prepared(task: SearchTask, linear: LinearSystem) -> Prepared:
 
 
 def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepared | None:
-    """Return the readings linearised about the finds; None if they are linear enough already."""
+    """Return the readings linearised again about the finds; None if the present linearisation suffices."""
     linear, candidates = prepared.linear, prepared.candidates
     noise = noise_size(prepared.whitened, prepared.data, naming.columns)
     fitted = fit_found(linear, candidates, naming, noise)

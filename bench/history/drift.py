@@ -70,7 +70,7 @@ class UnitDrift:
     def predicted(self, date: np.datetime64 | Dates) -> tuple[Floats, Floats]:
         """Return the expected values at dates (…) and their standard uncertainties, (…, 12) each.
 
-        u applies to the result of a calibration without errors on that date, so it includes the scatter between
+        u is that of the result of an error-free calibration on the date, and so includes the scatter between
         calibrations. Raises `CalibrationError` for a date before the last calibration.
         """
         days = np.asarray(date, dtype="datetime64[s]")

@@ -96,7 +96,7 @@ class Weighed:
         return cls(gram - np.swapaxes(half, 1, 2) @ half, logs, c)
 
     def means(self, beliefs: Beliefs, without: int | None = None) -> tuple[Floats, Floats]:
-        """Return means and harmonics with their covariance, from all runs or without one of them."""
+        """Return means and harmonics with their covariance, from all runs or all but the run `without`."""
         c, m = self.columns, len(beliefs.precision)
         normal = self.whole[:, c:-1, c:-1].sum(axis=0)
         right = self.whole[:, c:-1, -1].sum(axis=0)

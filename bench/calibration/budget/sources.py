@@ -26,7 +26,7 @@ from bench.model import STAND_ANGLES, Distribution, ForwardModel
 ANOMALY_M_S2: Final = 5e-4
 """Local anomalies of gravity about the WGS 84 formula, 50 mGal, 1 sigma."""
 MEASURED_M_S2: Final = 1e-5
-"""Least standard uncertainty of local gravity if it was stated as a number: 1 mGal."""
+"""Least standard uncertainty, 1 mGal, of a local gravity that the file states as a number."""
 CHAMBER: Final = Distribution(0.5, "rectangular")
 """Prior distribution of the chamber's temperature about its set point, K."""
 BIAS_PER_K: Final = Distribution(30e-6, "rectangular")

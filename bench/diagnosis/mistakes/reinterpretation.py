@@ -238,7 +238,7 @@ def nothing(table: OrientedRows) -> Reinterpretation:
 
 
 def losses_of(table: OrientedRows) -> list[Reinterpretation]:
-    """Return the suppositions that a reading, a pass or a mounting has signals of unknown origin."""
+    """Return suppositions that the signals of one reading, pass or mounting are of unknown origin."""
     scopes = [Scope(row) for row in np.eye(len(table), dtype=bool)]
     scopes += [scope for scope in _scopes(table) if not scope.whole]
     rows = np.arange(len(table))
