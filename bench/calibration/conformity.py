@@ -56,7 +56,9 @@ _FAR: Final = 12.0
 
 
 class Statement(StrEnum):
-    """A statement of conformity (ILAC-G8:09/2019, 4.2), or the reason why none is made; from best to worst."""
+    """A statement of conformity (ILAC-G8:09/2019, 4.2), or the reason for none; in order from best to
+    worst.
+    """
 
     PASS = message("pass", "statement")
     CONDITIONAL_PASS = message("conditional pass")

@@ -361,7 +361,9 @@ class _Chain:
         return self._after[Stage.VOLTMETER_READING]
 
     def _pass(self, stage: Stage, signal: Floats) -> None:
-        """Store the signal of a stage at the point, the addition of each effect there, and what changes it."""
+        """Store, for a stage at the point, its `signal`, each effect's addition, and what changes this
+        addition.
+        """
         self._signal[stage] = signal
         for i in self._of[stage]:
             self._own[i] = self._addition(i, signal, self._block)

@@ -255,12 +255,12 @@ PREFIX: Final = 3.0
 NEAR: Final = 0.3
 """Tolerance in log10 (a factor of 2) within which a ratio of sizes counts as a power of 1000."""
 LEAST_SPAN_G: Final = 0.5
-"""Least span of specific force along a channel, g, in a part of the table that shows its signal per g."""
+"""Least span of specific force along a channel, g, by which a part of the table shows its signal per g."""
 PREFIXES: Final = (-2, -1, 0, 1, 2)
 MUCH_BETTER: Final = 1e-4
-"""A part in which a channel hardly moves is in another unit if the residual square falls below this part."""
+"""A part with a hardly moving channel is in another unit if the squared residuals fall to this fraction."""
 CLEARLY: Final = 30.0
-"""Ratio of a row's signal norm to the median (or its inverse) from which the row is in another unit."""
+"""A row is in another unit if its signal norm is this many times larger or smaller than the median."""
 FITS: Final = 0.02
 """Largest unexplained fraction of the signal variance if the units are right."""
 
@@ -368,7 +368,9 @@ def refuse_mixed_units(readings: Readings, model: ForwardModel, nominal: Sequenc
 
 
 def _groupings(readings: Readings) -> Iterator[tuple[str, list[str]]]:
-    """Yield the groupings by which units may differ, as name and label of each row: none, pass, installation."""
+    """Yield the groupings (none, pass, installation) by which units may differ: name, and label of each
+    row.
+    """
     yield "", [""] * len(readings)
     yield "pass", [str(number) for number in readings.pass_number]
     yield "installation", [str(label) for label in readings.installation]

@@ -52,7 +52,7 @@ class KnownNoise:
         return cls(np.full(3, reading), np.full(3, LEAST_DOF), setting, LEAST_DOF, stated=True)
 
     def beside(self, signals: float) -> KnownNoise | None:
-        """Return the prior to combine with the residuals; None if their `signals` signals suffice by themselves.
+        """Return the prior to combine with the residuals of `signals` signals; None if these suffice alone.
 
         A stated prior keeps only the degrees of freedom that the signals lack; a prior of other runs counts in
         full.

@@ -179,7 +179,9 @@ class _Directions:
         return list(vectors.T)
 
     def _direction(self, kind: DirectionKind, vector: Floats) -> Direction:
-        """Return the named direction: stand angles first, then effects, then coefficients, largest first."""
+        """Return the direction `vector` by names: stand angles, then effects, then coefficients, each largest
+        first.
+        """
         weight = np.abs(vector)
         weight[weight < _NOTHING * weight.max()] = 0.0
         change = vector / self._length

@@ -43,7 +43,7 @@ KNOWN_SIZE: Final = max(SIZES)
 """Prior size, in plausible sizes, of an effect already in the model: the widest, so that data decide."""
 
 CHUNK: Final = 100
-"""Data sets or columns computed at once: 100 evidences of 3,000 columns at six ratios need 15 MB."""
+"""Number of data sets or columns computed at once: 100 data sets, 3,000 columns and six ratios need 15 MB."""
 
 
 @dataclass(frozen=True)
@@ -359,9 +359,9 @@ It is below `BY_CHANCE`, as the choice of the noise adds a few alarms.
 class Threshold:
     """The least evidence that counts as a finding, and the probability that chance exceeds it.
 
-    The evidence is ln of the odds that the model lacks some effect. If the model is complete, chance evidence
-    still exceeds `value` with `probability`. The upper tail of these chance values is exponential: they
-    exceed `start` with probability `p_start`, and `start` plus x with probability `p_start` exp(-x /
+    The evidence is ln of the odds that the model lacks some effect. If the model is complete, the evidence
+    still exceeds `value` by chance, with `probability`. The upper tail of these chance values is exponential:
+    they exceed `start` with probability `p_start`, and `start` plus x with probability `p_start` exp(-x /
     `decay`). `nulls` is the number of simulated data sets from which the tail was determined.
     """
 

@@ -239,9 +239,7 @@ def _re_examine(
     among: Among | None,
     kept: int,
 ) -> list[FoundEffect]:
-    """Test each find after the first `kept` again, given all others: another effect may now explain it
-    better.
-    """
+    """Test each find after the first `kept` again, given all others: another effect may now fit better."""
     for _ in range(2):
         changed = False
         for i in range(kept, len(found)):

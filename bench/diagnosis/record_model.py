@@ -176,8 +176,8 @@ def _checked(readings: Readings) -> tuple[Floats, Floats, list[int]]:
 def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Floats, Mask]:
     """Return robust means of groups of rows, their scatter, and the mask of the rows used.
 
-    Rows that are `FAR` from the median of their group are left out. The means are (n, c); the scatter (n, c) is
-    the standard deviation of a group's rows, from their median deviation.
+    Rows that are `FAR` from the median of their group are left out. The means are (n, c); the scatter (n, c)
+    is the standard deviation of a group's rows, estimated from their median deviation.
     """
     middle = np.array([np.median(deviation[rows], axis=0) for rows in groups])
     off = [np.abs(deviation[rows] - at) for rows, at in zip(groups, middle, strict=True)]

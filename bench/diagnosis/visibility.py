@@ -266,7 +266,7 @@ class ReadingDesign:
     def cosine(self, one: Form, other: Form) -> float:
         """Return the cosine of the smallest angle between the columns of two forms (1: indistinguishable).
 
-        Free unknowns are projected out; 0 if nothing is left of one form.
+        Free unknowns are projected out; the result is 0 if nothing is left of one form.
         """
         first, second = _basis(self.seen(one)), _basis(self.seen(other))
         if not (first.shape[1] and second.shape[1]):

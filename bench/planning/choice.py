@@ -503,9 +503,7 @@ class Chooser:
         }  # fmt: skip
 
     def _passed_over(self, standing: Standing, number: int, last: int) -> frozenset[int]:
-        """Return the unmeasured steps before step `last`, in the mountings up to the one with index
-        `number`.
-        """
+        """Return the unmeasured steps before step `last`, in the mountings up to index `number`."""
         steps: set[int] = set()
         for other, visit in enumerate(self.pool.visits[: number + 1]):
             steps.update(

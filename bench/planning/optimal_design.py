@@ -507,7 +507,7 @@ def repeats(conditions: Conditions) -> int:
 
 
 def whitened(stand: Stand, conditions: Conditions) -> tuple[Floats, Problem]:
-    """Return the problem of a fit, after derivatives (n, 3, 12 + q) of its readings in units of the noise.
+    """Return derivatives (n, 3, 12 + q) of readings, in units of their noise, and the problem of a fit.
 
     The q stand angles, or independent combinations of correlated angles, are in units of their prior standard
     uncertainty.

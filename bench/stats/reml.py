@@ -261,8 +261,8 @@ class Profile:
         return self.greatest - self.likelihood(np.maximum(moved, 0.0))
 
     def beyond(self, loss: float) -> float:
-        """Return a size at which the loss of log likelihood is at least `loss`; infinite if no size has
-        it.
+        """Return a size at which the loss of log likelihood is at least `loss`; infinite without such a
+        size.
         """
         end = max(1.2 * self.middle, 0.2 * self.scale)
         while self.lost(end) < loss:

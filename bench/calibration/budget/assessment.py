@@ -52,8 +52,7 @@ MAGNITUDES_G: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 class MeasuredAcceleration:
     """Uncertainty of measured accelerations `force` (d, 3), g.
 
-    `by_source` maps each source to its part of the covariance (d, 3, 3), g²; `dof` maps it to its degrees of
-    freedom.
+    `by_source` has the part of the covariance (d, 3, 3), g², and `dof` the degrees of freedom of each source.
     """
 
     force: Floats

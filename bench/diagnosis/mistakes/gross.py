@@ -185,7 +185,9 @@ class GrossSearch:
         return GrossFit(block, float(misfit), np.sum(((found - mean) / u) ** 2, axis=0))
 
     def _may_be_wrong(self, table: OrientedRows, kept: Mask, enough: float) -> bool:
-        """Return whether ln of the odds of a map that explains all `kept` rows would reach `enough`."""
+        """Return whether a map that explained all `kept` rows would have odds of which ln reaches
+        `enough`.
+        """
         fit = self.fit(table, kept)
         return bool(fit.misfit + np.sum(fit.sheet) > 2.0 * enough)
 

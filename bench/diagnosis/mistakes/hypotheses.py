@@ -236,7 +236,7 @@ class Table:
         """Yield the changes of the bench that may resemble wrong readings, as columns (n, 3, p).
 
         They are of unit size. The first item of each pair is the mask (n,) of the pass in which the change
-        occurs, None if the change is not limited to one pass or there is only one.
+        occurs, None if the change is not limited to a pass, or the run has a single one.
         """
         if self.points.shape[2]:
             yield None, self.points
