@@ -151,7 +151,7 @@ class DecisionRule:
         )
 
     def rejects(self, statement: Statement) -> bool:
-        """Return whether the rule rejects, rather than leaves open, a value not accepted with this statement.
+        """Return whether the rule rejects a value that it does not accept, given the `statement` on it.
 
         An inconclusive value is not rejected, nor is a conditional pass under the non-binary rule. A conditional
         fail is rejected, because nonconformity is more likely than conformity; the result states the probability

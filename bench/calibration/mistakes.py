@@ -42,7 +42,9 @@ FARTHEST_NOMINAL_RAD: Final = np.radians(1.0)
 
 
 def require_numbers(rows: Readings, *, angles: bool) -> None:
-    """Raise `CalibrationError` for a signal that is overloaded or no number; with `angles` for an angle, too."""
+    """Raise `CalibrationError` for a signal that is overloaded or no number, with `angles` also for an
+    angle.
+    """
     bad = np.asarray(~np.isfinite(rows.signal).all(axis=1))
     if angles:
         bad |= ~np.isfinite(rows.angle_rad)
@@ -458,7 +460,7 @@ def _described(
 def _of_other(readings: Readings, row: int, power: Ints, scaled: Floats, *, everywhere: bool) -> Ints:
     """Return the power of 1000 (3,) for a row that is not oriented.
 
-    With `everywhere` it is the power of all rows; otherwise the row's signal determines it.
+    With `everywhere` the result is the power of all rows; otherwise the row's signal determines it.
     """
     if everywhere or readings.installation[row] in {REFERENCE, SHORTED}:
         return power[0] if everywhere else np.zeros(3, dtype=np.int64)

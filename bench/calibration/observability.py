@@ -487,9 +487,7 @@ def _absent(
 
 
 def _shown(columns: Sensitivities, oriented: int, block: Block, name: str) -> str:
-    """Return in words how well readings show the assumed angle `name`, but for a common turn of the block's
-    axes.
-    """
+    """Return in words how well readings show the assumed angle `name`, up to a common turn of all axes."""
     if _is_hidden(columns, block, name):
         return message("nothing in these readings shows it")
     if not _is_hidden(Sensitivities(columns.rows[:oriented], columns.names), block, name):

@@ -152,7 +152,7 @@ def separable(force: Floats, channel: int, terms: Sequence[str], conditions: Con
 NO_PRIOR: Final = 1.0
 """Prior standard deviation of a term, g/g^n: far beyond any plausible size, so that the data decide."""
 OPEN_AT_1_G: Final = 1e-2
-"""In place of `NO_PRIOR` before points above 1 g: 500 plausible sizes, for a well-conditioned fit."""
+"""Prior in place of `NO_PRIOR` if points above 1 g follow: 500 plausible sizes condition their fit well."""
 K: Final = 2.0
 """Coverage factor of U."""
 MOVES: Final = 0.01

@@ -91,7 +91,7 @@ UNNAMED: Final = (
 
 SINGLE: Final = (SINGLE_READING, SINGLE_SETTING)
 RARE: Final = 1e-3
-"""Prior odds of a single deviating reading against another unnamed pattern: noise has such tails, too."""
+"""Prior odds of a single deviating reading against another unnamed pattern: tails of the noise look alike."""
 KIND_PRIOR: Final = (0.03, 0.01, 0.96)
 """Prior probabilities that an unnamed form with a formula, one without, or a catalogue effect is missing."""
 

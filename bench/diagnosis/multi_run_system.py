@@ -82,7 +82,9 @@ class JointSystem(LinearSystem):
 
     @property
     def relative_of_channel(self) -> Floats:
-        """The part (N,) of each row's relative noise due to its channel or, for a modulus, to its block's."""
+        """Each row's relative noise (N,) due to its channel or, for a modulus, to the channels of its
+        block.
+        """
         return self._of_each_block(lambda part: replace(part, by_channel=self.by_channel).relative_of_channel)
 
     @cached_property

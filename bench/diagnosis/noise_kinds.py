@@ -49,7 +49,7 @@ SIZES: Final = tuple(np.geomspace(0.05, 20.0, 61))
 class NoiseHypothesis:
     """A hypothesis on the noise: the linear system with such noise, and its prior odds.
 
-    `what` is the kind, a key of `LOG_PRIOR`. `log_odds` is ln of the prior odds against ordinary noise, less
+    `what` is the kind, a key of `LOG_PRIOR`. `log_odds` is ln of the prior odds against ordinary noise, minus
     the cost of the parameters fitted. `words` describe it for people.
     """
 

@@ -409,7 +409,7 @@ def beside(
 
 
 def channels_of(whitened: Whitened, data: Data, naming: Naming) -> dict[int, Floats]:
-    """Return the probabilities (3,) that a found effect of the catalogue acts in each channel, by its index.
+    """Return, by index of a find in the catalogue, the probability (3,) that each channel has the effect.
 
     It follows from the evidence of the forms of the effect.
     """
@@ -449,7 +449,7 @@ def _of(
 
 
 def _steps(effect: Effect, shape: Shape) -> int:
-    """Return the number of shapes in the catalogue's grids and just beyond them, without the shape found."""
+    """Return the number of shapes in the catalogue's grids and just beyond them, except the shape found."""
     grids = [p.grid for name, _ in shape for p in effect.parameters if p.name == name and p.unit != "1"]
     return sum(len(grid) + 1 for grid in grids)
 
@@ -457,7 +457,7 @@ def _steps(effect: Effect, shape: Shape) -> int:
 def _in_other_channels(
     candidates: Candidates, variant: Variant, sizes: Floats, plausible: Floats
 ) -> Iterator[AppliedEffect]:
-    """Yield the effect with the shape found in other channels, its u weighted by their probability."""
+    """Yield the effect, in the shape found, for other channels; its u is weighted by their probability."""
     others = [c for c in range(3) if c not in variant.channels and plausible[c] > BY_CHANCE]
     share = np.array([np.sqrt(plausible[c]) if c in others else 0.0 for c in range(3)])
     for one in applied_of(candidates, variant, 0.0 * sizes, sizes):

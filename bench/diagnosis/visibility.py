@@ -242,9 +242,10 @@ class ReadingDesign:
         return np.column_stack([self._seen[part] for part in form])
 
     def divergence(self, found: Sequence[AppliedEffect], rivals: Sequence[Form]) -> float:
-        """Return the divergence D of an effect with the values found from the rival form most similar to it.
+        """Return the divergence D between an effect, with its values `found`, and the rival form most like
+        it.
 
-        D is the expected value of ln of the odds of the effect against that form, if the effect is the true one.
+        D is the expected value of ln of the odds of the effect against that form if the effect is true.
         """
         total = np.sum([self.linear.effect_column(applied) for applied in found], axis=0)
         one = self._left(total[:, None])[:, 0]

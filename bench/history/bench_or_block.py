@@ -70,7 +70,7 @@ SHOWN_P: Final = 0.05
 ALLOTTED_P: Final = 0.01
 LITTLE_SCATTER_P: Final = 0.01
 WELL_KNOWN: Final = 0.15
-"""A size of relative u below this has the upper limit value + 1.645 u; otherwise it is profiled."""
+"""Below this relative u, a size's upper limit is value + 1.645 u; above, it is by profile likelihood."""
 ONE_SIDED: Final = 1.645
 
 

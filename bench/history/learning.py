@@ -512,9 +512,9 @@ def variances_of(shared: VarianceEstimate) -> Floats:
 def means_dof(body: RunSums, theta: Floats, beliefs: Beliefs, spread: Floats) -> Floats:
     """Return the degrees of freedom (m + waves,) of the means' variances, by Satterthwaite's approximation.
 
-    They are 2 c^2 / (g^T W g) with the variance c of a mean, its gradient g by the variance components, and their
-    covariance `spread` (k, k), W. Sources: F. E. Satterthwaite, Biometrics Bull. 2 (1946) 110; A. H. Fai, P. L.
-    Cornelius, J. Stat. Comput. Simul. 54 (1996) 363.
+    They are 2 c^2 / (g^T W g): c is the variance of a mean, g its gradient by the variance components, and W
+    their covariance `spread` (k, k). Sources: F. E. Satterthwaite, Biometrics Bull. 2 (1946) 110; A. H. Fai,
+    P. L. Cornelius, J. Stat. Comput. Simul. 54 (1996) 363.
     """
     here = np.diag(at(body, theta, beliefs).covariance)
     slopes = np.zeros((len(here), len(theta)))

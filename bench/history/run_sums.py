@@ -278,7 +278,7 @@ def _span(columns: Floats) -> Floats:
 
 
 SEEN: Final = 1e-3
-"""Eigenvalues of a run's information on its angles, relative to the stated one, count as zero below this."""
+"""An eigenvalue of a run's information on its angles counts as zero below this part of the stated one."""
 
 
 def _beyond_repeats(run: RunFit, gram: Floats, variances: Floats, angles: int) -> tuple[float, float]:

@@ -340,7 +340,9 @@ def most(found: Crossed, which: int) -> float:
 
 
 def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
-    """Return rough sizes (3,): for units the spread of their means, for the others that within units."""
+    """Return rough sizes (3,) of units, the spread of their means, and of benches and excess, that within
+    units.
+    """
     count = np.bincount(crossing.unit, minlength=crossing.units)
     mean = np.bincount(crossing.unit, y, crossing.units) / count
     kind = crossing.group

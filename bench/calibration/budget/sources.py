@@ -33,7 +33,7 @@ BIAS_PER_K: Final = Distribution(30e-6, "rectangular")
 SCALE_PER_K: Final = Distribution(180e-6, "rectangular")
 """Priors of the block's temperature coefficients, g/K and 1/K: limits of a quartz-flexure accelerometer."""
 GAIN_PER_K: Final = Distribution(1e-6)
-"""Prior of the relative gain of a voltmeter per kelvin; a 34420A in an air bath showed 0.75 ppm/K."""
+"""Prior of the change of a voltmeter's gain per kelvin, relative; a 34420A in an air bath had 0.75 ppm/K."""
 BIAS_PER_V: Final = Distribution(20e-6)
 SCALE_PER_V: Final = Distribution(20e-6)
 """Priors of a block's sensitivity to its supply, g/V and 1/V: the catalogue's plausible sizes, 1 sigma."""

@@ -305,7 +305,9 @@ def _other_label(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation
 
 
 def _swapped_installations(table: OrientedRows) -> list[Reinterpretation]:
-    """Yield suppositions that two installations were exchanged, in the whole run or in the passes of one number."""
+    """Return suppositions that two installations were exchanged, in the whole run or all passes of a
+    number.
+    """
     found = []
     passes = np.unique(table.pass_number).tolist()
     for one, other in combinations(table.labels, 2):

@@ -28,8 +28,8 @@ BEYOND_TAILS: Final = 17.0
 
 A smaller deviation may be a tail of the noise: a comparison of hypotheses on the noise and on single readings
 decides. In 7 of 1,000 runs of the paper's length, noise distributed as Student's t (4 degrees of freedom,
-scale estimated a fifth too small) exceeds it. An outlier of 20 times the noise still exceeds it if the noise
-is estimated 15 % too large.
+scale estimated a fifth too small) exceeds this size. An outlier of 20 times the noise still exceeds it if the
+noise is estimated 15 % too large.
 """
 SLIP_PART: Final = 0.01
 """Relative u of the signal shift that a wrong setting causes; it allows for effects missing in the model."""
@@ -280,8 +280,8 @@ class _Pass:
         return cls(table, rows, max(RATIOS, key=lambda ratio: table.seen(ratio, [free]).log_evidence))
 
     def seen(self, columns: Floats, beyond: Floats | float = 0.0) -> ProjectedReadings:
-        """Return the readings, with the changes `columns` (n, 3, p) of the pass, of amplitudes N(0, 1), in
-        the model.
+        """Return the readings, with changes `columns` (n, 3, p) of the pass and N(0, 1) amplitudes in the
+        model.
 
         `beyond` (n, 3) is added to the predicted signals of the pass.
         """
