@@ -423,7 +423,9 @@ class Population:
 
 @dataclass(frozen=True)
 class GlobalRisk:
-    """Global risks: fractions of a population accepted but nonconforming, and rejected but conforming."""
+    """Global risks: fractions of a population that is accepted but nonconforming, or rejected but
+    conforming.
+    """
 
     false_accept: float
     false_reject: float

@@ -36,12 +36,12 @@ UNSEEN: Final = 0.3
 ALIKE: Final = 1e-3
 """Two signatures count as the same if one leaves at most this fraction of the other's square unexplained.
 
-Of 30 units of noise, one unit is then left.
+Of a signature of 30 units of noise, one unit is then left.
 """
 INSEPARABLE: Final = 1e-6
 """Fraction of a square, or of the largest singular value, that readings cannot distinguish from 0.
 
-Of 1,000 units of noise, one unit is then left.
+Of a signature of 1,000 units of noise, one unit is then left.
 """
 BEYOND_BELIEF: Final = 60.0
 """Largest credible size of an effect, in plausible sizes: three sigma of the widest prior (`evidence.SIZES`).

@@ -439,7 +439,7 @@ def _saturated(angle_deg: Floats, passes: Ints) -> Floats:
 SAME_SIZE: Final = 0.1
 """Fraction of the noise below which a difference of two sizes, or a rounding error of repeats, is neglected.
 
-Added in quadrature, it changes the noise by 0.5 %.
+Added in quadrature, a size of this fraction changes the noise by 0.5 %.
 """
 TERMS: Final = 30
 """Terms of the series for a shared rounding error: without any noise, 30 give its size to 1 %."""

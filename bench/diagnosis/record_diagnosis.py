@@ -125,7 +125,9 @@ def _places(record: Record) -> Iterator[ResidualPattern]:
 
 
 def _far(work: RecordWork, courses: Sequence[Variant], noises: Sequence[Noise]) -> Iterator[str]:
-    """Yield a sentence for each mean `FAR` from its prediction by model and earlier readings, farthest first."""
+    """Yield a sentence for each mean far from its prediction by model and earlier readings, farthest
+    first.
+    """
     found = []
     for part, noise in enumerate(noises):
         mean, _, _ = work.fitted(part, courses, noise)

@@ -215,7 +215,7 @@ def _beside_shapes(task: SearchTask, prepared: Prepared, naming: Naming) -> Nami
 
 
 def _searched_again(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Naming]:
-    """Return the finds, linearised again about them until the system is accurate enough."""
+    """Return readings and finds after linearising and searching again until the system is accurate."""
     most = 1
     naming = name(prepared.whitened, prepared.data, prepared.limit, most)
     for _ in range(STEPS):
