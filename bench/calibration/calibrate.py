@@ -40,7 +40,7 @@ from bench.model.geometry import STAND_ANGLES, Block
 from bench.readings.table import FREE, REFERENCE, VERIFICATION, Readings
 
 ROUNDING: Final = 1e-9
-"""Noise below this fraction of the largest signal means computed readings, which have no outliers."""
+"""Readings with noise below this fraction of the largest signal count as computed, without outliers."""
 
 
 def calibrate(
@@ -227,7 +227,7 @@ def _notes_on_rows(
 
 
 def _on_levels(problem: Problem) -> tuple[str, ...]:
-    """Return a note on the stand angles measured with a level and their uncertainties; empty without any."""
+    """Return a note on stand angles measured with a level, and their u; empty if no angle was."""
     told = [s for s in problem.stand if s.measured]
     if not told:
         return ()
@@ -275,7 +275,7 @@ def first_guess(problem: Problem, signal: Floats, resolution: float = 0.0) -> Bl
 def _fitted(
     problem: Problem, signal: Floats, refit: partial[gls.Fit], by: Estimator, chosen: FittedRows
 ) -> tuple[gls.Fit, tuple[Outlier, ...], tuple[str, ...]]:
-    """Return the estimator's fit, the outliers to which it gives no weight, and a note on any that it keeps."""
+    """Return the estimator's fit, the outliers without weight in it, and notes on outliers with weight."""
     fit = refit()
     largest = max(float(np.max(np.abs(t.signal), initial=0.0)) for t in (chosen.oriented, chosen.free))
     if fit.noise.reading < ROUNDING * largest:

@@ -25,7 +25,7 @@ ASKED_P: Final = 0.01
 SOME: Final = 0.2
 """Start value of a component's variance, as a fraction of the noise variance."""
 HARDLY_ANY: Final = 0.01
-"""Components with a variance below this fraction of the noise variance are dropped: others explain them."""
+"""Components of variance below this fraction of the noise variance are dropped; other ones explain them."""
 MOST_SIGNALS: Final = 1500
 """Above this number of signals no components are searched for: the matrices would take minutes."""
 WAVES: Final = 8
@@ -65,7 +65,7 @@ class _Term:
     channels: str
     columns: Floats
     unit_of: Floats
-    """Standard deviation of a random effect of unit variance: one per channel (signal unit), or one in rad."""
+    """Standard deviation of a random effect of unit variance, by channel (signal unit) or common (rad)."""
 
 
 def take_in(problem: Problem, fit: Fit, unit: str, floor: float = 0.0) -> SharedErrorFit:
@@ -252,7 +252,7 @@ def _walk(time_s: Floats) -> Floats:
 
 
 def walk_since(time_s: Floats, later_s: Floats) -> Floats:
-    """Return the covariance (v, v) of a random walk at `later_s` (v,) about its mean over times `time_s` (n,).
+    """Return the covariance (v, v), at `later_s` (v,), of a random walk about its mean over `time_s` (n,).
 
     The unit is the mean variance of the walk over the readings' times `time_s`; the size of a drift is stated in
     this unit, too.
@@ -332,10 +332,10 @@ def _drift(
 
 
 def heavy_tails(problem: Problem, fit: Fit) -> float:
-    """Return the p-value of heavy tails among the repeats, for Gaussian noise; NaN if the repeats are too few.
+    """Return the p-value of a test of the repeats for heavy tails; NaN if the repeats are too few.
 
-    The statistic is the excess kurtosis of normalised deviations of repeats, whose standard deviation is
-    sqrt(24/N).
+    The statistic is the excess kurtosis of the normalised deviations of repeats. With N degrees of freedom,
+    its standard deviation is sqrt(24/N).
     """
     if not len(problem.conditions) or fit.noise.source != "repeats":
         return float("nan")

@@ -31,7 +31,7 @@ RULES: Final = (SIMPLE, GUARDED, NON_BINARY)
 FALSE_ACCEPTANCE: Final = 0.05
 """Largest probability of a false acceptance at a point under the default decision rule."""
 NOMINAL_BAND: Final = float(special.ndtri(1.0 - FALSE_ACCEPTANCE)) / 2.0
-"""Guard band of the default rule in units of U, for a normal distribution far from the other limit: 1.645 u."""
+"""Default guard band in units of U: 1.645 u, for a normal distribution far from the other limit."""
 
 COVERAGE_FACTOR: Final = 2.0
 """Coverage factor k of U = k u for infinite degrees of freedom."""
@@ -56,7 +56,9 @@ _FAR: Final = 12.0
 
 
 class Statement(StrEnum):
-    """A statement of conformity (ILAC-G8:09/2019, 4.2), or the reason why none is made; from best to worst."""
+    """A statement of conformity (ILAC-G8:09/2019, 4.2), or the reason for none; in order from best to
+    worst.
+    """
 
     PASS = message("pass", "statement")
     CONDITIONAL_PASS = message("conditional pass")
@@ -132,8 +134,8 @@ class DecisionRule:
     def acceptance_limit(self, limit: float, known: MeasuredValues) -> Floats:
         """Return the largest |y| that is accepted, for each of n measured values, (n,).
 
-        It is negative where no value is accepted, as where U exceeds the limit. Source: JCGM 106:2012, 8.2.1 and
-        8.3.2.1.
+        A negative result means that no value is accepted, for example because U exceeds the limit. Source:
+        JCGM 106:2012, 8.2.1 and 8.3.2.1.
         """
         sure = self.pass_limit(limit, known)
         return np.where(known.expanded <= limit, limit, sure) if self.name == SIMPLE else sure
@@ -149,7 +151,7 @@ class DecisionRule:
         )
 
     def rejects(self, statement: Statement) -> bool:
-        """Return whether the rule rejects a value that it does not accept and to which it gives this statement.
+        """Return whether the rule rejects a value that it does not accept, given the `statement` on it.
 
         An inconclusive value is not rejected, nor is a conditional pass under the non-binary rule. A conditional
         fail is rejected, because nonconformity is more likely than conformity; the result states the probability
@@ -161,8 +163,9 @@ class DecisionRule:
     def statements(self, value: Floats, limit: float, known: MeasuredValues) -> list[Statement]:
         """Return the statements on measured values (n,).
 
-        Where U exceeds the limit, a value beyond the limit by more than the guard band and U fails, any other is
-        inconclusive. Beyond the limit the guard band ignores the population: it comes from the measurement alone.
+        Where U exceeds the limit, a value fails only if it is beyond the limit by more than both the guard
+        band and U; otherwise it is inconclusive. Beyond the limit, the guard band follows from the
+        measurement alone, without the population.
         """
         if self.guard_band is None:
             guard = _quantile(1.0 - FALSE_ACCEPTANCE, known.dof) * known.u
@@ -216,8 +219,8 @@ class MeasuredValues:
 def _largest_sure(limit: float, known: MeasuredValues) -> Floats:
     """Return the largest |y| (n,) at which a false acceptance is at most as probable as `FALSE_ACCEPTANCE`.
 
-    This applies to y and to −y. The result is at most the limit, and −limit if even y = 0 is too risky. Bisection
-    finds it, because the probability for the worse sign grows with |y|.
+    The limit holds for y and for −y. The result is at most the limit, and −limit if even y = 0 is too risky.
+    Bisection finds it, because the probability for the worse sign grows with |y|.
     """
 
     def sure(size: Floats) -> Mask:
@@ -234,8 +237,9 @@ def _largest_sure(limit: float, known: MeasuredValues) -> Floats:
 
 
 def coverage_factor(dof: ArrayLike) -> Floats:
-    """Return the coverage factor k for degrees of freedom of any shape: 2 if they are infinite, else the k that has
-    the same coverage probability. Source: JCGM 100:2008, G.3.
+    """Return the coverage factor k of the coverage probability that k = 2 has for infinite `dof`.
+
+    `dof` may have any shape. Source: JCGM 100:2008, G.3.
     """
     nu = np.asarray(dof, dtype=np.float64)
     return np.where(np.isinf(nu), COVERAGE_FACTOR, _quantile(0.5 * (1.0 + _COVERAGE), nu))
@@ -256,9 +260,9 @@ def probability_outside(
 ) -> Floats:
     """Return the probability that the measurand lies outside ±limit: one minus the conformance probability.
 
-    `value`, `u` and `dof` are broadcast to one shape. The result is the specific consumer's risk of an accepted
-    value; one minus the result is the specific producer's risk of a rejected value. `population` is the prior of
-    the measurand. Source: JCGM 106:2012, 7.4, 9.3 and A.4.
+    `value`, `u` and `dof` are broadcast to one shape. For an accepted value, the result is the specific
+    consumer's risk; for a rejected value, one minus the result is the specific producer's risk. `population`
+    is the prior of the measurand. Source: JCGM 106:2012, 7.4, 9.3 and A.4.
     """
     y, size, nu = np.broadcast_arrays(*(np.asarray(each, dtype=np.float64) for each in (value, u, dof)))
     if population is not None:
@@ -419,7 +423,7 @@ class Population:
 
 @dataclass(frozen=True)
 class GlobalRisk:
-    """Global risks: the parts of a population accepted without conforming, and rejected although they conform."""
+    """Global risks: the fractions of a population accepted but nonconforming, or rejected but conforming."""
 
     false_accept: float
     false_reject: float

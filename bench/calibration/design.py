@@ -31,7 +31,7 @@ STEP_RAD = 1e-5
 """Step of the central differences: truncation and rounding error are both about 1e-11 of the derivative."""
 
 WEAK = 10.0
-"""Prior u of an effect parameter without stated u, over its plausible size: wide, so that the data decide."""
+"""Prior u of an effect parameter without stated u, in plausible sizes: wide, so that the data decide."""
 
 SYMBOLS: Mapping[str, str] = {
     "axis_tilt": "alpha1",
@@ -91,9 +91,10 @@ class FreeRows:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """The model linearised about a point: the predicted readings (n, 3), and their derivatives (n, 3, 12 + q) by
-    the 12 coefficients and the q other unknowns. `slope` (n, 3) is du/dphi, the sensitivity of the signals to a
-    setting error of the head, unit/rad.
+    """The model linearised about a point: the readings `predicted` (n, 3) and their derivatives.
+
+    `jacobian` (n, 3, 12 + q) are those by the 12 coefficients and the q other unknowns; `slope` (n, 3) is
+    du/dphi, that by a setting error of the head, unit/rad.
     """
 
     predicted: Floats
@@ -209,7 +210,7 @@ class Problem:
 
     @cached_property
     def _places_of(self) -> list[list[int]]:
-        """For each effect of the model, the places of its unknowns after the coefficients."""
+        """For each effect of the model, the indices of its unknowns among those after the coefficients."""
         places: list[list[int]] = [[] for _ in self.model.effects]
         for place, unknown in enumerate(self.effects, len(self.stand)):
             places[unknown.effect].append(place)
@@ -226,8 +227,8 @@ class Problem:
         return (forward - back) / (2 * STEP_RAD)
 
     def jacobian(self, block: Block, others: Floats) -> Floats:
-        """Return the derivatives of the readings by the 12 coefficients and the q other unknowns, shape (n, 3, 12 +
-        q).
+        """Return the derivatives (n, 3, 12 + q) of the readings by the 12 coefficients and the q other
+        unknowns.
         """
         return self.linear(block, others).jacobian
 
@@ -315,7 +316,7 @@ class Problem:
         return Linearisation(chain.readings, columns, (forward - back) / (2 * STEP_RAD))
 
     def _model_at(self, others: Floats) -> ForwardModel:
-        """Return the model with these values of the unknowns."""
+        """Return the model with the values `others` (q,) of the unknowns after the coefficients."""
         return replace(self.model, effects=self.effects_at(others)) if self.effects else self.model
 
     def other_step(self, j: int) -> Floats:
@@ -326,11 +327,11 @@ class Problem:
 
 
 class _Chain:
-    """The chain from the stand to the readings at one point, for steps of single unknowns from there.
+    """The chain from the stand to the readings, evaluated at one point and for steps of single unknowns.
 
-    A step evaluates only the additions of effects that it changes. Which these are is tried at the point, by a
-    step of the signal at the stage of the effect (in both directions), of Kxx, Kyy and Kzz, and of all other
-    coefficients.
+    A step evaluates only the additions of effects that it changes. Trials at the point show which these are:
+    a step of the signal at the stage of the effect (in both directions), of Kxx, Kyy and Kzz, and of all
+    other coefficients.
     """
 
     def __init__(self, model: ForwardModel, conditions: Conditions, block: Block, stand_rad: Floats) -> None:
@@ -360,7 +361,9 @@ class _Chain:
         return self._after[Stage.VOLTMETER_READING]
 
     def _pass(self, stage: Stage, signal: Floats) -> None:
-        """Store the signal of a stage at the point, the addition of each effect there, and what changes it."""
+        """Store, for a stage at the point, its `signal`, each effect's addition, and what changes this
+        addition.
+        """
         self._signal[stage] = signal
         for i in self._of[stage]:
             self._own[i] = self._addition(i, signal, self._block)
@@ -372,7 +375,9 @@ class _Chain:
         self._after[stage] = self._base(stage, signal, self._block) + own
 
     def _differs(self, index: int, signal: Floats, block: Block) -> bool:
-        """Whether the addition of an effect differs from that at the point, or cannot be computed."""
+        """Whether an effect's addition to `signal` differs from its addition at the point, or cannot be
+        computed.
+        """
         try:
             return not np.array_equal(self._addition(index, signal, block), self._own[index])
         except ExpressionError:
@@ -392,8 +397,10 @@ class _Chain:
         setting_rad: float = 0.0,
         instead: Mapping[int, AppliedEffect] = NO_EFFECTS,
     ) -> Floats:
-        """Return the readings (n, 3) with a step of one unknown: of the `block`, the stand angles (mounts, 5), the
-        setting of the head, or of the effect with an index, `instead`.
+        """Return the readings (n, 3) after a step of one unknown.
+
+        It is a step of the `block`, of the stand angles (mounts, 5), of the setting of the head, or of an
+        effect, which `instead` maps from its index.
         """
         stages = [self._model.effects[i].effect.stage for i in instead]
         changed = [block.vector[j] != self._block.vector[j] for j in range(FIXED)]
@@ -474,7 +481,7 @@ def make_problem(
 
 
 def _with_known(problem: Problem, known: KnownStand) -> Problem:
-    """Return the problem with the priors of other runs for all angles that no level measured."""
+    """Return the problem with priors from other runs for all angles that no level measured."""
     stand, mounts = problem.stand, problem.conditions.mounts
     told = [j for j, unknown in enumerate(stand) if not unknown.measured]
     if not told:

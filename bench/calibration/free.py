@@ -147,7 +147,7 @@ def _block_of_ellipsoid(matrix: Floats, linear: Floats, middle: Floats, size: Fl
 
 
 def triangular(block: Block, covariance: Floats, g_m_s2: float) -> Triangular:
-    """Convert a block with upper triangular K and its covariance (12, 12) to the form a = T S (U - b), m/s^2.
+    """Convert a block with upper triangular K, and its `covariance` (12, 12), to a = T S (U - b), m/s^2.
 
     Source: Tedaldi, Pretto, Menegatti (ICRA 2014), equation (10), whose convention imu_tk uses.
     """

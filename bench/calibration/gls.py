@@ -42,7 +42,7 @@ The remaining error is smaller still because of the small curvature of the model
 NEARLY_STILL: Final = 1e-2
 """Once no unknown moves by more than this fraction of its u, the noise is not estimated again."""
 ESTIMATIONS: Final = 8
-"""Most iterations that re-estimate the noise: its sizes may alternate between two likelihood maxima."""
+"""Largest number of noise estimations in a fit: the sizes may alternate between two likelihood maxima."""
 FAR_FROM_STILL: Final = 0.1
 """The fit has failed if an unknown still moves by more than this fraction of its u in the last iteration."""
 LEAST_NOISE: Final = 1e-11
@@ -51,8 +51,7 @@ LEAST_NOISE: Final = 1e-11
 
 @dataclass(frozen=True)
 class Shift:
-    """An additional unknown without prior that is added to one observation, so that this observation has no weight
-    in the fit.
+    """An additional unknown, without prior, in one observation, which then has no weight in the fit.
 
     `row` is the index of a reading, from 0. With `channel` 0, 1 or 2, the unknown is an offset of signal x, y or z
     in an oriented reading, in the unit of the signal. With `SETTING` it is an error of the head's angle in an
@@ -148,7 +147,7 @@ def fit(
 
 
 def _not_converged(problem: Problem, system: System, unknown: int, moved: float) -> CalibrationError:
-    """Return the error of a fit that did not converge; it names the unknown that still moves."""
+    """Return the exception for a fit that did not converge; it names the unknown that still moves."""
     names = (*COEFFICIENTS, *problem.names())
     left = rms(system.left) if len(system.left) else rms(system.free.left)
     unit = "" if len(system.left) else " g"
@@ -220,7 +219,8 @@ def _places(problem: Problem, shifts: int, others: int) -> _Places:
 
 
 def finish(problem: Problem, fit: Fit, covariance: Floats, noise: Noise) -> Fit:
-    """Return a fit with its last step repeated for the covariance (3n + m, 3n + m) of 3n signals and m moduli.
+    """Return a fit after repeating its last step for a `covariance` (3n + m, 3n + m) of 3n signals and m
+    moduli.
 
     `noise` has the noise sizes that belong to this covariance. The linearisation does not change.
     """
@@ -271,7 +271,7 @@ def _result(
     problem: Problem, system: System, block: Block, others: Floats, sizes: Noise, places: _Places,
     found: Floats, covariance: Floats, gain: Floats, shifts: tuple[Shift, ...],
 ) -> Fit:  # fmt: skip
-    """Return the fit from its last step `found`, which is so small that the residuals are linear in it.
+    """Return the fit after its last step `found`, which is small enough for residuals linear in it.
 
     The misfit excludes shifted signals.
     """
@@ -357,9 +357,7 @@ class Solution:
 
 
 def solve(problem: Problem, system: System, noise: Noise, others: Floats) -> Solution:
-    """Return one step of the fit from the values `others` (q,) of the unknowns after the coefficients, for noise of
-    these sizes.
-    """
+    """Return one step of the fit from the values `others` (q,) of unknowns after the coefficients."""
     return solve_rows(*whitened_rows(problem, system, noise, others))
 
 
@@ -376,8 +374,7 @@ def solve_rows(rows: Floats, target: Floats, scale: Floats) -> Solution:
 def whitened_rows(
     problem: Problem, system: System, noise: Noise, others: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the whitened equations of one iteration: rows (3n + m + q, p), targets, and scale (p,) of the p
-    unknowns.
+    """Return the whitened equations of one iteration: rows (3n + m + q, p), targets, and scale (p,).
 
     n readings give 3n rows; m moduli and q priors follow. Each row has unit variance. Column j belongs to unknown j
     divided by its scale. `others` are the present values of the unknowns after the coefficients.
@@ -457,9 +454,9 @@ class Estimator:
     """An estimator of the coefficients; `phrase` describes it in a few words, `also` are aliases.
 
     An estimator with fixed weights has `gain`, which returns its linear map (12, n, 3), and uses oriented
-    readings alone. Any other estimator has `weigh`, which returns its fit. A budget uses the map of such a fit to
-    readings without errors, and so without outliers. If another estimator has the same map, `counts_as` names
-    that estimator. `angles_rad` returns the angles (n,) that the estimator assumes, and raises `CalibrationError`
+    readings alone. Any other estimator has `weigh`, which returns its fit. A budget uses the map of its fit
+    to readings without errors or outliers. If another estimator has the same map, `counts_as` names that
+    estimator. `angles_rad` returns the angles (n,) that the estimator assumes, and raises `CalibrationError`
     for unsuitable readings; if it is None, the estimator uses the angles of the readings.
     """
 

@@ -25,9 +25,9 @@ INTRINSIC: Final = ("Sx", "Sy", "Sz", "theta_xy", "theta_xz", "theta_yz", "bx", 
 
 PAIRS: Final = tuple(combinations(range(3), 2))
 HELD: Final = 0.1
-"""Least change, as a part of a number, by which the number counts as dependent on limits.
+"""A number depends on limits if it changes by more than this fraction.
 
-The change is that due to a change of K that no reading shows, of relative size 1.
+The change is due to a change of K, of relative size 1, that no reading shows.
 """
 JOINT_LEVEL: Final = 0.95
 
@@ -38,8 +38,7 @@ def intrinsic_unit(name: str, unit: str) -> str:
 
 
 def intrinsic(block: Block, covariance: Floats) -> Derived:
-    """Return the nine intrinsic numbers (`INTRINSIC`) with their covariance (9, 9), from a block and its covariance
-    (12, 12).
+    """Return the nine intrinsic numbers and their covariance (9, 9) for a block with `covariance` (12, 12).
 
     S_i = |row i of K| in unit/g, theta_ij = arccos(row_i row_j/(S_i S_j)) in degrees, b_i = U0_i/S_i in g. The
     Jacobian (9, 12) is exact. Raises `numpy.linalg.LinAlgError` if two sensing axes are parallel, or a channel has
@@ -75,8 +74,10 @@ def through(jacobian: Floats, covariance: Floats) -> Floats:
 
 @dataclass(frozen=True, kw_only=True)
 class Intrinsic(Derived):
-    """The nine intrinsic numbers of a calibration: in addition to `Derived`, `covariance_readings`, `dof` (9,) and
-    unit.
+    """The nine intrinsic numbers of a calibration.
+
+    `covariance_readings` (9, 9) is the part from readings and stated stand errors; `dof` (9,) are degrees of
+    freedom.
 
     `held` names the numbers that depend on limits in the bench file rather than on these readings. `mounting` is a
     sentence on which numbers the mounting can change.

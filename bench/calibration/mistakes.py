@@ -31,7 +31,7 @@ CLIPPED: Final = 3
 CLIPPED_FREE: Final = 4
 FAR_APART: Final = 0.05
 LEAST_CLIPPED: Final = 1e-4
-"""Least excess of the predicted signal, as a fraction of the range, for saturation: repeats may be equal."""
+"""Saturation needs a predicted excess above this fraction of the range: repeats may be equal by chance."""
 
 COPLANAR: Final = 0.02
 """Least singular value of K, its rows scaled to unit length: real axes are orthogonal within arcminutes."""
@@ -42,7 +42,9 @@ FARTHEST_NOMINAL_RAD: Final = np.radians(1.0)
 
 
 def require_numbers(rows: Readings, *, angles: bool) -> None:
-    """Raise `CalibrationError` for a signal that is overloaded or no number; with `angles` for an angle, too."""
+    """Raise `CalibrationError` for a signal that is overloaded or no number, with `angles` also for an
+    angle.
+    """
     bad = np.asarray(~np.isfinite(rows.signal).all(axis=1))
     if angles:
         bad |= ~np.isfinite(rows.angle_rad)
@@ -146,9 +148,7 @@ def _equal_where_forces_differ(columns: Floats, signal: Floats, sides: Floats) -
 
 
 def refuse_saturated_free(signal: Floats) -> None:
-    """Raise `CalibrationError` if many readings of free positions are equal at one end of their range: without
-    saturation they all differ.
-    """
+    """Raise `CalibrationError` if many free positions read equal values at one end of the range."""
     for i, axis in enumerate("xyz"):
         ends = (signal[:, i] == signal[:, i].max(), signal[:, i] == signal[:, i].min())
         there = max(ends, key=np.count_nonzero)
@@ -257,12 +257,12 @@ PREFIX: Final = 3.0
 NEAR: Final = 0.3
 """Tolerance in log10 (a factor of 2) within which a ratio of sizes counts as a power of 1000."""
 LEAST_SPAN_G: Final = 0.5
-"""Least span of specific force along a channel, g, in a part of the table that shows its signal per g."""
+"""Least span of specific force along a channel, g, by which a part of the table shows its signal per g."""
 PREFIXES: Final = (-2, -1, 0, 1, 2)
 MUCH_BETTER: Final = 1e-4
-"""A still part is in another unit if that reduces the residual sum of squares below this fraction."""
+"""A part with a hardly moving channel is in another unit if the squared residuals fall to this fraction."""
 CLEARLY: Final = 30.0
-"""Ratio of a row's signal norm to the median (or its inverse) from which the row is in another unit."""
+"""A row is in another unit if its signal norm is this many times larger or smaller than the median."""
 FITS: Final = 0.02
 """Largest unexplained fraction of the signal variance if the units are right."""
 
@@ -370,7 +370,9 @@ def refuse_mixed_units(readings: Readings, model: ForwardModel, nominal: Sequenc
 
 
 def _groupings(readings: Readings) -> Iterator[tuple[str, list[str]]]:
-    """Yield the groupings by which units may differ, as name and label of each row: none, pass, installation."""
+    """Yield the groupings (none, pass, installation) by which units may differ: name, and label of each
+    row.
+    """
     yield "", [""] * len(readings)
     yield "pass", [str(number) for number in readings.pass_number]
     yield "installation", [str(label) for label in readings.installation]
@@ -458,7 +460,7 @@ def _described(
 def _of_other(readings: Readings, row: int, power: Ints, scaled: Floats, *, everywhere: bool) -> Ints:
     """Return the power of 1000 (3,) for a row that is not oriented.
 
-    With `everywhere` it is the power of all rows; otherwise the row's signal determines it.
+    With `everywhere` the result is the power of all rows; otherwise the row's signal determines it.
     """
     if everywhere or readings.installation[row] in {REFERENCE, SHORTED}:
         return power[0] if everywhere else np.zeros(3, dtype=np.int64)
@@ -471,7 +473,5 @@ def _of_other(readings: Readings, row: int, power: Ints, scaled: Floats, *, ever
 
 
 def sheet_of(unit: str, scale_factors: Sequence[float]) -> Sequence[float] | None:
-    """Return the nominal signal per g (3,) in a unit: `scale_factors` for V, constants for g and m/s^2, None for
-    any other unit.
-    """
+    """Return the nominal signal per g (3,): `scale_factors` for V, constants for g and m/s^2, else None."""
     return {"V": scale_factors or None, "g": (1.0, 1.0, 1.0), "m/s^2": (9.81, 9.81, 9.81)}.get(unit)

@@ -30,7 +30,7 @@ LEAST_SIGNALS: Final = 1.5 * LEAST_DOF
 
 @dataclass(frozen=True)
 class KnownNoise:
-    """Prior knowledge of the noise: channels (3,), signal unit, and setting, rad, with degrees of freedom.
+    """Prior knowledge of the noise of `channels` (3,), signal unit, and of the setting, rad, each with dof.
 
     Each variance has a scaled inverse chi-square distribution: it counts like repeats with as many degrees of
     freedom. The degrees of freedom of sizes from other runs allow for variation of the noise between runs. Sizes
@@ -52,7 +52,7 @@ class KnownNoise:
         return cls(np.full(3, reading), np.full(3, LEAST_DOF), setting, LEAST_DOF, stated=True)
 
     def beside(self, signals: float) -> KnownNoise | None:
-        """Return the prior to combine with the residuals; None if their `signals` signals suffice by themselves.
+        """Return the prior to combine with the residuals of `signals` signals; None if these suffice alone.
 
         A stated prior keeps only the degrees of freedom that the signals lack; a prior of other runs counts in
         full.
@@ -95,7 +95,7 @@ class KnownNoise:
         )  # fmt: skip
 
     def contradicts(self, sizes: Floats, dof: Floats) -> bool:
-        """Return whether a run's sizes (3,) with degrees of freedom (3,) contradict the known ones (F tests)."""
+        """Return whether a run's noise `sizes` (3,), of `dof` (3,), contradict the known noise (F tests)."""
         ratio = np.square(sizes / self.channels)
         above = special.fdtrc(dof, self.channel_dof, ratio)
         chance = 2.0 * np.minimum(above, 1.0 - above)
@@ -135,7 +135,7 @@ class KnownStand:
     noise: KnownNoise | None = None
 
     def place(self, name: str, installation: str) -> int | None:
-        """Return the index in `keys` of the mean of an angle in an installation; None if there is none."""
+        """Return the index in `keys` of an angle's mean in an installation; None without such a mean."""
         for key in ((name, ""), (name, installation)):
             if key in self.keys:
                 return self.keys.index(key)
@@ -183,7 +183,7 @@ def drifted(
 
 
 LEAST_REPEATS: Final = 12
-"""Least number of repeats (readings less groups) from which the noise is estimated by their scatter."""
+"""Least number of repeats (readings minus groups) whose scatter serves as estimate of the noise."""
 
 
 SAME_SCATTER: Final = 1e-3
@@ -243,7 +243,7 @@ def _group_sum(values: Floats, groups: Ints) -> Floats:
 
 
 def noise_from_repeats(scatter: RepeatScatter, floor: float, *, one_size: bool = False) -> Noise:
-    """Return the noise from repeats by restricted maximum likelihood, for each channel if they differ.
+    """Return the noise from repeats by restricted maximum likelihood, by channel if the channels differ.
 
     `floor` (unit of the signal) is the lower limit of the noise, given by the last digit of a reading.
     """

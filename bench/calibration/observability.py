@@ -18,7 +18,7 @@ from bench.model.conditions import Conditions
 from bench.model.geometry import COEFFICIENTS, STAND_ANGLES, Block, hidden_axes
 
 MEMBER: Final = 0.02
-"""An unknown belongs to a null direction if its part exceeds this fraction of the largest part."""
+"""An unknown is a member of a null direction if its part exceeds this fraction of the largest part."""
 _IN_SPAN: Final = 1e-3
 _NOTHING: Final = 1e-6
 _MOST_NAMED: Final = 4
@@ -37,10 +37,10 @@ class DirectionKind(StrEnum):
 class Direction:
     """A null direction: a change of unknowns that no reading shows.
 
-    `members` maps names to changes, in SI and the unit of the signals: angles and effects before coefficients, the
-    largest first. They belong to a turn by one radian or, for other directions, to one unit of the first member.
-    `axis` is the axis of a turn, on block axes, up to its sign. `only` is the combination of two angles that the
-    readings do show ("sum" or "difference"), else empty.
+    `members` maps names to changes, in SI and the unit of the signals: angles and effects before
+    coefficients, the largest first. The changes are those for a turn by one radian or, in other directions,
+    for one unit of the first member. `axis` is the axis of a turn, on block axes, up to its sign. `only` is
+    the combination of two angles that the readings do show ("sum" or "difference"), else empty.
     """
 
     kind: DirectionKind
@@ -50,12 +50,12 @@ class Direction:
 
     @property
     def others(self) -> list[str]:
-        """Stand angles, settings and effects in the direction, without small parts."""
+        """The stand angles, settings and effects in the direction, except those with small parts."""
         return self._telling([name for name in self.members if name not in COEFFICIENTS])
 
     @property
     def coefficients(self) -> list[str]:
-        """Return the direction's coefficients, without small parts."""
+        """Return the direction's coefficients, except those with small parts."""
         return self._telling([name for name in self.members if name in COEFFICIENTS])
 
     def _telling(self, names: list[str]) -> list[str]:
@@ -112,10 +112,10 @@ class Direction:
 
 
 class _Directions:
-    """The null space (p, d), resolved into named directions with as few members as possible.
+    """A null space, resolved into named directions with as few members as possible.
 
-    `null` is an orthonormal basis of the space that remains. All vectors are in scaled unknowns: the unknowns
-    times `length` (p,), the norms of their columns.
+    `null` (p, d) is an orthonormal basis of the space that remains. All vectors are in scaled unknowns: the
+    unknowns times `length` (p,), the norms of their columns.
     """
 
     def __init__(self, null: Floats, length: Floats, names: tuple[str, ...], block: Block) -> None:
@@ -160,9 +160,9 @@ class _Directions:
             self._null = self._null @ _null_space(vectors.T @ self._null)
 
     def _sparse(self, basis: Floats) -> list[Floats]:
-        """Return a basis of the same space in which each vector has an unknown that is zero in all other vectors.
+        """Return a basis of the same space: each vector has an unknown of its own, zero in all other vectors.
 
-        That unknown is a coefficient only if no stand angle or effect is possible.
+        Its own unknown is a coefficient only if no stand angle or effect can be chosen.
         """
         vectors = basis.copy()
         free = np.ones(len(vectors), dtype=bool)
@@ -179,7 +179,9 @@ class _Directions:
         return list(vectors.T)
 
     def _direction(self, kind: DirectionKind, vector: Floats) -> Direction:
-        """Return the named direction: stand angles first, then effects, then coefficients, largest first."""
+        """Return the direction `vector` by names: stand angles, then effects, then coefficients, each largest
+        first.
+        """
         weight = np.abs(vector)
         weight[weight < _NOTHING * weight.max()] = 0.0
         change = vector / self._length
@@ -240,7 +242,8 @@ def axis_in_words(axis: tuple[float, float, float] | None) -> str:
 TRACELESS: Final = 1e-4
 """A direction is null if its singular value is below this fraction of the largest.
 
-Angles read back differ from nominal ones by arcseconds, which gives a null vector a singular value of about 1e-5.
+Angles read back differ from nominal ones by arcseconds, which gives a null vector a singular value of about
+1e-5.
 """
 _NO_COLUMN: Final = 1e-8
 
@@ -249,8 +252,8 @@ _NO_COLUMN: Final = 1e-8
 class Observability:
     """The rank of the derivatives by the unknowns `names`, and the null directions.
 
-    There are as many null directions as the rank is below the number of unknowns. `null` (p, d) is an orthonormal
-    basis of the null space, in unknowns scaled so that their columns have unit length.
+    The null directions are as many as the unknowns minus the rank. `null` (p, d) is an orthonormal basis of
+    the null space, in unknowns scaled so that their columns have unit length.
     """
 
     names: tuple[str, ...]
@@ -279,7 +282,7 @@ class Observability:
 
 
 def with_angles(problem: Problem, names: Collection[str]) -> Problem:
-    """Return the problem with these stand angles of every mounting as additional unknowns."""
+    """Return the problem with the stand angles `names` of every mounting as additional unknowns."""
     taken = {(s.mount, s.column) for s in problem.stand}
     further = tuple(
         StandUnknown(mount, STAND_ANGLES.index(name), ARCSEC)
@@ -332,10 +335,10 @@ def observability(
 ) -> Observability:
     """Return which of the problem's unknowns are determined by readings under its conditions.
 
-    The derivatives are at zero stand angles, where the null vectors are exact, and at the coefficients of
-    `block`. `modulus` are additional readings of which only |a| = 1 g is used. A stand angle named in `common`
-    is one unknown for all mountings. With `settings` the setting error of each point is an unknown, the same in
-    every pass. Raises `KeyError` for an installation that the model lacks.
+    The derivatives are taken at zero stand angles, where null vectors are exact, for the coefficients of
+    `block`. `modulus` are additional readings of which only |a| = 1 g is used. A stand angle named in
+    `common` is one unknown for all mountings. With `settings` the setting error of each point is an unknown,
+    the same in every pass. Raises `KeyError` for an installation that the model lacks.
     """
     columns = columns_of(problem, block, modulus)
     for name in common:
@@ -484,7 +487,7 @@ def _absent(
 
 
 def _shown(columns: Sensitivities, oriented: int, block: Block, name: str) -> str:
-    """Return in words how well the readings show an assumed angle, apart from a common turn of the block's axes."""
+    """Return in words how well readings show the assumed angle `name`, up to a common turn of all axes."""
     if _is_hidden(columns, block, name):
         return message("nothing in these readings shows it")
     if not _is_hidden(Sensitivities(columns.rows[:oriented], columns.names), block, name):
@@ -522,7 +525,7 @@ def _together(names: list[str]) -> str:
 
 
 def _undetermined(found: Observability, unit: str) -> list[str]:
-    """Return sentences on unknowns that only their limits confine: one on all turns, one per other direction."""
+    """Return sentences on unknowns confined only by limits: one for all turns, one per other direction."""
     turns = [d for d in found.directions if d.kind is DirectionKind.TURN]
     sentences = []
     if turns:

@@ -27,11 +27,11 @@ from bench.readings.table import Readings
 LEVEL: Final = 0.01
 """Probability of finding an outlier in readings without outliers."""
 QUIET: Final = 3.0
-"""Studentised residual below which no search begins: outliers that mask each other leave larger ones."""
+"""Least studentised residual that begins a search for several outliers: even masked ones leave as much."""
 LOUD: Final = 3.8
-"""Studentised residual below which no search for a single outlier begins: it hardly inflates the noise."""
+"""Least studentised residual that begins a search for one outlier, which hardly inflates the noise."""
 PLAINER: Final = 1.05
-"""Least ratio of a setting's residual to that of each of its signals for the setting to be the candidate."""
+"""A setting is a candidate only if its residual exceeds those of its signals by this factor."""
 LEAST_PART: Final = 1e-6
 """A signal is no candidate if the fit absorbs all but this fraction of the variance of its shift."""
 
@@ -80,9 +80,7 @@ def looks(problem: Problem) -> int:
 
 
 def critical(candidates: int, dof: float) -> float:
-    """Return the limit for the largest studentised residual: by chance alone, it is exceeded with probability
-    `LEVEL`.
-    """
+    """Return the limit that the largest studentised residual exceeds by chance with probability `LEVEL`."""
     p = 1.0 - LEVEL / (2 * candidates)
     return float(special.ndtri(p) if np.isinf(dof) else special.stdtrit(dof, p))
 

@@ -267,19 +267,20 @@ class BiasWander:
 class Calibration(HasCovariance):
     """The result of a calibration: the twelve coefficients, their covariance, residuals and notes.
 
-    `covariance` (12, 12), in the order of `COEFFICIENTS`, is the combined one, including `sources`, the errors
-    that no reading shows. `covariance_readings` is the part of the readings and the stated stand errors. K is in
-    unit/g with g = `g_m_s2`, biases are in unit. `gravity_u`, relative, is in neither covariance: K is per local
-    g. `dof` (12,) are effective degrees of freedom. `stand` holds the estimated stand angles ("alpha1[1]"),
-    `effects` the fitted parameters of effects. `fitted` are the readings used, `residuals` (n, 3) measured minus
-    fitted, with stand angles and effects at their estimates. `free` are the readings that joined by their
-    modulus, `modulus_error` (m,) their |a| - 1, g. `outliers` have no weight in the estimate. `gain` (12, N, 3)
-    is the linear map from the signals of the whole table to the coefficients, `slope` (N, 3) du/dphi, zero for
-    rows that are not oriented. `shared` are the variance components that readings share, `drift` the wander of
-    the biases if one was found, `wander` (3,) its possible rms. `birge` is the factor that widened u for a lack
-    of fit, `p_tails` the p-value of heavy tails. `triangular` is set for free positions alone. `assume` returns
-    the sentences of `assumed`, `unseen` changes (12, d) of the coefficients, of relative size 1, that only limits
-    of the stand confine; `notes` are sentences for the user.
+    `covariance` (12, 12), in the order of `COEFFICIENTS`, is the combined one, including `sources`, the
+    errors that no reading shows. `covariance_readings` is the part of the readings and the stated stand
+    errors. K is in unit/g with g = `g_m_s2`, biases are in unit. `gravity_u`, relative, is in neither
+    covariance: K is per local g. `dof` (12,) are effective degrees of freedom. `stand` holds the estimated
+    stand angles ("alpha1[1]"), `effects` the fitted parameters of effects. `fitted` are the readings used,
+    `residuals` (n, 3) measured minus fitted, with stand angles and effects at their estimates. `free` are the
+    readings that joined by their modulus, `modulus_error` (m,) their |a| - 1, g. `outliers` have no weight in
+    the estimate. `gain` (12, N, 3) is the linear map from the signals of the whole table to the coefficients,
+    `slope` (N, 3) du/dphi, zero for rows that are not oriented. `shared` are the variance components that
+    readings share, `drift` the wander of the biases if one was found, `wander` (3,) its possible rms. `birge`
+    is the factor that widened u for a lack of fit, `p_tails` the p-value of heavy tails. `triangular` is set
+    for free positions alone. `assume` returns the sentences of `assumed`; `unseen` returns changes (12, d) of
+    the coefficients, of relative size 1, that only limits of the stand confine; `notes` are sentences for the
+    user.
     """
 
     estimator: str
@@ -327,9 +328,7 @@ class Calibration(HasCovariance):
 
     @property
     def covariance_same_meters(self) -> Floats:
-        """Combined covariance (12, 12) for later readings with the same meters: it omits the errors that then
-        cancel.
-        """
+        """Combined covariance (12, 12) without errors that cancel in later readings with the same meters."""
         return self.covariance - sum((s.covariance for s in self.sources if s.cancels), np.zeros((12, 12)))
 
     @property

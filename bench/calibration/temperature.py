@@ -124,7 +124,9 @@ def sort_readings(tables: Sequence[Readings]) -> ThermalReadings:
 
 
 def _walk(rows: Readings) -> tuple[Ints, Ints, Ints, Floats]:
-    """Return mounting, visit, branch and mean temperature of the visit, for each row in measurement order."""
+    """Return, for each row in measurement order, its mounting, visit, branch, and the visit's mean
+    temperature.
+    """
     unknown = _oriented(rows) & ~np.isfinite(rows.temperature_c)
     if np.any(unknown):
         i = int(np.argmax(unknown))
@@ -203,8 +205,8 @@ class ThermalHysteresis(HasCovariance):
     def scatter(self) -> Floats:
         """Covariance (12, 12) of the coefficients if the branch is unknown.
 
-        The coefficients then deviate by half the size in either direction; the part of the size that noise alone
-        explains (chi-square twelve) is subtracted.
+        The coefficients then deviate by half the hysteresis in either direction, after the part that noise
+        alone explains (chi-square of twelve) is subtracted.
         """
         chi2 = float(self.size @ np.linalg.solve(self.covariance, self.size))
         real = max(1.0 - len(self.size) / chi2, 0.0) if chi2 > 0 else 0.0
@@ -213,7 +215,7 @@ class ThermalHysteresis(HasCovariance):
 
 @dataclass(frozen=True)
 class Compensated:
-    """Specific forces (n, 3) in local g, their covariance (n, 3, 3) from the model and the thermometer."""
+    """Specific forces (n, 3), local g, with the covariance (n, 3, 3) due to model and thermometer."""
 
     specific_force: Floats
     covariance: Floats
@@ -319,7 +321,7 @@ class TemperatureModel:
 
 MOST_STEPS: Final = 1024
 SMALL: Final = 0.1
-"""The table is fine enough if its error at 1 g is below this fraction of the least standard uncertainty."""
+"""A table is fine enough if its error at 1 g is below this fraction of the least u of an acceleration."""
 ROUNDING: Final = 1e-12
 """Error, g, below which a table error is only the rounding of double precision."""
 LOOKS: Final = 16
@@ -328,7 +330,7 @@ LOOKS: Final = 16
 
 @dataclass(frozen=True)
 class TableError:
-    """The largest errors of a compensation table against the polynomials, g.
+    """The largest errors, g, of a compensation table against the polynomials.
 
     `bias` is the interpolation error at 0 g, `per_g` its increase per g along any axis. `single` is the
     additional error of single precision at accelerations up to `reach_g`. `looks` is the number of temperatures
@@ -431,10 +433,11 @@ def _table(model: TemperatureModel, reach_g: float, steps: int) -> CompensationT
 def _by_steps(
     model: TemperatureModel, nodes_c: Floats, exact: Floats, between: Floats
 ) -> tuple[float, float, Floats]:
-    """Return the largest interpolation errors of a, at 0 g (g) and in proportion to |a| (g/g), and the entries.
+    """Return the largest interpolation errors of the force: at 0 g (g), and per |a| (g/g); and the entries.
 
-    `exact` (n, 12) are the entries of N and U0 at the nodes (n,), °C; the returned entries (m, 12) are interpolated
-    at the temperatures `between` (m,), °C. The errors are of one component of a; at most `ROUNDING` counts as zero.
+    `exact` (n, 12) are the entries of N and U0 at the nodes (n,), °C; the returned entries (m, 12) are
+    interpolated at the temperatures `between` (m,), °C. The errors are those of one component of the force;
+    up to `ROUNDING` they count as zero.
     """
     entries = np.stack([np.interp(between, nodes_c, column) for column in exact.T], axis=1)
     truth = model.coefficients(between)
@@ -449,7 +452,7 @@ def _by_steps(
 def _by_rounding(
     model: TemperatureModel, table: CompensationTable, entries: Floats, between: Floats, reach_g: float
 ) -> float:
-    """Return the largest error that single precision adds to a component of a, g.
+    """Return the largest error, g, that single precision adds to a component of the force.
 
     It is the maximum over the temperatures `between` (m,), °C, and over 26 directions, at 1 g and at `reach_g`.
     `entries` (m, 12) are the interpolated entries of N and U0 in double precision.
@@ -468,7 +471,7 @@ def _by_rounding(
 
 
 def _least_u(model: TemperatureModel) -> float:
-    """Return the least standard uncertainty of a compensated component, g, at 1 g along an axis."""
+    """Return the least standard uncertainty, g, of a compensated component at 1 g along an axis."""
     least = np.inf
     for t in np.linspace(model.minimum_c, model.maximum_c, 9):
         signal = model.block(float(t)).output(np.eye(3))

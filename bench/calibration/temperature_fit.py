@@ -40,7 +40,7 @@ from bench.model.geometry import Block, linear_columns
 from bench.readings.table import Readings
 
 WEAKEST: Final = 1e-3
-"""Least ratio of the smallest to the largest singular value of unit columns that determine all terms."""
+"""Terms are determined if the ratio of extreme singular values of their unit columns is above this."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class ThermalProblem:
         return np.concatenate([by_term, by_angle], axis=2)
 
     def determined(self) -> bool:
-        """Return whether the rows determine all terms if every coefficient uses all basis functions."""
+        """Return whether the rows determine all terms if every coefficient has all basis functions."""
         force = self.force(self.problem.prior_mean)
         columns = linear_columns(force)
         whole = (columns[:, :, None] * self.basis[:, None, :]).reshape(len(force), -1)
@@ -200,15 +200,15 @@ STAYS_P: Final = 0.05
 """Significance level: the highest term of a coefficient is kept if its p-value is at most this."""
 
 NEXT: Final = 2
-"""Number of terms above the chosen degree whose omission counts in the uncertainty."""
+"""Number of omitted terms, next above the chosen degree, that count in the uncertainty."""
 
 
 @dataclass(frozen=True)
 class DegreeChoice:
-    """The chosen `degrees` (12,), and the changes of the terms if one more term were kept, `doubts` (2, 12, D + 1).
+    """The chosen `degrees` (12,), and `doubts` (2, 12, D + 1): how the terms change if one more is kept.
 
-    The first index of `doubts` is 0 for the next even and 1 for the next odd power of temperature. The changes
-    are zero if no term is left out.
+    The one more is the next even power of temperature at the first index 0, the next odd power at 1. The
+    changes are zero if no term was dropped.
     """
 
     degrees: Ints
@@ -282,9 +282,9 @@ class _Body:
     scale_k: float
 
     def powers(self, degree: int, *, of_levels: bool = False) -> Floats:
-        """Return powers 0…degree (n, degree + 1) of the scaled temperature, or of its level mean.
+        """Return the powers 0…degree (n, degree + 1) of the scaled temperature of each row.
 
-        With `of_levels`, the temperature of each row is the mean of its level.
+        With `of_levels`, the temperature of a row is the mean of its level.
         """
         rows = self.sorted
         temperature = rows.rows.temperature_c
@@ -418,7 +418,7 @@ def _highest(body: _Body, degree: int | None) -> tuple[int, bool]:
 
 
 def _in_kelvins(best: ThermalFit, choice: DegreeChoice, scale_k: float) -> tuple[Floats, Floats]:
-    """Return values (12, D + 1) per K^d and their covariance, including the doubts about omitted terms."""
+    """Return values (12, D + 1) per K^d and their covariance, which covers the doubts about omitted terms."""
     count = choice.doubts.shape[2]
     coefficient, function = np.nonzero(best.terms)
     own = function < count

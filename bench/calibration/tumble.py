@@ -47,7 +47,7 @@ HOMES: Final = {
     "K0p": "bias_asymmetry",
     "K1p": "scale_asymmetry",
 }
-"""The effect of each nonlinear term, in the order in which terms are requested; K0p and K1p are K0' and K1'."""
+"""The effect of each nonlinear term, in the order of requested terms; K0p and K1p stand for K0' and K1'."""
 
 AS_PARAMETER: Final = {"K1p": ("Kabs", 0.5)}
 """Terms that are another parameter of their effect, times a factor: (K1'/2) |a_i| = Kabs |a_i|."""
@@ -152,7 +152,7 @@ def separable(force: Floats, channel: int, terms: Sequence[str], conditions: Con
 NO_PRIOR: Final = 1.0
 """Prior standard deviation of a term, g/g^n: far beyond any plausible size, so that the data decide."""
 OPEN_AT_1_G: Final = 1e-2
-"""`NO_PRIOR` if points above 1 g follow: 500 times a plausible size, so that their fit is well conditioned."""
+"""Prior in place of `NO_PRIOR` if points above 1 g follow: 500 plausible sizes condition their fit well."""
 K: Final = 2.0
 """Coverage factor of U."""
 MOVES: Final = 0.01
@@ -300,7 +300,7 @@ def _judged_with(
 
 
 def _of_assumed(problem: Problem, fit: gls.Fit, through: Floats, assumed: Mapping[str, float]) -> Floats:
-    """Return the part (m, m) of the covariance that comes from stand angles of assumed size."""
+    """Return the part (m, m) of the covariance due to stand angles of merely assumed size."""
     at = [FIXED + k for k, unknown in enumerate(problem.stand) if STAND_ANGLES[unknown.column] in assumed]
     if not at:
         return np.zeros((len(through),) * 2)
@@ -315,7 +315,7 @@ def with_terms(model: ForwardModel, terms: Sequence[str]) -> ForwardModel:
 
 
 def _problem(plain: ForwardModel, whole: Problem, judged: Sequence[Separable], prior_u: float) -> Problem:
-    """Return the problem with the determined terms as unknowns, without an informative prior."""
+    """Return the problem with the determined terms as unknowns, which have the wide prior `prior_u`."""
     kept = tuple(
         replace(unknown, prior_u=prior_u, stated=False)
         for unknown in whole.effects
@@ -384,7 +384,7 @@ def sized(
 def _contained(judged: Separable, name: str, channel: int) -> dict[str, float]:
     """Return the shares of inseparable terms that the quantity `name` contains.
 
-    For an angle they have the sign of the angle.
+    The shares in an angle have the sign of that angle.
     """
     if name not in MISALIGNMENTS:
         return judged.part_in(name)

@@ -82,8 +82,10 @@ class VerificationPoint:
 
 @dataclass(frozen=True)
 class LimitToPass:
-    """The two changes that would each make a verification pass: a larger limit of |delta g| (g), or u multiplied by
-    a factor. `u_times` is None if no factor suffices. `point` is the point that exceeds its acceptance limit most.
+    """Two changes, each of which would make a verification pass: another limit of |delta g|, or another u.
+
+    `limit_g` is that limit, g; `u_times` is the factor on u, None if none suffices. `point` exceeds its
+    acceptance limit most.
     """
 
     limit_g: float
@@ -210,7 +212,7 @@ class Verification:
 
     @cached_property
     def global_risk(self) -> GlobalRisk | None:
-        """Global risks of the rule over the population, at the point with the largest U; None without one."""
+        """Global risks of the rule at the point with the largest U; None without a population."""
         if self.population is None:
             return None
         point = max(self.points, key=lambda p: p.U)

@@ -29,11 +29,12 @@ Cell = tuple[str, int]
 def spells(readings: Readings, *, lasting: bool) -> Iterator[tuple[str, ...]]:
     """Yield each set of passes or mountings in which an effect may act, as a tuple of their labels.
 
-    The sets are: each mounting from its second or a later pass onwards, each single pass, and each whole
-    mounting. A whole mounting is yielded only if its installation was mounted more than once, because otherwise
-    the mounting angles describe the same change. If the effect outlasts a remount (`lasting`), every mounting is
-    yielded, and also everything from each later pass onwards, verification points included. If a set contains all
-    passes of a mounting, it has the label of the mounting in place of those of the passes.
+    The sets are: the passes of a mounting from any but its first onwards, each single pass, and each whole
+    mounting. A whole mounting is yielded only if its installation was mounted more than once, because
+    otherwise the mounting angles describe the same change. If the effect outlasts a remount (`lasting`),
+    every mounting is yielded, and also everything from each later pass onwards, verification points included.
+    If a set contains all passes of a mounting, it has the label of the mounting in place of those of the
+    passes.
     """
     conditions = readings.conditions()
     mounts = [str(conditions.mounts[number]) for number in conditions.mount]
@@ -90,13 +91,9 @@ UNNAMED: Final = (
 
 SINGLE: Final = (SINGLE_READING, SINGLE_SETTING)
 RARE: Final = 1e-3
-"""Prior odds that a single reading deviates, against another unnamed pattern. Tails of the noise give such
-readings.
-"""
+"""Prior odds of a single deviating reading against another unnamed pattern: tails of the noise look alike."""
 KIND_PRIOR: Final = (0.03, 0.01, 0.96)
-"""Prior probabilities of what is missing: an unnamed form with a formula, one without, an effect of the
-catalogue.
-"""
+"""Prior probabilities that an unnamed form with a formula, one without, or a catalogue effect is missing."""
 
 
 @dataclass(frozen=True)
@@ -140,10 +137,11 @@ class Candidates:
     """All variants that the search compares, with the columns that they need.
 
     `columns` (N, P): each column is the change of the N rows of the linear system by a parameter of plausible
-    size. `kinds` says what each column estimates. `scale` (P,) is the plausible size of each column's parameter
-    in SI, or 1 if the family is unnamed. `families` are the distinct names. `by_family` has the indices of all
-    variants, sorted by family; those of family number f begin at `by_family[family_starts[f]]`. `log_prior`
-    (families,) is ln of the probability of each family, given that exactly one is missing in the model.
+    size. `kinds` says what each column estimates. `scale` (P,) is the plausible size of each column's
+    parameter in SI, or 1 if the family is unnamed. `families` are the distinct names. `by_family` has the
+    indices of all variants, sorted by family; those of family number f begin at
+    `by_family[family_starts[f]]`. `log_prior` (families,) is ln of the probability that a family is missing,
+    given that exactly one is.
     """
 
     columns: Floats
@@ -194,7 +192,7 @@ class Collector:
         shape: tuple[tuple[str, float], ...],
         mounts: tuple[str, ...],
     ) -> dict[int | None, Floats]:
-        """Return the same as `plausible_columns`, reusing an earlier computation where possible.
+        """Return `plausible_columns`, from an earlier computation where possible.
 
         An effect that does not depend on earlier readings is computed once for all rows. Where it acts in some
         mountings only, its column is the same with zeros in the rows of all other mountings.
@@ -289,9 +287,7 @@ def without_copies(candidates: Candidates, white: Whitener) -> Candidates:
 
 
 MountSets = Callable[[LinearSystem, Effect], Iterator[tuple[tuple[str, ...], ...]]]
-"""Yields sets of groups of mountings for an effect. Each group has its own parameters; the group () is all
-mountings.
-"""
+"""Yields sets of groups of mountings for an effect; each group has its own parameters, () is all."""
 
 
 def make_candidates(
@@ -537,9 +533,7 @@ class KnownBench:
         return {name: why[name] for name in CATALOGUE if why.get(name)}
 
     def not_judged(self, readings: Readings) -> str:
-        """Return a sentence on the effects that are searched only because the bench is unknown; "" if there are
-        none.
-        """
+        """Return a sentence on the effects searched only because the bench is unknown; "" without such."""
         unknown = {
             "range_offset": self.fixed_ranges is None and not _ranges(readings),
             "channel_crosstalk": self.own_meters is None,

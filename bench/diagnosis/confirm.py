@@ -89,7 +89,7 @@ class Confirmation:
     def closed(self) -> float | None:
         """The fraction of the excess of reduced chi-square over 1 that the effects remove.
 
-        None if there is no excess.
+        None without an excess.
         """
         return part_closed(self.before.reduced, self.after.reduced)
 
@@ -190,7 +190,7 @@ def compared(
 
 
 def _left(linear: LinearSystem, noise: NoiseSize) -> tuple[Model, float]:
-    """Return the residuals of a model and their chi-square. The effects have their values and stated u."""
+    """Return the quality and the chi-square of a fit with the effects at their values and stated u."""
     stated = [unknown.stated for unknown in linear.problem.effects]
     keep = np.ones(linear.random.shape[1], dtype=bool)
     keep[linear.own] = stated
@@ -311,11 +311,12 @@ def _shown(
 ) -> tuple[float, float, float, float]:
     """Return four numbers: the parameters' size in the model, the least that would show, `p_same` and `p_none`.
 
-    The sizes are in units of noise. The parameters, which have the indices `places`, are judged in the directions
-    that the readings determine. A direction is an eigenvector of their covariance: a sum or a difference of
-    parameters may be determined although no parameter is. `apart` is false if the values of several mountings are
-    judged together. The model's values are then as correlated as those of these readings, but a model file has no
-    correlations. The model's u of a direction is therefore limited to the u of these readings.
+    The sizes are in units of noise. The parameters, which have the indices `places`, are judged in the
+    directions that the readings determine. A direction is an eigenvector of their covariance: a sum or a
+    difference of parameters may be determined although no parameter is. `apart` is false if the values of
+    several mountings are judged together. The model's values are then correlated like those of these
+    readings, but a model file states no correlations; for each direction, the model's u is therefore limited
+    to the u of these readings.
     """
     use = np.array(places, dtype=np.int64)
     variance, turned = np.linalg.eigh(estimated.covariance[np.ix_(use, use)])

@@ -6,8 +6,8 @@ ln|I + s^2 A^T A| - nu/2 ln(r^T r - r^T A (A^T A + 1/s^2)^-1 A^T r). It is avera
 size is a guess, and over the ratio of the two noise sizes. The evidence depends on the data only by r^T r and A^T
 r. Therefore many data sets can be scored at once.
 
-The threshold is the evidence that chance alone reaches: the same search runs on simulated readings without
-missing effects.
+The threshold is the evidence that chance alone reaches: the same search runs on readings simulated with a
+complete model.
 """
 
 from __future__ import annotations
@@ -35,17 +35,15 @@ from bench.model import CATALOGUE
 from bench.model.effects import FormulaEffect
 
 SIZES: Final = (1.0, 4.0, 20.0)
-"""Prior 1 sigma of an effect, in plausible sizes: as large as plausible, a few times as large, and far larger."""
+"""Prior standard deviations of an effect, in plausible sizes: plausible, a few times larger, far larger."""
 LOG_SIZE_WEIGHTS: Final = tuple(float(np.log(w)) for w in (0.6, 0.28, 0.12))
 """ln of the prior probability of each of `SIZES`: larger effects are rarer."""
 
 KNOWN_SIZE: Final = max(SIZES)
-"""Prior size of an effect already in the model, as a multiple of its plausible size: the widest, as data determine
-it.
-"""
+"""Prior size, in plausible sizes, of an effect already in the model: the widest, so that data decide."""
 
 CHUNK: Final = 100
-"""Data sets or columns computed at once: 100 evidences of 3,000 columns at six ratios need 15 MB."""
+"""Number of data sets or columns computed at once: 100 data sets, 3,000 columns and six ratios need 15 MB."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ class Data:
 class Whitened:
     """The scalar products of the candidates' columns, whitened at each noise ratio of a grid.
 
-    `kept` caches the scores of repeated searches in the same data.
+    `kept` is a cache of scores, for repeated searches in the same data.
     """
 
     grid: NoiseGrid
@@ -131,7 +129,7 @@ class Whitened:
         )
 
     def reduce(self, response: Floats) -> Data:
-        """Return the scalar products of data sets that the evidence is computed from.
+        """Return the scalar products of data sets with the columns, from which the evidence follows.
 
         `response` (N, sets) has the residuals, measured minus predicted, of each data set as a column, in the
         unit of the signal.
@@ -177,9 +175,9 @@ class Search:
     """A search over all variants for what is missing in a model that contains the columns `known`.
 
     `inverse` (ratios, known, known) is the inverse Cholesky factor of the Gram matrix of the known columns,
-    including their prior (1 sigma: `KNOWN_SIZE` plausible sizes). `half` (ratios, known, P) is `inverse` times
-    the scalar products of the known columns with all P columns. `log_det` (ratios,) is the contribution of the
-    known columns to ln of the evidence that is the same for all data.
+    including their prior (1 sigma: `KNOWN_SIZE` plausible sizes). `half` (ratios, known, P) is `inverse`
+    times the scalar products of the known columns with all P columns. `log_det` (ratios,) is that
+    contribution of the known columns to ln of the evidence which is the same for all data.
     """
 
     whitened: Whitened
@@ -269,7 +267,7 @@ class Search:
         return float(logsumexp(grid.log_prior + grid.log_det + self.log_det + grid.log_likelihood(square)))
 
     def score(self, data: Data) -> Scores:
-        """Return, for each data set, ln of the Bayes factor of adding each variant to the model."""
+        """Return ln of the Bayes factor of adding each variant to the model, for each data set."""
         left = self.left_over(data)
         begun = tracked(range(0, left.sets, CHUNK), "what chance alone would show")
         parts = [self._score(left.part(slice(i, i + CHUNK))) for i in begun]
@@ -306,7 +304,7 @@ class Search:
 
 @dataclass(frozen=True)
 class Scores:
-    """ln of the Bayes factor of the model with each variant added against the present model.
+    """For each variant, ln of the Bayes factor of adding it to the present model.
 
     `variants` (variants, sets) has an entry for each data set. `ratio` (ratios, sets) is the posterior
     probability of each noise ratio under the present model.
@@ -318,7 +316,7 @@ class Scores:
     def families(self, candidates: Candidates) -> Floats:
         """Return ln of the Bayes factor of each family, shape (families, sets).
 
-        It is ln of the mean over the forms of the family, so that a family with many forms has no advantage.
+        It is ln of the mean Bayes factor of the family's forms, so that many forms are no advantage.
         """
         ordered = self.variants[candidates.by_family]
         starts = candidates.family_starts
@@ -348,10 +346,10 @@ def _log_sum(logarithms: Floats) -> Floats:
 
 
 NULLS: Final = 1000
-"""Simulated data sets for a threshold: `OFTEN` of them, 50, determine the tail to 14 %."""
+"""Number of simulated data sets for a threshold: the fraction `OFTEN`, 50, determines the tail to 14 %."""
 SEED: Final = 20260
 FALSE_ALARMS: Final = 0.006
-"""Probability of a false alarm: the search finds an effect although none is missing.
+"""Probability of a false alarm: the search finds an effect although the model is complete.
 
 It is below `BY_CHANCE`, as the choice of the noise adds a few alarms.
 """
@@ -361,10 +359,10 @@ It is below `BY_CHANCE`, as the choice of the noise adds a few alarms.
 class Threshold:
     """The least evidence that counts as a finding, and the probability that chance exceeds it.
 
-    The evidence is ln of the odds that the model lacks some effect. If the model lacks none, the evidence still
-    exceeds `value` with `probability`, by chance. The upper tail of these chance values is exponential: they
-    exceed `start` with probability `p_start`, and `start` plus x with probability `p_start` exp(-x / `decay`).
-    `nulls` is the number of simulated data sets from which the tail was determined.
+    The evidence is ln of the odds that the model lacks some effect. If the model is complete, the evidence
+    still exceeds `value` by chance, with `probability`. The upper tail of these chance values is exponential:
+    they exceed `start` with probability `p_start`, and `start` plus x with probability `p_start` exp(-x /
+    `decay`). `nulls` is the number of simulated data sets from which the tail was determined.
     """
 
     value: float
@@ -399,7 +397,7 @@ def total_evidence(scores: Scores, whitened: Whitened) -> Floats:
 
 
 def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.random.Generator) -> Floats:
-    """Return simulated residuals (N, sets) of data sets in which no effect is missing.
+    """Return residuals (N, sets) of data sets simulated with a complete model.
 
     `sigma` is the noise of a reading in the unit of the signal, and `ratios` (sets,) the noise ratio of each
     data set.
@@ -429,10 +427,10 @@ def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS)
 
 
 def fit_tail(evidence: Floats) -> Threshold:
-    """Return the threshold that the fraction `FALSE_ALARMS` of data sets exceeds, from a fit to the upper tail.
+    """Return the threshold that data sets exceed in the fraction `FALSE_ALARMS`, by a fit to the upper tail.
 
-    `evidence` (sets,) is the evidence of each simulated data set without a missing effect. The tail begins at the
-    level `OFTEN`, the largest probability used with `Threshold.at`. The quantile of the fitted exponential has a
+    `evidence` (sets,) is that of each data set simulated with a complete model. The tail begins at the level
+    `OFTEN`, the largest probability used with `Threshold.at`. The quantile of the fitted exponential has a
     smaller variance than the empirical quantile.
     """
     ordered = np.sort(evidence)

@@ -111,7 +111,7 @@ def _threshold(whitened: Whitened, count: int) -> Threshold:
 
 
 def _of_records(effect: NamedEffect, between: BetweenRecords | None) -> NamedEffect:
-    """Return the effect with `words` on records; if the effect changes the zeros, they also state the changes."""
+    """Return the effect; its `words` say "record", not "run", and give the sizes of unnamed zero changes."""
     if effect.in_catalogue:
         return effect
     if effect.name != ZERO_BY_RUN or between is None:
@@ -122,7 +122,7 @@ def _of_records(effect: NamedEffect, between: BetweenRecords | None) -> NamedEff
 
 
 def _fit(linear: FreeSystem, effects: Floats, fitted: Posterior) -> FreeFit:
-    """Return the coefficients of each sensor with their u, and the residuals after the effects' columns (N, p)."""
+    """Return the coefficients of each sensor with u, and residuals, for effects with the columns (N, p)."""
     rows, spread = linear.positions, np.sqrt(np.diag(fitted.covariance))
     blocks, u = [], np.zeros((rows.sensors, FIXED))
     for sensor, block in enumerate(rows.block):
@@ -136,7 +136,7 @@ def _fit(linear: FreeSystem, effects: Floats, fitted: Posterior) -> FreeFit:
 def _where(
     linear: FreeSystem, whitened: Whitened, naming: Naming, noise: NoiseSize
 ) -> tuple[ResidualPattern, ...]:
-    """Return the records and sensors in which |a| scatters significantly more, the largest first."""
+    """Return the records and sensors where |a| scatters significantly more than elsewhere, largest first."""
     rows, white = linear.positions, whitened.grid.white[0] @ linear.response
     if not naming.found and not np.any(np.abs(white) > 4 * noise.reading):
         return ()
@@ -175,7 +175,7 @@ def _candidates(linear: FreeSystem, sigma: float) -> Candidates:
 
 
 def _sensor_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[str, ...], ...]]:
-    """Yield the sets of sensors that may share values of an effect: first one set of all, then each alone."""
+    """Yield the groups of sensors that may share values of an effect: all as one group, then each alone."""
     assert isinstance(linear, FreeSystem)  # noqa: S101 - no other has sensors
     yield ((),)
     if linear.positions.sensors > 1:
@@ -218,11 +218,11 @@ def _add_unnamed(rows: FreeRows, collector: Collector, unit: float) -> None:
 # --- noise and outliers -------------------------------------------------------------------------------
 
 FAR: Final = 12.0
-"""Least distance of an outlier from the other positions, in standard deviations: real sensors have heavy tails."""
+"""Least distance of an outlier, in standard deviations: large, because real sensors have heavy tails."""
 
 
 def _prepared(linear: FreeSystem) -> tuple[NoiseGrid, Candidates]:
-    """Return the noise and the candidates.
+    """Return the grid of the noise and the candidates.
 
     The noise is the scatter that remains when each record has zeros and scale factors of its own.
     """
@@ -288,7 +288,7 @@ def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
 
 
 def stated(rows: FreeRows) -> float:
-    """Return the standard uncertainty of |a| at one position that the scatter of its samples implies, in g.
+    """Return the u of |a| at one position, g, that follows from the scatter of the samples.
 
     Samples count as independent. The variance of each signal is the variance of its samples (`signal_sd` squared)
     divided by their number, and is converted to g by the scale factor. The result is the root mean square over

@@ -33,7 +33,7 @@ from bench.stats.repeats import Repeats, compare_repeats
 SAME_TIME_S: Final = 1.0
 """Two tables whose times agree within this, s, belong to sensors measured side by side."""
 ANOTHER: Final = 2.0
-"""Distance of coefficients above which two tables are of different sensors.
+"""Least distance between the coefficients of two different sensors.
 
 The unit is the largest change of one block between runs (`OTHER_BLOCK`).
 
@@ -98,7 +98,11 @@ class FreeRows:
         return columns
 
     def change(self, of: Sequence[int], sensor: int, channel: int) -> Floats:
-        """Return the change of |a| in the N rows, in g, if one coefficient in the conversion to |a| is larger."""
+        """Return the change of |a| (N,), g, if one coefficient grows by the size of its scale factor.
+
+        The coefficient has the index `of[channel]` among the nine of the `sensor`; the scale factor is that
+        of the `channel`.
+        """
         size = abs(float(self.block[sensor].K[channel, channel]))
         return -size * self.coefficients[:, OWN * sensor + of[channel]]
 
@@ -305,7 +309,7 @@ def _feature(table: Readings) -> Floats:
 
 @dataclass(frozen=True)
 class BetweenRecords:
-    """How the biases of free positions change between records, where each record is fitted separately.
+    """The changes of biases between records of free positions; each record has a fit of its own.
 
     `zero` (sensors, records, 3) are the biases in g, and `u` (sensors, records, 3) their standard uncertainties;
     both are NaN where a record does not determine the bias. `scatter` (3,) is the standard deviation of the
@@ -359,7 +363,7 @@ class BetweenRecords:
 def between_records(rows: FreeRows) -> BetweenRecords | None:
     """Return the change of the biases between records.
 
-    None if no sensor has two records that each determine its biases.
+    None if no sensor has two records, each of which determines its biases.
     """
     records = np.unique(rows.record)
     zero = np.full((rows.sensors, len(records), 3), np.nan)
@@ -399,7 +403,7 @@ def _zeros(signal: Floats) -> tuple[Floats, Floats] | None:
 
 
 def _common(change: Floats, full: Floats) -> Floats:
-    """Return the fraction (3,) of the variance of the `change` (sensors, records, 3) that all sensors share."""
+    """Return the fraction (3,) of the variance of `change` (sensors, records, 3) common to all sensors."""
     whole = full.all(axis=0)
     sensors = len(change)
     if sensors < 2 or whole.sum() < 2:

@@ -125,24 +125,22 @@ class Gap:
 
     @property
     def before_rms(self) -> float:
-        """Root mean square of measured minus predicted, for the given model, in the unit of the signal."""
+        """Root mean square of measured minus predicted, unit of the signal, for the given model."""
         return self._rms(lambda fold: fold.before.error)
 
     @property
     def after_rms(self) -> float:
-        """Root mean square of measured minus predicted, for the model with the effects found, in the unit of the
-        signal.
-        """
+        """Root mean square of measured minus predicted, unit of the signal, with the effects found."""
         return self._rms(lambda fold: fold.after.error)
 
     @property
     def before_rms_g(self) -> float:
-        """Root mean square of measured minus predicted, for the given model, in g."""
+        """Root mean square of measured minus predicted, g, for the given model."""
         return self._rms(lambda fold: fold.before.error_g)
 
     @property
     def after_rms_g(self) -> float:
-        """Root mean square of measured minus predicted, for the model with the effects found, in g."""
+        """Root mean square of measured minus predicted, g, with the effects found."""
         return self._rms(lambda fold: fold.after.error_g)
 
     @property
@@ -203,7 +201,7 @@ class Gap:
 
 
 def part_closed(before: float, after: float) -> float | None:
-    """Return the fraction of the excess of a reduced chi-square over 1 that vanishes; None if there is none.
+    """Return by which fraction the excess of reduced chi-square over 1 falls; None without an excess.
 
     `before` and `after` are the reduced chi-squares of two models of the same readings.
     """
@@ -252,7 +250,7 @@ def thirds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
 
 
 FoldSearch = Callable[[Whitened, Data, Threshold, int], Naming]
-"""Searches the readings that are not held out, for a number of effects at most."""
+"""Searches the readings that are not held out; the last argument is the largest number of effects."""
 
 
 def measure_gap(
@@ -299,9 +297,10 @@ def _tell(
 ) -> bool:
     """Return whether the readings outside each held-out part show every find and determine its form.
 
-    The remaining readings show a find if they contain `MOSTLY` of the square of its signature. They determine its
-    form unless another form of the family leaves at most `ALIAS` of the signature in them, but more than
-    `LEAST_FALL` in all readings: chance would then choose the form that predicts the part.
+    The remaining readings show a find if they contain `MOSTLY` of the square of its signature. They do not
+    determine its form if another form of the family explains the signature in them (leaves at most `ALIAS`),
+    but not in all readings (leaves more than `LEAST_FALL`): chance would then choose the form that predicts
+    the part.
     """
     amplitudes = posterior(linear, candidates.columns[:, list(naming.columns)], noise).amplitudes
     every = np.ones(len(linear), dtype=bool)
@@ -364,9 +363,7 @@ def _fold(
     label: str,
     held: Mask,
 ) -> Fold:
-    """Search the rows outside the mask `held` (N,), and predict the rows in it with and without the effects
-    found.
-    """
+    """Search rows outside the mask `held` (N,); predict those in it with and without the effects found."""
     part, candidates = restrict(linear, ~held), whitened.candidates
     kept = replace_columns(candidates, candidates.columns[~held])
     grid = make_noise_grid(part, whitened.grid.sigma, setting_rad, near_ratios(linear, noise))
@@ -386,9 +383,7 @@ def _fold(
 def _held_out(
     linear: LinearSystem, candidates: Candidates, noise: NoiseSize, held: Mask, columns: Sequence[int]
 ) -> HeldOut:
-    """Predict the rows in the mask `held` (N,) from all others, with the candidates' `columns` (indices) in the
-    model.
-    """
+    """Predict the rows in the mask `held` (N,) from the others; `columns` (indices) are in the model."""
     effects = candidates.columns[:, list(columns)]
     fitted = posterior(linear, effects, noise, ~held)
     error, chi2 = predicted_error(linear, effects, noise, fitted, held)

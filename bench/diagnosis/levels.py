@@ -7,16 +7,15 @@ from typing import Final
 OFTEN: Final = 0.05
 """Level of tests whose errors cost little.
 
-They are tests in folds, upper limits of scatter, ties of a mistake, and single names.
-
-The simulated tail of a threshold begins here, too.
+It serves tests in folds, upper limits of scatter, ties of a mistake, and single names. The tail of a
+simulated threshold begins at this probability, too.
 """
 BY_CHANCE: Final = 0.01
 """Level of a single conclusion: a p-value of at least this is attributed to chance."""
 HARDLY_EVER: Final = 1e-4
 """Level of a conclusion that would change the record or replace the noise stated in the bench file."""
 FOLDS: Final = 5
-"""Number of parts into which readings without passes and visits are split; four fifths remain for the fit."""
+"""Number of parts into which readings are split that have no passes or visits; the fit uses four of five."""
 LEAST_FREEDOM: Final = 3
 """Least degrees of freedom, of readings or repeated settings, from which their scatter is estimated."""
 FEW: Final = 1 / 8
@@ -37,12 +36,12 @@ UNSEEN: Final = 0.3
 ALIKE: Final = 1e-3
 """Two signatures count as the same if one leaves at most this fraction of the other's square unexplained.
 
-Of 30 units of noise, one unit is then left.
+Of a signature of 30 units of noise, one unit is then left.
 """
 INSEPARABLE: Final = 1e-6
 """Fraction of a square, or of the largest singular value, that readings cannot distinguish from 0.
 
-Of 1,000 units of noise, one unit is then left.
+Of a signature of 1,000 units of noise, one unit is then left.
 """
 BEYOND_BELIEF: Final = 60.0
 """Largest credible size of an effect, in plausible sizes: three sigma of the widest prior (`evidence.SIZES`).

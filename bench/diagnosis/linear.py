@@ -23,7 +23,7 @@ from bench.model.geometry import STAND_ANGLES, Block, Installation, specific_for
 from bench.readings.table import FREE, REFERENCE, SHORTED, VERIFICATION, Readings
 
 LEAST_APART: Final = 0.05
-"""Least second singular value of the directions, per point, that fixes an orientation: a spread of 13° (rms)."""
+"""Directions determine an orientation if their second singular value, per point, is at least this."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ MODULUS: Final = 3
 """Channel number of a row that holds the modulus |a| instead of a single channel."""
 
 REFERENCE_U: Final = 1e-4
-"""Relative standard uncertainty of a reference voltage. Its drift matters more than its value."""
+"""Relative standard uncertainty of a reference voltage; a rough value, because only its drift matters."""
 
 
 @dataclass(frozen=True)
@@ -293,8 +293,8 @@ class LinearSystem:
 
     @cached_property
     def _stand(self) -> tuple[Floats, Floats]:
-        """The specific force (n, 3) without effects, and the derivatives (n, 3, 6) of the readings by the angles
-        of stand and head.
+        """The specific force (n, 3) without effects; derivatives (n, 3, 6) of readings by stand and head
+        angles.
         """
         model, conditions = replace(self.model, effects=()), self.conditions
         still = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))

@@ -82,7 +82,7 @@ class JointSystem(LinearSystem):
 
     @property
     def relative_of_channel(self) -> Floats:
-        """The relative noise (N,) of each row that is due to its channel; for a modulus, to the channels of its
+        """Each row's relative noise (N,) due to its channel or, for a modulus, to the channels of its
         block.
         """
         return self._of_each_block(lambda part: replace(part, by_channel=self.by_channel).relative_of_channel)
@@ -103,7 +103,7 @@ class JointSystem(LinearSystem):
     def stage_columns(
         self, of: AppliedEffect | Floats, stage: Stage, adds_to: str = "", *, of_force: bool = False
     ) -> Floats:
-        """Return the change of the rows by one stage of the model, the same in all blocks.
+        """Return the change of the rows by an effect or course that is the same in all blocks, at one stage.
 
         Arguments and result are those of `LinearSystem.stage_columns`.
         """
@@ -261,8 +261,8 @@ def find_mistakes_in_each(
 def _searched_together(readings: Readings, model: ForwardModel) -> Iterator[tuple[Mask, int]]:
     """Yield the mask (n,) of each run's rows, and the index of the run's block.
 
-    A run that does not determine the coefficients of its block is joined to the first run that does, or else to
-    the others.
+    A run that does not determine the coefficients of its block joins the first run that does, or else the
+    other runs.
     """
     run = readings.run
     block = np.zeros(len(readings), dtype=np.int64) if readings.block is None else readings.block
@@ -414,9 +414,7 @@ TOGETHER: Final = FALSE_ALARMS - ALONE
 
 @dataclass(frozen=True)
 class _Run:
-    """A single run: the mask `rows` (N,) of its rows in the joint system, and its own system, candidates and
-    noise grid.
-    """
+    """A single run with its own system, candidates and noise grid; `rows` (N,) masks it in the joint one."""
 
     rows: Mask
     linear: LinearSystem
@@ -463,9 +461,8 @@ def _name_in_all_and_each(
 ) -> tuple[Whitened, Naming]:
     """Return the finds in all runs and in single runs, with the whitened candidates that contain them.
 
-    Effects of a few single runs are searched first, as they could be mistaken for common effects. Common effects
-    are then searched with these in the model, and at last effects of single runs with the common effects in the
-    model.
+    Effects of a few single runs are searched first, as they could be mistaken for common effects; with them
+    in the model, common effects follow, and at last effects of single runs beside these.
     """
     response = linear.response[:, None]
     data = whitened.reduce(response)
@@ -503,7 +500,7 @@ def _name_in_all_and_each(
 
 
 def _stays(whitened: Whitened, data: Data, naming: Naming, one: FoundEffect) -> bool:
-    """Return whether a single-run find is still likely given all other finds, or was replaced by another form."""
+    """Return whether a single-run find stays: likely given all other finds, or replaced by another form."""
     if one.variant not in [found.variant for found in naming.found]:
         return True
     others = [i for found in naming.found if found.variant != one.variant for i in found.variant.columns]
@@ -556,9 +553,7 @@ def _runs(task: SearchTask, linear: LinearSystem, sigma_of_all: float) -> Iterat
 
 
 def _embedded(candidates: Candidates, one: FoundEffect, run: _Run) -> tuple[Candidates, FoundEffect]:
-    """Return the candidates with the columns of a single-run find added, and the find. The columns are 0 in other
-    runs.
-    """
+    """Return the candidates, with a single-run find added, and the find; its columns are 0 in other runs."""
     labels, own = _labels_of_runs(run.linear.readings), run.candidates
     chosen = list(one.variant.columns)
     first = candidates.columns.shape[1]

@@ -28,7 +28,7 @@ MOST_EFFECTS: Final = 5
 ALIAS: Final = 1.0
 """Largest part of an effect's signature, in units of noise, that an alias of the effect leaves unexplained.
 
-It is worth `ALIAS`**2 / 2 in ln of the odds. Noise and measurements that differ by less are not preferred.
+It is worth `ALIAS`**2 / 2 in ln of the odds; a noise hypothesis or a measurement must gain more than this.
 """
 
 
@@ -239,7 +239,7 @@ def _re_examine(
     among: Among | None,
     kept: int,
 ) -> list[FoundEffect]:
-    """Test each find but the first `kept` again, given all others: another effect may explain it better by now."""
+    """Test each find after the first `kept` again, given all others: another effect may now fit better."""
     for _ in range(2):
         changed = False
         for i in range(kept, len(found)):
@@ -254,9 +254,9 @@ def _re_examine(
 def needed(
     whitened: Whitened, data: Data, found: list[FoundEffect], threshold: Threshold, kept: int = 0
 ) -> list[FoundEffect]:
-    """Return the effects found without those that are not necessary.
+    """Return those effects found that are necessary.
 
-    An effect is unnecessary if, without it, the odds that some family is missing stay below the threshold. The
+    An effect is unnecessary if the odds that some family is missing stay below the threshold without it. The
     weakest effect is tested first. The first `kept` effects always stay.
     """
     while len(found) > max(kept, 1):

@@ -34,9 +34,7 @@ def coupled(matrix: Floats) -> Iterator[tuple[Ints, Ints]]:
 
 
 RATIOS: Final = (0.0, 0.7, 1.4, 2.6, 5.0, 12.0)
-"""Grid of the noise ratio gamma: the signal of a setting error at the typical slope, divided by the noise of a
-reading.
-"""
+"""Grid of the noise ratio: a setting error's signal at the typical slope over the noise of a reading."""
 
 RATIO_SPREAD: Final = 1.0
 """Prior standard deviation of ln gamma about the bench file's value, which is known to a factor of three."""
@@ -187,9 +185,9 @@ def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whi
 
 
 def _wide(linear: LinearSystem) -> Mask:
-    """Return the mask (q,) of `random` columns that are nonzero in most rows, or in more rows than a run has.
+    """Return the mask (q,) of wide `random` columns: nonzero in most rows, or in more rows than a run has.
 
-    Such a column is fitted: as a covariance, it would join all these rows in one dense block.
+    A wide column is fitted: as a covariance, it would join all its rows in one dense block.
     """
     most = min(MOSTLY, 1.0 / len(np.unique(linear.readings.run))) * len(linear)
     return np.asarray(np.count_nonzero(linear.random, axis=0) > most)
@@ -284,7 +282,7 @@ def _used(matrix: Floats) -> tuple[Mask, Mask]:
 
 
 def _as_slice(rows: Ints) -> slice | Ints:
-    """Return consecutive row indices as a slice, with which indexing copies nothing; other rows unchanged."""
+    """Return `rows` as a slice, which copies nothing, if they are consecutive, else unchanged."""
     first = int(rows[0])
     one_by_one = np.array_equal(rows, np.arange(first, first + len(rows)))
     return slice(first, first + len(rows)) if one_by_one else rows
@@ -392,7 +390,7 @@ def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
 
 
 def _likeliest(squares: Floats, along: Floats) -> float:
-    """Return the maximum likelihood noise of m independent residuals with the `squares` (m,).
+    """Return the likeliest noise, by maximum likelihood, of m independent residuals with `squares` (m,).
 
     `along` (m,) is the factor with which the variance of the setting error enters each square. This variance is
     tried on a grid of multiples of the noise variance.
@@ -437,7 +435,7 @@ def _mounts_and_angles(linear: LinearSystem) -> tuple[Ints, Floats]:
 
 
 def _saturated(angle_deg: Floats, passes: Ints) -> Floats:
-    """Return the columns of the saturated description of the settings of a mounting."""
+    """Return the columns that describe the settings of a mounting without a model (`noise_of_repeats`)."""
     near = np.round(angle_deg / 5.0)
     cells = (near[:, None] == np.unique(near)).astype(np.float64)
     of_pass = (passes[:, None] == np.unique(passes)).astype(np.float64)
@@ -449,7 +447,7 @@ def _saturated(angle_deg: Floats, passes: Ints) -> Floats:
 SAME_SIZE: Final = 0.1
 """Fraction of the noise below which a difference of two sizes, or a rounding error of repeats, is neglected.
 
-Added in quadrature, it changes the noise by 0.5 %.
+Added in quadrature, a size of this fraction changes the noise by 0.5 %.
 """
 TERMS: Final = 30
 """Terms of the series for a shared rounding error: without any noise, 30 give its size to 1 %."""
@@ -481,7 +479,7 @@ def is_rounded(digit: float, sigma: float) -> bool:
 
 
 def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSystem:
-    """Return the system with the rounding error that repeats of a setting share as noise, unless it is negligible.
+    """Return the system, with the rounding error that repeats of a setting share as noise unless negligible.
 
     `digit` is the step of the last digit; `sigma` is the noise from repeats, at least that of rounding.
     """
@@ -499,7 +497,7 @@ def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSys
 
 
 def grid_with_rounding(linear: LinearSystem, sigma: float, setting_rad: float, digit: float) -> NoiseGrid:
-    """Return the grid of `make_noise_grid`, with the noise known if repeats share a rounding error."""
+    """Return the grid of `make_noise_grid`; its noise is known (fixed) if repeats share a rounding error."""
     return replace(make_noise_grid(linear, sigma, setting_rad), known=is_rounded(digit, sigma))
 
 

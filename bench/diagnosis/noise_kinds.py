@@ -40,7 +40,7 @@ LOG_PRIOR: Final = dict.fromkeys(("channels", "runs", "place", "tails", "slow"),
 TAIL_DOF: Final = 4.0
 """Degrees of freedom of the t distribution of heavy tails: clearly not normal, and of finite variance."""
 WAVES: Final = 16
-"""Half waves over a run that slow noise has at most: faster ones resemble the noise of single readings."""
+"""Largest number of half waves of slow noise over a run: faster ones resemble the noise of readings."""
 SIZES: Final = tuple(np.geomspace(0.05, 20.0, 61))
 """Sizes of slow noise: root mean squares in units of the noise of a reading, all equally probable a priori."""
 
@@ -49,7 +49,7 @@ SIZES: Final = tuple(np.geomspace(0.05, 20.0, 61))
 class NoiseHypothesis:
     """A hypothesis on the noise: the linear system with such noise, and its prior odds.
 
-    `what` is the kind, a key of `LOG_PRIOR`. `log_odds` is ln of the prior odds against ordinary noise, less
+    `what` is the kind, a key of `LOG_PRIOR`. `log_odds` is ln of the prior odds against ordinary noise, minus
     the cost of the parameters fitted. `words` describe it for people.
     """
 
@@ -84,9 +84,7 @@ def log_null(grid: NoiseGrid) -> float:
 
 
 def _fit(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[Floats, Floats]:
-    """Return the residuals (N,) of a fit with the `effects` (N, m), and each row's fraction of a degree of
-    freedom (N,).
-    """
+    """Return residuals (N,) of a fit with the `effects` (N, m), and the degrees of freedom of each, (N,)."""
     fitted = posterior(linear, effects, noise)
     design = linear.design(effects)
     white = whiten_rows(linear, noise, design)
@@ -123,10 +121,10 @@ def _by_channel(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iter
 def sizes_by_channel(left: Floats, freedom: Floats, slope: Floats, cells: Ints, floor: float) -> Floats:
     """Return the relative noise of the three channels, (3,), with mean square 1.
 
-    `left` (n, 3) are the residuals of each setting; `freedom` (n,) is the fraction of a degree of freedom that
-    the fit leaves to each setting. `slope` (n, 3) is the derivative of the signals by the head angle, that is,
-    the direction of a setting error. `cells` (n,) has the same number for settings with the same slope. `floor`
-    is the least noise permitted, in the unit of the signal.
+    `left` (n, 3) are the residuals of each setting; `freedom` (n,) are the degrees of freedom per residual, 0
+    to 1, that the fit leaves to each setting. `slope` (n, 3) is the derivative of the signals by the head
+    angle, that is, the direction of a setting error. `cells` (n,) has the same number for settings with the
+    same slope. `floor` is the least noise permitted, in the unit of the signal.
     """
     count = int(cells.max()) + 1
     free = np.bincount(cells, freedom, count)
@@ -139,7 +137,7 @@ def sizes_by_channel(left: Floats, freedom: Floats, slope: Floats, cells: Ints, 
 
 
 def _by_run(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
-    """Yield noise with a size for each run. The setting error has one size in all runs."""
+    """Yield the hypothesis that the noise, but not the setting error, has a size of its own in each run."""
     run = linear.readings.run[linear.rows.reading]
     system, variance = linear, np.ones(int(run.max()) + 1)
     sizes = variance
@@ -158,7 +156,8 @@ def _by_run(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator
 
 
 def _by_place(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
-    """Yield noise that is larger in one place: a channel in an installation, or in one of its passes.
+    """Yield the hypothesis of larger noise in one place: a channel in an installation, or in one of its
+    passes.
 
     The prior odds pay for the choice of one place among all, and for one more size.
     """
@@ -240,9 +239,7 @@ def _places(linear: LinearSystem) -> Iterator[tuple[str, str, Mask]]:
 
 
 def _with_tails(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> NoiseHypothesis:
-    """Return the hypothesis that the noise has the tails of a t distribution, with a factor for each row
-    (`by_row`).
-    """
+    """Return the hypothesis that the noise has the tails of a t distribution, with factors `by_row`."""
     beside = linear.with_random(effects * KNOWN_SIZE)
     relative2 = linear.relative**2
     weight: Floats = np.ones(len(linear))
@@ -270,13 +267,13 @@ def _with_tails(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Nois
 
 
 def _log_odds_of_weights(weight: Floats, of_mean: Floats, square: Floats) -> float:
-    """Return ln of the evidence of t-distributed noise, less that of normal noise with row weights `weight` (N,).
+    """Return ln of the odds of t-distributed noise against normal noise with the row weights `weight` (N,).
 
-    A precision t has the prior Gamma(d/2, d/2) and, with the expected `square` (N,) of its row in units of the
-    noise, the posterior Gamma((d + 1)/2, (d + square)/2). The bound has E ln t instead of ln of the weight, less
-    the divergence of posterior and prior. It assumes that precisions and fit are independent; the last term
-    corrects this to second order. `of_mean` (N,) is the part of `square` that the residual from the mean of the
-    fit contributes.
+    A precision t has the prior Gamma(d/2, d/2) and, with the expected `square` (N,) of its row in units of
+    the noise, the posterior Gamma((d + 1)/2, (d + square)/2). The result has E ln t in place of ln of the
+    weight, minus the divergence of posterior from prior (a lower bound). This bound assumes that precisions
+    and fit are independent; a last term corrects for their dependence to second order. `of_mean` (N,) is the
+    part of `square` that the residual from the mean of the fit contributes.
     """
     half, prior = 0.5 * (TAIL_DOF + 1.0), 0.5 * TAIL_DOF
     of_each = half - 0.5 * math.log(half) + special.gammaln(half) - special.gammaln(prior)
@@ -302,10 +299,10 @@ def log_density(linear: LinearSystem, effects: Floats, like: NoiseGrid) -> float
 class SlowNoise:
     """Slow noise (of spectral density 1/f) of one size in some `channels` (0, 1, 2), independent in each.
 
-    `size` is its root mean square over a run, in the unit of the signal. `columns` (N, k) are the changes of the
-    rows by one standard deviation of each of its k independent components. `evidence` is ln of the Bayes factor
-    against no slow noise, averaged over sizes. `cost` is ln of the mean likelihood over all sizes, divided by the
-    largest likelihood.
+    `size` is its root mean square over a run, in the unit of the signal. `columns` (N, k) are the changes of
+    the rows by one standard deviation of each of its k independent components. `evidence` is ln of the Bayes
+    factor against no slow noise, averaged over sizes. `cost` is ln of the ratio of the mean likelihood over
+    all sizes to the largest likelihood.
     """
 
     channels: tuple[int, ...]
@@ -363,7 +360,7 @@ def _in_channels(
     channels: tuple[int, ...],
     waves: Sequence[Floats],
 ) -> SlowNoise:
-    """Return the likeliest slow noise of one size in some channels; `waves` are the draws (N, waves) of each
+    """Return the likeliest slow noise of one size in `channels`; `waves` has draws (N, waves) for each
     channel.
     """
     columns = np.concatenate(waves, axis=1)
@@ -385,9 +382,9 @@ def _in_channels(
 
 
 def _waves(linear: LinearSystem, channel: int) -> Floats:
-    """Return draws of unit root mean square over the readings, (N, waves), of a course of 1/f of one channel.
+    """Return draws (N, waves) of 1/f noise in one channel, of unit root mean square over the readings.
 
-    There are none if the channel has too few readings, or has them all at one time.
+    There are no draws if the channel has too few readings, or all at one time.
     """
     own = np.flatnonzero((linear.setting >= 0) & (linear.rows.channel == channel))
     time = linear.conditions.elapsed_s[linear.rows.reading[own]]
@@ -423,7 +420,7 @@ class NoiseKind:
 def noise_kinds(
     linear: LinearSystem, noise: NoiseSize, digit: float, chosen: Mapping[str, str]
 ) -> Iterator[NoiseKind]:
-    """Yield the departures of the noise in `linear` from normal noise of one size.
+    """Yield the ways in which the noise of `linear` departs from normal noise of one size.
 
     `digit` is the step of the last digit of the signals. `chosen` maps the kind of each noise hypothesis that
     was accepted to its words.
@@ -531,7 +528,7 @@ def noise_findings(
 def _of_readings(
     noise: NoiseSize, readings: Readings, stand_u: Mapping[str, float], digit: float, by_run: RunSizes | None
 ) -> Iterator[NoiseFinding]:
-    """Yield the findings on the noise of readings: for each run if the runs have different noise, else for all."""
+    """Yield the findings on the noise of readings, by run if the noise differs between runs."""
     parts = [(readings, 1.0, float(noise.freedom))]
     if by_run is not None:
         runs = [readings.select(readings.run == number) for number in range(len(by_run.sizes))]
@@ -552,9 +549,9 @@ def _stated(
 ) -> Iterator[tuple[float, float, str]]:
     """Yield the stated noise of a reading, by the bench file and by its samples: size, freedom and source.
 
-    There is an item for the bench file and one for the scatter of the samples, if they state it. Neither source
-    includes the `rounding` error, which is added. Samples do not show an error that they share; the bench file
-    may state it.
+    The scatter of the samples and the bench file each give an item, if they state a noise. The `rounding`
+    error, which neither includes, is added. Samples do not show an error that they share; the bench file may
+    state it.
     """
     size = stand_u.get("voltmeter_error", 0.0)
     if size > 0.0 and readings.unit == "V":

@@ -159,8 +159,8 @@ def _of_any_size(precision: Floats, right: Floats, parts: Sequence[slice]) -> tu
 def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -> list[tuple[int, ...]]:
     """Return, for each part, the indices of the prior sizes (`SIZES`) over which to average.
 
-    A size index is an index into `SIZES`. If there are many parts, only the `MOST_EFFECTS` parts whose size is
-    least certain have all; each other part has the likeliest size.
+    If there are many parts, only the `MOST_EFFECTS` parts whose size is least certain have all indices; each
+    other part has that of its likeliest size.
     """
     every = tuple(range(len(SIZES)))
     if len(parts) <= MOST_EFFECTS:
@@ -179,7 +179,7 @@ def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -
 def _of_sizes(
     precision: Floats, right: Floats, parts: Sequence[slice], sizes: Sequence[int]
 ) -> tuple[float, Floats, Floats]:
-    """Return ln of the probability of the prior `sizes`, and for them the mean and covariance of the amplitudes."""
+    """Return ln of the probability of the prior `sizes`, and mean and covariance of amplitudes with them."""
     prior = np.ones(len(right))
     for size, mine in zip(sizes, parts, strict=True):
         prior[mine] = 1.0 / SIZES[size] ** 2
@@ -192,7 +192,7 @@ def _of_sizes(
 def _normal(
     linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mask | None = None
 ) -> tuple[Floats, Floats]:
-    """Return the normal matrix and the right-hand side, without a prior for the effects' columns (N, m)."""
+    """Return normal matrix and right-hand side of a fit; columns `effects` (N, m) have no prior in it."""
     mine = slice(None) if rows is None else rows
     columns = np.column_stack([linear.design(effects), linear.response])[mine]
     white = whiten_rows(linear, noise, columns, rows)
@@ -203,7 +203,7 @@ def _normal(
 
 
 def _inverse(normal: Floats) -> Floats:
-    """Return the inverse of a positive matrix whose rows have units of their own."""
+    """Return the inverse of a positive matrix whose rows have different units."""
     scale = 1.0 / np.sqrt(np.diag(normal))
     return np.asarray(np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale))
 
@@ -252,7 +252,7 @@ ADDED: Final = ("warm_up", "bias_drift", "thermal_bias", "turn_on_shift")
 
 
 def common_volts(naming: Naming, fitted: Posterior, linear: LinearSystem) -> Iterator[str]:
-    """Yield a sentence for each effect whose size in volts is the same in all three channels within its u."""
+    """Yield a sentence for each effect whose sizes in the three channels, in volts, agree within u."""
     # one prior size of each channel's column is the same part of its K_ii
     scale = np.diag(linear.block.K)
     apart = np.diff(np.eye(3), axis=0)
@@ -275,7 +275,7 @@ def common_volts(naming: Naming, fitted: Posterior, linear: LinearSystem) -> Ite
 
 
 FAR_BETTER: Final = 0.25
-"""A sum or difference is stated when its u is at most this fraction of the u of either value."""
+"""A sum or difference of two values is stated if its u is at most this fraction of either's u."""
 
 
 @dataclass(frozen=True)
@@ -396,7 +396,7 @@ def other_shapes(effect: Effect, found: Shape) -> Iterator[Shape]:
 def beside(
     candidates: Candidates, naming: Naming, sized: Posterior, channels: Mapping[int, Floats] | None = None
 ) -> tuple[tuple[AppliedEffect, ...], ...]:
-    """Return, for each effect found, the parts that may be present in addition with other shapes or channels.
+    """Return, for each effect found, parts of other shapes or in other channels that may act besides it.
 
     Their values are zero, with their prior u in SI. `sized` are the estimates with the shapes found.
     `channels` maps the index of an effect found to the probability (3,) that it acts in each channel
@@ -409,7 +409,7 @@ def beside(
 
 
 def channels_of(whitened: Whitened, data: Data, naming: Naming) -> dict[int, Floats]:
-    """Return, by index of each effect of the catalogue found, the probability (3,) that a channel has it.
+    """Return, by index of a find in the catalogue, the probability (3,) that each channel has the effect.
 
     It follows from the evidence of the forms of the effect.
     """
@@ -449,7 +449,7 @@ def _of(
 
 
 def _steps(effect: Effect, shape: Shape) -> int:
-    """Return the number of shapes in the catalogue's grids and just beyond them, without the shape found."""
+    """Return the number of shapes in the catalogue's grids and just beyond them, except the shape found."""
     grids = [p.grid for name, _ in shape for p in effect.parameters if p.name == name and p.unit != "1"]
     return sum(len(grid) + 1 for grid in grids)
 
@@ -457,7 +457,7 @@ def _steps(effect: Effect, shape: Shape) -> int:
 def _in_other_channels(
     candidates: Candidates, variant: Variant, sizes: Floats, plausible: Floats
 ) -> Iterator[AppliedEffect]:
-    """Yield the effect with the shape found in other channels, its u weighted by their probability."""
+    """Yield the effect, in the shape found, for other channels; its u is weighted by their probability."""
     others = [c for c in range(3) if c not in variant.channels and plausible[c] > BY_CHANCE]
     share = np.array([np.sqrt(plausible[c]) if c in others else 0.0 for c in range(3)])
     for one in applied_of(candidates, variant, 0.0 * sizes, sizes):
@@ -540,7 +540,7 @@ def left_open(
 
 
 def _follows(covariance: Floats, own: Floats, places: Floats) -> Floats:
-    """Return the regression coefficients (own, others) of the amplitudes found on the other sizes."""
+    """Return the coefficients (own, others) of a regression of the amplitudes found on the other sizes."""
     of_others = covariance[np.ix_(places, places)]
     return np.asarray(np.linalg.lstsq(of_others, covariance[np.ix_(places, own)], rcond=NEGLIGIBLE)[0].T)
 

@@ -71,10 +71,10 @@ class ChannelCalibration:
 class RecordCalibration:
     """The calibration of all c channels of a record of n means.
 
-    `level_v` is the mean of the reference. `known_v` (n, c) are the voltages of the effects given, which are
-    already subtracted. `not_observable` says which of gain and offset the record does not determine. `repeats`
-    compares the scatter of calibrations of parts of the record with their u; it is None if the record is too
-    short.
+    `level_v` is the mean of the reference. `known_v` (n, c) are the voltages of the given effects, which are
+    already subtracted. `not_observable` says which of gain and offset the record does not determine.
+    `repeats` compares the scatter of calibrations of parts of the record with their u; it is None if the
+    record is too short.
     """
 
     record: Record
@@ -135,7 +135,7 @@ def _levels_apart(record: Record) -> bool:
 
 
 def _parts(record: Record, several_levels: bool) -> Repeats | None:
-    """Return a comparison of equal parts of a record; None if it is too short, or if a part lacks its levels."""
+    """Return the comparison of equal parts of a record; None if it is too short or a part lacks a level."""
     if len(record) < FOLDS * LEAST:
         return None
     parts = [_part(record, rows) for rows in np.array_split(np.arange(len(record)), FOLDS)]
@@ -185,7 +185,11 @@ def _channels(
 def _channel(
     record: Record, channel: str, level: float, mean: Floats, spread: Floats, noise: Noise, left: Floats
 ) -> ChannelCalibration:
-    """Return gain, offset and drift from the deviation at the mean level, the slope in time, and gain - 1."""
+    """Return gain, offset and drift of a `channel`.
+
+    `mean` has, in its first column, the deviation at the mean level, the slope in time and, for several
+    levels, gain - 1; in the others, their changes by errors of one u. `spread` is their covariance.
+    """
     several, has_gain = len(mean) > 2, len(mean) > 2 or abs(level) >= ZERO_V
     per_hour = 2.0 / float(record.time_h[-1])
     if several:

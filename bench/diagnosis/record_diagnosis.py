@@ -30,10 +30,11 @@ class RecordDiagnosis:
 
     `where` describes, for each channel, the residuals after zero and drift are subtracted. `fits` has the
     estimates of each channel from the model with the effects found. `gap` is measured on excursions (of
-    temperature or rail voltage) held out in turn. `rivals` compares, on the same excursions, the kinds of shape
-    of an effect: without delay, with a lag, with hysteresis. `far` has a sentence for each mean that is far from
-    the model, the farthest first. `noises` has the noise of the mean of the channels, then the noise of each
-    difference between channels (`RecordWork.helmert`). `hidden` are the effects that the record cannot show.
+    temperature or rail voltage) held out in turn. `rivals` compares, on the same excursions, the kinds of
+    response of an effect: at once, with a lag, with hysteresis. `far` has a sentence for each mean that is
+    far from the model, the farthest first. `noises` has the noise of the mean of the channels, then the noise
+    of each difference between channels (`RecordWork.helmert`). `hidden` are the effects that the record
+    cannot show.
     """
 
     source: str
@@ -124,7 +125,9 @@ def _places(record: Record) -> Iterator[ResidualPattern]:
 
 
 def _far(work: RecordWork, courses: Sequence[Variant], noises: Sequence[Noise]) -> Iterator[str]:
-    """Yield a sentence for each mean `FAR` from its prediction by model and earlier readings, farthest first."""
+    """Yield a sentence for each mean far from its prediction by model and earlier readings, farthest
+    first.
+    """
     found = []
     for part, noise in enumerate(noises):
         mean, _, _ = work.fitted(part, courses, noise)

@@ -1,4 +1,4 @@
-"""Excursions of a record, held out in turn, and their prediction from the other readings by kind of shape."""
+"""Excursions of a record, held out in turn, and their prediction from the rest by kind of response."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ In an excursion, the quantity differs from its rest level by more than this.
 
 
 def measure_record_gap(work: RecordWork, finds: Sequence[FoundEffect]) -> tuple[Gap, tuple[Rival, ...]]:
-    """Return how well excursions held out in turn are predicted, and the comparison of the kinds of shape.
+    """Return how well excursions held out in turn are predicted, and the comparison of kinds of response.
 
     `finds` are the effects found in the whole record; they are estimated again without each excursion.
     """
@@ -72,8 +72,10 @@ def why_unconfirmed(gap: Gap) -> dict[str, str]:
 
 
 def _excursions(work: RecordWork, course: Variant) -> Iterator[tuple[str, Mask]]:
-    """Yield what is held out in turn: excursions of the quantity an effect follows, or, for time, blocks of
-    means.
+    """Yield the sets of means to hold out in turn: a label and a mask each.
+
+    They are excursions of the quantity that the `course` follows. For a course in time they are two halves,
+    made of alternate blocks of means.
     """
     record, conditions = work.record, work.record.conditions
     match FOLLOWS[course.family]:
@@ -115,7 +117,7 @@ def _predicted(
     rows: Mask,
     noises: Sequence[Noise],
 ) -> HeldOut:
-    """Predict the held-out `rows` with that of the `shapes`, if any, that is most probable given the other rows.
+    """Predict the held-out `rows` with the one of `shapes`, if any, that the other rows make most probable.
 
     A straight line in the rows is subtracted from the errors, as slow noise sets the level after an excursion.
     The chi-square of the prediction is the chi-square of all rows minus that of the other rows, and includes all
@@ -145,7 +147,9 @@ def _predicted(
 
 
 def _rivals(work: RecordWork, finds: Sequence[FoundEffect], noises: Sequence[Noise]) -> Iterator[Rival]:
-    """Yield how well each kind of shape of the first effect of the meter's temperature predicts excursions."""
+    """Yield how well each kind of response predicts excursions, for the first find that follows the meter's
+    temperature.
+    """
     thermal = next((one for one in finds if FOLLOWS[one.variant.family] == "meter"), None)
     masks = [] if thermal is None else list(_excursions(work, thermal.variant))
     if thermal is None or len(masks) < 2:

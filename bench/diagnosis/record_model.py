@@ -37,7 +37,7 @@ BINS: Final = 300
 LEAST: Final = 30
 """Least number of means from which noise and effects can be separated: they give the noise to 13 %."""
 OF_MEDIAN: Final = 1.0 / float(special.ndtri(0.75))
-"""The standard deviation of a normal distribution divided by its median absolute deviation."""
+"""Standard deviation of a normal distribution, as a multiple of its median absolute deviation."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class Record:
 def make_record(readings: Readings) -> Record:
     """Return a table of readings at a known input as means over equal intervals of time.
 
-    Means at the beginning are left out if they jump as none does later, because the input had not settled.
+    Means at the beginning are left out if they jump more than all later ones: the input had not settled.
     Raises `CalibrationError` if the readings cannot be evaluated.
     """
     time_s, reference_v, channels = _checked(readings)
@@ -145,7 +145,7 @@ def make_record(readings: Readings) -> Record:
 
 
 def _settled(means: Floats) -> int:
-    """Return how many of the `means` (n, c) at the beginning are left out, at most a tenth of all."""
+    """Return how many `means` (n, c) to leave out at the beginning: at most a tenth of all."""
     steps = np.abs(np.diff(means, axis=0))
     jumps = np.any(steps > FAR * OF_MEDIAN * np.median(steps, axis=0), axis=1)
     early = np.flatnonzero(jumps[: len(means) // 10])
@@ -176,8 +176,8 @@ def _checked(readings: Readings) -> tuple[Floats, Floats, list[int]]:
 def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Floats, Mask]:
     """Return robust means of groups of rows, their scatter, and the mask of the rows used.
 
-    Rows that are `FAR` from the median of their group are left out. The means are (n, c); the scatter (n, c) is
-    the standard deviation of a group's rows, from their median deviation.
+    Rows that are `FAR` from the median of their group are left out. The means are (n, c); the scatter (n, c)
+    is the standard deviation of a group's rows, estimated from their median deviation.
     """
     middle = np.array([np.median(deviation[rows], axis=0) for rows in groups])
     off = [np.abs(deviation[rows] - at) for rows, at in zip(groups, middle, strict=True)]
@@ -199,8 +199,8 @@ SMOOTHED: Final = 41
 def _relative(spread: Floats) -> Floats:
     """Return the relative size (n,) of the noise from the scatter (n, c) of the readings in each mean.
 
-    Noise whose size varies by less than the factor `LARGER` counts as uniform. The sizes are limited to the
-    factor `LARGER` squared about their median.
+    If the largest size is less than `LARGER` times the smallest, the noise counts as uniform. Sizes beyond a
+    factor of `LARGER` squared from their median are set to that limit.
     """
     middle = np.median(spread, axis=0)
     if np.any(middle == 0.0):
@@ -222,23 +222,20 @@ def _rails(readings: Readings) -> Iterator[Floats]:
 # --- noise --------------------------------------------------------------------------------------------
 
 RATIOS: Final = (0.0, *np.geomspace(1e-2, 1e5, 11).tolist())
-"""Trial ratios of the mean variance of the slow noise to the variance of the white noise of a mean.
-
-They are a factor of five apart.
-"""
+"""Trial ratios of the slow noise's mean variance to the white noise's variance, a factor of five apart."""
 CORRELATED: Final = (0.005, 0.02, 0.06)
 """Correlation times of the exponentially correlated noises, as fractions of the length of the record.
 
-They are a factor of about three apart; flicker noise has the longer ones.
+They are a factor of about three apart; longer ones resemble flicker noise.
 """
 
 
 def slow_kernels(time_h: Floats) -> Iterator[Floats]:
-    """Yield a covariance matrix (n, n) for each kind of slow noise, of mean variance 1.
+    """Yield a covariance matrix (n, n), of mean variance 1, for each kind of slow noise.
 
-    They are a random walk, flicker noise, and several noises of exponential correlation. Flicker noise is the
-    integral of the latter over ln of the correlation time, from the mean step of time to the length of the record.
-    `time_h` (n,) are the times, h.
+    The kinds are a random walk, flicker noise, and several noises of exponential correlation. Flicker noise
+    is the integral of the latter over ln of the correlation time, from the mean step of time to the length of
+    the record. `time_h` (n,) are the times, h.
     """
     length = float(time_h[-1])
     apart = np.abs(time_h[:, None] - time_h)
@@ -306,7 +303,7 @@ class NoiseTrials:
         return cls(slow, record.trend / record.scale[:, None])
 
     def whitened(self, columns: Floats) -> Iterator[tuple[Noise, Floats]]:
-        """Yield each trial noise, with white noise of variance 1, and the columns (n, m) whitened by it."""
+        """Yield each trial noise (of white variance 1), and the columns (n, m) whitened by it."""
         for number, (variance, vectors) in enumerate(self.slow):
             turned = vectors.T @ columns
             for ratio in RATIOS:
@@ -358,8 +355,8 @@ class Products:
         """The size of each column in the first target, if the model has this column in addition.
 
         Three arrays (h,) are returned: ln of the restricted likelihood, the size, and its variance. They are
-        averages over the trial noises of one kind. If the record does not show which kind of slow noise it has,
-        that with the largest u is used: u then holds for each of them.
+        averages over the trial noises of one kind. Of the kinds of slow noise that the record allows, the one
+        with the largest u is used, so that u holds for each.
         """
         product, square, freedom = self.product[:, :, 0], np.maximum(self.square, 1e-300), self.freedom - 1
         size = product / square
@@ -447,8 +444,7 @@ def make_courses(record: Record) -> Candidates:
 def _shapes(record: Record, effect: Effect) -> list[Shape]:
     """Return the shapes of an effect to try: each shape parameter by itself, the others at their default.
 
-    A parameter has the values of the catalogue's grid and one `BEYOND` its end, unless it is a number without a
-    unit.
+    A parameter has the values of the catalogue's grid and, if it has a unit, one value `BEYOND` its end.
     """
     if effect.name == MOVE:
         time_s = record.conditions.elapsed_s
@@ -461,7 +457,7 @@ def _shapes(record: Record, effect: Effect) -> list[Shape]:
 
 
 def shape_of(effect: Effect, values: Mapping[str, Any]) -> Shape:
-    """Return the name and SI value of each shape parameter, except those that are zero here and by default."""
+    """Return name and SI value of each shape parameter whose value or default is not zero."""
     return tuple(
         (p.name, float(values[p.name]))
         for p in effect.parameters
@@ -472,9 +468,9 @@ def shape_of(effect: Effect, values: Mapping[str, Any]) -> Shape:
 def courses_of(record: Record, forms: Iterable[tuple[Effect, Shape]]) -> Candidates:
     """Return effects, each in one shape, as candidates.
 
-    A column (n,) is the voltage that the effect adds at its plausible size, divided by the relative noise of each
-    mean. An effect that has a size for each channel has the same column for each channel of the record. A form
-    that a zero and a drift describe as well is left out.
+    A column (n,) is the voltage that the effect adds at its plausible size, divided by the relative noise of
+    each mean. An effect that has a size for each channel has the same column for each channel of the record.
+    A form that a zero and a drift can describe is left out.
     """
     columns, scale, variants = [np.zeros((len(record), 0))], [], []
     kinds: list[Column] = []

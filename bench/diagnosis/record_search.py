@@ -28,9 +28,9 @@ NULLS: Final = 200
 FINE: Final = 41
 """Number of values of a shape parameter over which its effect is averaged, all in the likely range."""
 ZOOMS: Final = 8
-"""Most times that these values are drawn closer together, each time by a factor of up to 20."""
+"""Largest number of times that these values are drawn closer together, each time up to 20-fold."""
 FAINT: Final = 9.0
-"""Largest decrease of ln of the likelihood, from its maximum, of a likely value: 4.2 u of a normal distribution."""
+"""A value is likely if ln of its likelihood is less than this below the maximum: within 4.2 normal u."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class RecordWork:
         return self.candidates.kinds[variant.columns[0]].channel is not None
 
     def less(self, added_v: Floats) -> RecordWork:
-        """Return the same with known voltages `added_v` (n, c), V, subtracted from the record."""
+        """Return the work with known voltages `added_v` (n, c), V, subtracted from the record."""
         return replace(self, record=self.record.less(added_v))
 
     @property
@@ -190,9 +190,9 @@ class RecordWork:
     def shaped(self, courses: Sequence[Variant], number: int) -> tuple[Variant, float | None, Floats, Floats]:
         """Return the course `number` with its mean shape, the u of the shape (SI), its size, and u of the size.
 
-        The sizes are as in `sizes`, but averaged over the shapes of the effect, weighted by their likelihood. The
-        shapes with the parameter of the course are so close together that the likelihood between them is known.
-        The u of a shape is None if its parameter has no values between those tried. The other courses keep their
+        The sizes are as in `sizes`, but averaged over the shapes of the effect, weighted by their likelihood.
+        The values of the course's shape parameter are so close together that the likelihood between them is
+        known. The u is None if there is no such parameter, or it has no unit. The other courses keep their
         shapes.
         """
         course = courses[number]
@@ -224,7 +224,7 @@ class RecordWork:
     ) -> tuple[Floats, Floats]:
         """Return likely values (h,) of the shape parameter of the course `number`, and their columns (n, h).
 
-        They are between the values `tried`, so close together that the likelihood between them is known.
+        They lie between the values `tried`, close enough for the likelihood between neighbours to be known.
         """
         course, places = courses[number], np.arange(len(tried))
         ((name, _),) = course.shape
@@ -250,9 +250,10 @@ class RecordWork:
     def _scored(
         self, courses: Sequence[Variant], number: int, columns: Floats
     ) -> tuple[Floats, Floats, Floats]:
-        """Return ln of the likelihood (h,) of each of `columns` (n, h) in place of the course `number`.
+        """Return ln of the likelihood (h,), the size and its variance of `columns` in place of a course.
 
-        Its size and the variance of this size follow, both with a row for each component, (parts, h).
+        Each of the h `columns` (n, h) replaces the course `number`. The size and its variance have a row for
+        each component, (parts, h).
         """
         course, others = courses[number], [*courses[:number], *courses[number + 1 :]]
         own = self.of_channels(course)

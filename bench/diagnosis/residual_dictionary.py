@@ -20,7 +20,7 @@ SIZE_NAMES: Final = ("A", "B")
 FASTEST: Final = 6
 """Largest number of half waves over a run that describe a slow change in time."""
 MOST_WAVES: Final = 200
-"""Largest number of half waves over a run; faster waves are aliases of slower ones in a run of usual length."""
+"""Largest number of half waves over a run of usual length; faster waves are aliases of slower ones."""
 MIDDLES: Final = (0.3, 0.4, 0.5, 0.6, 0.7)
 """Fractions of a run at which a parabola in time may have its vertex."""
 CREEPS_MIN: Final = (1, 4, 16)
@@ -364,7 +364,7 @@ def _of_time(conditions: Conditions) -> Iterator[TimeCourse]:
 
 
 def _frequencies(time_s: Floats) -> range:
-    """Return the numbers of half waves over a run of waves that these readings sample at least twice a period."""
+    """Return numbers of half waves over a run, of waves that readings sample at least twice a period."""
     steps = np.diff(np.unique(time_s))
     if not len(steps):
         return range(0)

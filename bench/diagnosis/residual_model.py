@@ -22,7 +22,7 @@ from bench.model.effects import AppliedEffect
 from bench.model.effects.formula import FormulaEffect
 
 UNNAMED_FORM: Final = "unnamed_form"
-"""Entry in `cannot_tell_from` of an effect that an unnamed form describes as well."""
+"""Entry in an effect's `cannot_tell_from` if an unnamed form describes the readings equally well."""
 
 
 @dataclass(frozen=True)

@@ -41,9 +41,9 @@ class Registration:
     """The settings of a diagnosis that are fixed before the readings are scored, with their hash.
 
     They are the priors, the threshold, the limits of a tie, the sets of readings to hold out, and the least
-    decrease of the gap. `sha256` is a hash of them all, of the catalogue, and of the weights of prior sizes. If
-    the sets `held_out` cannot be held out, the sets `held_out_else` are. `pair_margin` is not used and always
-    None.
+    decrease of the gap. `sha256` is a hash of them all, of the catalogue, and of the weights of prior sizes.
+    The sets `held_out_else` are held out if the sets `held_out` cannot be. `pair_margin` is not used and
+    always None.
     """
 
     sha256: str

@@ -67,9 +67,7 @@ class Simulation:
 
 @dataclass(frozen=True)
 class CoefficientChange:
-    """A coefficient and its u: `before` and `u_before` with the given model, `after` and `u_after` with the
-    effects found.
-    """
+    """A coefficient and its u, `before` with the given model and `after` with the effects found."""
 
     before: float
     u_before: float
@@ -217,7 +215,7 @@ def _modulus_rows(readings: Readings, chosen: NDArray[np.bool_]) -> FreeRows:
 
 
 def _hardly_told(problem: Problem, fit: gls.Fit) -> bool:
-    """Whether some parameter without a stated value is about as uncertain after the fit as before."""
+    """Whether the fit hardly reduces the prior u of some parameter without a stated value."""
     u = np.sqrt(np.diag(fit.covariance))[FIXED + len(problem.stand) :]
     return any(
         own > MOSTLY * unknown.prior_u and not unknown.stated

@@ -46,9 +46,9 @@ class Prepared:
     """Readings prepared for the search: linear system, whitened candidates, and threshold.
 
     `repeats` is the noise from repeats; `data`, the scalar products of the residuals with the columns of the
-    candidates; `limit`, the threshold. `bend` (N,) is the nonlinear part of the effects found, which is already
-    subtracted from the response. `log_odds` is ln of the prior odds of the noise hypotheses accepted, less the
-    cost of their parameters. `chosen` maps the kind of each of these hypotheses to its words.
+    candidates; `limit`, the threshold. `bend` (N,) is the nonlinear part of the effects found, which is
+    already subtracted from the response. `log_odds` is ln of the prior odds of the noise hypotheses accepted,
+    minus the cost of their parameters. `chosen` maps the kind of each of these hypotheses to its words.
     """
 
     linear: LinearSystem
@@ -62,7 +62,7 @@ class Prepared:
     chosen: Mapping[str, str] = field(default_factory=dict)
 
     def log_evidence(self, naming: Naming) -> float:
-        """Return ln of the evidence of this noise, with as many effects as `naming` has, up to a constant.
+        """Return ln of the evidence of this noise, up to a constant, with as many effects as `naming` has.
 
         The evidence of each effect is averaged over all families, so that the choice of noise does not depend on
         the names.
@@ -196,10 +196,10 @@ def search_run(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]:
 
 
 def _beside_shapes(task: SearchTask, prepared: Prepared, naming: Naming) -> Naming:
-    """Drop the finds that are no longer found if the largest effect may have parts with other shapes.
+    """Drop the finds that are not found once the largest effect may have parts of other shapes.
 
-    If its shape is between two shapes of the catalogue's grid, a large effect leaves residuals that others would
-    explain.
+    A large effect whose shape lies between two shapes of the catalogue's grid leaves residuals, which other
+    effects would explain.
     """
     largest = max(naming.found, key=lambda found: found.size, default=None)
     if largest is None or len(naming.found) < 2 or not largest.variant.named:
@@ -217,7 +217,7 @@ def _beside_shapes(task: SearchTask, prepared: Prepared, naming: Naming) -> Nami
 
 
 def _searched_again(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Naming]:
-    """Return the finds, linearised again about them until the system is accurate enough."""
+    """Return readings and finds after linearising and searching again until the system is accurate."""
     most = 1
     naming = name(prepared.whitened, prepared.data, prepared.limit, most)
     for _ in range(STEPS):
@@ -244,7 +244,7 @@ def _prepared(task: SearchTask, linear: LinearSystem) -> Prepared:
 
 
 def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepared | None:
-    """Return the readings linearised about the finds; None if they are linear enough already."""
+    """Return the readings linearised again about the finds; None if the present linearisation suffices."""
     linear, candidates = prepared.linear, prepared.candidates
     noise = noise_size(prepared.whitened, prepared.data, naming.columns)
     fitted = fit_found(linear, candidates, naming, noise)

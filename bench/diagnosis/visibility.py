@@ -51,8 +51,8 @@ def half_power(whitened: Whitened, threshold: float) -> float:
 class Smallest:
     """The size of several parameters of one unit, in any proportions, that is found in half of all runs.
 
-    `size` is the root of the sum of the parameters' squares, in `unit`. If `part`, it holds for some proportions
-    only, and in the other proportions no credible size is found.
+    `size` is the root of the sum of the parameters' squares, in `unit`. If `part`, this holds for some
+    proportions only; in other proportions no credible size would be found.
     """
 
     parameters: tuple[str, ...]
@@ -165,7 +165,7 @@ def forms_of(candidates: Candidates, family: str) -> tuple[Form, ...]:
 def forms_everywhere(family: str, mounts: tuple[str, ...] = ()) -> tuple[Form, ...]:
     """Return a form for each shape of an effect, in all channels at once.
 
-    It acts in the mountings `mounts`, by default in all.
+    The effect acts in the mountings `mounts`, by default in all.
     """
     parameters = CATALOGUE[family].parameters
     grids = [[(p.name, value) for value in p.grid] for p in parameters if p.grid]
@@ -195,8 +195,8 @@ class ReadingDesign:
     def remounted(self, families: Sequence[str], before: Sequence[str]) -> None:
         """Add, for each mounting not in `before`, an unknown error of the mounting, of plausible size.
 
-        `families` are the effects concerned. Of these, only those that differ from mounting to mounting are
-        added, as the error of one mounting says nothing about the next; those that outlast a remount are not.
+        Of the effects `families`, only those are added that differ from mounting to mounting and do not
+        outlast a remount: the error of one mounting says nothing about the next.
         """
         labels = [str(m) for m in self.linear.moved.mounts if m.installation != VERIFICATION]
         effects = [CATALOGUE[family] for family in families]
@@ -211,9 +211,7 @@ class ReadingDesign:
         self._make_free([*self._known, *new])
 
     def _make_free(self, known: list[Floats]) -> None:
-        """Project out the coefficients, and, as far as their priors allow, the stand angles and the `known`
-        columns.
-        """
+        """Project out the coefficients and, up to their priors, the stand angles and the `known` columns."""
         self._known = known
         self._seen: dict[EffectPart, Floats] = {}
         rows = self.linear.with_random(*known)
@@ -244,9 +242,10 @@ class ReadingDesign:
         return np.column_stack([self._seen[part] for part in form])
 
     def divergence(self, found: Sequence[AppliedEffect], rivals: Sequence[Form]) -> float:
-        """Return the divergence D of an effect with the values found from the rival form most similar to it.
+        """Return the divergence D between an effect, with its values `found`, and the rival form most like
+        it.
 
-        D is the expected value of ln of the odds of the effect against that form, if the effect is the true one.
+        D is the expected value of ln of the odds of the effect against that form if the effect is true.
         """
         total = np.sum([self.linear.effect_column(applied) for applied in found], axis=0)
         one = self._left(total[:, None])[:, 0]
@@ -268,7 +267,7 @@ class ReadingDesign:
     def cosine(self, one: Form, other: Form) -> float:
         """Return the cosine of the smallest angle between the columns of two forms (1: indistinguishable).
 
-        Free unknowns are projected out; 0 if nothing is left of one form.
+        Free unknowns are projected out; the result is 0 if nothing is left of one form.
         """
         first, second = _basis(self.seen(one)), _basis(self.seen(other))
         if not (first.shape[1] and second.shape[1]):

@@ -34,9 +34,9 @@ FLAT: Final = 1e3
 class Allotment:
     """A Hausman test of the hypothesis that units were assigned to benches at random: `chi2` with `dof`.
 
-    It compares two estimates of the differences between benches. One uses differences within units only; the other
-    also uses the means of units. A bench that measures units of a different kind biases only the second estimate.
-    Source: J. A. Hausman, Econometrica 46 (1978) 1251.
+    It compares two estimates of the differences between benches. One uses differences within units only; the
+    other also uses the means of units. Only the second estimate is biased by a bench that measures units
+    unlike those of other benches. Source: J. A. Hausman, Econometrica 46 (1978) 1251.
     """
 
     chi2: float
@@ -70,16 +70,16 @@ SHOWN_P: Final = 0.05
 ALLOTTED_P: Final = 0.01
 LITTLE_SCATTER_P: Final = 0.01
 WELL_KNOWN: Final = 0.15
-"""Relative u of a size below which its upper limit is value + 1.645 u, not from the profile likelihood."""
+"""Below this relative u, a size's upper limit is value + 1.645 u; above, it is by profile likelihood."""
 ONE_SIDED: Final = 1.645
 
 
 @dataclass(frozen=True)
 class EstimatedSize:
-    """An estimated standard deviation with its u (NaN if the estimate is zero) and its upper 95 % limit.
+    """An estimated standard deviation, its u (NaN if the estimate is zero) and its upper 95 % limit, `most`.
 
-    `p_all_looks` is the p-value of the likelihood-ratio test that the standard deviation is zero, corrected for
-    twelve coefficients; NaN if not tested.
+    `p_all_looks` is the p-value of a likelihood-ratio test against zero, corrected for twelve coefficients;
+    NaN if not tested.
     """
 
     value: float
@@ -116,7 +116,7 @@ class Sizes:
 
     @property
     def shares(self) -> dict[str, float]:
-        """The fraction of each component in the variance of one calibration about the mean of its type."""
+        """Each component's fraction of the variance of one calibration about the mean of its type."""
         squares = {
             "unit": self.unit.value**2,
             "bench": self.bench.value**2,
@@ -131,8 +131,8 @@ class Sizes:
 class OutlyingEffect:
     """A unit or bench with an outlying effect on one coefficient.
 
-    `effect` is the difference from the mean of its set of benches, or of its type. `p_all_looks` is the p-value
-    (Holm) that allows for all effects examined.
+    `effect` is the difference from the mean of its set of benches, or of its type. `p_all_looks` is Holm's
+    p-value, adjusted for all effects examined.
     """
 
     name: str
@@ -144,11 +144,11 @@ class OutlyingEffect:
 
 @dataclass(frozen=True)
 class BenchOrBlock:
-    """The variation between units and between B benches: `effect` (B, 12) of each bench, with its standard
-    uncertainty `u`.
+    """The variation between units and between B benches.
 
-    `connected` are the sets of benches linked by common units; an effect is the difference from the mean of its
-    set. The effect of a bench that shares no unit with another is NaN. `units_apart` are the outlying units.
+    `effect` (B, 12) are the effects of the benches, `u` (B, 12) their standard uncertainties. `connected` are
+    the sets of benches linked by common units; an effect is the difference from the mean of its set. The
+    effect of a bench that shares no unit with another is NaN. `units_apart` are the outlying units.
     """
 
     benches: tuple[str, ...]

@@ -27,14 +27,14 @@ LEAST_CALIBRATIONS: Final = 20
 
 
 LEAST_REPEATS: Final = 10
-"""A standard deviation with this many degrees of freedom has a relative uncertainty of 22 %."""
+"""Least number of repeated calibrations: their standard deviation then has a relative uncertainty of 22 %."""
 
 
 LEAST_DAYS: Final = 180
 
 
 LEAST_RUNS: Final = 3
-"""Fewer runs of a unit do not show its drift."""
+"""Least number of runs of a unit that show its drift."""
 
 
 YEAR: Final = np.timedelta64(31_557_600, "s")
@@ -44,10 +44,10 @@ YEAR: Final = np.timedelta64(31_557_600, "s")
 class Capability:
     """The calibration and measurement capability of a laboratory, for twelve coefficients: arrays are (12,).
 
-    `stated` is the quantile `quantile` of the stated u; `stated_most` is the upper 95 % limit of this quantile.
-    `spreads` (12 items) has the scatter of repeated calibrations in excess of the stated u, the difference
-    between benches and the drift of units. `below` counts the calibrations with a stated U below the capability:
-    their certificates must state the capability.
+    `stated` is the quantile `quantile` of the stated u; `stated_most` is the upper 95 % limit of this
+    quantile. `spreads` (12 items) has the scatter of repeated calibrations in excess of the stated u, the
+    difference between benches and the drift of units. `below` counts the calibrations whose stated U is below
+    the capability, so that their certificates must state the capability instead.
     """
 
     quantile: float
@@ -84,7 +84,7 @@ class Capability:
 def capability(measured: ComparedCalibrations, quantile: float = EVERYDAY) -> Capability:
     """Return the capability that a laboratory's calibrations show.
 
-    Raises `CalibrationError` if the history is too short, with everything that it lacks.
+    Raises `CalibrationError` if the history is too short; the message lists everything that it lacks.
     """
     (units, unit), (benches, bench) = coded(measured.unit), coded(measured.bench)
     _, kind = coded(measured.kind)
@@ -143,7 +143,7 @@ def _notes(found: tuple[CalibrationSpread, ...], of: Histories, *, several: bool
 
 
 def _ranks(count: int, quantile: float) -> tuple[int, int]:
-    """Return the indices in ascending order of a quantile of `count` values and of its upper 95 % limit."""
+    """Return the indices, in `count` ascending values, of a quantile and of its upper 95 % limit."""
     place = min(count - 1, int(np.ceil(quantile * count)) - 1)
     limit = int(stats.binom.ppf(CONFIDENCE, count, quantile))
     return max(place, 0), min(limit, count - 1)

@@ -28,10 +28,10 @@ CHANGED_P: Final = 0.05
 """Significance level of a change: of the nine jointly, and of single numbers after Holm's correction."""
 LEAST_FOR_DRIFT: Final = 3
 LEAST_SPAN: Final = timedelta(days=1)
-"""Calibrations within a shorter time show scatter, not drift."""
+"""Least time span of calibrations for a drift; over a shorter time they show only scatter."""
 MOST_CONDITION: Final = 1e12
 ALIKE: Final = 0.01
-"""Two calibrations that agree within this fraction of u in all coefficients are not independent.
+"""Two calibrations whose coefficients all agree within this fraction of u are not independent.
 
 Independent calibrations agree so closely once in 10^25 times.
 """
@@ -44,11 +44,11 @@ class Snapshot:
 
     `block` is the type and serial number of the block, empty if not recorded. `same_meters` (12, 12) is the
     covariance without the part that cancels if the same meters measure again, None if there is no such part;
-    `meters` are the meters' identities, empty if unknown. Each column of `block_terms` (12, q) is the error due to
-    a one-u error of the block's nonlinearity K2 or K3; it is the same in each of its calibrations. `wander` (3,) is
-    the rms wander of each bias about its mean in the run. `dof` is the smallest effective degrees of freedom of the
-    nine intrinsic numbers. A snapshot in the nine intrinsic numbers has arrays of nine instead of twelve; the
-    biases come last in both.
+    `meters` are the meters' identities, empty if unknown. Each column of `block_terms` (12, q) is the error
+    due to a one-u error of the block's nonlinearity K2 or K3; this error is the same in every calibration of
+    the block. `wander` (3,) is the rms wander of each bias about its mean in the run. `dof` is the smallest
+    effective degrees of freedom of the nine intrinsic numbers. A snapshot in the nine intrinsic numbers has
+    arrays of nine instead of twelve; the biases come last in both.
     """
 
     name: str
@@ -133,7 +133,7 @@ class Snapshot:
 
 
 def _of_block(terms: Floats | None, size: int) -> Floats:
-    """Return the covariance (size, size) due to the columns of `block_terms` (size, q); zero for None."""
+    """Return the covariance (size, size) due to the columns of `terms` (size, q); zero for None."""
     return np.zeros((size, size)) if terms is None else np.asarray(terms @ terms.T)
 
 
@@ -183,11 +183,12 @@ class DriftLines:
 
 @dataclass(frozen=True)
 class InNumbers:
-    """The changes of all later calibrations from the first, in nine intrinsic numbers or twelve coefficients:
-    `names`.
+    """The changes of all later calibrations from the first, in the numbers `names`.
 
-    `p_constant` is the p-value of the hypothesis that none of them changed in any calibration. `drift` is None if
-    dates are missing, the calibrations are too few, or their time span is too short.
+    These are the nine intrinsic numbers or the twelve coefficients.
+
+    `p_constant` is the p-value of the hypothesis that all stayed constant. `drift` is None if dates are
+    missing, the calibrations are too few, or their time span is too short.
     """
 
     names: tuple[str, ...]

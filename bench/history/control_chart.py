@@ -39,7 +39,7 @@ from bench.stats.control_charts import (
 )
 
 FEW_RUNS = 8
-"""A baseline of fewer runs gives wide limits, and a note says so."""
+"""With fewer baseline runs, a note says that the limits are wide."""
 
 
 def reasons_of(chart: ControlChart, row: int) -> tuple[str, ...]:
@@ -61,7 +61,7 @@ def reasons_of(chart: ControlChart, row: int) -> tuple[str, ...]:
 
 
 def _which(chart: ControlChart, z: Floats, limit: float) -> str:
-    """Return the names of the numbers beyond their own limit, farthest first; without any, of the farthest."""
+    """Return the numbers beyond `limit` in words, farthest first; if none is, the farthest number."""
     order = np.argsort(-np.abs(z))
     beyond = [k for k in order if abs(z[k]) > limit]
     named = [f"{chart.names[k]} {z[k]:+.1f} u".replace("-", MINUS) for k in order]
@@ -153,12 +153,12 @@ LEAST_SPAN_YEARS = 7.0 / 365.25
 class CheckRun:
     """A calibration of the check block: `value` (12,), and `covariance` (12, 12) of errors that vary by run.
 
-    `noise` (12,) is the part of u due to reading noise. `s` is the short-term standard deviation of a reading,
-    with `s_dof` degrees of freedom. Runs with the same `design` (plan) have equal covariances, except by chance.
-    `meters` are the identities of the voltmeters; `of_meters` (12, 12) is the covariance due to their limits,
-    which counts if they were replaced. `lasting` (12, 12) is the covariance of all other errors that do not vary
-    from run to run. `names` are the names of the values if these are neither the twelve coefficients nor the nine
-    intrinsic numbers.
+    `noise` (12,) is the part of u due to reading noise. `s` is the short-term standard deviation of a
+    reading, with `s_dof` degrees of freedom. Runs with the same `design` (plan) have equal covariances,
+    except by chance. `meters` are the identities of the voltmeters; `of_meters` (12, 12) is the covariance
+    due to the limits of the voltmeters; it counts if they were replaced. `lasting` (12, 12) is the covariance
+    of all other errors that do not vary from run to run. `names` are the names of the values if these are
+    neither the twelve coefficients nor the nine intrinsic numbers.
     """
 
     name: str
@@ -370,7 +370,7 @@ def control_chart(
 
 
 class _Pooled:
-    """Covariances by design, pooled over the baseline runs; for other designs, over the later runs."""
+    """Covariances by design, pooled over its baseline runs or, if there are none, over its later runs."""
 
     def __init__(self, baseline: Sequence[CheckRun], later: Sequence[CheckRun]) -> None:
         self._by_design: dict[str, Floats] = {}
@@ -403,7 +403,7 @@ class _Lines:
         return values - self.years(runs)[:, None] * self._drift.per_year
 
     def error(self, runs: Sequence[CheckRun]) -> Floats:
-        """Return the change (n, 12, 12) of each run's values if the drift rate of each coefficient is wrong by one
+        """Return the change (n, 12, 12) of each run's values if one coefficient's drift rate is wrong by one
         u.
         """
         return self.years(runs)[:, None, None] * np.diag(self.u(len(runs[0].value)))
@@ -456,7 +456,7 @@ class _Judging:
         )
 
     def _other_meters(self, runs: Sequence[CheckRun]) -> Floats:
-        """Return square roots (n, 12, 12) of the covariances due to meters other than those of the baseline."""
+        """Return square roots (n, 12, 12) of the covariances due to meters not used in the baseline."""
         known = {run.meters for run in self.baseline}
         parts = []
         for run in runs:

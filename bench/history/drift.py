@@ -29,13 +29,13 @@ PRIOR_DOF: Final = 3.0
 PRIOR_WIDTH: Final = (1.0, 4.0)
 """Prior widths of scatter and walk, as multiples of their scales.
 
-The width of the walk is larger, because a line absorbs part of a walk.
+The prior of the walk is wider, because the fitted line absorbs part of a walk.
 """
 FORGOTTEN: Final = 12.0
 """Grid points are discarded if their log density is less than the maximum minus this."""
 LEVEL: Final = 0.95
 PRODUCTS: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-"""Index pairs of products: 0 is the values, 1 and 2 are the columns (level and rate) of a line."""
+"""Index pairs of products: 0 stands for the values, 1 for the level and 2 for the rate of a line."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class UnitDrift:
     def predicted(self, date: np.datetime64 | Dates) -> tuple[Floats, Floats]:
         """Return the expected values at dates (…) and their standard uncertainties, (…, 12) each.
 
-        u applies to the result of a calibration without errors on that date, so it includes the scatter between
+        u is that of the result of an error-free calibration on the date, and so includes the scatter between
         calibrations. Raises `CalibrationError` for a date before the last calibration.
         """
         days = np.asarray(date, dtype="datetime64[s]")
@@ -110,7 +110,8 @@ class States:
     def _prediction(self) -> tuple[Floats, Floats]:
         """Coefficients of polynomials in years since the last calibration: mean (2, 12), variance (3, 12).
 
-        They average over all pairs of sizes. For each pair the mean is linear in time, and its variance quadratic.
+        They average over all pairs of variances. For each pair the mean is linear and its variance quadratic
+        in time.
         """
         at = np.stack([1.0 - self.columns[..., 0], self.last_year - self.columns[..., 1]], axis=-1)
         slope = self.line[..., 1]
@@ -155,7 +156,10 @@ class OfUnit:
 
 
 def drift_of_unit(measured: ComparedCalibrations) -> OfUnit:
-    """Return the drift of a table's only unit. Raises `CalibrationError` as `unit_drift`, and for several units."""
+    """Return the drift of a table's only unit.
+
+    Raises `CalibrationError` as `unit_drift` does, and for several units.
+    """
     units, benches = (sorted(set(labels.tolist())) for labels in (measured.unit, measured.bench))
     if len(units) > 1:
         raise CalibrationError(
@@ -251,7 +255,7 @@ class _History:
         return states, (found[0], found[1], found[2], found[3])
 
     def _at(self, nodes: Floats) -> tuple[States, Floats, Floats]:
-        """Run the filter for all pairs of sizes whose logarithms are `nodes` (2, 12, g).
+        """Run the filter for all pairs of scatter and walk, whose logarithms are `nodes` (2, 12, g).
 
         Return the states, and the log density (with priors) and the log likelihood, (12, g, g) each.
         """
@@ -328,7 +332,7 @@ def _within(nodes: Floats, density: Floats) -> tuple[Floats, Floats]:
 
 
 def _taken(values: Floats, index: Ints) -> Floats:
-    """Return the element (12,) at `index` (12,) from each row of `values` (12, g)."""
+    """Return one element (12,) of each row of `values` (12, g): that at `index` (12,)."""
     return np.take_along_axis(values, index[:, None], axis=1)[:, 0]
 
 

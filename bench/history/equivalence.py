@@ -1,4 +1,4 @@
-"""Degrees of equivalence of benches that measured the same units, by number and for all numbers jointly."""
+"""Degrees of equivalence of benches that measured the same units, in each number and in all jointly."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Participants:
 
     @cached_property
     def between_dof(self) -> int:
-        """Degrees of freedom between benches: the number of benches less the number of their connected sets."""
+        """Degrees of freedom between benches: the number of benches minus that of their connected sets."""
         both = np.linalg.matrix_rank(np.concatenate([self.Z_unit, self.Z_bench], axis=1))
         return int(both) - int(self.unit.max()) - 1
 
@@ -65,7 +65,7 @@ class Participants:
 
 
 def _left(V: Floats, X: Floats) -> Floats:
-    """Return V^-1 less its part in the column space of X (n, p), whose columns may be linearly dependent."""
+    """Return V^-1 minus its part in the column space of X (n, p), whose columns may be linearly dependent."""
     lower = linalg.cholesky(V, lower=True)
     whitened = linalg.solve_triangular(lower, X, lower=True)
     along, size, _ = np.linalg.svd(whitened, full_matrices=False)
@@ -78,11 +78,11 @@ def _left(V: Floats, X: Floats) -> Floats:
 class Equivalence:
     """The reference value of each unit and the degree of equivalence of each bench, for one coefficient.
 
-    `reference` (U,) are the reference values, and `u_reference` (U,) their standard uncertainties. `degree` (B,)
-    are the degrees of equivalence d, and `covariance` (B, B) is their covariance. `dark` is the dark uncertainty
-    of benches (1 σ). The variance of d includes the dark uncertainty of all benches except the bench of d itself,
-    whose stated u is kept. `chi2` with `dof` tests the stated uncertainties; `map` (B, n) is the matrix that maps
-    `y` to d.
+    `reference` (U,) are the reference values, and `u_reference` (U,) their standard uncertainties. `degree`
+    (B,) are the degrees of equivalence d, and `covariance` (B, B) is their covariance. `dark` is the dark
+    uncertainty of benches (1 σ). The variance of d includes the dark uncertainty of all benches except the
+    bench of d itself, whose stated u is kept. `chi2` with `dof` tests the stated uncertainties; `map` (B, n)
+    maps `y` to d.
     """
 
     method: str
@@ -187,7 +187,7 @@ def _by(of: Participants, dark: float, method: str) -> Equivalence:
 class Pair:
     """The difference between two benches, first minus second, from the number `units` of common units.
 
-    `map` (n,) is the vector that maps `y` to the difference.
+    `map` (n,) maps `y` to the difference.
     """
 
     first: int
@@ -422,7 +422,7 @@ class Drift:
 
 
 def transport_dark(drifts: Sequence[Drift], names: Sequence[str]) -> Floats:
-    """Return the scatter (1 sigma) of a travelling unit's state from stop to stop, beyond u, by number (m,).
+    """Return the scatter beyond u, (m,), 1 sigma, of each number of a travelling unit from stop to stop.
 
     It is the Mandel-Paule solution for changes with the variance u^2 + 2 dark^2, and 0 for changes within u. If
     no change is significant after Holm's correction, it is 0 for all numbers: the scatter of a few returns must

@@ -15,9 +15,9 @@ from bench.calibration.noise import KnownStand
 from bench.stats import contrasts_within
 
 NONE: Final = 1e-6
-"""Variances below this fraction of the stated one count as zero."""
+"""A variance below this fraction of its stated value counts as zero."""
 FEW_DOF: Final = 4.0
-"""Up to this many degrees of freedom, only the upper limit of a standard deviation is meaningful."""
+"""With at most these degrees of freedom, only the upper limit of a standard deviation is meaningful."""
 SHOWN_P: Final = 0.01
 """Significance level of a harmonic of the head's scale."""
 HARDLY_BETTER: Final = 0.95
@@ -47,9 +47,7 @@ class LearnedSize:
 
 @dataclass(frozen=True)
 class Variance:
-    """A variance component `theta` with its u, both in multiples of `unit` squared; `held` is true if its prior is
-    kept.
-    """
+    """A variance component `theta` and its u in units of `unit` squared; if `held`, its prior is kept."""
 
     name: str
     theta: float
@@ -107,13 +105,13 @@ class Contradiction:
 class Learned:
     """The errors that the runs of one bench share.
 
-    `means` (m + waves,), rad, belong to `keys` (angle and installation, or empty for all), followed by the
-    harmonics of the head; their covariance is `covariance`. `stated` (m,) are their u before learning, rad.
-    `variances` holds the standard deviations between mountings by kind of angle, then of the drift by channel (unit
-    of the signal, per root hour); `variances_covariance` (k, k) is the covariance of their squares. `noise` (4,) is
-    the noise of x, y, z and of the setting (rad). `known` is the prior knowledge for later calibrations. `not_told`
-    gives the reason for each kind that the runs do not determine. `meters` are the differences between voltmeters,
-    or a sentence on why they are unknown.
+    `means` (m + waves,), rad, are one mean for each of `keys` (angle and installation, "" for all), then the
+    harmonics of the head; `covariance` is their covariance. `stated` (m,) are the u of the m means before
+    learning, rad. `variances` has the variances between mountings by kind of angle, then of the drift by
+    channel (in signal units per root hour); `variances_covariance` (k, k) is their covariance. `noise` (4,)
+    is the noise of x, y, z and of the setting (rad). `known` is the prior knowledge for later calibrations.
+    `not_told` gives, for each kind of angle that the runs do not determine, the reason. `meters` are the
+    differences between voltmeters, or a sentence on why they are unknown.
     """
 
     runs: tuple[str, ...]
@@ -197,7 +195,7 @@ def _u(size: float, dof: float) -> float:
 
 
 LEAST_FREEDOM: Final = 2
-"""Least degrees of freedom to separate a block's variation between runs from differences of meters."""
+"""Least degrees of freedom that separate a block's variation between runs from meter differences."""
 NOT_EXCHANGED: Final = (
     "differences between the voltmeters: unknown, as no block was measured with exchanged voltmeters; "
     "measure three runs of one block (two of two blocks), each voltmeter on another channel"
@@ -214,12 +212,12 @@ _PPM, _MICROVOLT = 1e-6, 1e-6
 class MeterRun:
     """A calibration of one block (its name is `unit`), reduced to the quantities that its voltmeters affect.
 
-    `meters` are the meters' identities by channel; `day` is the time in days from any origin. `values` (6,) are
-    the logarithms of the lengths of the rows of K (in V/g), then the biases in g. `covariance` (6, 6) contains
-    the errors that vary from run to run, without those of the meters. Each column of `block` (6, q) is the effect
-    on the values if one error of the block is one u large; such an error is the same in all runs of the block.
-    `drift` (3, 2) is, for each channel, the standard uncertainty of the change of the relative gain and of the
-    zero in V within `per_days`.
+    `meters` are the meters' identities by channel; `day` is the time in days from any origin. `values` (6,)
+    are the logarithms of the lengths of the rows of K (in V/g), then the biases in g. `covariance` (6, 6)
+    contains the errors that vary from run to run, without those of the meters. Each column of `block` (6, q)
+    is the effect on the values if one error of the block is one u large; such an error is the same in all
+    runs of the block. `drift` (3, 2) has, by channel, the standard uncertainties of the changes of relative
+    gain and of zero (V) within `per_days`.
     """
 
     name: str
@@ -237,7 +235,7 @@ class MeterRun:
         cls, name: str, unit: str, meters: tuple[str, str, str], day: float, coefficients: Floats,
         covariance: Floats, block: Floats, drift: Floats, per_days: float,
     ) -> MeterRun:  # fmt: skip
-        """Return the run for coefficients (12,) with covariance (12, 12) and errors of the block (12, q)."""
+        """Return the run for `coefficients` (12,) with a `covariance` (12, 12) and block errors (12, q)."""
         values, slope = lengths_and_biases(coefficients)
         return cls(
             name, unit, meters, day, values, slope @ covariance @ slope.T, slope @ block, drift, per_days
@@ -385,10 +383,10 @@ def _stacked(runs: Sequence[MeterRun], day: float, quantity: int, scale: Floats)
 
 
 def _moved(runs: Sequence[MeterRun], day: float, quantity: int) -> Floats:
-    """Return the covariance (N, N) of the drift of each meter from its state on a day.
+    """Return the covariance (N, N) of the drifts of meters from their states on `day`.
 
-    The u of a drift grows in proportion to the time from that day. Drifts of a meter before and after that day
-    are independent; two drifts on the same side share the shorter one.
+    The u of a drift grows in proportion to the time from `day`. Drifts of a meter before and after `day` are
+    independent; of two drifts on the same side, the longer contains the shorter.
     """
     of = np.array([meter for run in runs for meter in run.meters])
     part = np.repeat([np.clip((run.day - day) / run.per_days, -1.0, 1.0) for run in runs], 3)

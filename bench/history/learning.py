@@ -96,7 +96,7 @@ class Weighed:
         return cls(gram - np.swapaxes(half, 1, 2) @ half, logs, c)
 
     def means(self, beliefs: Beliefs, without: int | None = None) -> tuple[Floats, Floats]:
-        """Return means and harmonics with their covariance, from all runs or without one of them."""
+        """Return means and harmonics with their covariance, from all runs or all but the run `without`."""
         c, m = self.columns, len(beliefs.precision)
         normal = self.whole[:, c:-1, c:-1].sum(axis=0)
         right = self.whole[:, c:-1, -1].sum(axis=0)
@@ -188,7 +188,7 @@ def observed_information(body: RunSums, theta: Floats, beliefs: Beliefs) -> Floa
 NAMED_P: Final = 0.01
 """Significance level of a contradicting run, for all runs together."""
 LOOKED_AT_P: Final = 0.1
-"""The variances are estimated again without a run only if its preliminary p-value is below this."""
+"""Only if a run's preliminary p-value is below this are the variances estimated again without the run."""
 MOST_PART: Final = 1 / 3
 """The largest fraction of runs left out; if more contradict, the runs do not share one state of the bench."""
 ANGLES: Final = "its angles of the stand"
@@ -246,7 +246,7 @@ def _angle_test(
 
 
 def _fit(body: RunSums, means: Floats) -> list[Contradiction]:
-    """Return the test of each run's lack of fit against that of the others, without the head's harmonics."""
+    """Return tests of each run's lack of fit, after the head's harmonics, against that of the other runs."""
     waves = means[len(means) - body.waves :]
     c = body.columns
     H = slice(c, c + body.waves)
@@ -330,16 +330,16 @@ def agreed(runs: list[RunFit], body: RunSums, noise: Floats, beliefs: Beliefs, l
 
 LEAST_RUNS: Final = 2
 SHOWN: Final = 0.1
-"""The least information of a run on an angle, relative to the stated information, that makes the angle visible."""
+"""An angle is visible in a run that gives at least this fraction of the stated information on it."""
 ALIKE: Final = 0.9
 """The cosine between the effects of two angles beyond which they cannot be separated."""
 HELD_CENTRE: Final = 0.5
 HELD_SPREAD: Final = 1 / np.sqrt(12.0)
 """Prior mean and standard deviation of an undetermined remount variance: uniform from 0 to the stated variance."""
 MEANS_OF_HELD: Final = 1.0 / HELD_CENTRE
-"""Precision of the mean of an angle with an undetermined remount variance: both add up to the stated variance."""
+"""Precision of an angle's mean if its remount variance is undetermined: their variances sum to the stated."""
 HALF_ITSELF: Final = 0.5
-"""A variance is undetermined if its u exceeds this fraction of the variance, and also the u of its prior."""
+"""A variance is undetermined if its u exceeds both this fraction of it and the u of its prior."""
 
 
 def learn(
@@ -398,7 +398,7 @@ def told_by_runs(body: RunSums, layout: Layout, free: Beliefs) -> tuple[Beliefs,
 def _holding(beliefs: Beliefs, layout: Layout, j: int) -> Beliefs:
     """Return the beliefs with the variance of angle kind `j` fixed at its prior.
 
-    The mean of this kind gets the remaining part of its stated variance.
+    The prior of the mean of this kind gets the rest of the stated variance.
     """
     centre, spread = beliefs.centre.copy(), beliefs.spread.copy()
     centre[j], spread[j] = HELD_CENTRE, HELD_SPREAD
@@ -407,7 +407,7 @@ def _holding(beliefs: Beliefs, layout: Layout, j: int) -> Beliefs:
 
 
 def _shown(body: RunSums, j: int) -> bool:
-    """Return whether any run has information on an angle kind, compared with its stated uncertainty."""
+    """Return whether any run has at least `SHOWN` of the stated information on the angle kind `j`."""
     own = np.diagonal(body.gram[:, : body.columns, : body.columns], axis1=1, axis2=2)[body.random == j]
     return bool(np.max(own, initial=0.0) > SHOWN)
 
@@ -514,9 +514,9 @@ def variances_of(shared: VarianceEstimate) -> Floats:
 def means_dof(body: RunSums, theta: Floats, beliefs: Beliefs, spread: Floats) -> Floats:
     """Return the degrees of freedom (m + waves,) of the means' variances, by Satterthwaite's approximation.
 
-    They are 2 c^2 / (g^T W g) with the variance c of a mean, its gradient g by the variance components, and their
-    covariance `spread` (k, k), W. Sources: F. E. Satterthwaite, Biometrics Bull. 2 (1946) 110; A. H. Fai, P. L.
-    Cornelius, J. Stat. Comput. Simul. 54 (1996) 363.
+    They are 2 c^2 / (g^T W g): c is the variance of a mean, g its gradient by the variance components, and W
+    their covariance `spread` (k, k). Sources: F. E. Satterthwaite, Biometrics Bull. 2 (1946) 110; A. H. Fai,
+    P. L. Cornelius, J. Stat. Comput. Simul. 54 (1996) 363.
     """
     here = np.diag(at(body, theta, beliefs).covariance)
     slopes = np.zeros((len(here), len(theta)))

@@ -88,7 +88,7 @@ class ComparedCalibrations:
 
     @property
     def own_variance(self) -> Floats:
-        """The stated variances (n, 12) less the part shared by calibrations with the same meters.
+        """The stated variances (n, 12) minus the part shared by calibrations with the same meters.
 
         At least the fraction `LEAST_OWN` of the stated variance remains.
         """

@@ -57,7 +57,7 @@ def monitor_run(name: str, when: datetime, signal: Floats, force: Floats) -> Che
 
 
 def monitor_chart(runs: Sequence[CheckRun], baseline: int = BASELINE) -> ControlChart:
-    """Return the control chart of monitors, the first `baseline` of which set its limits (u scaled to them).
+    """Return the control chart of monitor runs; the first `baseline` of them, by date, set its limits.
 
     Raises `CalibrationError` if the runs are too few or watch different axes.
     """

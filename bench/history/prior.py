@@ -1,10 +1,10 @@
 """A prior for an unmeasured unit from calibrated units of its type, and its combination with a calibration.
 
-The means of units scatter by the variation between units and by calibration errors. The covariance between units is
-the covariance of the means less that of the calibration errors. Its correlations are shrunk, the more the fewer the
-units, and its variances are enlarged for their finite degrees of freedom. Errors that no repetition reveals (of a
-bench or its meters) are included in the uncertainty of the mean. Sources: J. Schäfer, K. Strimmer, Stat. Appl.
-Genet. Mol. Biol. 4 (2005) 32 (shrinkage); JCGM 101:2008, 6.4.9.4.
+The means of units scatter by the variation between units and by calibration errors. The covariance between
+units is the covariance of the means minus that of the calibration errors. Its correlations are shrunk, the
+more the fewer the units, and its variances are enlarged for their finite degrees of freedom. Errors that no
+repetition reveals (of a bench or its meters) are included in the uncertainty of the mean. Sources: J.
+Schäfer, K. Strimmer, Stat. Appl. Genet. Mol. Biol. 4 (2005) 32 (shrinkage); JCGM 101:2008, 6.4.9.4.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from bench.history.measured import STANDARD_GRAVITY, ComparedCalibrations, coded
 from bench.stats import chi_square
 
 LEAST_UNITS: Final = 6
-"""Fewer units give no meaningful covariance of twelve coefficients."""
+"""Least number of units that give a meaningful covariance of twelve coefficients."""
 
 
 CONFLICT_P: Final = 0.01
-"""The prior is not used if the test of its agreement with the readings has a p-value below this."""
+"""A prior is used only if its agreement with the readings has at least this p-value."""
 
 
 LEAST_DOF: Final = 4.0

@@ -56,9 +56,7 @@ class RunFit:
     unit: str
 
     def noise(self) -> Floats | None:
-        """Return the noise variances (4,) of x, y, z and of the setting error from the run's repeats; None
-        for too few.
-        """
+        """Return the noise variances (4,) of x, y, z and the setting error by repeats; None for too few."""
         if self.scatter.settings < LEAST_SETTINGS:
             return None
         own = self.scatter
@@ -111,7 +109,9 @@ def _levels(problem: Problem) -> Floats:
 
 
 def _walk(conditions: Conditions) -> Floats:
-    """Return the shapes (n, WALKS) of a random walk of the bias with unit variance per hour, centred on the run."""
+    """Return shapes (n, WALKS) of a random walk of a bias, of unit variance per hour and mean zero over the
+    run.
+    """
     hours = conditions.elapsed_s / HOUR
     shapes = np.zeros((len(hours), WALKS))
     if np.ptp(hours) > 0:
@@ -131,10 +131,10 @@ def _walk(conditions: Conditions) -> Floats:
 class RunSums:
     """Runs as arrays of equal shape: `gram` (runs, w, w) of W = (B, H, y), with zeros for columns that a run lacks.
 
-    B has c columns for stand angles and drift, H has `waves` columns for harmonics of the head. `random` (runs,
-    c) is the index of the variance of each column of B; `mean` (runs, c) is the index of the mean of each column;
-    -1 means that there is none. `chi2` (runs,) with `dof` (runs,) is y^T P y less the scatter of repeats, where P
-    projects out the run's own coefficients, but not B and H.
+    B has c columns for stand angles and drift, H has `waves` columns for harmonics of the head. `random`
+    (runs, c) is the index of the variance of each column of B; `mean` (runs, c) is the index of the mean of
+    each column; -1 means that there is none. `chi2` (runs,) with `dof` (runs,) is y^T P y minus the scatter
+    of repeats; P projects out the run's own coefficients, but not B and H.
     """
 
     names: tuple[str, ...]
@@ -164,7 +164,7 @@ class RunSums:
         return self._kept[key]
 
     def belongs(self, variances: int) -> Floats:
-        """Return the indicators (runs, c, k): 1 if a column of a run has that variance."""
+        """Return indicators (runs, c, k): 1 where column c of a run has variance k."""
         key = ("belongs", variances)
         if key not in self._kept:
             self._kept[key] = (self.random[:, :, None] == np.arange(variances)).astype(np.float64)
@@ -189,9 +189,9 @@ class Layout:
     """The parameters that the runs of a bench may share, in order.
 
     `kinds` are the names of stand angles with `stated` (kinds,) u, rad. `means` are pairs of an angle and an
-    installation (empty for all) that have a mean. The variances are those of the kinds, then of the drift of x, y
-    and z in terms of `walk` (unit of the signal, per root hour). With `waves`, the harmonics of the head are
-    parameters, too.
+    installation (empty for all) that have a mean. The variances are those of the kinds, then of the drift of
+    x, y and z in units of `walk` squared (`walk` is in signal units per root hour). With `waves`, the
+    harmonics of the head are parameters, too.
     """
 
     kinds: tuple[str, ...]
@@ -278,7 +278,7 @@ def _span(columns: Floats) -> Floats:
 
 
 SEEN: Final = 1e-3
-"""Eigenvalues of a run's information on its angles, relative to the stated one, count as zero below this."""
+"""An eigenvalue of a run's information on its angles counts as zero below this part of the stated one."""
 
 
 def _beyond_repeats(run: RunFit, gram: Floats, variances: Floats, angles: int) -> tuple[float, float]:
@@ -297,8 +297,7 @@ def _beyond_repeats(run: RunFit, gram: Floats, variances: Floats, angles: int) -
 
 
 def pooled_noise(runs: Sequence[RunFit], floor: float) -> Floats:
-    """Return the noise variances (4,) of channels x, y, z and of the setting error, from the repeats of all
-    runs.
+    """Return the noise variances (4,) of x, y, z and the setting error from the repeats of all runs.
 
     `floor` is the lowest credible noise. Raises `CalibrationError` for too few repeats.
     """
@@ -326,7 +325,7 @@ def scatter_of(runs: Sequence[RunFit], variances: Floats) -> tuple[Floats, Float
 
 
 def between_runs(ratio: Floats, dof: Floats) -> tuple[float, float, float]:
-    """Return the mean logarithm of mean squares (n,), its variance between runs, and the variance of the mean.
+    """Return the mean of ln of mean squares (n,), the variance of ln between runs, and that of the mean.
 
     The logarithm of a mean square with nu degrees of freedom has the variance psi'(nu/2) (trigamma function).
     """
@@ -345,7 +344,8 @@ def between_runs(ratio: Floats, dof: Floats) -> tuple[float, float, float]:
 def known_noise(runs: Sequence[RunFit], variances: Floats) -> tuple[KnownNoise, Floats]:
     """Return the noise of the next run as prior knowledge, and the degrees of freedom (4,) of the pooled noise.
 
-    The degrees of freedom of the prior include the variation of the noise between runs, and its uncertainty.
+    The degrees of freedom of the prior allow for the variation of the noise between runs and the uncertainty
+    of this variation.
     """
     told = [run for run in runs if run.scatter.settings]
     freedom = np.concatenate([run.scatter.freedom for run in told])
@@ -368,13 +368,13 @@ def known_noise(runs: Sequence[RunFit], variances: Floats) -> tuple[KnownNoise, 
 
 
 LEAST_SHOWN: Final = 0.01
-"""Least fraction of the noise variance due to a setting error, from which a smaller setting error gets its u."""
+"""A setting error that causes less than this fraction of the noise gets the u of one that causes as much."""
 
 
 def _pooled_dof(freedom: Floats, slope: Floats, variances: Floats) -> Floats:
     """Return the degrees of freedom 2 v^2/u(v)^2 of the variances v (4,).
 
-    The u(v) of a setting error near zero is bounded, so that its degrees of freedom stay defined.
+    In u(v), a setting error's v has a small lower limit, so that its degrees of freedom stay defined.
     """
     shown = float(np.mean(np.sum(slope**2, axis=1)))
     least = LEAST_SHOWN * float(np.mean(variances[:3])) / shown if shown > 0 else 0.0

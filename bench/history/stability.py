@@ -191,7 +191,7 @@ FLAT: Final = -0.25
 LEAST_OF_A_READING: Final = 10
 """The least number of samples in a reading, so that their scatter shows the noise."""
 REJECTS_LINE: Final = 1.0
-"""Integration over whole power-line cycles rejects line interference; shorter integration does not."""
+"""Least integration time, in power-line cycles, that rejects line interference."""
 
 
 @dataclass(frozen=True)
@@ -288,11 +288,11 @@ class Spectrum:
 
 
 SHORT_GAP: Final = 3
-"""Most missing samples in a row that the spectrum bridges by a straight line; a longer gap parts the record."""
+"""Longest gap, in samples, that the spectrum bridges by a straight line; a longer one splits the record."""
 
 
 def spectrum_of(record: StaticRecord) -> Spectrum:
-    """Return the spectrum by Welch's method, Hann windows, a straight line removed from each (IEEE Std 1554)."""
+    """Return the spectrum by Welch's method: Hann windows, segments detrended linearly (IEEE Std 1554)."""
     from scipy.signal import welch  # slow to import
 
     stretches = _stretches(record)

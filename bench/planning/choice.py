@@ -39,7 +39,7 @@ from bench.readings.table import Readings
 
 DRAWS: Final = 100
 GRAIN: Final = 0.1
-"""Logarithmic step to which noise is rounded, so that draws with similar noise share one computation."""
+"""Step of ln(noise) to which noise is rounded, so that draws with similar noise share one computation."""
 QUANTILES: Final = (0.05, 0.5, 0.95)
 _OF_ONE_MOUNTING: Final = 9
 """Number of coefficients that readings in one mounting determine; two mountings determine all."""
@@ -47,7 +47,7 @@ _OF_ONE_MOUNTING: Final = 9
 
 @dataclass(frozen=True)
 class TimeOutlook:
-    """The outcome of simulated runs: bench time, s, readings, and whether the goals were reached, each (draws,).
+    """Simulated runs, (draws,) each: bench time (s), number of settings, and whether the goals were reached.
 
     `whole_s` is the duration of the whole plan, `whole` its number of points. `scale` is the ratio of the noise
     to the noise stated in the bench file; `learned` says whether it was learned from the bench. `has_goal` is
@@ -125,7 +125,7 @@ def _after(
 def _reached(chooser: Chooser, standing: Standing, stated: float) -> tuple[Reached, ...]:
     """Return the progress towards the goals if the noise is `stated` times the stated noise.
 
-    Empty if the readings do not determine the coefficients.
+    The result is empty if the readings do not determine the coefficients.
     """
     task = chooser.task(standing)
     goals = tuple(wanted.ahead for wanted in chooser.aim.wanted)
@@ -137,7 +137,7 @@ def _reached(chooser: Chooser, standing: Standing, stated: float) -> tuple[Reach
 
 
 def _freedom(done: Counter[Site]) -> tuple[int, int]:
-    """Return the degrees of freedom of the noise: those of repeats, and those of the model's other residuals."""
+    """Return two degrees of freedom of the noise: from repeats, and from the model's other residuals."""
     readings, groups = sum(done.values()), len(done)
     mounts = len({site.mount for site in done})
     unknown = min(_OF_ONE_MOUNTING * mounts, FIXED)
@@ -157,7 +157,7 @@ BELIEVED: Final = 6.0
 """Prior weight of the stated noise, in degrees of freedom; measured noise soon outweighs it."""
 
 SURE: Final = 0.8
-"""Confidence level of the noise bound with which a mounting must have enough visits before the run leaves it."""
+"""A run leaves a mounting once its visits suffice for the upper noise limit of this confidence level."""
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ NOTHING_KNOWN: Final = NoiseScale()
 
 
 def scale_of(stand: Stand, readings: Readings) -> NoiseScale:
-    """Return the noise scale of readings, from the residuals of a linear fit of block and stand.
+    """Return the noise scale from `readings`, by the residuals of a linear fit of block and stand.
 
     The readings need not determine all coefficients; readings of a single mounting leave residuals, too.
     """
@@ -496,14 +496,14 @@ class Chooser:
         )
 
     def _so_far(self, standing: Standing, task: DesignTask) -> dict[str, Any]:
-        """Return the members of `NextPoints` on the points measured so far."""
+        """Return those members of `NextPoints` that describe the points measured so far."""
         return {
             "now": standing.worst, "settings": int(task.done.sum()), "repeats": task.repeats_done,
             "rest_s": self._rest_s(standing),
         }  # fmt: skip
 
     def _passed_over(self, standing: Standing, number: int, last: int) -> frozenset[int]:
-        """Return the unmeasured steps before step `last`, in the mountings up to `number`."""
+        """Return the unmeasured steps before step `last`, in the mountings up to index `number`."""
         steps: set[int] = set()
         for other, visit in enumerate(self.pool.visits[: number + 1]):
             steps.update(
@@ -519,7 +519,7 @@ class Chooser:
     def _foreseen(self, task: DesignTask, counts: Ints) -> Reached | None:
         """Return the goal furthest from being reached after visits `counts` (c,) to the sites.
 
-        None if they do not determine the coefficients.
+        None if the visits do not determine the coefficients.
         """
         visits = Visits(task.candidates, task.goals, counts, counts, counts)
         if not visits.determined:

@@ -26,16 +26,16 @@ DIRECTIONS: Final = 128
 """Number of directions over which the goals of a measured acceleration are evaluated."""
 WHOLE: Final = 10.0
 LEAST_WHOLE_G: Final = 1e-3
-"""Required uncertainty of the loose goal on the whole block: a multiple of the other goals, at least 1 mg."""
+"""Required uncertainty of the loose goal for the whole block: `WHOLE` times that of others, at least 1 mg."""
 
 
 @dataclass(frozen=True)
 class Goal:
     """A goal: a required standard uncertainty `asked` of linear functionals (k, 12) of the coefficients.
 
-    The variances of the k functionals are summed. `floor` is the variance that no calibration lowers: the noise
-    of the reading at the verification point `judged`, and in a plan the errors that no reading reveals. A `loose`
-    goal only makes a plan determine the whole block.
+    The variances of the k functionals are summed. `floor` is the variance that no calibration lowers: the
+    noise of the reading at the verification point `judged` and, in a plan, the errors that no reading
+    reveals. A `loose` goal only makes a plan determine the whole block.
     """
 
     name: str
@@ -59,14 +59,14 @@ class Goal:
         return self.u(covariance) / self.asked
 
     def relaxed(self, endless: float) -> Goal:
-        """Return a loose goal relaxed to twice the u in the limit of endless readings, if that is larger.
+        """Return the goal; a loose one asks for no less than twice the u in the limit of endless readings.
 
         `endless` is the variance in this limit.
         """
         return replace(self, asked=max(self.asked, 2.0 * float(np.sqrt(endless)))) if self.loose else self
 
     def tightened(self, wider2: float) -> Goal:
-        """Return the goal with its permitted variance above the floor divided by `wider2`."""
+        """Return the goal after dividing its permitted variance, in excess of the floor, by `wider2`."""
         return replace(self, asked=float(np.sqrt(self.floor + (self.asked**2 - self.floor) / wider2)))
 
 
@@ -119,7 +119,7 @@ def delta_g_goals(
 
 
 def modulus_goals(block: Block, magnitude_g: float, asked_g: float) -> list[Goal]:
-    """Return goals for the modulus of specific forces up to `magnitude_g` in many directions.
+    """Return goals for the measured modulus of specific forces up to `magnitude_g`, in many directions.
 
     The variance is convex in the magnitude, so goals at zero and at `magnitude_g` cover all between.
     """
@@ -136,7 +136,7 @@ def modulus_goals(block: Block, magnitude_g: float, asked_g: float) -> list[Goal
 
 
 def vector_goal(block: Block, magnitude_g: float = 1.0, asked_g: float = 1.0) -> Goal:
-    """Return the goal for the error vector of a measured specific force: its root mean square over directions."""
+    """Return the goal for the error vector of a measured specific force, root mean square over directions."""
     inverse = np.linalg.inv(block.K)
     force = magnitude_g * directions(DIRECTIONS)[:DIRECTIONS]  # only the evenly spread directions
     weight = np.zeros((12, 12))
@@ -175,7 +175,7 @@ _WITHIN_REACH: Final = 1.05
 """Greatest ratio of u to required u at which exchanges are tried: they lower the ratio by a few percent only."""
 _GAIN: Final = 1e-6
 _WEAKLY_KNOWN: Final = 1.0
-"""Prior standard uncertainty of the coefficients, V/g and V: without influence, it keeps matrices invertible."""
+"""Prior u of the coefficients, V/g and V, too weak to have an influence: it keeps matrices invertible."""
 _DETERMINED: Final = 1e-2
 _MANY: Final = 1e5
 LEAST_FREEDOM: Final = 6
@@ -259,7 +259,7 @@ class ExchangeDesign:
 
     @property
     def determines(self) -> bool:
-        """Whether all candidates together determine the coefficients, without the help of their weak prior."""
+        """Whether all candidates together determine the coefficients even without their weak prior."""
         covariance = self.covariance(np.full(len(self._rows), _MANY))
         return bool(np.max(np.diag(covariance)[:FIXED]) < _DETERMINED)
 
@@ -505,7 +505,7 @@ def repeats(conditions: Conditions) -> int:
 
 
 def whitened(stand: Stand, conditions: Conditions) -> tuple[Floats, Problem]:
-    """Return derivatives (n, 3, 12 + q) of readings in units of the stand's noise, and the problem of their fit.
+    """Return derivatives (n, 3, 12 + q) of readings, in units of their noise, and the problem of a fit.
 
     The q stand angles, or independent combinations of correlated angles, are in units of their prior standard
     uncertainty.

@@ -43,7 +43,7 @@ _EVENLY_MOST: Final = 4
 """Largest even spread of settings that is tried, as a multiple of the number found by a search."""
 _PARTS_TOLD: Final = 3
 _PART_NAMED: Final = 0.01
-"""Most irreducible sources that an error message names, and the least fraction of the largest source."""
+"""Largest number of irreducible sources in an error message, and their least size relative to the largest."""
 _ROUNDS: Final = 4
 """Greatest number of searches, each with tighter goals, to allow for noise estimated from the readings."""
 
@@ -93,7 +93,7 @@ class Sites:
 
 
 def _kinds(model: ForwardModel, mounts: Sequence[Mounting], angle_rad: Floats) -> list[tuple[float, ...]]:
-    """Return a key for each mounting, equal for equivalent ones; all keys differ if the angles are asymmetric."""
+    """Return a key for each mounting: equal for equivalent ones, but not if the angles are asymmetric."""
     turned = np.exp(1j * np.concatenate([angle_rad, -angle_rad, np.pi - angle_rad]))
     if len(np.unique(np.round(turned, 6))) > len(angle_rad):
         return [(float(i),) for i in range(len(mounts))]
@@ -134,7 +134,7 @@ class ChosenPoints:
         return goal.u(self.promise.readings)
 
     def worst_by_name(self) -> list[Goal]:
-        """Return for each goal name, which all directions share, the goal furthest from being reached."""
+        """Return, for each goal name, the goal furthest from being reached; directions share one name."""
         found: dict[str, Goal] = {}
         for goal in self.promise.goals:
             known = found.setdefault(goal.name, goal)
@@ -159,7 +159,7 @@ class ChosenPoints:
 
 @dataclass(frozen=True)
 class Passes:
-    """Points of one mounting that are visited equally often; their numbers start at `first_point`."""
+    """Points of one mounting, visited equally often and numbered from `first_point`."""
 
     first_point: int
     angle_rad: tuple[float, ...]
@@ -220,7 +220,7 @@ def cheapest(
 
 
 def _floored(stand: Stand, sites: Sites, goals: Sequence[Goal]) -> tuple[list[Goal], list[Goal]]:
-    """Return the goals with loose goals relaxed, and these goals with their floors for readings at all angles.
+    """Return the goals after loose ones are relaxed, and the same with the floors for readings at all angles.
 
     Both lists are the given goals if all settings together do not determine the block.
     """
@@ -357,7 +357,7 @@ VERIFICATION_DEG: Final = (45, 135, 225, 315)
 SAMPLES: Final = 10
 NPLC: Final = 10.0
 SETTLE_S: Final = 10.0
-"""Settings of a reading in the shipped procedures, and the angles of their verification points."""
+"""Verification angles, and samples, NPLC and settling time of a reading, as in the shipped procedures."""
 
 
 @dataclass(frozen=True)

@@ -219,7 +219,7 @@ class UntilGoal:
 
     @property
     def ahead(self) -> Goal:
-        """The goal for judging a design from the readings alone; its floor includes `hidden`."""
+        """The goal, with `hidden` in its floor, by which a design is judged from the readings alone."""
         return replace(self.goal, floor=self.goal.floor + self.hidden)
 
     @property
@@ -236,7 +236,7 @@ class Aim:
     limit_s: float | None = None
 
     def reached(self, variances: Iterable[float]) -> tuple[Reached, ...]:
-        """Return the progress towards each goal, from the variance of each."""
+        """Return the progress towards each goal from the goals' `variances`."""
         return tuple(
             Reached(one.name, float(np.sqrt(variance)), one.goal.asked, one.goal.unit)
             for one, variance in zip(self.wanted, variances, strict=True)
@@ -340,7 +340,7 @@ class Visits(ExchangeDesign):
     _known: tuple[bytes, Floats] | None = None
 
     def covariance(self, counts: Floats | Ints | None = None) -> Floats:
-        """Return the covariance as the base class does; the covariance of the present counts is cached."""
+        """Return the covariance as in the base class, cached for the present counts."""
         if counts is not None:
             return super().covariance(counts)
         key = self.counts.tobytes()
@@ -349,7 +349,7 @@ class Visits(ExchangeDesign):
         return self._known[1]
 
     def _variances(self, covariance: Floats) -> Floats:
-        """Return the variances as the base class does, but without optimising the order of products each time."""
+        """Return the variances as in the base class, with a fixed order of products."""
         own = covariance[:FIXED, :FIXED]
         each = np.sum((self._functionals @ own) * self._functionals, axis=1)
         return np.asarray(np.bincount(self._goal, each) + self._floor)
@@ -366,12 +366,12 @@ class Visits(ExchangeDesign):
 
     @property
     def wider(self) -> float:
-        """The factor by which u grows because the noise is estimated, not known."""
+        """The factor by which u grows because the noise is only estimated."""
         return widening(self._freedom)
 
     @property
     def _freedom(self) -> float:
-        """Degrees of freedom of the reading noise; of each three signals, one is counted for the setting error."""
+        """Degrees of freedom of the reading noise; one of each three signals counts for the setting error."""
         if self.repeats >= LEAST_REPEATS:
             return 2.0 * self.repeats
         return 2.0 * (3 * self.settings - len(self._prior)) / 3.0

@@ -134,8 +134,8 @@ _SHIPPED: Final[Mapping[str, str]] = {
 class Remedy:
     """An additional measurement, described in `text`.
 
-    `determines` is the number of undetermined directions (of the fit's null space) that it resolves; `cost_s` is
-    its bench time, s.
+    `determines` is the number of undetermined directions (of the fit's null space) that it resolves; `cost_s`
+    is its bench time, s.
     """
 
     text: str
@@ -211,7 +211,7 @@ def _observability(
 def _open_of(found: Observability, names: Sequence[str]) -> int:
     """Return the number of undetermined directions among the unknowns `names`.
 
-    Unknowns of mountings that were added do not count.
+    Unknowns of added mountings do not count.
     """
     rows = [found.names.index(name) for name in names]
     return int(np.sum(np.linalg.svd(found.null[rows], compute_uv=False) > 1e-3))
@@ -317,9 +317,9 @@ def of_acceleration(magnitude_g: float, *, reading: bool, modulus: bool) -> Targ
 
 @dataclass(frozen=True)
 class Limit:
-    """The largest standard uncertainty `u` of a source that still meets the accuracy.
+    """The largest standard uncertainty `u` of a source with which the accuracy is still met.
 
-    `u` is infinite if any size is acceptable, None if even a size of zero does not meet the accuracy.
+    `u` is infinite if any size is acceptable, None if the accuracy is not met even at size zero.
     """
 
     source: ErrorSource
@@ -437,7 +437,7 @@ class Requirement:
     # --- all together -------------------------------------------------------------------------------
 
     def balanced(self, names: Sequence[str], weights: Mapping[str, float] | None = None) -> list[Limit]:
-        """Return sizes of the named sources that together just meet the accuracy.
+        """Return sizes of the named sources with which the accuracy is just met.
 
         Without weights, each source receives an equal part of the variance that the other sources leave, judged
         at its worst point. With weights, the cost of a source is its weight divided by its size in units of the
@@ -485,7 +485,7 @@ class Requirement:
     def _settled(
         self, own: Mapping[str, ErrorSource], sizes: dict[str, float], free: set[str]
     ) -> list[Limit]:
-        """Return all limits, with sizes scaled by a common factor so that they just meet the accuracy."""
+        """Return all limits, with sizes scaled by a common factor with which the accuracy is just met."""
 
         def excess(log_factor: float) -> float:
             scaled = {n: u if n in free else u * math.exp(log_factor) for n, u in sizes.items()}

@@ -18,7 +18,7 @@ CONFIDENCE: Final = 0.95
 LAGS: Final = 100
 """Greenhall and Riley's J_max: largest number of windows whose correlations are summed one by one."""
 LONG_RECORD: Final = {0: (2.0 / 3.0, 1.0 / 3.0), -1: (0.852, 0.375), -2: (1.079, 0.368)}
-"""Greenhall and Riley's table 2 for second differences: by alpha, the a0 and a1 of 1/edf = (a0 - a1/r)/r."""
+"""Greenhall and Riley's table 2 for second differences: (a0, a1) in 1/edf = (a0 - a1/r)/r, by alpha."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class AllanCurve:
         return np.array([max(_freedom(int(a), m, self.samples), 1.0) for m, a in rows], dtype=np.float64)
 
     def limits(self, freedom: Floats) -> tuple[Floats, Floats]:
-        """Return lower and upper 95 % limits (k,) of the deviation, by chi-square with `freedom` (k,)."""
+        """Return the lower and upper 95 % limits (k,) of `deviation`, by chi-square with `freedom` (k,)."""
         tail = (1.0 - CONFIDENCE) / 2.0
         low = self.deviation * np.sqrt(freedom / special.chdtri(freedom, tail))
         high = self.deviation * np.sqrt(freedom / special.chdtri(freedom, 1.0 - tail))
@@ -152,10 +152,11 @@ def _kernel(t: Floats, alpha: int) -> Floats:
 
 @dataclass(frozen=True)
 class NoiseTerm:
-    """A noise term: its symbol, name, unit relative to the signal's, and contribution to sigma^2.
+    """A noise term: symbol, name, unit (relative to that of the signal), and contribution to sigma^2.
 
     A term of size x contributes `factor` x^2 tau^`power`. `alpha` is the power of frequency in its spectrum.
-    `alike` is the correlation between the Allan variances at tau and 2 tau if this term prevails, from simulations.
+    `alike` is the correlation, from simulations, between the Allan variances at tau and 2 tau if this term
+    prevails.
     """
 
     symbol: str
@@ -275,7 +276,7 @@ def _columns(tau_s: Floats) -> Floats:
 
 
 def _start(curve: AllanCurve, columns: Floats, measured: Floats) -> Floats:
-    """Return start values, none zero: the terms contribute equally at the middle of the curve."""
+    """Return nonzero start values, for which all terms contribute equally at the middle of the curve."""
     middle = len(measured) // 2
     return np.asarray(measured[middle] / columns[middle] / len(TERMS), dtype=np.float64)
 
@@ -288,7 +289,7 @@ def _unit_columns(columns: Floats) -> tuple[Floats, Floats]:
 def _spread(predicted: Floats, freedom: Floats, kind: Ints) -> Floats:
     """Return the covariance (k, k) of the measured Allan variances.
 
-    Each has the variance 2 sigma^4/edf; those at neighbouring averaging times are correlated.
+    Each value has the variance 2 sigma^4/edf; values at neighbouring averaging times are correlated.
     """
     alike = np.array([TERMS[k].alike for k in kind])
     steps = np.concatenate([[0.0], np.cumsum(np.log(np.sqrt(alike[1:] * alike[:-1])))])

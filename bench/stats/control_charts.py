@@ -79,25 +79,25 @@ def mewma_arl(smoothing: float, limit: float, dimensions: int) -> float:
 
 
 def shewhart_k(arl: float) -> float:
-    """Return the limit of a two-sided Shewhart chart with this in-control ARL, in standard deviations."""
+    """Return the limit, in standard deviations, of a two-sided Shewhart chart of in-control ARL `arl`."""
     return float(-special.ndtri(0.5 / arl))
 
 
 @cache
 def ewma_k(smoothing: float, arl: float) -> float:
-    """Return the limit of an EWMA chart with this in-control ARL, in standard deviations of the EWMA."""
+    """Return the limit, in standard deviations of the EWMA, of a chart whose in-control ARL is `arl`."""
     return _root(lambda k: ewma_arl(smoothing, k), arl, shewhart_k(arl))
 
 
 @cache
 def mewma_limit(smoothing: float, arl: float, dimensions: int) -> float:
-    """Return the limit of a multivariate EWMA chart with this in-control ARL."""
+    """Return the limit of a multivariate EWMA chart whose in-control ARL is `arl`."""
     most = float(special.chdtri(dimensions, 1.0 / arl))
     return _root(lambda limit: mewma_arl(smoothing, limit, dimensions), arl, most)
 
 
 def _root(length: Callable[[float], float], arl: float, most: float) -> float:
-    """Return the limit for which `length`, which increases with the limit, is `arl`; the limit is below `most`."""
+    """Return the limit, below `most`, for which `length` is `arl`; `length` increases with the limit."""
     return float(
         scipy.optimize.brentq(lambda limit: np.log(length(limit) / arl), 0.2 * most, 1.01 * most, xtol=1e-6)
     )
@@ -110,7 +110,7 @@ BASES: Final = ("stated", "scaled", "scatter")
 
 @dataclass(frozen=True)
 class Centre:
-    """The centre of a chart from a baseline of m runs, and the factor on the stated u for its limits.
+    """The centre of a chart, and the factor on the stated u for its limits, from a baseline of m runs.
 
     `value` (…, p) of p coefficients has the `covariance` (p, p). `scale` (…,) is the factor on the stated
     covariance: 1 if the stated u is used, else the squared Birge ratio. `scatter` (…, p, p) is the sample
@@ -153,7 +153,7 @@ class Centre:
         return float(-special.stdtrit(self.dof, 0.5 * probability))
 
     def joint_limit(self, probability: float) -> float:
-        """Return the joint statistic that chance exceeds with this probability."""
+        """Return the joint statistic T² that chance exceeds with `probability`."""
         p = self.dimensions
         if np.isinf(self.dof):
             return float(special.chdtri(p, probability))
@@ -257,7 +257,7 @@ def judge(
 
 
 def without_one(values: Floats, covariances: Floats, basis: Basis) -> Floats | None:
-    """Return the p-value (m,) of each run of a baseline (m, p) against the others.
+    """Return the p-values (m,) of tests of each run of a baseline (m, p) against its other runs.
 
     None if the other runs are too few.
     """
@@ -303,7 +303,7 @@ class ChartDesign:
 
     @property
     def alpha(self) -> float:
-        """False-alarm probability per run, of T² of the run, and of its short-term standard deviation."""
+        """False-alarm probability per run, for its T² and also for its short-term standard deviation."""
         return 1.0 / self.each_arl
 
     def alpha_ewma(self, dimensions: int) -> float:
@@ -316,7 +316,7 @@ class ChartDesign:
     def alpha_single(self, dimensions: int) -> float:
         """Return the alarm probability of a single coefficient.
 
-        It is such that `dimensions` coefficients together have the alarm probability of T².
+        With it, `dimensions` coefficients together have the alarm probability of T².
         """
         return self.alpha / dimensions
 
@@ -345,7 +345,7 @@ class ShortTerm:
     p: Floats
 
     def limits(self, probability: float) -> Floats:
-        """Return the standard deviations (n,) that chance exceeds with this probability."""
+        """Return the standard deviations (n,) that chance exceeds with `probability`."""
         return np.asarray(
             self.pooled
             * np.sqrt(special.fdtri(np.maximum(self.dof, 1.0), self.pooled_dof, 1.0 - probability))
@@ -445,8 +445,7 @@ class DriftSeen:
 def drift_of(
     years: Floats, values: Floats, u: Floats, dof: float, u_known: Floats | float = 0.0
 ) -> DriftSeen:
-    """Return the slopes of straight lines through coefficients (n, p) at times (n,); each value has u (p,) and
-    `dof`.
+    """Return the slopes of lines through coefficients (n, p), of u (p,) and `dof`, at times `years` (n,).
 
     `u_known` is the standard uncertainty, per year, of a known drift that the values no longer contain.
     """

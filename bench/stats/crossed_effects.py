@@ -28,7 +28,7 @@ UNIT, BENCH, EXCESS = 0, 1, 2
 LEAST_PART: Final = 1e-3
 """A size below this fraction of its scale (see `scales_of`) counts as zero."""
 TRIED: Final = 0.1
-"""A size below this fraction of its scale is set to zero, unless that lowers the likelihood."""
+"""A size below this fraction of its scale is tried as zero, and stays zero unless the likelihood falls."""
 
 
 @dataclass(frozen=True)
@@ -235,8 +235,8 @@ def solve(crossing: Crossing, y: Floats, variance: Floats, sizes: Floats) -> Mix
 class Crossed:
     """The estimated sizes of units, benches and excess for one coefficient.
 
-    `at` are the equations solved at these sizes. `y` (n,) are the values less `centre`, `variance` (n,) their
-    stated variances; `variance_covariance` (3, 3) is the covariance of the estimated squared sizes.
+    `at` are the equations solved at these sizes. `y` (n,) are the values minus `centre`, `variance` (n,)
+    their stated variances; `variance_covariance` (3, 3) is the covariance of the estimated squared sizes.
     """
 
     at: MixedModelEquations
@@ -340,7 +340,7 @@ def most(found: Crossed, which: int) -> float:
 
 
 def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
-    """Return rough sizes (3,): of units, the spread of their means; of benches and excess, the scatter within
+    """Return rough sizes (3,) of units, the spread of their means, and of benches and excess, that within
     units.
     """
     count = np.bincount(crossing.unit, minlength=crossing.units)
@@ -354,7 +354,7 @@ def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
 
 
 def _variance_covariance(at: MixedModelEquations, y: Floats) -> Floats:
-    """Return the covariance (3, 3) of the variances; zero for variances that are zero or infinite."""
+    """Return the covariance (3, 3) of the estimated squared sizes; zero where a size is zero or infinite."""
     free = np.flatnonzero((at.sizes > 0) & np.isfinite(at.sizes))
     covariance = np.zeros((3, 3))
     if len(free):

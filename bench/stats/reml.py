@@ -99,7 +99,7 @@ class Projection:
         return cls(P, P @ mixed.y)
 
     def scores(self, Z: ComponentColumns) -> Floats:
-        """Return the derivatives of ln L by the variances, shape (k,)."""
+        """Return the scores: the derivatives of ln L by the variances, shape (k,)."""
         traces = Z.sums(np.asarray(Z.whole.multiply(self.P @ Z.whole).sum(axis=0)).ravel())
         return np.asarray(0.5 * (self._squares(Z) - traces))
 
@@ -132,7 +132,7 @@ def scoring_step(
     ridge: float,
     most_change: float = MOST_CHANGE,
 ) -> Floats:
-    """Return variances (…, k) after one more scoring step for their logarithms, none below `least`.
+    """Return the variances (…, k), at least `least`, after one more scoring step in their logarithms.
 
     The diagonal of the information (…, k, k) is raised by a fraction `damping` of itself and `ridge` of the
     trace. No variance changes by more than a factor of `most_change`; one at `least` stays there if the score is
@@ -153,8 +153,7 @@ def scoring_step(
 def maximise(
     mixed: Mixed, start: Floats, scale: Floats, believed: Floats | None = None
 ) -> tuple[Floats, Projection]:
-    """Return the non-negative variances (k,) that maximise the restricted likelihood, and the projection P at the
-    maximum.
+    """Return the non-negative variances (k,) of largest restricted likelihood, and the projection P there.
 
     `start` (k,) are start values. A variance below 1e-5 of `scale` (k,) counts as zero. `believed` (k,) holds lower
     limits of the variances, by default zero.
@@ -176,7 +175,7 @@ def maximise(
 
 @dataclass(frozen=True)
 class ComponentsAsked:
-    """Tests of k components that the model does not yet include.
+    """Tests of k components not yet in the model.
 
     `chance` (k,) is the p-value of the score for a variance of zero. `expected` (k,) is the posterior mean of the
     variance: the prior is flat above zero, the likelihood is normal about one scoring step.
@@ -233,7 +232,7 @@ LIMIT_AT_REST: Final = 0.01
 
 @dataclass(frozen=True)
 class Profile:
-    """The profile of the restricted likelihood over one size, 1 sigma; the other variances are linear in its
+    """The profile of the restricted likelihood over one size (1 sigma), with other variances linear in its
     square.
 
     The linear relation is exact near the maximum, which is at `variances` (k,). `follow` (k,) is the change of
@@ -262,7 +261,9 @@ class Profile:
         return self.greatest - self.likelihood(np.maximum(moved, 0.0))
 
     def beyond(self, loss: float) -> float:
-        """Return a size at which the loss of log likelihood is at least `loss`; infinite if there is none."""
+        """Return a size at which the loss of log likelihood is at least `loss`; infinite without such a
+        size.
+        """
         end = max(1.2 * self.middle, 0.2 * self.scale)
         while self.lost(end) < loss:
             end *= 1.5

@@ -26,7 +26,7 @@ COARSE: Final = 1e5
 """Range of trial sizes of a term, in units of the median stated u."""
 
 PLAIN: Final = 3.0
-"""`drift` or `scale` replaces `restart`, the simplest term, only if its ln p is larger by more than this."""
+"""`drift` or `scale` replaces the simplest term, `restart`, only if it raises ln p by more than this."""
 
 TermName = Literal["restart", "drift", "scale"]
 
@@ -59,9 +59,9 @@ class Term:
 class Repeats:
     """The scatter of values between repeats, compared with their u.
 
-    `scatter` is about the means of all repeats. `held_before` and `held_after` are for repeats left out, with u
-    as stated and with the term; None for fewer than three repeats. `term` widens u; it is None if u is large
-    enough.
+    `scatter` is about the means of all repeats. `held_before` and `held_after` are the ratios for repeats
+    left out: before with u as stated, after with the u that `term` widens. They are None for fewer than three
+    repeats. `term` is None if the stated u is large enough.
     """
 
     scatter: float
@@ -150,7 +150,7 @@ def _known(value: Floats, u: Floats) -> tuple[Floats, Floats]:
 
 
 def _size(value: Floats, u: Floats, name: TermName) -> float:
-    """Return the size of a term that maximises the restricted likelihood of values (g, r)."""
+    """Return the size at which a term maximises the restricted likelihood of values (g, r)."""
     known, stated = _known(value, u)
     kernel = _kernel(u, name)
 

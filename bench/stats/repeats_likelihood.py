@@ -22,7 +22,7 @@ from bench.stats.reml import scoring_step
 LEAST_DOF: Final = 4.0
 """Least degrees of freedom of a noise size; if the readings give fewer, a prior adds the difference.
 
-A size with four degrees of freedom is known to about 35 % (JCGM 100:2008, G.4.2).
+With four, the relative uncertainty of a size is about 35 % (JCGM 100:2008, G.4.2).
 """
 
 OWN: Final = np.eye(4)
@@ -155,7 +155,7 @@ def equality(scatter: Floats, freedom: Ints | Floats, slope: Floats, common: Flo
 
 
 def freedom_of(freedom: Ints | Floats, slope: Floats, variances: Floats, prior_dof: float = 0.0) -> Floats:
-    """Return the degrees of freedom of the variances (runs, 4) of x, y, z and the setting, shape (runs, 4).
+    """Return the degrees of freedom (runs, 4) of the `variances` (runs, 4) of x, y, z and the setting.
 
     They are 2 v^2/var(v), with var(v) from the information on all four variances, so that degrees of freedom spent
     on the setting error do not count. Each channel has `prior_dof` in addition.

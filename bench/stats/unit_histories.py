@@ -116,9 +116,9 @@ class Within:
 
     @cached_property
     def _data(self) -> list[tuple[SameLength, Floats, Floats]]:
-        """For each number of runs per unit: units, contrasts of values and benches (m, r, 1 + B), and covariance.
+        """By number of runs: units, contrasts (m, r, 1 + B) of values and benches, and covariance (m, r, r).
 
-        The stated covariance of the contrasts has the shape (m, r, r).
+        The covariance is that of the contrasts of values, as stated.
         """
         y = self.y - np.median(self.y)
         return [
@@ -240,10 +240,11 @@ def _gradient_and_information(
 class CalibrationSpread:
     """Scatter of a laboratory's calibrations without the units' own drift, 1 sigma each.
 
-    `scatter` is the scatter beyond the stated u: the root mean square of possible sizes, weighted by likelihood, so
-    that it is larger for few calibrations. `scatter_least` and `scatter_most` are its 90 % limits. `bench` is the
-    maximum-likelihood spread of the benches, `bench_most` its upper 95 % limit. `rate` (a year) and `walk` (in a
-    year) are the drifts of units, zero unless significant; `p` is the p-value of no drift.
+    `scatter` is the scatter beyond the stated u: the root mean square of possible sizes, weighted by
+    likelihood, so that it is larger for few calibrations. `scatter_least` and `scatter_most` are its 90 %
+    limits. `bench` is the maximum-likelihood spread of the benches, `bench_most` its upper 95 % limit. `rate`
+    (per year) and `walk` (over a year) are the drifts of units, zero unless significant; `p` is the p-value
+    of no drift.
     """
 
     scatter: float
@@ -294,7 +295,7 @@ def _gained(more: HistoryLikelihood, fewer: HistoryLikelihood) -> float:
 
 
 def _least(within: Within, moving: HistoryLikelihood, first: Sequence[int], mean: float) -> float:
-    """Return the lower 95 % limit of the scatter by the profile likelihood over drift; 0 if not significant."""
+    """Return the lower 95 % limit of the scatter by the profile likelihood; 0 if it is not significant."""
     others = [j for j in (*first, RATE, WALK) if j != SCATTER]
     end = float(np.sqrt(moving.variances[SCATTER]))
 

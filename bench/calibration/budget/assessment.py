@@ -52,8 +52,7 @@ MAGNITUDES_G: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 class MeasuredAcceleration:
     """Uncertainty of measured accelerations `force` (d, 3), g.
 
-    `by_source` maps each source to its part of the covariance (d, 3, 3), g²; `dof` maps it to its degrees of
-    freedom.
+    `by_source` has the part of the covariance (d, 3, 3), g², and `dof` the degrees of freedom of each source.
     """
 
     force: Floats
@@ -183,7 +182,7 @@ def magnitudes(range_g: float) -> tuple[float, ...]:
 
 
 class AtMagnitude(ResultModel):
-    """Uncertainties over all directions at one magnitude, g: mean and largest of vector and modulus."""
+    """Mean and largest u of vector and modulus over all directions, g, at one magnitude."""
 
     magnitude_g: float
     u_vector_mean: float
@@ -218,7 +217,7 @@ def over_directions(
 
 
 class DeltaG(ResultModel):
-    """Delta g at one verification point, in local g: its uncertainty, and the acceptance limit of the rule."""
+    """The uncertainty of delta g at one verification point, and the acceptance limit of the rule, local g."""
 
     angle_deg: float
     point: int
@@ -255,8 +254,7 @@ def delta_g(
     reading: bool = True,
     population: Population | None = None,
 ) -> tuple[DeltaG, ...]:
-    """Return, for each verification point of the setup, the uncertainty of delta g and the limit up to which the
-    rule accepts it.
+    """Return the uncertainty and the acceptance limit of delta g at each verification point of the setup.
 
     For `reading` see `delta_g_variances`. Raises `CalibrationError` for an unknown rule.
     """
@@ -333,7 +331,7 @@ def exact_readings(budget: Budget, trials: int, rng: np.random.Generator) -> Flo
 
 
 def _linear(budget: Budget) -> Propagated:
-    """Return coefficients and delta g of the linear budget, without covariances between the two."""
+    """Return coefficients, then delta g, of the linear budget; their cross-covariances are left out."""
     total, variances = budget.combined, delta_g_variances(budget)
     count = len(variances)
     covariance = np.diag(np.concatenate([np.zeros(12), variances.sum(axis=1)]))
@@ -417,9 +415,9 @@ NAMED: Final = 0.01
 
 @dataclass(frozen=True)
 class Question:
-    """Options of an assessment: measuring range (g), limit of delta g (g), decision rule, trials, voltmeters.
+    """Options of an assessment: measuring range (g), limit of delta g (g), decision rule, Monte Carlo trials.
 
-    `population` is the distribution of delta g over many blocks.
+    `same_voltmeters` is as in `measured`; `population` is the distribution of delta g over many blocks.
     """
 
     range_g: float
@@ -446,7 +444,7 @@ class Assessment:
 
     @property
     def capable(self) -> bool | None:
-        """Whether a calibration without a mistake passes each verification point with the coverage probability.
+        """Whether a calibration without a mistake passes each point with at least the coverage probability.
 
         None without verification points.
         """

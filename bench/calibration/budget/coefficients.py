@@ -74,7 +74,7 @@ class Setup:
     def stand_slope(self, name: str) -> Floats:
         """Return the derivatives of the readings by the stand angle `name`, V/rad, shape (n, 3).
 
-        Each is by the angle in the mounting of the reading.
+        Each reading has the derivative by the angle of its own mounting.
         """
         if name not in self._stand_slopes:
             self._stand_slopes[name] = self._slope(lambda step: (self._angles(name, step), 0.0))
@@ -198,10 +198,11 @@ def estimator_map(
 ) -> Floats:
     """Return an estimator's linear map (12, n, 3) from readings to coefficients; zero at verification points.
 
-    `stated` maps stand errors to standard uncertainties (rad, V), by which generalised least squares weighs the
-    readings. `known`, prior knowledge from other runs, replaces these uncertainties. For an iterative estimator
-    it is the map of its last step, for readings without outliers. Raises `CalibrationError` for an unknown
-    estimator, and for readings that do not determine the coefficients or do not suit the closed form.
+    `stated` maps stand errors to standard uncertainties (rad, V), by which generalised least squares weighs
+    the readings. `known`, prior knowledge from other runs, replaces these uncertainties. For an iterative
+    estimator, the result is the map of its last step, for readings without outliers. Raises
+    `CalibrationError` for an unknown estimator, and for readings that do not determine the coefficients or do
+    not suit the closed form.
     """
     by = in_a_budget(estimator)
     require_rank(setup.force[setup.fitted])
@@ -223,7 +224,7 @@ def _task(
 ) -> WeightingTask:
     """Return the input of an estimator's weighting for noise-free readings of the setup.
 
-    Its fit has the linear map that the last step of a fit to real readings would have.
+    The fit in it has the linear map of the last step of a fit to real readings.
     """
     signal = setup.signal[setup.fitted]
     floor = gls.LEAST_NOISE * float(np.max(np.abs(signal)))
@@ -316,7 +317,7 @@ _EVERYTHING: Final = np.zeros((1, 1), dtype=np.int64)
 def influences(source: ErrorSource, setup: AnyReadings) -> tuple[Influence, ...]:
     """Return the independent influences of a source on the readings, for an error of one unit.
 
-    Stand angles and effects act on a `Setup` alone: for measured readings the fit has estimated them.
+    Stand angles and effects have influences on a `Setup` only: a fit to measured readings estimates them.
     """
     if isinstance(setup, Setup) and source.effect is not None:
         column = setup.effect_problem.effects.index(source.effect)
@@ -374,7 +375,7 @@ def _supply(source: ErrorSource, seen: AnyReadings) -> _Patterns:
 
 
 def _unknown_and_recorded(source: ErrorSource, seen: AnyReadings, recorded: Floats) -> _Patterns:
-    """Return the patterns of an unknown variation in time within limits, and of the variation `recorded` (n,)."""
+    """Return patterns for a variation in time: an unknown one within limits, and the `recorded` one (n,)."""
     courses = list(_unknown(seen.conditions.elapsed_s, source.correlation_s).T)
     known = recorded - recorded.mean()
     if source.u > 0 and np.any(known):
@@ -403,14 +404,14 @@ def _warmed(source: ErrorSource, seen: AnyReadings, course: Floats) -> _Patterns
 
 
 HARDLY_ANY: Final = 1e-3
-"""Eigenvectors with less than this fraction of the total variance are left out."""
+"""Principal components with less than this fraction of the total variance are left out."""
 
 
 def _unknown(time_s: Floats, correlation_s: float) -> Floats:
     """Return the principal components (n, q) of a stationary process of unit variance.
 
-    Without a correlation time (infinite) the process is a constant: limits do not state how a quantity varies
-    within them, and averaging over passes does not reduce a constant (GUM, 4.3.7).
+    With an infinite correlation time the process is a constant, which averaging over passes does not reduce:
+    limits do not state how a quantity varies within them (GUM, 4.3.7).
     """
     if math.isinf(correlation_s):
         return np.ones((len(time_s), 1))

@@ -49,12 +49,13 @@ _SHOWN: Final[Mapping[str, tuple[str, float]]] = {
 class ErrorSource:
     """An error source: its distribution in `unit` (SI), and which readings share one draw of it (`common`).
 
-    `origin` says where the size comes from; `prior` marks a plausible size that nobody stated. `factors` scale
-    the error where it acts (temperature coefficients, per K). For a parameter of an effect, `effect` is set, and
-    `written_in` has the unit of model files and its size in SI. `channels` are the affected ones: for K2 and K3,
-    those whose model has no such effect. For correlated draws, `root` (q, k) turns k independent draws into q
-    correlated ones. `angles` are the kinds of stand angle whose means over mountings this source describes.
-    `correlation_s` is the correlation time of an error that is common in "time".
+    `origin` says where the size comes from; `prior` marks a plausible size that nobody stated. `factors`
+    multiply the error where it acts (temperature coefficients, per K). For a parameter of an effect, `effect`
+    is set, and `written_in` has the unit of model files and its size in SI. `channels` are the channels on
+    which the error acts: for K2 and K3, those without such an effect in the model. For correlated draws,
+    `root` (q, k) turns k independent draws into q correlated ones. `angles` are the kinds of stand angle
+    whose means over mountings this source describes. `correlation_s` is the correlation time of an error that
+    is common in "time".
     """
 
     name: str
@@ -98,7 +99,9 @@ class ErrorSource:
         return np.array([float(channel in self.channels) for channel in CHANNELS])
 
     def acting(self, draws: Floats) -> Floats:
-        """Return the effects (..., q) of draws of size u, from the effects of draws of size 1."""
+        """Return the effects (..., q) of draws of the source's u, from the effects `draws` of draws of size
+        1.
+        """
         return self.u * draws if self.root is None else self.u * draws @ np.array(self.root)
 
     def sized(self, u: float) -> ErrorSource:
@@ -115,9 +118,9 @@ def learned_sources(
 ) -> tuple[ErrorSource, ...]:
     """Return the stand's sources for readings in these mountings, with knowledge from other runs.
 
-    Each angle of a mounting is a mean, which mountings share, plus a deviation of this mounting. The deviations
-    keep the names of the `stated` sources; the means form one source with correlated draws. Reading noise becomes
-    one source per channel.
+    An angle of a mounting is the sum of a mean, which mountings share, and a deviation of this mounting. The
+    deviations keep the names of the `stated` sources; the means form one source with correlated draws.
+    Reading noise becomes one source per channel.
     """
     return tuple(_sources(stated, known, mounts))
 

@@ -30,7 +30,7 @@ UNKNOWN_AGE: Final = 1.0
 
 USUAL_ACCURACY: Final = (20e-6, 5e-6)
 USUAL_LINEARITY: Final = (2e-6, 1e-6)
-"""90-day limits, as fractions of reading and range, of a voltmeter whose driver is not installed.
+"""90-day linearity limits, as fractions of reading and range, of a voltmeter whose driver is missing.
 
 These are the limits of a 34401A on 10 V; other meters of 6½ digits meet them, too.
 """
@@ -82,7 +82,7 @@ def size_of(quantity: Quantity, meter: VoltmeterForm, day: datetime.date | None)
 
 
 def may_move(quantity: Quantity, meter: VoltmeterForm) -> float:
-    """Return the standard uncertainty due to drift within 90 days of a meter's relative gain, or of its zero, V."""
+    """Return the standard uncertainty of a meter's relative gain, or zero (V), from drift within 90 days."""
     found = _certified(quantity, meter)
     drift = _limit(quantity, meter, 0.0) if found is None or found.drift is None else found.drift * DAYS_90
     return drift / math.sqrt(3.0)
@@ -124,7 +124,7 @@ def _limit(quantity: Quantity, meter: VoltmeterForm, years: float) -> float:
 
 
 def _age(certificate: Certificate, day: datetime.date | None) -> float:
-    """Return the years from the calibration to `day`, or to the end of its validity if the day is unknown."""
+    """Return the years from calibration to `day` or, if unknown, to the end of the certificate's validity."""
     if day is not None:
         return certificate.years_until(day)
     return (
@@ -171,7 +171,11 @@ class JointErrors:
 def joint_errors(
     told: LearnedDifferences, at: Sequence[int | None], prior_u: Floats, certified: Mask, kept: float
 ) -> JointErrors | str:
-    """Return the joint errors of n meters given learned differences, or the reason why these are not used."""
+    """Return the joint errors of n meters from learned differences, or the reason why these are not used.
+
+    `at` has the index of each meter in `told` (None: not learned); `kept` is the correlation of a meter's
+    error with its error on the day of learning.
+    """
     n = len(prior_u)
     places = [place if place is not None else -1 for place in at]
     group = np.array([told.group[place] if place >= 0 else -1 - k for k, place in enumerate(places)])
@@ -204,7 +208,7 @@ def joint_errors(
 def _as_certified(found: JointErrors, prior: Floats, certified: Mask) -> JointErrors:
     """Return joint errors in which certified meters keep their certified u and have no mean error.
 
-    The errors of the other meters are their conditional distribution, given the errors of the certified meters.
+    The errors of the other meters have their conditional distribution, given those of the certified meters.
     """
     if not np.any(certified):
         return found
@@ -251,7 +255,7 @@ class KnownMeters:
 def known_meters(
     bench: BenchFile, day: datetime.date, meters: Sequence[str], learned: LearnedMeters
 ) -> tuple[KnownMeters | None, tuple[str, ...]]:
-    """Return the voltmeters' errors on a day from learned differences, or None if none are used, and notes.
+    """Return the voltmeters' errors on `day` by learned differences (None if these are not used), and notes.
 
     `meters` are the identities of the voltmeters.
     """

@@ -26,14 +26,14 @@ from bench.model import STAND_ANGLES, Distribution, ForwardModel
 ANOMALY_M_S2: Final = 5e-4
 """Local anomalies of gravity about the WGS 84 formula, 50 mGal, 1 sigma."""
 MEASURED_M_S2: Final = 1e-5
-"""Least standard uncertainty of local gravity if it was stated as a number: 1 mGal."""
+"""Least standard uncertainty, 1 mGal, of a local gravity that the file states as a number."""
 CHAMBER: Final = Distribution(0.5, "rectangular")
-"""Prior of the chamber's stability, K."""
+"""Prior distribution of the chamber's temperature about its set point, K."""
 BIAS_PER_K: Final = Distribution(30e-6, "rectangular")
 SCALE_PER_K: Final = Distribution(180e-6, "rectangular")
 """Priors of the block's temperature coefficients, g/K and 1/K: limits of a quartz-flexure accelerometer."""
 GAIN_PER_K: Final = Distribution(1e-6)
-"""Prior of the relative gain of a voltmeter per kelvin; a 34420A in an air bath showed 0.75 ppm/K."""
+"""Prior of the change of a voltmeter's gain per kelvin, relative; a 34420A in an air bath had 0.75 ppm/K."""
 BIAS_PER_V: Final = Distribution(20e-6)
 SCALE_PER_V: Final = Distribution(20e-6)
 """Priors of a block's sensitivity to its supply, g/V and 1/V: the catalogue's plausible sizes, 1 sigma."""

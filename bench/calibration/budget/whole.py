@@ -64,7 +64,7 @@ class MeasuredReadings:
 
     @cached_property
     def orientation(self) -> Ints:
-        """Orientation number of each reading, (n,): equal for the same installation and whole degree.
+        """Orientation number of each reading, (n,): equal in one installation at the same whole degree.
 
         A reading without an orientation has a number of its own.
         """
@@ -127,9 +127,9 @@ def sign(
 
 
 def dof_through(calibration: Calibration, jacobian: Floats, known: float | Floats = 0.0) -> Floats:
-    """Return the effective degrees of freedom (m,) of quantities computed from a calibration with combined u.
+    """Return the effective degrees of freedom (m,) of quantities from a calibration with its combined u.
 
-    `jacobian` (m, 12) has their derivatives by the coefficients; `known` is an additional variance with infinite
+    `jacobian` (m, 12) has the derivatives of the quantities; `known` is an additional variance with infinite
     degrees of freedom.
     """
     if not calibration.sources:

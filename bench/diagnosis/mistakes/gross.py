@@ -86,10 +86,11 @@ class GrossSearch:
     def find(self, readings: Readings) -> GrossMistake | None:
         """Return the most probable mistake; None if its odds are too small.
 
-        The odds must exceed the number of suppositions tried over `HARDLY_EVER`. Each supposition also competes
-        with the assumption that a reading, pass or mounting is useless. If the corrected readings are still
-        far off, there may be two mistakes that hide each other. The search is then repeated without each
-        mounting in turn, and the mistake is returned after which a second one explains the most.
+        The odds must exceed the number of suppositions tried over `HARDLY_EVER`. Each supposition also
+        competes with the assumption that a reading, pass or mounting is useless. If the corrected readings
+        are still far off, there may be two mistakes that hide each other. The search is then repeated without
+        each mounting in turn, and that mistake is returned which, together with a second one, explains the
+        most.
         """
         table = OrientedRows.of(readings)
         maps = suppositions(table, units=self.nominal is not None)
@@ -140,9 +141,9 @@ class GrossSearch:
         return None
 
     def _best(self, table: OrientedRows, supposed: Sequence[Reinterpretation], odds: Floats) -> int:
-        """Return the index of the likeliest supposition. A changed unit must bring its channels to the data sheet.
+        """Return the index of the likeliest supposition; `odds` are ln of their odds.
 
-        If it does not, ln of its odds is set to minus infinity.
+        Those of a changed unit that does not bring its channels to the data sheet are set to minus infinity.
         """
         while True:
             best = int(np.argmax(odds))
@@ -184,7 +185,9 @@ class GrossSearch:
         return GrossFit(block, float(misfit), np.sum(((found - mean) / u) ** 2, axis=0))
 
     def _may_be_wrong(self, table: OrientedRows, kept: Mask, enough: float) -> bool:
-        """Return whether ln of the odds of a map that explains all `kept` rows would reach `enough`."""
+        """Return whether a map that explained all `kept` rows would have odds of which ln reaches
+        `enough`.
+        """
         fit = self.fit(table, kept)
         return bool(fit.misfit + np.sum(fit.sheet) > 2.0 * enough)
 

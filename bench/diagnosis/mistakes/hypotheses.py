@@ -24,7 +24,7 @@ from bench.diagnosis.residual_dictionary import shapes
 from bench.model import CATALOGUE, STAND_ANGLES, AppliedEffect, Block
 
 ERRORS: Final = (20.0, 1e3, 5e4)
-"""Prior 1 sigma of the errors of a wrong reading, in units of the noise, from outlier to full range."""
+"""Prior standard deviations of an error, in units of the noise: from that of an outlier to the full range."""
 WIDE: Final = max(ERRORS)
 """Prior 1 sigma of free values, in units of the noise."""
 NEAR_DEG: Final = 3.0
@@ -236,7 +236,7 @@ class Table:
         """Yield the changes of the bench that may resemble wrong readings, as columns (n, 3, p).
 
         They are of unit size. The first item of each pair is the mask (n,) of the pass in which the change
-        occurs, None if the change is not limited to one pass or there is only one.
+        occurs, None if the change is not limited to a pass, or the run has a single one.
         """
         if self.points.shape[2]:
             yield None, self.points
@@ -273,7 +273,7 @@ class Table:
 
 
 def _hysteresis(problem: Problem, block: Block) -> Iterator[Floats]:
-    """Yield columns of hysteresis (n, 3, 3), one for each channel, for each width that the catalogue tries."""
+    """Yield, for each width that the catalogue tries, columns (n, 3, 3): hysteresis of each channel."""
     effect = CATALOGUE["hysteresis"]
     still = np.zeros((len(problem.conditions.mounts), len(STAND_ANGLES)))
     plain = replace(problem.model, effects=())

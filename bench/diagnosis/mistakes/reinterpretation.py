@@ -96,7 +96,9 @@ class Scope:
 
 @dataclass(frozen=True)
 class Reinterpretation:
-    """A supposed mistake in the record of n readings. A field with its default value leaves the record as it is.
+    """A supposed mistake in the record of n readings.
+
+    A field with its default value leaves the record as it is.
 
     `label` (n,) and `angle_rad` (n,) are the true installations and head angles. `source` (n,): the true signals
     of reading i were recorded with reading `source[i]`, or not at all if that is -1. `turns` maps each
@@ -128,8 +130,7 @@ class Reinterpretation:
     def log_jacobian(self) -> float:
         """ln of the factor by which the correction enlarges a volume of signals.
 
-        If it applies to a part of the run, this is at most 0: a channel that hardly moves there fits any
-        factor.
+        For a part of the run, the result is at most 0: a channel that hardly moves there fits any factor.
         """
         size = float(np.count_nonzero(self.scope.mask) * np.sum(np.log(self.factor)))
         return size if self.scope.whole else min(size, 0.0)
@@ -202,7 +203,7 @@ class Reinterpretation:
     def _also_scaled(self, readings: Readings, table: OrientedRows) -> Ints:
         """Return the verification and free rows that were in the same wrong unit as a part of a run.
 
-        With the factor, their modulus is nearer to the usual modulus than without.
+        The factor of the unit brings their modulus nearer to the usual modulus.
         """
         if not self.scales or self.scope.whole:
             return np.zeros(0, dtype=np.int64)
@@ -237,7 +238,7 @@ def nothing(table: OrientedRows) -> Reinterpretation:
 
 
 def losses_of(table: OrientedRows) -> list[Reinterpretation]:
-    """Return the suppositions that a reading, a pass or a mounting has signals of unknown origin."""
+    """Return suppositions that the signals of one reading, pass or mounting are of unknown origin."""
     scopes = [Scope(row) for row in np.eye(len(table), dtype=bool)]
     scopes += [scope for scope in _scopes(table) if not scope.whole]
     rows = np.arange(len(table))
@@ -304,7 +305,9 @@ def _other_label(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation
 
 
 def _swapped_installations(table: OrientedRows) -> list[Reinterpretation]:
-    """Yield suppositions that two installations were exchanged, in the whole run or in the passes of one number."""
+    """Return suppositions that two installations were exchanged, in the whole run or all passes of a
+    number.
+    """
     found = []
     passes = np.unique(table.pass_number).tolist()
     for one, other in combinations(table.labels, 2):

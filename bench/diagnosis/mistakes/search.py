@@ -133,10 +133,10 @@ class _Search:
     significance: float
 
     def unit(self, readings: Readings) -> list[tuple[Mistake, Readings]]:
-        """Return a mistake in the unit of signals, found by comparing them with each other, and the copy.
+        """Return a mistake in the unit of signals, found by comparing signals with each other, and the copy.
 
-        Empty if there is none, or if a data sheet is given: `map` then finds wrong units. The p-value counts
-        every unit prefix of every channel in every part of the table.
+        The list is empty if there is none, or if a data sheet is given: `map` then finds wrong units. The
+        p-value counts every unit prefix of every channel in every part of the table.
         """
         unit = (
             wrong_unit(readings, self.model, sheet_of(readings.unit, ()))

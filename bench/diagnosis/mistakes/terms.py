@@ -26,12 +26,13 @@ from bench.readings.corrected import SLIPS_RAD, MistakeName, reflected_rad
 BEYOND_TAILS: Final = 17.0
 """Least size of an outlier, in units of the noise of a reading.
 
-A smaller one may be a tail of the noise: the comparison of noise hypotheses and single readings decides. Student's
-t of 4 degrees of freedom, with a scale a fifth too small for its tails, exceeds this size in 7 of 1,000 runs of the
-paper's length. An outlier of 20 times the noise still exceeds it if the noise is estimated 15 % too large.
+A smaller deviation may be a tail of the noise: a comparison of hypotheses on the noise and on single readings
+decides. In 7 of 1,000 runs of the paper's length, noise distributed as Student's t (4 degrees of freedom,
+scale estimated a fifth too small) exceeds this size. An outlier of 20 times the noise still exceeds it if the
+noise is estimated 15 % too large.
 """
 SLIP_PART: Final = 0.01
-"""Relative uncertainty of the shift by a wrong setting: effects that the model lacks change it a little."""
+"""Relative u of the signal shift that a wrong setting causes; it allows for effects missing in the model."""
 
 
 @dataclass(frozen=True)
@@ -129,8 +130,8 @@ class TermSearch:
     def _of_pass(self, rows: Mask) -> WrongReadings | None:
         """Return the likeliest mistake in the pass of the rows in the mask `rows` (n,).
 
-        None if effects or chance are likelier. Each hypothesis on the pass is a set of columns that change the
-        signals of its rows, with normal priors of their sizes.
+        The result is None if effects or chance are likelier. Each hypothesis is a set of changes of the
+        signals in the pass, with normal priors of their sizes.
         """
         one = _Pass.of(self._without(rows), rows)
         nothing, effects = one.evidence(), list(_of_effects(one))
@@ -149,7 +150,7 @@ class TermSearch:
 
 @dataclass(frozen=True)
 class _Beside:
-    """The readings at each noise ratio, `seen`, and ln of the odds of each ratio, `weight` (ratios,).
+    """The readings at each noise ratio, `seen`, and ln of the probability of each ratio, `weight` (ratios,).
 
     Known columns are projected out of the readings.
     """
@@ -168,7 +169,9 @@ class _Beside:
         return self.weight[:, None] + [one.of_readings() for one in self.seen]
 
     def of_readings(self) -> Floats:
-        """Return, for each reading, ln of the odds (n,) that it has an error; the odds are divided by n."""
+        """Return ln of the odds (n,) of an error of each reading; the prior odds of an error are 1/n for
+        each.
+        """
         return np.asarray(logsumexp(self._of_readings, axis=0) - np.log(self._of_readings.shape[1]))
 
     def likeliest(self, row: int) -> ProjectedReadings:
@@ -214,7 +217,9 @@ def _slips(table: Table) -> list[tuple[Floats, Floats]]:
 def _classified(
     seen: ProjectedReadings, row: int, slips: Sequence[tuple[Floats, Floats]], p: float
 ) -> WrongReadings:
-    """Return a wrong reading as a wrong setting if one explains the three signals, else as an outlier."""
+    """Return the wrong reading `row`: a wrong setting if one of `slips` explains its three signals, else an
+    outlier.
+    """
     table, block, pull = seen.table, seen.blocks[row], seen.pulls[row]
     shift = np.linalg.solve(block, pull)
     free = len(seen.pull) - float(np.sum(seen.basis**2)) - 3.0
@@ -240,7 +245,7 @@ def _classified(
 
 
 def _outlier(shift: Floats, precision: Floats) -> tuple[str, ...]:
-    """Return the fewest channels whose errors explain a reading."""
+    """Return the smallest set of channels whose errors explain a reading."""
     pull = precision @ shift
     for number in (1, 2):
         left = {}
@@ -259,7 +264,7 @@ def _outlier(shift: Floats, precision: Floats) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class _Pass:
-    """The readings about a block that was fitted to all but one pass, at the likeliest noise ratio `ratio`.
+    """One pass, in readings about a block fitted to all other passes, at the likeliest noise ratio `ratio`.
 
     `rows` (n,) is the mask of the readings of this pass.
     """
@@ -275,8 +280,8 @@ class _Pass:
         return cls(table, rows, max(RATIOS, key=lambda ratio: table.seen(ratio, [free]).log_evidence))
 
     def seen(self, columns: Floats, beyond: Floats | float = 0.0) -> ProjectedReadings:
-        """Return the readings with the changes `columns` (n, 3, p) of the pass in the model, with amplitudes N(0,
-        1).
+        """Return the readings, with changes `columns` (n, 3, p) of the pass and N(0, 1) amplitudes in the
+        model.
 
         `beyond` (n, 3) is added to the predicted signals of the pass.
         """
@@ -301,7 +306,8 @@ class _Pass:
 def _of_mistakes(one: _Pass) -> Iterator[tuple[float, MistakeName, float | None, tuple[str, ...]]]:
     """Yield ln of the evidence of each mistake of a pass, its name, the error of the angle, and the channels.
 
-    In order: an angle misread by a mark that is no plausible zero, a stuck channel, another block.
+    In order: an angle misread by a mark, unless that is a plausible shift of the zero; a stuck channel;
+    another block.
     """
     marks = [slip for slip in SLIPS_RAD.values() if slip > SIZES[1] * _zero_shift_rad()]
     for off in (sign * slip for slip in marks for sign in (1.0, -1.0)):
@@ -360,7 +366,7 @@ def _bent(one: _Pass, columns: Floats, unit: float) -> Floats:
 
 
 def _stuck(one: _Pass, channel: int) -> float:
-    """Return ln of the evidence of a `channel` (0, 1, 2) with the same unknown reading throughout the pass."""
+    """Return ln of the evidence that a `channel` (0, 1, 2) has one unknown reading throughout the pass."""
     table = one.table
     deaf = np.outer(one.rows, np.eye(3)[channel]) == 1.0
     hearing = replace(
