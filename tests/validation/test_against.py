@@ -71,7 +71,5 @@ def test_changed_runs_wait_for_acceptance(bench, past_runs, monkeypatch):
     result = json.loads(stored.read_text(encoding="utf-8"))
     result["coefficients"]["Kzz"]["value"] += result["coefficients"]["Kzz"]["u"]
     stored.write_text(json.dumps(result), encoding="utf-8")
-    out = printed(
-        bench("validate", "--against", past_runs, "--out", "v"), "CHANGED: 1 of", "Kzz", status=1
-    )
+    out = printed(bench("validate", "--against", past_runs, "--out", "v"), "CHANGED: 1 of", "Kzz", status=1)
     assert "1 changed by more than 0.1 u" in out
