@@ -39,7 +39,7 @@ def heard_by(listener: Listener | None) -> Iterator[None]:
 def tracked(parts: Iterable[_T], what: str, total: int | None = None) -> Iterator[_T]:
     """Yield the parts of the computation `what`; report progress to the listener if there is more than one part.
 
-    `total` is the number of parts, if `parts` has no length.
+    `total` states the number of parts if `len(parts)` is not defined.
     """
     count = len(parts) if isinstance(parts, Sized) else total or 0
     listener = _listener.get() if count > 1 else None
@@ -67,7 +67,7 @@ def one_thread() -> None:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Pause the garbage collector while many small objects are made and kept: its passes over them would take long.
+    """Pause the garbage collector while many small objects are created, because its passes over them take long.
 
     Objects without reference cycles are freed as usual. Also usable as a function decorator.
     """
@@ -116,7 +116,9 @@ EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
 
 
 def missing(error: BaseException) -> str:
-    """Return a sentence that names the package and its extra if an optional package is missing; else ""."""
+    """Return a sentence that names the optional package that is missing and the extra to install; "" for another
+    `error`.
+    """
     package = (error.name or "").partition(".")[0] if isinstance(error, ImportError) else ""
     for extra, packages in EXTRAS.items():
         if package in packages:
@@ -127,7 +129,7 @@ def missing(error: BaseException) -> str:
 
 
 def _in_certificates(trace: TracebackType | None) -> bool:
-    """Return whether the failed import was in `bench.certificate`, whose extra includes the signing packages."""
+    """Return whether a module of `bench.certificate` failed to import; its extra includes the signing packages."""
     while trace is not None:
         if trace.tb_frame.f_globals.get("__name__", "").startswith("bench.certificate."):
             return True

@@ -71,9 +71,9 @@ def places(u: float) -> int:
 
 
 def fixed(value: float, decimals: int, *, sign: bool = False) -> str:
-    """Return the number with this many decimals (-1 rounds to tens), "–" if it is not finite.
+    """Return `value` with this many decimals (-1 rounds to tens); "–" if it is not finite.
 
-    `sign` also writes "+".
+    `sign` also writes a plus sign.
     """
     if not math.isfinite(value):
         return "–"
@@ -143,7 +143,7 @@ def probability(p: float) -> str:
 
 
 def aligned(column: Sequence[str]) -> list[str]:
-    """Return right-aligned numbers padded on the right so that their decimal points align."""
+    """Return numbers for a right-aligned column, padded on the right so that their decimal points align."""
     tails = [len(text.partition(".")[2]) for text in column]
     longest = max(tails, default=0)
     return [

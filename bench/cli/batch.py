@@ -1,4 +1,4 @@
-"""batch: many runs evaluated again, restartable, by processes or a cluster; changed results and verdicts."""
+"""batch: evaluate many runs again, by processes or a cluster, and list changed results; can be continued."""
 
 from __future__ import annotations
 
