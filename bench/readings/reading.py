@@ -38,9 +38,10 @@ _NONE: Final = (None, None, None)
 
 @dataclass(frozen=True)
 class Outlier:
-    """An outlier among the samples of a reading: its number from 1, value and distance from the mean.
+    """An outlier among the samples of a reading: the number of the sample (from 1), its value, its distance from
+    the mean.
 
-    `sigma` is this distance and `critical` the critical value, both in standard deviations of the samples.
+    `sigma` is the distance, `critical` the critical value for it, both in standard deviations of the samples.
     """
 
     sample: int
@@ -174,8 +175,8 @@ _NUMBERS: Final = frozenset({int, float})
 def readings_of(taken: Sequence[Reading], source: str, power: Sequence[tuple[float, str]] = ()) -> Readings:
     """Return the table of the readings `taken`, named `source`.
 
-    The scan order, the reference, further temperatures, the rails and the time since power-on become extra
-    columns if any reading has them. `power` lists the states of the supply, as for `since_power_on_cells`.
+    Scan order, reference, further temperatures, rails and time since power-on become columns in `extra` if any
+    reading has them. `power` lists the states of the supply, as for `since_power_on_cells`.
     """
 
     def column(name: str) -> Floats:

@@ -60,13 +60,11 @@ class DeviceSection(FileModel):
 
     @classmethod
     def alternatives(cls) -> Iterable[type[FileModel]]:
-        """Return the section classes of all instruments of the role, if this class is the role's form; else
-        nothing.
-        """
+        """Return the section classes of a role's instruments if this class is the form of the role, else none."""
         return cls.sections_of(cls.role) if "role" in cls.__dict__ else ()
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the keyword arguments of the driver, without those that every driver of its role has."""
+        """Return the keyword arguments that the driver has in addition to those of every driver of its role."""
         return {}
 
     def simulation_options(self, truth: Any) -> dict[str, Any]:
@@ -83,9 +81,9 @@ class Device:
 
     `name` is the instrument's `driver` in bench files. `driver` and `simulation` name classes as "module:Class"; a
     leading dot means a module in the folder of the declaration. `simulation` is None for an instrument that a
-    person operates. `example` is a bench-file section of the instrument (for a voltmeter with one signal, the
-    section of channel x). `simulated` lists the keys of the role's simulation section that this instrument's
-    simulation uses. `place` orders the instruments of a role in lists; equal places are ordered by name.
+    person operates. `example` is a bench-file section of the instrument; for a voltmeter that reads one signal, it
+    is the section of channel x. `simulated` lists the keys of the role's simulation section that this instrument's
+    simulation uses. In lists, the instruments of a role are in the order of `place`, then of name.
     """
 
     name: str
@@ -150,7 +148,7 @@ def any_resource(resource: str) -> str:
 
 
 def resource_on(*interfaces: Literal["TCPIP", "ASRL"], example: str) -> AfterValidator:
-    """Return the validator of a VISA resource that accepts these interfaces only; `example` is for its message."""
+    """Return a validator of VISA resources that accepts these `interfaces` only; its message shows `example`."""
 
     def check(resource: str) -> str:
         if _VISA.fullmatch(resource) is None or not resource.startswith(interfaces):
@@ -192,7 +190,9 @@ class WiredForm(DeviceSection):
         return bus_place(self.resource)
 
     def port(self) -> Port:
-        """Return the setup of the wire: the facts of the instrument, overridden by the `serial` section."""
+        """Return the setup of the wire: that in the facts of the instrument, with the changes of the section
+        `serial`.
+        """
         stated = getattr(self, "serial", None)
         serial = None if stated is None else {**self.facts.SERIAL, **stated.settings()}
         tail = getattr(self.facts, "READ_TAIL", 0)
@@ -213,7 +213,7 @@ class PortSection(FileModel):
 
     @classmethod
     def of(cls, facts: ModuleType) -> Self:
-        """Return the port with the factory setting in an instrument's facts."""
+        """Return the port with the factory setting that an instrument's facts state."""
         return cls(baud_rate=facts.SERIAL["baud_rate"])
 
     def settings(self) -> dict[str, Any]:
@@ -395,7 +395,7 @@ class VoltmeterCertificate(Certificate):
         return next((value for value in self.values if value.range == range_v), None)
 
     def errors(self) -> dict[float, tuple[float, float]]:
-        """Return, by range, the gain error and the offset (V) that the corrections remove."""
+        """Return the errors that the corrections remove: range (V) -> (gain error, offset in V)."""
         found = {}
         for value in self.values:
             gain = 1.0 + (value.gain.correction if value.gain else 0.0)

@@ -83,14 +83,16 @@ class Plan:
         return sum(step.BY_OPERATOR for step in self.steps)
 
     def begins_on(self) -> bool:
-        """Whether the block must be on before the first step: true unless a power step precedes any reading."""
+        """Whether the block must be on before the first step, which is so unless a power step comes before any
+        reading.
+        """
         kinds = (type(step) for step in self.steps if isinstance(step, Read | Power))
         return next(kinds, Read) is Read
 
     def step_duration_s(
         self, step: Step, line_hz: float = 50.0, supply: UnitSupplySection | None = None
     ) -> float:
-        """Return the expected duration of a step, s; for settling, the shortest possible.
+        """Return the expected duration of a step, s; for a settling step, it is the shortest possible.
 
         `supply` is the bench-file section on the block's supply, needed for the times of switching.
         """
