@@ -222,7 +222,7 @@ BETWEEN_S: Final = 3600.0
 
 @dataclass(frozen=True)
 class JoinedPart:
-    """A table to join; `began_s` is the start of its clock, s, on a clock common to all tables, None if unknown.
+    """A table to join; `began_s` is the start of its clock, s, on a clock common to all tables, or None if unknown.
 
     `block` is the number of the block measured, None if unknown.
     """

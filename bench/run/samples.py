@@ -47,9 +47,9 @@ def grubbs_critical(n: int) -> float:
 class Statistics:
     """The statistics of the `n` samples of one channel, in the samples' unit; None where undefined.
 
-    `sd` needs 2 samples, the drift 3, an outlier `OUTLIER_LEAST`. `drift` is the change of the fitted line from
-    the first to the last sample. `drift_p` is the probability that samples without a drift show one at least
-    as large. `outlier` is the sample found by Grubbs' test at the level `OUTLIER_LEVEL`.
+    `sd` needs 2 samples, the drift 3, an outlier `OUTLIER_LEAST`. `drift` is the change of the fitted line from the
+    first to the last sample. `drift_p` is the probability that noise alone gives a drift at least as large.
+    `outlier` is the sample found by Grubbs' test at the level `OUTLIER_LEVEL`.
     """
 
     n: int
@@ -240,9 +240,9 @@ class Window:
     def _signal_left_s(self, times: Sequence[float], signal: Sequence[float], spread: float) -> float | None:
         """Return one signal's estimated time left, s, from the samples in the window, or None.
 
-        If the whole span is within the precision, the window only needs to fill. Otherwise the approach is
-        modelled as exponential: the span shrinks by the same factor from each half-window to the next. With
-        the time constant τ, it reaches the precision after τ ln(span/precision), but not before all samples
+        If the span is within the precision, only the rest of the window remains to be filled. Otherwise the
+        approach is modelled as exponential: the span shrinks by the same factor from each half-window to the next.
+        With the time constant τ, it reaches the precision after τ ln(span/precision), but not before all samples
         outside the precision have left the window.
         """
         precision, now_s = self.criterion.precision, times[-1]
@@ -320,7 +320,7 @@ LEAST_WAY_K: Final = 2.0
 
 @dataclass
 class ChamberWatch:
-    """A check, `slow_after_s` after each new set point, that the air has covered at least 20 % of the change.
+    """Checks, `slow_after_s` after each new set point, that the air has covered at least 20 % of the change.
 
     Otherwise `tell` records `CHAMBER_SLOW`.
     """

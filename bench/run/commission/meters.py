@@ -1,4 +1,4 @@
-"""Checks of the voltmeters: settings, time of a reading, simultaneity, and noise with shorted inputs."""
+"""Checks of the voltmeters: settings, duration of a reading, simultaneous start, and noise with shorted inputs."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class _Timed(Protocol):
     """A voltmeter whose driver states the duration of a reading."""
 
     def reading_time_s(self, settings: VoltmeterSettings, character_time_s: float = 0.0) -> float:
-        """Return the time from the start until the last character of the samples has arrived, s."""
+        """Return the time, s, from the start of a reading until the last character of its samples arrives."""
         ...
 
 
@@ -69,8 +69,8 @@ def _settings(
 ) -> VoltmeterSettings:
     """Return settings with the longest supported integration time up to `nplc` line periods.
 
-    The time is one that all meters support or, if there is none, one that this meter supports. The number of
-    samples is clipped to the limits of the bench file.
+    It is one that all meters support or, if there is none, one that `meter` supports. The number of samples is
+    clipped to the limits of the bench file.
     """
     has = evening.file.nplc_supported or _form(evening, meter).kind.limits.nplc
     near = [one for one in has if one <= nplc] or [min(has)]
@@ -79,7 +79,7 @@ def _settings(
 
 
 def check_settings(evening: CommissioningSession) -> None:
-    """Set up each meter in two ways; each time, the driver reads the settings back."""
+    """Set up each meter with two different settings; the driver reads back each."""
     for meter in evening.instruments.voltmeters:
         evening.carry_out(SETTINGS, meter, partial(_set_twice, evening, meter))
 
@@ -131,7 +131,9 @@ def _judged_by_time(
     found: Finding,
     took_s: float,
 ) -> Finding:
-    """Return the finding with the duration of its reading; a longer one than expected is `State.SLOWER`."""
+    """Return the finding with the duration of the reading added; if it exceeds the expected one, with
+    `State.SLOWER`.
+    """
     expected_s = expected_time_s(evening, meter, settings)
     held = "the driver does not say" if expected_s is None else f"the driver expects {expected_s:.3g} s"
     figures = (*found.figures, Figure("reading took", took_s, "s", held))
@@ -242,7 +244,7 @@ def short_inputs(evening: CommissioningSession) -> None:
 
 
 def measure_noise(evening: CommissioningSession) -> None:
-    """Compare mean and scatter of each channel of shorted inputs with the data sheet's limits."""
+    """Compare mean and scatter of each channel, whose input is shorted, with the data sheet's limits."""
     for meter in evening.instruments.voltmeters:
         evening.carry_out(NOISE, meter, partial(_noise, evening, meter), by_answers=False)
 
@@ -320,7 +322,7 @@ def limit_v(evening: CommissioningSession, meter: Voltmeter, volts: float) -> fl
 
 
 def scatter_limit_v(evening: CommissioningSession, meter: Voltmeter, nplc: float) -> float:
-    """Return the permitted standard deviation of a sample of a steady input, V: the maker's resolution.
+    """Return the permitted standard deviation of the samples of a steady input, V, which is the maker's resolution.
 
     If the meter's data state no resolution for `nplc`, return the limit of error at zero.
     """
