@@ -277,8 +277,7 @@ class Catalogue:
         return None if entry is None else self.fill(entry, {})
 
     def _filled(self, text: str, *, sure: bool = True) -> str | None:
-        """Return the translation of `text` by the entry that it matches with filled blanks; None if there is no
-        such entry.
+        """Return the translation of `text` by the entry that it matches with filled blanks; None without a match.
 
         With `sure`, the entries with at least `_SURE` letters are tried, else the others, such as "{0} in {1}",
         whose blanks then match short values only.

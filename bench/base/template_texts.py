@@ -178,9 +178,7 @@ def _trimmed(segment: _Segment) -> tuple[str, _Segment, str]:
 
 
 class TranslatedTemplates(Extension):
-    """A Jinja extension that replaces each text of a template by its look-up in the catalogue of the current
-    language.
-    """
+    """A Jinja extension that replaces each text of a template by its look-up in the current catalogue."""
 
     def __init__(self, environment: Environment) -> None:
         super().__init__(environment)

@@ -185,8 +185,7 @@ def plain_unit(unit: str) -> str:
 def unit_of(unit: str) -> tuple[float, Dimension]:
     """Return the size of `unit` in SI units, and its dimension: "mV" gives (0.001, (("V", 1.0),)).
 
-    `unit` has the spelling of `plain_unit`; it is empty for a plain number. Raises `ValueError` for an unknown
-    unit.
+    `unit` has the spelling of `plain_unit`, empty for a plain number. Raises `ValueError` for an unknown unit.
     """
     if not unit:
         return 1.0, ()

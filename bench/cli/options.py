@@ -180,9 +180,7 @@ class WithEstimators(BenchCommand):
 
 
 def _writable(target: str | None) -> str | None:
-    """Return `target`, the value of `--json`. Raises `Refused`, before anything is computed, if its folder is
-    missing.
-    """
+    """Return `target`, the value of `--json`. Raises `Refused`, before any work, if its folder is missing."""
     if target not in {None, "-"} and not Path(str(target)).absolute().parent.is_dir():
         raise Refused(f"--json {target}: no such folder; create it or name another")
     return target
@@ -204,8 +202,7 @@ StrictFitOption = Annotated[
 def requested(command: Callable[..., int]) -> Callable[..., int]:
     """Return a command whose options are the fields of its request; the request is made from the options.
 
-    If the first parameter of `command` is a list of requests, the user can name several sources, each of which
-    becomes a request.
+    If the first parameter of `command` is a list of requests, each source that the user names becomes one.
     """
     hints = get_type_hints(command, include_extras=True)
     name, request, several = next(_requests(hints))

@@ -58,19 +58,17 @@ class _DimensionReading:
         self._known = known
 
     def number(self, value: float, unit: str) -> tuple[float | None, Dimension]:
-        """Return a literal as (number, dimension)."""
+        """Return the value of a literal; its number is None if it has a unit."""
         return (None if unit else value), unit_of(unit)[1]
 
     def name(self, name: str) -> tuple[float | None, Dimension]:
-        """Return a variable or parameter as (None, dimension)."""
+        """Return the value of a variable or parameter; its number is None."""
         return None, self._known[name]
 
     def operation(
         self, symbol: str, left: tuple[float | None, Dimension], right: tuple[float | None, Dimension]
     ) -> tuple[float | None, Dimension]:
-        """Return the result of a binary operation as (number, dimension). Raises `ExpressionError` for incompatible
-        dimensions.
-        """
+        """Return the value of a binary operation. Raises `ExpressionError` for incompatible dimensions."""
         of_left, of_right = left[1], right[1]
         if symbol == "*":
             both = None if left[0] is None or right[0] is None else left[0] * right[0]
@@ -101,9 +99,7 @@ class _DimensionReading:
     def call(
         self, name: str, arguments: list[tuple[float | None, Dimension]]
     ) -> tuple[float | None, Dimension]:
-        """Return the result of a function call as (number, dimension). Raises `ExpressionError` for arguments of a
-        wrong dimension.
-        """
+        """Return the value of a function call. Raises `ExpressionError` for arguments of a wrong dimension."""
         of_first = arguments[0][1]
         match name:
             case "abs":

@@ -109,9 +109,7 @@ class WithEffects(FileModel):
         return tuple(entry.effect() for entry in self.formulas)
 
     def applied_effects(self) -> tuple[AppliedEffect, ...]:
-        """Return the file's effects with values in SI, then the parts in `left_open` as effects of uncertain
-        size.
-        """
+        """Return the file's effects (values in SI), then the parts in `left_open` as effects of uncertain size."""
         count: Counter[str] = Counter()
         with CATALOGUE.also(self.own_effects()):
             applied = [entry.applied() for entry in self.effects]
@@ -162,8 +160,8 @@ def load_model(path: Path, installations: Collection[str] = ()) -> ModelFile:
 def mistakes_with_formulas(
     data: Any, installations: Collection[str] = (), place: Place = ()
 ) -> Iterator[tuple[Place, str]]:
-    """Yield place and text of the mistakes in `formulas`, `effects` and `left_open` of `data`, which is at `place`
-    in the file.
+    """Yield place and text of the mistakes in `formulas`, `effects` and `left_open` of the section `data`, at
+    `place`.
     """
     wrong = list(formula_mistakes(part(data, "formulas"), (*place, "formulas")))
     yield from wrong
@@ -255,8 +253,7 @@ def _channels(written: Any) -> tuple[Channel, ...]:
 
 
 class _Reader:
-    """A reader of one written parameter; it collects `values` and standard uncertainties `u` in SI, shape (3,) or
-    ().
+    """Reads a written parameter into `values` and standard uncertainties `u` in SI, shape (3,) or () each.
 
     `problems` collects the mistakes, each with its place below the parameter.
     """
@@ -526,8 +523,7 @@ def _joined(
 
 
 def _new_names(formula: FormulaEffect, taken: dict[str, Parameter], number: int) -> dict[str, str]:
-    """Return the new name of each parameter: old name -> name with `number`, so that joined terms have different
-    parameters.
+    """Return the new names of the parameters: old name -> name with the `number` of the joined term.
 
     Equal shape parameters share a name; with `number` 0, names are unchanged.
     """

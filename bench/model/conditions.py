@@ -206,9 +206,7 @@ class Conditions:
         return np.where(known, values, between)
 
     def levels(self) -> dict[tuple[int, int], tuple[float, float]]:
-        """Return the angles that the level showed, rad: (mounting index, stand-angle column) -> (angle, standard
-        uncertainty).
-        """
+        """Return the angles that the level showed: (mounting index, stand-angle column) -> (angle, its u), rad."""
         if self.level_rad is None:
             return {}
         found: dict[tuple[int, int], tuple[float, float]] = {}

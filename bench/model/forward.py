@@ -88,9 +88,7 @@ class ForwardModel:
         return self.voltmeter_readings(self.output(force, conditions, block), conditions, block)
 
     def output(self, force: Floats, conditions: Conditions, block: Block) -> Floats:
-        """Return the voltages at the meters' terminals, V, shape (n, 3), for the acting specific force `force` (n,
-        3), g.
-        """
+        """Return the voltages at the meters' terminals, V, shape (n, 3), for the acting `force` (n, 3), g."""
         return block.output(force) + self._additions(Stage.BLOCK_OUTPUT, force, conditions, block)
 
     def voltmeter_readings(self, voltage_v: Floats, conditions: Conditions, block: Block) -> Floats:

@@ -163,8 +163,7 @@ def linear_columns(force: Floats) -> Floats:
 
 
 def hidden_axes(force: Floats) -> list[str]:
-    """Return what readings at these forces do not determine: the coefficients of axes "x", "y", "z"; "0" for the
-    biases.
+    """Return what readings at these forces do not determine: "x", "y", "z" for axes, "0" for the biases.
 
     `force` (n, 3) is in g. An axis is listed if the null space of the design matrix has a component along it; the
     list is empty if the readings determine all twelve coefficients.
@@ -237,8 +236,7 @@ ZERO = Distribution(0.0)
 
 
 def modulus_slopes(force: Floats, block: Block) -> tuple[Floats, Floats]:
-    """Return the derivatives of |a| by the 12 coefficients (n, 12) and by the signals (n, 3), where a = K⁻¹ (U -
-    U0).
+    """Return the derivatives of |a|, a = K⁻¹ (U - U0), by the 12 coefficients (n, 12) and the signals (n, 3).
 
     `force` (n, 3) is a, the measured specific force, g.
     """

@@ -164,8 +164,7 @@ LEVEL_COLUMNS: Final = (*ANGLES, *DRIFTS)
 
 
 def level_rad(extra: Mapping[str, Labels], rows: int) -> Floats | None:
-    """Return α1, α2, u(α1), u(α2) of each row, rad, shape (rows, 4), NaN if unknown; None if the table has no level
-    columns.
+    """Return α1, α2, u(α1), u(α2) of each row, rad, shape (rows, 4), NaN if unknown; None without level columns.
 
     `extra` are the text columns of a table. Raises `ValueError` for a cell that is not a number, and for an angle
     without its standard uncertainty.
@@ -183,8 +182,8 @@ def level_rad(extra: Mapping[str, Labels], rows: int) -> Floats | None:
 
 
 def drift_rad_s(extra: Mapping[str, Labels]) -> tuple[float, float] | None:
-    """Return the rms rates of α1 and α2, rad/s, from the text columns `extra`; None if no mounting had a second
-    level reading.
+    """Return the rms rates of α1 and α2, rad/s, from text columns; None if no mounting had a second level
+    reading.
     """
     if not all(name in extra for name in DRIFTS):
         return None
@@ -196,9 +195,7 @@ def drift_rad_s(extra: Mapping[str, Labels]) -> tuple[float, float] | None:
 
 
 def wrong_level_cell(text: Mapping[str, str]) -> tuple[str, str] | None:
-    """Return the first level column whose cell in a row is invalid, and a sentence on the mistake; None for a valid
-    row.
-    """
+    """Return the first level column with an invalid cell in a row, and a sentence on it; None for a valid row."""
     for name in LEVEL_COLUMNS:
         cell = text.get(name, "").strip()
         try:

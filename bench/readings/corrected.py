@@ -28,8 +28,7 @@ AGAIN: Final = 4
 
 @dataclass(frozen=True)
 class Corrections:
-    """Corrections of signals, which become U (1 + `gain`) + `offset_v` for x, y, z, and of head angles and
-    temperatures.
+    """Corrections of head angles, temperatures and signals (x, y, z: U becomes U (1 + `gain`) + `offset_v`).
 
     `head` lists (angle, correction), rad, periodic over one turn; `thermometer` lists (temperature in °C,
     correction in K), and its end values hold beyond the ends.
@@ -111,9 +110,7 @@ def _of_thermometer(by: Corrections, temperature_c: Floats) -> Floats | float:
 
 
 def on_scale(table: Curve, angle_rad: Floats) -> Floats:
-    """Return the head's corrections, rad, at the angles `angle_rad`, interpolated in `table`; NaN for an unknown
-    angle.
-    """
+    """Return the head's corrections, rad, at `angle_rad`, interpolated in `table`; NaN for an unknown angle."""
     known_rad, added_rad = np.array(table).T
     return np.asarray(np.interp(angle_rad, known_rad, added_rad, period=math.tau))
 
@@ -165,9 +162,7 @@ def with_levels(readings: Readings, seen: Sequence[LevelReading]) -> Readings:
 
 @dataclass(frozen=True)
 class _MountingLevel:
-    """The tilt at the middle time of a mounting: α1 and α2 with their u, arcsec, and their rms rates `drift`,
-    arcsec/h.
-    """
+    """The tilt at the middle time of a mounting: α1 and α2 with their u, arcsec, and rms rates, arcsec/h."""
 
     alpha: tuple[float, float]
     u: tuple[float, float]
@@ -175,9 +170,7 @@ class _MountingLevel:
 
 
 def _mounting_level(seen: Sequence[LevelReading], mounting: tuple[int, str]) -> _MountingLevel | None:
-    """Return the platform's tilt during a mounting from the level readings `seen`; None if it was not levelled for
-    it.
-    """
+    """Return the platform's tilt during a mounting from level readings; None if it was not levelled for it."""
     own = [s for s in seen if s.mounting == mounting]
     last = max((k for k, s in enumerate(own) if s.levelled), default=None)
     if last is None:

@@ -120,9 +120,7 @@ def read_frame(
 
 
 def _cell(value: object) -> str:
-    """Return a value of a frame as a cell. 3.0 becomes "3", because pandas makes integers floats if a value is
-    missing.
-    """
+    """Return a value of a frame as a cell; 3.0 gives "3", since pandas makes integers floats if one is missing."""
     if value is None or value != value or str(value) == "<NA>":  # noqa: PLR0124 - NaN is not itself
         return ""
     return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)

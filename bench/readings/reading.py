@@ -38,8 +38,7 @@ _NONE: Final = (None, None, None)
 
 @dataclass(frozen=True)
 class Outlier:
-    """An outlier among the samples of a reading: the number of the sample (from 1), its value, its distance from
-    the mean.
+    """An outlier of a reading: the number of the sample (from 1), its value, its distance from the mean.
 
     `sigma` is the distance, `critical` the critical value for it, both in standard deviations of the samples.
     """

@@ -281,9 +281,7 @@ def _clock_s(table: Readings) -> Floats:
 
 
 def _starts(parts: Sequence[JoinedPart]) -> tuple[list[JoinedPart], list[float], bool]:
-    """Return the tables in order of time, the times of their first readings, s, and whether these times are known
-    (else assumed).
-    """
+    """Return the tables in order of time, the times of their first readings, s, and whether these are measured."""
     lasts = {id(part): float(np.max(clock_s) - clock_s[0]) for part, clock_s in _clocks(parts)}
     known = [p.began_s + _first_s(p.readings) for p in parts if p.began_s is not None]
     if len(known) == len(parts):

@@ -111,9 +111,7 @@ class Inquiry:
         return self._fitting(supposed, state.judge(signals, sighting.pose, self.noise), before)
 
     def _elsewhere(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
-        """Return the suspected mistakes that the block was in another installation, or the head at another
-        angle.
-        """
+        """Return the suspected mistakes of another installation of the block or another angle of the head."""
         label, angle = sighting.installation, sighting.angle_rad
         unlikely = 0.0 if sighting.pivot_rad is None else SAT_RIGHT
         supposed = [
@@ -128,7 +126,7 @@ class Inquiry:
         return self._fitting([one.supposed for one in supposed], judged, before)
 
     def _off_by_some(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
-        """Return the suspected mistakes of unknown size: the block turned about the shaft or tilted, or a channel
+        """Return the suspected mistakes of unknown size: block turned about the shaft, or tilted, or a channel
         off.
         """
         further = self._shifts(sighting, state)
@@ -166,7 +164,7 @@ class Inquiry:
         ]
 
     def _others(self, sighting: Sighting, *, few: bool) -> dict[str, Supposition]:
-        """Return the suppositions that the block is in another installation, by label; with `few`, also in another
+        """Return the suppositions of another installation by label; with `few`, also those of another
         orientation.
         """
         label = sighting.installation
@@ -276,8 +274,8 @@ class Inquiry:
         return sighting.poses
 
     def _shifts(self, sighting: Sighting, state: Expectation) -> Floats:
-        """Return the prior standard deviations (5, 3) of the signals, V, for the shifts block turned, tilted, x
-        off, y off, z off.
+        """Return the prior standard deviations (5, 3) of the signals, V: block turned, tilted, x off, y off, z
+        off.
         """
         scale = state.scale_factors[0]
         turn = self.model.installations[sighting.installation].block_from_platform

@@ -297,8 +297,7 @@ class EarlyWarning:
     def _learn_noise(self, now: Sighting) -> None:
         """Increase the noise estimate if repeats scatter more than stated.
 
-        A pair of repeats counts if both readings fit or neither does. If one fits and the other does not, the block
-        may have slipped between them.
+        A pair of repeats counts if both readings fit or neither does. Otherwise the block may have slipped.
         """
         row = now.row
         key = (row.mounts[0], int(row.point[0]), int(row.direction[0]))
@@ -347,8 +346,8 @@ class EarlyWarning:
         return self._sign(sighting, judged, channels, words, causes, at_fault, confident=confident)
 
     def _wrong_before(self, judged: ReadingJudgement) -> list[EarlySign]:
-        """Return the sign for the previous reading, if it was undecided and the fit of the present reading shows
-        that it was wrong.
+        """Return the sign for the undecided previous reading, if the fit of the present one shows that it was
+        wrong.
         """
         found = self._confidence.fits()
         if found is None:
@@ -409,9 +408,7 @@ class EarlyWarning:
         return likeliest(self._inquiry().of_reading(wrong, self._state, 0.0))
 
     def _lasting(self, sighting: Sighting, suspects: Sequence[Suspect]) -> list[Suspect]:
-        """Return a lasting slip as the only cause if this reading and the previous one have the same angle error;
-        else [].
-        """
+        """Return a lasting slip as the only cause if the last two readings have the same angle error; else []."""
         now = next((s for s in suspects if s.moved_rad is not None), None)
         before, self._moved = self._moved, None
         if now is None or now.moved_rad is None:

@@ -409,8 +409,7 @@ class Event:
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> Event:
-        """Return the event recorded as `data`. The common fields are removed from this dict, which becomes
-        `Event.data`.
+        """Return the event recorded as `data`; this dict, without the common fields, becomes `Event.data`.
 
         Raises `KeyError`, `TypeError` or `ValueError` for data that are not an event.
         """

@@ -97,8 +97,7 @@ class RepeatNoise:
     def add(self, difference_v: Floats, slope: Floats) -> None:
         """Add the difference (3,) between a repeat and the earlier reading, V; `slope` (3,) is du/dphi, V/rad.
 
-        Along the slope, both noise sizes contribute. In the two perpendicular directions, only the signals' noise
-        does.
+        Along the slope both noise sizes contribute, in the two perpendicular directions only the signals' noise.
         """
         length = float(np.linalg.norm(slope))
         along2 = (float(difference_v @ slope) / length) ** 2 / 2
@@ -135,9 +134,7 @@ class ReadingJudgement(NamedTuple):
 
     @property
     def p(self) -> float:
-        """The probability that chance alone causes as large a misfit as that of the first member, or a larger
-        one.
-        """
+        """The probability of a misfit by chance that is at least as large as that of the first member."""
         return float(chdtrc(3, self.chi2[0]))
 
     def cost(self, most: float) -> Floats:
@@ -234,18 +231,14 @@ class Expectation:
 
 @dataclass(frozen=True)
 class ExpectedSignals:
-    """The expected `signals` (3,) of a reading, V, with their covariance and their `slope` (3,) by the angle,
-    V/rad.
-    """
+    """The expected `signals` (3,) of a reading, V, their `covariance`, and `slope` (3,) by the angle, V/rad."""
 
     signals: Floats
     slope: Floats
     covariance: Floats
 
     def deviation_rad(self, signals: Floats) -> tuple[float, float]:
-        """Return the deviation of the head from the commanded angle, and its u, rad, by generalised least
-        squares.
-        """
+        """Return the head's deviation from the commanded angle, and its u, rad (generalised least squares)."""
         weighted = np.linalg.solve(self.covariance, self.slope)
         information = float(self.slope @ weighted)
         if information <= 0.0:

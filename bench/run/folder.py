@@ -299,9 +299,7 @@ def _kept_in(file: Path) -> dict[str, dict[str, Any]]:
 
 
 def _stamp(folder: Path, names: list[str]) -> Stamp:
-    """Return the names, sizes, times and inodes of files, to notice a change later; a missing file has only its
-    name.
-    """
+    """Return names, sizes, times and inodes of files, to notice changes later; a missing file has only a name."""
     rows: Stamp = []
     for name in names:
         try:

@@ -90,8 +90,7 @@ def same_serials(identities: Mapping[str, Identity]) -> list[str]:
 
 
 def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str, str]) -> None:
-    """Ask whether to continue if the identities `now`, by instrument name, differ from those `before`, at the start
-    of the run.
+    """Ask whether to continue if identities (by instrument name) have changed from `before`, the run's start.
 
     Raises `BenchError` if the person disagrees.
     """
@@ -119,8 +118,7 @@ def told_at_mounting(instruments: Instruments, key: str) -> float | None:
 def told_at_reading(
     instruments: Instruments, known_c: float | None, key: str
 ) -> tuple[float | None, float | None]:
-    """Return the temperatures of the block and of the chamber's air, °C; the latter is None if only one is
-    measured.
+    """Return the temperatures of block and chamber air, °C; that of the air is None if only one is measured.
 
     `known_c` is the block's temperature, if known; a person is then not asked for it. Raises `BenchError`.
     """
@@ -195,9 +193,7 @@ def with_notes(error: BaseException) -> str:
 
 
 def how_it_stopped(cause: BaseException, wish: RunControl | None) -> tuple[EventType, dict[str, str]]:
-    """Return type and data of the event that records why a run stopped; `wish` is the wish that stopped it, if
-    any.
-    """
+    """Return type and data of the event that records why a run stopped; `wish` is the wish to stop, if any."""
     if isinstance(cause, Exception):
         instrument = cause.instrument if isinstance(cause, BenchError) else ""
         return EventType.RUN_FAILED, {"error": with_notes(cause), "instrument": instrument}

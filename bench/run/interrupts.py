@@ -34,8 +34,7 @@ def interrupt_main() -> None:
 
 
 class Interrupts:
-    """A context in which the first of the signals `numbers` raises `KeyboardInterrupt`, unless `shield` or `hold`
-    apply.
+    """A context in which the first signal of `numbers` raises `KeyboardInterrupt`, unless shielded or held.
 
     A further signal, or any signal after `hold`, only sets `haste`, which shortens waits for instruments. After
     `release`, a signal raises again, and the second signal ends the program by `end(status)`. Python drops a

@@ -62,9 +62,7 @@ INSTRUMENT: Final = "instrument"
 
 
 def at_the_shell(where: str) -> WishAuthor:
-    """Return the user of this process as author, with the role of supervisor, since this user can write to the
-    runs.
-    """
+    """Return the user of this process as author: a supervisor, as this user has write access to the runs."""
     try:
         name = getpass.getuser()
     except (OSError, KeyError, ImportError):  # no such user, or no user database on this system

@@ -174,9 +174,7 @@ class UnitPower:
         self.on, self.off_since_s = False, self.now_s()
 
     def _stay_off(self, key: str, off_s: float = 0.0) -> None:
-        """Wait until the block has been off long enough; if the time of switching off is unknown, count from
-        now.
-        """
+        """Wait until the block has been off long enough; if nobody knows since when, count from now."""
         least_s = max(off_s, self.section.least_off)
         since_s = self.now_s() if self.off_since_s is None else self.off_since_s
         while (left_s := since_s + least_s - self.now_s()) > 0.0:
@@ -242,8 +240,7 @@ class UnitPower:
         return self._seen
 
     def at_reading(self, key: str) -> Mapping[str, Rail]:
-        """Return the measurements of the rails for a reading, before or after it; empty if the block is off on
-        purpose.
+        """Return the rails' measurements for a reading, before or after it; empty if the block is off on purpose.
 
         For a supply read by a person, return the last values, to avoid a prompt at each reading. Raises the
         errors of `look`.
@@ -273,9 +270,7 @@ class UnitPower:
                 person.meanwhile = partial(self.watch, "asked")
 
     def is_as_left(self, key: str) -> bool:
-        """Return whether the block has stayed on since the run stopped; the supply shows it, or a person is
-        asked.
-        """
+        """Return whether the block stayed on since the run stopped; the supply shows this, or a person says it."""
         if self.supply.asks_person:
             prompt = Prompt(
                 id=f"{key}/since",

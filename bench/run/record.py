@@ -361,8 +361,7 @@ class Record:
     def append(self, kind: str, bench_s: float, /, **data: Any) -> Event:
         """Write one event and return it.
 
-        On return the event is on disk. Only the types in `WITH_THE_NEXT` are not forced to disk until the next
-        event.
+        On return the event is on disk; those in `WITH_THE_NEXT` are forced to disk only with the next event.
 
         Raises `RecordError` (disk full, …), or `ValueError` for an event that is invalid in the present state.
         """

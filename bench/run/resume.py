@@ -120,9 +120,7 @@ class PlanProgress:
             self.temperature_c = brought.get("temperature_c")
 
     def reopen(self, plan: Plan, step: int) -> None:
-        """Mark the steps from `step` to the end of its point as not done, except readings, so that they are
-        repeated.
-        """
+        """Mark the steps from `step` to the end of its point, except readings, as not done, to be repeated."""
         for index in range(step, end_of_point(plan, step)):
             if not isinstance(plan.steps[index], Read):
                 self.done.discard(index)

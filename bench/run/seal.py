@@ -159,9 +159,7 @@ def write_seal(folder: Path, seal: Seal) -> Path:
 
 
 def signed(seal: Seal, public_key: str, signature: bytes) -> Seal:
-    """Return the seal with this signature. An earlier time stamp is removed, because it was made for other
-    bytes.
-    """
+    """Return the seal with this signature, but without its time stamp, which was made for other bytes."""
     return replace(seal, public_key=public_key, signature=signature, time_stamp=b"")
 
 

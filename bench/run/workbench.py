@@ -164,9 +164,7 @@ class Levelling:
         )
 
     def _pair(self, level: interfaces.Level, key: str) -> tuple[Inclination, Inclination]:
-        """Return the readings in both positions; if the level's zero has shifted, repeat both, as one may be
-        misread.
-        """
+        """Return the readings in both positions; repeat both if the level's zero differs, as one may be misread."""
         for attempt in range(1, MOST_PAIRS + 1):
             first = self._read(level, f"{key}/first{attempt}", turned=False)
             second = self._read(level, f"{key}/turned{attempt}", turned=True)
@@ -531,9 +529,7 @@ class Workbench:
 
     @staticmethod
     def _sample(meters: Sequence[Voltmeter]) -> dict[str, tuple[float, ...]]:
-        """Start all meters, then fetch their samples, so that they sample at the same time; return the samples by
-        channel.
-        """
+        """Start all meters, then fetch, so that they sample at the same time; return the samples by channel."""
         for meter in meters:
             meter.start()
         samples: dict[str, tuple[float, ...]] = {}

@@ -97,8 +97,7 @@ def _resource_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _is_on_a_free_channel(data: Any, key: str) -> bool:
-    """Return whether a thermometer has a multiplexer channel of its own, unused by the instruments stated before
-    it.
+    """Return whether a thermometer has a multiplexer channel that the instruments stated before it do not use.
 
     `key` is the thermometer's key under `instruments`.
     """

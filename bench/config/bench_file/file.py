@@ -330,8 +330,8 @@ class Standing:
                 yield f"{which}, does not cover the {range_v:g} V range: the data sheet's limits apply there"
 
     def to_json(self, *, why_not: str) -> dict[str, Any]:
-        """Return the certificate as a member of a result; `why_not` says why it is not applied, and is empty if it
-        is.
+        """Return the certificate as a member of a result; `why_not` says why it is not applied, else it is
+        empty.
         """
         certificate = self.certificate
         until = certificate.valid_until

@@ -190,7 +190,7 @@ class WiredForm(DeviceSection):
         return bus_place(self.resource)
 
     def port(self) -> Port:
-        """Return the setup of the wire: that in the facts of the instrument, with the changes of the section
+        """Return the setup of the wire as the instrument's facts state it, with the changes of the section
         `serial`.
         """
         stated = getattr(self, "serial", None)

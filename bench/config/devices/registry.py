@@ -92,9 +92,7 @@ class Devices:
         return None if place.startswith(str(Path(__file__).parent) + os.sep) else place
 
     def why_not(self, name: object) -> str | None:
-        """Return a phrase on the declarations or imports that failed, if they may explain why `name` is unknown;
-        else None.
-        """
+        """Return the failed imports or declarations that may explain why `name` is unknown, as text; else None."""
         if not isinstance(name, str) or name in self.found:
             return None
         if name in self.doubled:
@@ -114,8 +112,8 @@ class Devices:
         }
 
     def add(self, device: Device, place: str) -> None:
-        """Add a device that was declared in the file or distribution `place`; of two devices of the same name,
-        neither is used.
+        """Add a device declared in the file or distribution `place`; of two devices of one name, neither is
+        used.
         """
         wrong = _wrong_declaration(device)
         if wrong:
@@ -276,9 +274,7 @@ def _strange(driver: object, names: tuple[str, ...]) -> str | None:
 
 
 def _refuse_driver(written: dict[str, Any], reason: str | None, names: tuple[str, ...]) -> None:
-    """Raise `ValidationError`, as the driver of a section is missing or unknown; `reason` replaces the default
-    text.
-    """
+    """Raise `ValidationError` for a missing or unknown driver of a section; `reason` replaces the default text."""
 
     def refuse(_: str) -> str:
         raise ValueError(reason)

@@ -235,9 +235,7 @@ class SerialPortForm(VoltmeterForm):
 
 
 def written_channels(voltmeter: Any) -> tuple[str, list[Any]] | None:
-    """Return the key ("channels" or "inputs") and the signals of a written voltmeter section; None if it has
-    neither.
-    """
+    """Return the key ("channels" or "inputs") and the signals of a written voltmeter section; None without it."""
     if not isinstance(voltmeter, dict):
         return None
     for key in ("channels", "inputs"):

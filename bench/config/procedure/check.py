@@ -105,9 +105,7 @@ def _level_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
 
 
 def _scan_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
-    """Check that the bench can follow the requested scan orders: a multiplexer reads channels in ascending order
-    only.
-    """
+    """Check that the bench can follow the scan orders: a multiplexer reads channels in ascending order only."""
     scans = {step.scan: step.key for step in reversed(plan.steps) if isinstance(step, Read) and step.scan}
     for scan, key in reversed(scans.items()):
         order = read_order(in_scan_order(bench.instruments.voltmeters, scan))

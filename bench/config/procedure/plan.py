@@ -83,9 +83,7 @@ class Plan:
         return sum(step.BY_OPERATOR for step in self.steps)
 
     def begins_on(self) -> bool:
-        """Whether the block must be on before the first step, which is so unless a power step comes before any
-        reading.
-        """
+        """Whether the block must be on before the first step: yes, unless a power step comes before any reading."""
         kinds = (type(step) for step in self.steps if isinstance(step, Read | Power))
         return next(kinds, Read) is Read
 

@@ -45,8 +45,7 @@ class Subsystem(StrEnum):
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of an effect: its unit in files, the size of this unit in SI, and a plausible value (1 sigma)
-    in SI.
+    """A parameter of an effect: its unit in files, the size of this unit in SI, a plausible value (1 sigma) in SI.
 
     A `per_channel` parameter has a value for each of x, y, z, zero for a channel without the effect. A parameter
     with a `grid` (SI values) is a shape, such as a time constant, a width or a harmonic. Readings are not linear

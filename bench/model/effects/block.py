@@ -142,8 +142,7 @@ SLOW: Final = 0.05
 
 
 class Hysteresis(BlockEffect):
-    """Dependence on the side from which the force approached its value: a step (width 0), or a play of half-width
-    `width_g`.
+    """Dependence on the side from which the force came: a step (width 0), or a play of half-width `width_g`.
 
     `size` is the deviation after a large change of force.
     """
@@ -175,8 +174,8 @@ class Hysteresis(BlockEffect):
 
 
 def state(conditions: Conditions, width_g: float) -> Floats:
-    """Return each channel's position in its hysteresis loop, shape (n, 3), from -1 (after a large fall of force) to
-    1 (rise).
+    """Return each channel's position in its hysteresis loop, (n, 3): -1 after a large fall of force, 1 after a
+    rise.
 
     Rows without an angle or in an unknown installation have 0 and do not count as settings.
     """

@@ -248,9 +248,7 @@ _OPERATIONS: Final[Mapping[str, Callable[[Floats, Floats], Any]]] = {
 
 
 class DegreeReading:
-    """An interpretation of an expression as its degree in the size parameters, 0 or 1. Every term of an effect must
-    have degree 1.
-    """
+    """An interpretation as the degree in the size parameters, 0 or 1; every term of an effect must have 1."""
 
     def __init__(self, sizes: frozenset[str]) -> None:
         self._sizes = sizes
@@ -371,8 +369,7 @@ class FormulaEffect(Effect):
     def addition(self, values: Values, seen: Seen) -> Floats:
         """Return the addition at the stage (see `Effect.addition`).
 
-        A non-finite result counts as 0 in a reading with an unknown variable. Raises `ExpressionError` for one in
-        any other reading.
+        A non-finite result counts as 0 if a variable of the reading is unknown; else it raises `ExpressionError`.
         """
         used = frozenset(names_in(self.expression))
         known = {name: of(seen) for name, of in variables_of(self.stage).items() if name in used}
@@ -390,8 +387,7 @@ class FormulaEffect(Effect):
         return self._placed(self._finite(np.broadcast_to(added, shape), away), seen)
 
     def _finite(self, added: Floats, away: Mask) -> Floats:
-        """Return the additions `added`; in the readings of the mask `away`, which have unknown variables, 0
-        replaces non-finite values.
+        """Return `added` with 0 for non-finite values in the readings `away`, which have unknown variables.
 
         Raises `ExpressionError` for a non-finite value in any other reading.
         """
@@ -430,9 +426,7 @@ SINCE_POWER_ON: Final = "since_power_on"
 
 
 def variables_of(stage: Stage) -> dict[str, Variable]:
-    """Return the variables of a formula at a stage: name -> function that returns the values for `Seen`, (n,) or
-    (n, 3).
-    """
+    """Return the variables of a formula at a stage: name -> function from `Seen` to values (n,) or (n, 3)."""
     match stage:
         case Stage.SPECIFIC_FORCE | Stage.BLOCK_OUTPUT:
             return _COMMON | _own_and_each("a") | {"aj": _axis_after(1), "ak": _axis_after(2)}

@@ -140,9 +140,7 @@ class HeadGraduation(HeadEffect):
 
 
 class Backlash(HeadEffect):
-    """Backlash b: the head's angle differs by b between the two directions of approach; unknown directions have no
-    effect.
-    """
+    """Backlash b: the angle differs by b between the directions of approach; no effect if that is unknown."""
 
     name = "backlash"
     parameters = (angle("play", 10),)
@@ -286,7 +284,7 @@ PAIRS: Final = tuple((CHANNELS[i], CHANNELS[j]) for i, j in ((0, 1), (1, 2), (2,
 
 
 class MetersExchanged(VoltmeterEffect):
-    """Two swapped meters: the difference of their gains and zeros adds to one channel, and is subtracted from the
+    """Two swapped meters: their difference in gain and zero adds to one channel and is subtracted from the
     other.
     """
 

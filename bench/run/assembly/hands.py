@@ -66,9 +66,7 @@ class SimulatedHands:
                         self._do(prompt)
 
     def _new_prompts(self, record: Path) -> list[Prompt]:
-        """Return the prompts put since the last call, and those put again because an encoder's answer was
-        refused.
-        """
+        """Return the prompts since the last call, and those put again because an encoder's answer was refused."""
         asked, put = OpenPrompt(), dict[str, Prompt]()
         with suppress(OSError, ValueError), open_regular(record) as file:
             size = file.seek(0, 2)

@@ -125,8 +125,7 @@ def _look(evening: CommissioningSession, instrument: Instrument) -> Callable[[],
 
 
 def _time_to_loss(evening: CommissioningSession, look: Callable[[], object]) -> tuple[float, str]:
-    """Query an instrument whose cable is out; return the time until an error, s, and the error, or "" if there is
-    none.
+    """Query an instrument whose cable is out; return the time until an error, s, and the error ("" for none).
 
     Every exception is caught, because the session has to continue until the cable is back in.
     """

@@ -142,8 +142,7 @@ def _refused(beyond: Beyond) -> Finding:
 
 
 def refuse_or_say(name: str, what: str, demand: Callable[[], object]) -> None:
-    """Make a demand that must be refused; it has no effect even if accepted, because the instrument is not
-    connected.
+    """Make a demand that must be refused; even an accepted one has no effect on the unconnected instrument.
 
     Raises `CheckEnded` if the demand is not refused as beyond the limits.
     """

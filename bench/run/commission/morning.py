@@ -36,7 +36,7 @@ LEAST_P: Final = 0.0027
 
 @dataclass(frozen=True)
 class MorningCourse:
-    """The course of a morning check: a test of the instruments, then the checks that the fields select.
+    """The course of a morning check: tests of instruments and head, and the checks that the fields select.
 
     `reference_v` is the voltage of the reference, None without one. `judge` compares a reading of the check block
     in `installation` with its control chart; if it is None, `no_chart` says why. `serial` is "" for a bench
@@ -131,9 +131,7 @@ def _tested(instrument: Instrument) -> Finding:
 
 
 def _held(evening: CommissioningSession, meter: Voltmeter, volts: float) -> Finding:
-    """Return the finding on a meter at the reference voltage, which says whether its channels are within limits of
-    error.
-    """
+    """Return the finding on whether the channels of a meter at the reference voltage are within limits of error."""
     meter.configure(meters.slow(evening, meter, SAMPLES))
     samples, _ = meters.reading(evening, meter)
     stated_v = evening.file.stand_distributions()["voltmeter_error"].limit
@@ -199,7 +197,7 @@ def _compared(
 
 
 def _judged(serial: str, reading: Reading, judged: ReadingJudgement) -> Finding:
-    """Return the finding on a reading of the check block, which says whether it agrees with the control chart."""
+    """Return the finding on whether a reading of the check block agrees with the control chart."""
     figures = tuple(
         Figure(
             f"{channel} less expected", 1e6 * float(off), "µV", f"u {1e6 * math.sqrt(float(variance)):.3g} µV"
