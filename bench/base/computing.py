@@ -56,8 +56,7 @@ THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", 
 
 
 def one_thread() -> None:
-    """Limit linear algebra to one thread unless the environment sets a number, because threads make computations
-    with small matrices slower.
+    """Limit linear algebra to one thread, which is faster for small matrices, unless the environment sets a number.
 
     Call it before numpy is imported.
     """
@@ -127,7 +126,7 @@ def missing(error: BaseException) -> str:
 
 
 def _in_certificates(trace: TracebackType | None) -> bool:
-    """Return whether a module of `bench.certificate` failed to import; its extra includes the signing packages."""
+    """Return whether an import failed within `bench.certificate`, whose extra includes the signing packages."""
     while trace is not None:
         if trace.tb_frame.f_globals.get("__name__", "").startswith("bench.certificate."):
             return True

@@ -37,7 +37,7 @@ class Scale:
 
     @property
     def per_g(self) -> str:
-        """The unit of a scale factor on the same scale: "µV/g"."""
+        """The unit of a scale factor printed on this scale: "µV/g"."""
         return f"({self.unit})/g" if "/" in self.unit else f"{self.unit}/g"
 
 

@@ -1,4 +1,4 @@
-"""Texts of page templates: found in the HTML, without marks, for the catalogue and for the translated pages.
+"""Texts of page templates, found in unmarked HTML, for the catalogue and for the translated pages.
 
 A text is the content between block elements and Jinja statements, inline elements included. Its expressions become
 numbered blanks: `<p>Page <b>{{ n }}</b> of {{ m }}</p>` has the text `Page <b>{0}</b> of {1}`. A text with an

@@ -42,7 +42,7 @@ def visible(text: str) -> str:
 
 
 def shown_path(path: str) -> str:
-    """Return a path as a page shows it: the last name of an absolute path, without the user's folders."""
+    """Return a path as a page shows it: of an absolute path only the last name, to hide the user's folders."""
     return PurePath(path).name if PurePath(path).is_absolute() else path
 
 

@@ -475,7 +475,7 @@ def load_document(path: Path, most_bytes: int = MEGABYTE) -> Document:
 
 
 def document_of(path: Path, content: bytes) -> Document:
-    """Parse the content of a file, as `load_document`; the file itself is not read. Raises `FileMistakes`."""
+    """Parse the `content` of the file `path`, which is not read. Raises `FileMistakes`, like `load_document`."""
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -1,4 +1,4 @@
-"""batch: evaluate many runs again, by processes or a cluster, and list changed results; can be continued."""
+"""batch: evaluate many runs again, in restartable batches by processes or a cluster; list changed results."""
 
 from __future__ import annotations
 

@@ -275,7 +275,7 @@ def _older(field: RequestField) -> inspect.Parameter:
 
 
 def _in_either_way(field: RequestField, argument: Any, option: Any) -> Any:
-    """Return the value of a field that the user gave as an `argument` or, in the older spelling, as an `option`.
+    """Return a field's value, which the user gave as an `argument` or, in the older spelling, as an `option`.
 
     Raises `Refused` if both are given.
     """

@@ -1,11 +1,15 @@
 """Conversion of other programs' logs to readings files, by a mapping of their columns, units and time format.
 
-log_columns: 1 time_format: "%Y-%m-%d %H:%M:%S" columns:
-  time_s: timestamp
-  reference_v: {columns: [k1, k2, k3], unit: V}     # their mean; their scatter goes into reference_sd_v
-  ux_v: {columns: dut, unit: uV}
-  meter_temperature_c: bath
-constants: {installation: R}
+Such a mapping is a YAML file:
+
+    log_columns: 1
+    time_format: "%Y-%m-%d %H:%M:%S"
+    columns:
+      time_s: timestamp
+      reference_v: {columns: [k1, k2, k3], unit: V}     # their mean; their scatter goes into reference_sd_v
+      ux_v: {columns: dut, unit: uV}
+      meter_temperature_c: bath
+    constants: {installation: R}
 """
 
 from __future__ import annotations

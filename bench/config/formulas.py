@@ -51,7 +51,7 @@ def dimension_mistake(effect: FormulaEffect) -> str | None:
 class _DimensionReading:
     """An interpreter that computes the dimension of a formula: each of its values is a pair (number, dimension).
 
-    The number is known only for a literal without a unit and for products of such literals; otherwise it is None.
+    The number is that of a literal without a unit or of a product of such literals, else None.
     """
 
     def __init__(self, known: Known) -> None:
@@ -398,7 +398,7 @@ def _written_parameter(parameter: Parameter) -> Mapping[str, Any]:
 
 
 def _exact(si: float, unit: float) -> float:
-    """Return the shortest number of units that converts back to exactly the same SI value."""
+    """Return the number of units with the fewest digits that converts back to exactly the same SI value."""
     plain = si / unit
     near = (float(f"{plain:.{digits}g}") for digits in range(1, 18))
     return next((number for number in near if number * unit == si), plain)

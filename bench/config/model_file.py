@@ -393,7 +393,7 @@ def _written_left_open(applied: AppliedEffect) -> dict[str, Any]:
 
 
 def _said_of_open(effect: InPart, times: float, u: float) -> str:
-    """Return the description of an entry of `left_open`, with the sizes of its changes times (`times` ± `u`)."""
+    """Return the description of an entry of `left_open`, which lists the changes multiplied by `times` ± `u`."""
     listed = []
     for one in effect.parts:
         sizes = [
@@ -523,7 +523,7 @@ def _joined(
 
 
 def _new_names(formula: FormulaEffect, taken: dict[str, Parameter], number: int) -> dict[str, str]:
-    """Return the new names of the parameters: old name -> name with the `number` of the joined term.
+    """Return the new names of a term's parameters: old name -> name with `number` appended.
 
     Equal shape parameters share a name; with `number` 0, names are unchanged.
     """

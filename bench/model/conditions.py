@@ -158,19 +158,19 @@ class Conditions:
 
     @cached_property
     def since_mounting_s(self) -> Floats:
-        """The time since the first reading in the mounting of the row, s, shape (n,)."""
+        """The time, s, shape (n,), since the first reading in the row's mounting."""
         return np.asarray(self.elapsed_s - self.elapsed_s[self.head_turns.first])
 
     @cached_property
     def switched_on_s(self) -> Floats:
-        """The time since the unit was switched on or, if unknown, since the start of the run, s, shape (n,)."""
+        """The time, s, shape (n,), since the unit was switched on or, if unknown, since the start of the run."""
         if self.on_s is None:
             return self.elapsed_s
         return np.where(np.isfinite(self.on_s), self.on_s, self.elapsed_s)
 
     @cached_property
     def warmth_k(self) -> Floats:
-        """Temperature minus `reference_c`, K, shape (n,); zero if no row has a temperature.
+        """The temperature minus `reference_c`, K, shape (n,); zero if no row has a temperature.
 
         Rows without a temperature are interpolated in time.
         """
@@ -292,7 +292,7 @@ SAME_RAD: Final = 1e-3
 
 
 class HeadPath(NamedTuple):
-    """The path of the head to each of m settings: from `start` to `turn`, then to `end`, rad, shape (m,) each.
+    """The path of the head to each of m settings: angles `start`, `turn` and `end`, rad, shape (m,), in this order.
 
     `rows` (m,) are the settings' row indices in the conditions; `sits` (m, 3, 3) are the matrices
     `block_from_platform`. `direction` is the direction of approach: +1, -1, or 0 if unknown. `begins` marks the

@@ -133,7 +133,7 @@ class ForwardModel:
         return applied.addition(Seen(signal, rows, block))
 
     def _with_turns(self, conditions: Conditions) -> Conditions:
-        """Return the conditions with `turns` filled in; cached, so that equal calls return the same object."""
+        """Return the conditions with `turns` filled in, which are cached: a second call returns the same object."""
         kept: tuple[object, Conditions] | None = conditions.memory.get("turned")
         if kept is None or kept[0] is not self.installations:
             kept = self.installations, replace(conditions, turns=self._turns(conditions))

@@ -182,9 +182,7 @@ def level_rad(extra: Mapping[str, Labels], rows: int) -> Floats | None:
 
 
 def drift_rad_s(extra: Mapping[str, Labels]) -> tuple[float, float] | None:
-    """Return the rms rates of α1 and α2, rad/s, from text columns; None if no mounting had a second level
-    reading.
-    """
+    """Return the rms rates of α1 and α2, rad/s, from text columns; None if no mounting had two level readings."""
     if not all(name in extra for name in DRIFTS):
         return None
     rates = [[float(cell) for cell in extra[name].tolist() if cell.strip()] for name in DRIFTS]
@@ -276,7 +274,7 @@ SINCE_POWER_ON_S: Final = "since_power_on_s"
 
 
 def since_power_on_s(extra: Mapping[str, Labels]) -> Floats | None:
-    """Return the time since the block was switched on, s, shape (n,), NaN if not given; None without the column."""
+    """Return the time since the block was switched on, s, shape (n,), NaN where unknown; None if not recorded."""
     return numbers(extra[SINCE_POWER_ON_S]) if SINCE_POWER_ON_S in extra else None
 
 
@@ -304,7 +302,7 @@ def numbers(cells: Labels) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Rail:
-    """A supply rail of the block: measured voltage with its sign, V, nominal voltage, V, and current, A."""
+    """A supply rail of the block: measured and nominal voltage with their signs, V, and measured current, A."""
 
     voltage_v: float
     nominal_v: float

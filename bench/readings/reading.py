@@ -91,7 +91,7 @@ class Reading:
 
     @property
     def place(self) -> tuple[int, str, int, int]:
-        """The setting that was read: (series, installation, pass, point); a repeated reading has the same."""
+        """The setting that was read: (series, installation, pass, point); a repeated reading has the same place."""
         return self.series, self.installation, self.pass_number, self.point
 
     def __str__(self) -> str:

@@ -276,7 +276,7 @@ def together(parts: Sequence[JoinedPart]) -> Readings:
 
 
 def _clock_s(table: Readings) -> Floats:
-    """Return the time of each reading on the table's clock, s, estimated if not given."""
+    """Return the time, s, of each reading on the table's clock, estimated if not given."""
     return table.time_s if table.began_s is not None else table.conditions().elapsed_s
 
 

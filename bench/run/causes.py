@@ -126,9 +126,7 @@ class Inquiry:
         return self._fitting([one.supposed for one in supposed], judged, before)
 
     def _off_by_some(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
-        """Return the suspected mistakes of unknown size: block turned about the shaft, or tilted, or a channel
-        off.
-        """
+        """Return the suspected mistakes of unknown size: block turned about the shaft or tilted, a channel off."""
         further = self._shifts(sighting, state)
         judged = state.judge(sighting.signal_v, sighting.pose, self.noise, further)
         weighed = np.linalg.solve(judged.covariance, further[..., None])[..., 0]
@@ -164,9 +162,7 @@ class Inquiry:
         ]
 
     def _others(self, sighting: Sighting, *, few: bool) -> dict[str, Supposition]:
-        """Return the suppositions of another installation by label; with `few`, also those of another
-        orientation.
-        """
+        """Return the suppositions of other installations by label; with `few`, also of other orientations."""
         label = sighting.installation
         otherwise = self.otherwise.get(label, ()) if few else ()
         known = {at: other_installation(at, label, sighting.sat_before) for at in self._installations(label)}
@@ -274,9 +270,7 @@ class Inquiry:
         return sighting.poses
 
     def _shifts(self, sighting: Sighting, state: Expectation) -> Floats:
-        """Return the prior standard deviations (5, 3) of the signals, V: block turned, tilted, x off, y off, z
-        off.
-        """
+        """Return the signals' prior standard deviations (5, 3), V: block turned, tilted, x off, y off, z off."""
         scale = state.scale_factors[0]
         turn = self.model.installations[sighting.installation].block_from_platform
         return np.stack(

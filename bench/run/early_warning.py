@@ -256,7 +256,7 @@ class EarlyWarning:
         return last.installation
 
     def _pivot_rad(self) -> float | None:
-        """Return the head angle of the last reading that fitted on the present mounting, rad, or None."""
+        """Return the head angle, rad, of the last reading on the present mounting that fitted; None without one."""
         for sighting in reversed(self._history):
             if sighting.taken and not sighting.struck:
                 return sighting.angle_rad
@@ -321,7 +321,7 @@ class EarlyWarning:
         )
 
     def _suspect(self, sighting: Sighting, judged: ReadingJudgement) -> EarlySign:
-        """Return the sign for a reading that does not fit, with the mistakes that explain it."""
+        """Return the sign for a reading that does not fit, with the mistakes that explain the reading."""
         inquiry = self._inquiry()
         of_run, replay = inquiry.of_run(self._history)
         of_reading = inquiry.of_reading(sighting, self._state, replay.before)
@@ -346,9 +346,7 @@ class EarlyWarning:
         return self._sign(sighting, judged, channels, words, causes, at_fault, confident=confident)
 
     def _wrong_before(self, judged: ReadingJudgement) -> list[EarlySign]:
-        """Return the sign for the undecided previous reading, if the fit of the present one shows that it was
-        wrong.
-        """
+        """Return the sign for the previous reading, if the fit of the present one shows that it was wrong."""
         found = self._confidence.fits()
         if found is None:
             return []

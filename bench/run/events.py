@@ -240,7 +240,7 @@ _KINDS: Final = (Mounted, Turned, TemperatureSet, CameToRest, InputSelected, Ans
 
 @cache
 def _fields() -> Mapping[Callable[..., Result], tuple[str, ...]]:
-    """Return the field names of each result type, including results of step types defined in other modules."""
+    """Return the field names of each type of result, including results of kinds of steps in other modules."""
     from bench.config.procedure.plan import KINDS  # imported here because it is slow
 
     further = (kind.BRINGS for kind in KINDS if kind.BRINGS is not None)

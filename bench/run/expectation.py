@@ -76,7 +76,7 @@ def poses(
 
 @dataclass(frozen=True)
 class NoiseSizes:
-    """Standard deviations of one reading: of each signal, V, and of the setting of the head, rad."""
+    """Standard deviations of one reading: of each signal (V), and of the setting of the head (rad)."""
 
     reading_v: float
     setting_rad: float
@@ -116,9 +116,9 @@ class RepeatNoise:
 class ReadingJudgement(NamedTuple):
     """The comparison of a reading with its expectation, for each of m members (supposed mistakes).
 
-    `residual` (m, 3) is in V, `covariance` (m, 3, 3) is its covariance. `chi2` (m,) has three degrees of freedom.
-    `log_det` (m,) is the logarithm of the covariance's determinant. `design` (m, 3, 17) holds the derivatives of
-    the signals with respect to the state.
+    `residual` (m, 3) is in V; `covariance` (m, 3, 3) is that of the residual, `log_det` (m,) the logarithm of its
+    determinant. `chi2` (m,) has three degrees of freedom. `design` (m, 3, 17) holds the derivatives of the signals
+    with respect to the state.
     """
 
     residual: Floats

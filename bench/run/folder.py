@@ -150,7 +150,7 @@ class Run:
         ]
 
     def _unfinished_note(self, taken: int) -> tuple[str, ...]:
-        """Return notes on planned readings that are missing; `taken` is the number of readings on record."""
+        """Return notes if planned readings are missing; `taken` is the number of recorded readings."""
         history = self.trusted_history()
         out = history.progress.left_out
         planned = [i for i, step in enumerate(self.plan.steps) if isinstance(step, Read)]

@@ -136,7 +136,7 @@ def told_at_reading(
 def told_around(
     instruments: Instruments, known: Mapping[str, float], air_c: float | None, key: str
 ) -> dict[str, float]:
-    """Return the temperatures of meters and room by column, °C; `air_c` is the air of the chamber, if known.
+    """Return the temperatures of meters and room, °C, by column; `air_c` is that of the chamber's air, if known.
 
     `known` holds values already entered in this mounting; a person is not asked for them again. Raises
     `BenchError`.

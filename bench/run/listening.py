@@ -177,8 +177,8 @@ class Asker:
     def ask(self, prompt: Prompt) -> Answer:
         """Put the prompt; return the first valid answer, or an invalid answer typed at the terminal.
 
-        The caller rejects the invalid answer and asks again, which the record counts as the same question.
-        Raises `OperatorWish` for a wish, and `NoAnswer` at the end of the terminal's input.
+        The caller rejects an invalid answer and asks again; the record counts this as the same question. Raises
+        `OperatorWish` for a wish, and `NoAnswer` at the end of the terminal's input.
         """
         question = prompt.id.rpartition("#")[0]
         if not question or question != self._refused:
@@ -198,7 +198,7 @@ class Asker:
         return Answer(prompt.id, text)
 
     def drain(self) -> None:
-        """Refuse the answers that were left in the folder while no prompt was open."""
+        """Refuse the answers left in the folder while no prompt was open."""
         while (left := self._answers.poll()) is not None:
             self._refuse(left, self._why_stale(left))
 

@@ -51,7 +51,7 @@ class LightlyRead(Protocol):
     """A bench whose signals can be sampled between two readings, without a record."""
 
     def glance(self) -> tuple[float, ...]:
-        """Return the present signals x, y, z, V, without recording them. Raises `BenchError`."""
+        """Return the present signals x, y, z in V, and record nothing. Raises `BenchError`."""
 
     @property
     def voltmeters(self) -> Sequence[Voltmeter]:

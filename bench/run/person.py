@@ -423,7 +423,7 @@ def understood_answer(prompt: Prompt, text: str) -> str:
 
 
 def _on_scale(prompt: Prompt, given: str) -> float:
-    """Return a typed angle as the scale shows it, rad."""
+    """Return a typed angle in rad; a text such as `+5"` states the deviation from the prompt's target."""
     target_rad: Any = prompt.action.get("target_rad")
     return parse_angle(given) if target_rad is None else typed_angle(given, float(target_rad))
 

@@ -161,7 +161,7 @@ class UnitPower:
         self._record_event("off", {})
 
     def cycle(self, off_s: float, key: str) -> None:
-        """Switch the block off and on again; it stays off for `off_s` or the bench file's minimum, s."""
+        """Switch the block off and on again; it stays off for `off_s`, or longer if the bench file says so."""
         self.switch_off(key)
         self._stay_off(key, off_s)
         self._switch_on(key)
@@ -418,7 +418,7 @@ def take_up(
 
 
 def _on_at(plan: Plan, step: int) -> bool:
-    """Return whether the block is to be on before step `step`."""
+    """Return whether the plan has the block on before step `step`."""
     for before in reversed(plan.steps[:step]):
         if isinstance(before, Power):
             return before.switch != "off"

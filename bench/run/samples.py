@@ -191,7 +191,8 @@ class Window:
     def add(self, time_s: float, values: Sequence[float]) -> Settling:
         """Add a sample of all signals taken at `time_s`; return the state of settling.
 
-        Raises `ValueError` if time runs backwards, or if the number of signals changes or is zero.
+        Raises `ValueError` if the time is before that of the last sample, or the number of signals changes or is
+        zero.
         """
         taken = tuple(float(value) for value in values)
         if not taken:
@@ -231,14 +232,15 @@ class Window:
         return Settling(settled, elapsed_s, self._taken, values, spread, left_s)
 
     def _left_s(self, signals: Sequence[Sequence[float]], spread: Sequence[float]) -> float | None:
-        """Return the longest of the signals' estimated times left, s; None if a signal has no estimate."""
+        """Return the longest estimated time, s, until a signal has settled; None if a signal has no estimate."""
         times = [time_s for time_s, _ in self._samples]
         estimates = [self._signal_left_s(times, *one) for one in zip(signals, spread, strict=True)]
         known = [estimate for estimate in estimates if estimate is not None]
         return max(known) if len(known) == len(estimates) else None
 
     def _signal_left_s(self, times: Sequence[float], signal: Sequence[float], spread: float) -> float | None:
-        """Return one signal's estimated time left, s, from the samples in the window, or None.
+        """Estimate one signal's time left until settled, s, from the samples in the window; None without an
+        estimate.
 
         If the span is within the precision, only the rest of the window remains to be filled. Otherwise the
         approach is modelled as exponential: the span shrinks by the same factor from each half-window to the next.

@@ -33,9 +33,9 @@ SLICE_S: Final = 1.0
 class LineReader:
     """Reads lines from a stream, one line for each question, without a thread of its own.
 
-    Input typed during other work waits in the terminal, so that no answer is lost. A stream without a file
-    descriptor (and any stream on Windows) cannot be waited for with a timeout: reading then blocks, and
-    `meanwhile` is not called.
+    Lines typed while nobody reads wait in the terminal, so that no answer is lost. A stream without a file
+    descriptor (and any stream on Windows) cannot be waited for with a timeout: reading then blocks, and `meanwhile`
+    is not called.
     """
 
     def __init__(self, answers: TextIO) -> None:
@@ -145,7 +145,9 @@ class TimeLeft:
         self._begun: tuple[int, float] | None = None
 
     def choose(self, chosen: Mapping[str, Any]) -> None:
-        """Apply a choice of points: drop unneeded steps, and scale the expected time of undecided steps."""
+        """Apply a choice of points: drop steps that it excludes, scale the expected times of those not decided
+        yet.
+        """
         self._out |= steps_of(chosen["left_out"])
         self._out -= steps_of(chosen.get("taken_up", ()))
         step_s = [0.0 if i in self._out else seconds for i, seconds in enumerate(self._step_s)]

@@ -419,7 +419,9 @@ class Workbench:
         return self.instruments.voltmeters
 
     def glance(self) -> tuple[float, ...]:
-        """Return the present signals x, y, z, V, between two readings, and record nothing. Raises `BenchError`."""
+        """Return the present signals x, y, z in V, between two readings, and record nothing. Raises
+        `BenchError`.
+        """
         with self.bench.aside():
             if self._before_glances is None:
                 self._before_glances = (self._settings,)

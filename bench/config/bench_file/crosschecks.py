@@ -253,7 +253,7 @@ _A: Final[tuple[Place, ...]] = (
 
 
 def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Yield the mistakes in the block's rails, compared with the limits of the block and of its power supply.
+    """Yield the mistakes in the settings of the block's rails, also against the limits of block and power supply.
 
     Each is a place and a text. `data` is the bench file as written; any part of it may be missing or malformed.
     """

@@ -77,7 +77,7 @@ class NoiseEntry(FileModel):
 
 
 class StandEntry(FileModel):
-    """The learned angles: means with covariance, rad², and standard deviations between mountings (`remount`)."""
+    """The learned angles: `means`, their `covariance`, and standard deviations between mountings (`remount`)."""
 
     means: tuple[MeanEntry, ...] = Field(min_length=1)
     covariance_rad2: tuple[tuple[float, ...], ...]
@@ -185,8 +185,8 @@ class LearnedFile(WithEffects):
     not_identified: tuple[str, ...] = ()
 
     def has(self, head: str, readings: Sequence[str]) -> bool:
-        """Whether the file was learned from the record with this chain `head` or from readings with one of the
-        hashes `readings`.
+        """Whether the file was learned from the record with this chain `head` or from readings with one of these
+        hashes.
         """
         return any((head and run.head == head) or run.readings in readings for run in self.runs)
 

@@ -403,8 +403,8 @@ class GravityError(ErrorSize):
 class TemperatureError(ErrorSize):
     """The limit of the difference between the temperatures of the block in use and in the calibration, K.
 
-    By default the difference is constant throughout a run. If the difference fluctuates, `correlation_time` is
-    its correlation time; only then does averaging over readings reduce it.
+    By default the difference is constant throughout a run. If it fluctuates, `correlation_time` is its correlation
+    time, and averaging over readings reduces it.
     """
 
     limit: SizeK

@@ -160,7 +160,7 @@ def resource_on(*interfaces: Literal["TCPIP", "ASRL"], example: str) -> AfterVal
 
 @dataclass(frozen=True)
 class Port:
-    """The line terminations of an instrument's wire, and the serial port parameters (None without such a port)."""
+    """The line terminations of an instrument's wire, and the parameters of its serial port, if it has one."""
 
     read_termination: str
     write_termination: str
@@ -190,9 +190,7 @@ class WiredForm(DeviceSection):
         return bus_place(self.resource)
 
     def port(self) -> Port:
-        """Return the setup of the wire as the instrument's facts state it, with the changes of the section
-        `serial`.
-        """
+        """Return the setup of the wire that the instrument's facts state, changed as the section `serial` says."""
         stated = getattr(self, "serial", None)
         serial = None if stated is None else {**self.facts.SERIAL, **stated.settings()}
         tail = getattr(self.facts, "READ_TAIL", 0)
@@ -526,7 +524,9 @@ class LineForm(WiredForm):
         return self.model_dump(include={"model", "request", "pattern", "errors"})
 
     def line_options(self) -> dict[str, Any]:
-        """Return the simulation's options: the request, the pattern and an example of the reply, error lines."""
+        """Return the simulation's options: the request, the pattern and an example of the reply, the error
+        lines.
+        """
         ends = text_line.ENDS
         return {
             **self.model_dump(include={"request", "pattern", "example"}),

@@ -3,7 +3,7 @@
 A distribution declares the entry-point group `triaxial_bench.devices`; each entry is a `Device` or a module with a
 `DEVICE`. Folders are listed in the environment variable `BENCH_DEVICES` (joined by the system's path separator) or
 given with `--devices`. A bench file cannot name folders, because their code is executed. Each module or package
-directly in a folder may define a `DEVICE`; such modules import each other relatively (`from .facts import …`).
+directly in a folder may define a `DEVICE`; they import each other relatively (`from .facts import …`).
 """
 
 from __future__ import annotations
@@ -112,9 +112,7 @@ class Devices:
         }
 
     def add(self, device: Device, place: str) -> None:
-        """Add a device declared in the file or distribution `place`; of two devices of one name, neither is
-        used.
-        """
+        """Add a device declared in the file or distribution `place`; two devices of one name are both unusable."""
         wrong = _wrong_declaration(device)
         if wrong:
             self.troubles.append(f"{place} cannot be used: {wrong}")

@@ -307,7 +307,7 @@ class LineThermometerSection(TemperatureRange, ThermometerForm, LineForm):
         return self.tolerance
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the options common to all instruments that answer with a line of text, and the range, °C."""
+        """Return the options common to instruments with a line of text, and the temperature range, °C."""
         return super().driver_options() | {"minimum_c": self.minimum, "maximum_c": self.maximum}
 
     def simulation_options(self, truth: ThermometerTruth) -> dict[str, Any]:

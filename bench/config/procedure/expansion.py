@@ -91,7 +91,7 @@ class _Context:
         )
 
     def failure(self, *nearer: FailureSection | None) -> OnFailure:
-        """Return the handling of a failed step: the first of `nearer` that is stated, else that of this context."""
+        """Return the handling of a failed step: the first stated in `nearer`, else the one of this context."""
         said = next((section for section in (*nearer, self.on_failure) if section is not None), None)
         return OnFailure() if said is None else said.to_plan()
 

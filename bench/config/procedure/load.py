@@ -170,8 +170,7 @@ class _Tree:
     def _check_scopes(self, document: Document, steps: Any, place: Place, scope: _Scope) -> None:
         """Check that every verb is allowed where it occurs; `steps` are as written, valid or not.
 
-        An included file is checked once for each set of enclosing verbs; more checks would repeat the same
-        mistakes.
+        An included file is checked once for each set of enclosing verbs, so that no mistake is reported twice.
         """
         for entry, verb, body in _entries(steps, place):
             problem = scope.problem(verb)

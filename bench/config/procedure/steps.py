@@ -45,7 +45,7 @@ class OnFailure:
 
 @dataclass(frozen=True, slots=True)
 class OperatorTime:
-    """The expected times of the operator for a turn, a mounting, an answer or other task, an input change, s."""
+    """The expected times, s, of the operator: for a turn, a mounting, a task or an answer, an input change."""
 
     turn_s: float = 120.0
     mount_s: float = 1200.0
@@ -390,7 +390,7 @@ class Level(Step):
         return message(f"{what} in two positions{times}")
 
     def takes_s(self, times: Times) -> float:
-        """Return the expected duration of turns, readings (two positions, two axes) and levelling, s."""
+        """Return the expected duration, s, of turns, readings (two positions, two axes) and levelling."""
         by_hand = times.operator
         levelled_s = by_hand.mount_s * (self.within_rad is not None)
         return self.settings * (by_hand.turn_s + 4.0 * by_hand.answer_s) + levelled_s
@@ -437,7 +437,9 @@ def precision_in_words(step: Settle) -> str:
 
 
 def scan_in_words(step: Read) -> str:
-    """Return the clause on the scan order, such as ", the channels in the order z, y, x"; empty without one."""
+    """Return the clause on the scan order, such as ", the channels in the order z, y, x"; empty if the step states
+    none.
+    """
     return message(f", the channels in the order {', '.join(step.scan)}") if step.scan else ""
 
 

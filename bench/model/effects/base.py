@@ -34,7 +34,7 @@ class Stage(StrEnum):
 class Subsystem(StrEnum):
     """The part of the bench to which an effect belongs.
 
-    Of two explanations in the same part, the diagnosis prefers the simpler.
+    Of two explanations in one part, the diagnosis prefers the simpler.
     """
 
     BLOCK = "block"

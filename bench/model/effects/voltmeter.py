@@ -228,7 +228,7 @@ class VoltmeterGain(VoltmeterEffect):
     shown_by = "a reference voltage at the inputs; the voltmeters' calibration"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the voltages that the gain error adds to the n readings, in V, (n, 3): the error times U."""
+        """Return the gain error times U in volts, shape (n, 3)."""
         return values["gain"] * seen.signal
 
 
@@ -247,7 +247,7 @@ class ReferenceStep(VoltmeterEffect):
     outlasts_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the voltages that the step adds to the n readings U, in V, (n, 3): its size times U."""
+        """Return the size of the step times U in volts, shape (n, 3)."""
         return values["step"] * seen.signal
 
 

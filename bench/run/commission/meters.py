@@ -45,7 +45,9 @@ class _Timed(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class TimingSpread:
-    """The spread of the meters' start times in one reading, and of the times at which their samples arrived, s."""
+    """The spread of the times, s, at which the meters started a reading, and of those at which their samples
+    arrived.
+    """
 
     starts_s: float
     ends_s: float
@@ -79,7 +81,7 @@ def _settings(
 
 
 def check_settings(evening: CommissioningSession) -> None:
-    """Set up each meter with two different settings; the driver reads back each."""
+    """Set up each meter twice, with different settings; each time, the driver reads the settings back."""
     for meter in evening.instruments.voltmeters:
         evening.carry_out(SETTINGS, meter, partial(_set_twice, evening, meter))
 
@@ -157,7 +159,7 @@ def expected_time_s(
 
 
 def _character_s(serial: Mapping[str, object] | None) -> float:
-    """Return the time of one character on a serial line, including start bit, s; 0 without serial settings."""
+    """Return the time, s, of a character with its start bit on a serial line; 0 without serial settings."""
     if serial is None:
         return 0.0
     bits = 1 + int(str(serial["data_bits"])) + (serial["parity"] != "none") + int(str(serial["stop_bits"]))
@@ -301,20 +303,20 @@ def _of_channel(
 
 
 def largest_scatter_v(sigma_v: float, n: int) -> float:
-    """Return the upper limit of the standard deviation of `n` samples, V, for the true value `sigma_v`."""
+    """Return the upper limit, V, of the standard deviation of `n` samples whose true value is `sigma_v`."""
     from scipy.stats import chi2
 
     return sigma_v * math.sqrt(float(chi2.isf(SIGNIFICANCE, n - 1)) / (n - 1)) if n > 1 else sigma_v
 
 
 def zero_limit_v(evening: CommissioningSession, meter: Voltmeter) -> float:
-    """Return the maker's limit of error of a shorted input within 90 days, V."""
+    """Return the maker's limit of error, V, at a shorted input within 90 days."""
     range_v = evening.file.voltmeter_range_v
     return range_v * _form(evening, meter).kind.accuracy[range_v][1]
 
 
 def limit_v(evening: CommissioningSession, meter: Voltmeter, volts: float) -> float:
-    """Return the maker's limit of error at an input of `volts` within 90 days, V."""
+    """Return the maker's limit of error, V, at an input of `volts` within 90 days."""
     of_reading, _ = _form(evening, meter).kind.accuracy[evening.file.voltmeter_range_v]
     return of_reading * abs(volts) + zero_limit_v(evening, meter)
 

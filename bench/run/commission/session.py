@@ -345,7 +345,9 @@ class CommissioningSession:
         self._losses[name] = self._losses.get(name, 0) + 1
 
     def _of_error(self, check: str, name: str, state: State, error: BenchError) -> Finding:
-        """Return the finding for an error, on the instrument that the error names, if the bench has it."""
+        """Return the finding for an error. It is on the instrument that the error names, if the bench has that
+        one.
+        """
         known = error.instrument in {one.name for one in self.instruments.all()}
         about = "" if known else f"{error.instrument}: "
         remedy = "; ".join((error.remedy, *getattr(error, "__notes__", ())))
@@ -360,7 +362,7 @@ class CommissioningSession:
     def _with_wire(
         self, found: Finding, name: str, mark: tuple[int, int], before: int | None, by_answers: bool
     ) -> Finding:
-        """Return the finding with faults on a wire added: failures followed by success, slow responses."""
+        """Return the finding with faults on a wire added: failures, garbled replies, slow responses."""
         failures, after = self.watch.failures(mark, name), self._connection(name)
         if failures:
             said = f"{found.said}, but its wire failed on the way ({failures[0]})"
