@@ -167,7 +167,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def write_whole(path: Path, text: str | bytes) -> None:
-    """Write a file atomically, text in UTF-8. Raises `OSError` that names the path.
+    """Write a file atomically; a text is encoded in UTF-8. Raises `OSError` that names the path.
 
     Links are followed. A device or pipe (`/dev/null`) is written to, never replaced by a file.
     """

@@ -165,7 +165,7 @@ class Entry:
         return not self.files or any(not file.endswith((".j2", ".js")) for file in self.files.split())
 
     def patterns(self) -> Iterator[tuple[str, re.Pattern[str]]]:
-        """Yield each English form with a regular expression, whose groups are the values of the blanks."""
+        """Yield each English form with a regular expression for it; groups are the values of the blanks."""
         for text in filter(None, (self.english, self.plural)):
             seen: set[str] = set()
             parts = []
@@ -266,7 +266,7 @@ class Catalogue:
         return self._exactly(text) or self._filled(text) or self._filled(text, sure=False) or text
 
     def _settled(self, text: str) -> bool:
-        """Return whether a part of a text is translated, or needs no translation: a single word, or numbers."""
+        """Return whether a part of a text has a translation or, being a single word or numbers, needs none."""
         return " " not in text.strip() or not self._foreign(text)
 
     def _foreign(self, text: str) -> bool:

@@ -164,7 +164,7 @@ def typeset(text: str) -> str:
 
 
 def without_infinity(value: Any) -> Any:
-    """Return a value of nested dicts and lists with None for NaN and infinity, which JSON does not have."""
+    """Return nested dicts and lists with None in place of NaN and infinity, which JSON does not have."""
     if isinstance(value, Mapping):
         return {key: without_infinity(of) for key, of in value.items()}
     if isinstance(value, list | tuple):

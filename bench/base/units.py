@@ -143,7 +143,7 @@ def number_and_unit(text: str) -> tuple[float, str] | None:
 
 @lru_cache(maxsize=4096)
 def _parsed(text: str, kind: QuantityKind) -> float:
-    """Return what `parse_quantity` returns for a text; cached, because a long procedure repeats few texts often."""
+    """Return what `parse_quantity` returns for a text; cached, because a long procedure repeats its texts."""
     read = number_and_unit(text)
     if read is None:
         raise ValueError(f"{kind.expected}, got '{shortened(text)}'")

@@ -51,7 +51,7 @@ def table(*headings: str, no_wrap: bool = False) -> Table:
 
 
 def aside(*lines: str) -> None:
-    """Print lines on standard error, because the result is on standard output."""
+    """Print lines on standard error, to keep them apart from the result on standard output."""
     for line in lines:
         print(visible(line), file=sys.stderr)
 

@@ -242,7 +242,7 @@ def split_table(
 
 
 def _without_empty_end(cells: list[str], least: int) -> list[str]:
-    """Return the cells without trailing empty ones, but at least `least`: spreadsheets pad lines with commas."""
+    """Return the cells without empty ones at the end (as spreadsheets add), but at least `least` cells."""
     while len(cells) > least and not cells[-1].strip():
         cells = cells[:-1]
     return cells

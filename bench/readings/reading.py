@@ -211,6 +211,6 @@ def readings_of(taken: Sequence[Reading], source: str, power: Sequence[tuple[flo
 
 
 def _cells(taken: Sequence[Reading], name: str) -> list[str]:
-    """Return a field of readings as cells of a text column, empty where it is None."""
+    """Return a field of readings as cells of a text column; None becomes an empty cell."""
     values = [getattr(reading, name) for reading in taken]
     return ["" if value is None else str(value) for value in values]

@@ -72,8 +72,8 @@ AS_RECORDED: Final = Member(Supposition("", Kind.EARLIER))
 class Inquiry:
     """The search for the mistakes that explain a reading.
 
-    `model` contains the procedure's installations and the other possible orientations of the block; `otherwise`
-    lists the labels of the latter for each installation. `nominal` is the nominal block, `prior` the `Expectation`
+    `model` contains the procedure's installations and other possible orientations of the block; `otherwise` lists,
+    by installation, the labels of these orientations. `nominal` is the nominal block, `prior` the `Expectation`
     before the first reading. `stand_u` are the standard uncertainties of the stand, `noise` the noise sizes, and
     `most` is the largest chi2 that counts as a fit.
     """
@@ -208,10 +208,7 @@ class Inquiry:
         ], replay
 
     def _wrong_before(self, sighting: Sighting, k: int) -> list[Member]:
-        """Return the members (supposed mistakes) in which reading `k` is left out, shifted, or at another setting.
-
-        Each is to be replayed over all readings.
-        """
+        """Return the members (supposed mistakes) with reading `k` left out, shifted, or at another setting."""
         unlikely, was_wrong = UNLIKELY[Kind.EARLIER], message(f"{sighting.place} was wrong")
         somehow = Supposition(was_wrong, Kind.EARLIER, unlikely)
         first = 2 + len(self._others(sighting, few=True))
@@ -339,7 +336,7 @@ class Confidence:
         self._silent, self._undecided, self._unexplained_v = False, None, 0.0
 
     def went_on(self, sighting: Sighting) -> None:
-        """Note that a person continued despite the mistakes named last; those that last no longer stop the run."""
+        """Note that a person continued despite the mistakes just named; lasting ones no longer stop the run."""
         self._silent = True
         for kind in self._last:
             if kind in LASTING:

@@ -174,7 +174,7 @@ class TemperatureSet:
 class CameToRest:
     """The signals or the temperature settled after `settled_s` seconds.
 
-    `settled_at` are its settled values, in V (signals) or °C (chamber).
+    `settled_at` are the settled values, in V (signals) or °C (chamber).
     """
 
     settled_s: float

@@ -160,7 +160,7 @@ def leave_safe(
     `power` controls the block's supply; None if the run controls none. A block that this run has switched, or found
     on and taken over, is switched off unless its section has `when_unsafe = "stay-on"`; any other block keeps its
     state. Only an opened chamber is set, because another program may be using one that was not opened; `demanded_c`
-    is its last set point, °C, None if it has none. Closing stops the head and returns meters to local operation.
+    is the last set point, °C, None without one. Closing stops the head and returns meters to local operation.
     Returns the remaining manual tasks, keyed by instrument name.
     """
     to_do = {}

@@ -49,7 +49,7 @@ class ClockWatch:
         self._last: tuple[datetime, float] | None = None
 
     def gap_s(self) -> float:
-        """Return civil time minus bench time since the last call, s; 0 if it is below `GAP_S`."""
+        """Return the gain of civil time over bench time since the last call, s; 0 if it is below `GAP_S`."""
         civil, now_s = self._civil(), self._now_s()
         last, self._last = self._last, (civil, now_s)
         if last is None:

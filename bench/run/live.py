@@ -197,7 +197,7 @@ class LiveSignals:
         return LiveValue(prompt, utc_now().isoformat(), signals, off, expanded, self._has_settled())
 
     def _has_settled(self) -> bool:
-        """Return whether all signals have settled: slope of a fitted line, and scatter, within limits."""
+        """Return whether all signals have settled: scatter and slope of a fitted line are within limits."""
         times = np.array([time for time, _ in self._recent])
         values = np.array([signals for _, signals in self._recent])
         if times[-1] - times[0] < SETTLED_S or len(times) < 4:

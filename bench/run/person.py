@@ -52,7 +52,7 @@ class WishAuthor:
 
     @classmethod
     def from_json(cls, line: Mapping[str, Any]) -> WishAuthor:
-        """Return the author that `line`, an event's data or a line of the run folder's files, states."""
+        """Return the author stated in `line`: the data of an event, or a line of the run folder's files."""
         return cls(*(str(line.get(name, "")) for name in ("by", "role", "where")))
 
 
@@ -432,7 +432,7 @@ _BY_EYE: Final = frozenset({"turn", "read_temperature", "read_level", "read_supp
 
 
 def _read_by_eye(prompt: Prompt, given: str) -> float | None:
-    """Return the value read from a scale or display that was typed (rad, °C, V or A); None for other prompts.
+    """Return the typed value of a scale or display (rad, °C, V or A); None for other prompts.
 
     Raises `ValueError` with a sentence on the fault.
     """

@@ -346,7 +346,7 @@ class Record:
         return record, history
 
     def _go_on_after(self, history: History) -> None:
-        """Continue after the end of a history that was read while this record held the file's lock."""
+        """Continue after the last event of `history`, which was read while this record held the file's lock."""
         self.state = history.state
         self._last_hash, self._count, self._length = history.head, len(history.events), history.length
         if history.torn:
@@ -361,7 +361,7 @@ class Record:
     def append(self, kind: str, bench_s: float, /, **data: Any) -> Event:
         """Write one event and return it.
 
-        On return the event is on disk; those in `WITH_THE_NEXT` are forced to disk only with the next event.
+        On return the event is on disk; event types in `WITH_THE_NEXT` are forced to disk with the next event only.
 
         Raises `RecordError` (disk full, …), or `ValueError` for an event that is invalid in the present state.
         """

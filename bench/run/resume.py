@@ -103,7 +103,7 @@ class PlanProgress:
         self.left_out -= steps_of(chosen.get("taken_up", ()))
 
     def _note_redo(self, redo: Event) -> None:
-        """Note that a point is redone because of an early sign; if a whole pass is redone, clear its notes."""
+        """Note that a point is redone because of an early sign; a redo of a whole pass clears the notes on it."""
         if redo.data.get("wish") != Wish.REPEAT_POINT:
             self.in_vain.difference_update(redo.steps)
         elif self.doubt is not None:
@@ -126,7 +126,7 @@ class PlanProgress:
                 self.done.discard(index)
 
     def attempt(self, step: int) -> int:
-        """Return the number of the present attempt at a step: 1, plus 1 for each request to redo it."""
+        """Return the number of the present attempt at a step: 1, and 1 more for each redo on request."""
         return 1 + self.redone[step]
 
     def settled(self, step: int) -> bool:

@@ -282,7 +282,7 @@ class Runner:
             self._zero_s = self.bench.clock.now_s() - resume.bench_s
 
     def _remount(self, step: Mount) -> None:
-        """Ask whether the block is still mounted as it was; if not, number its later readings as a new visit."""
+        """Ask whether the block is still mounted as it was; if not, its later readings form a new visit."""
         if self._workbench.still_mounted(step):
             self._workbench.temperature_c = self.progress.temperature_c
             return

@@ -191,8 +191,7 @@ class Window:
     def add(self, time_s: float, values: Sequence[float]) -> Settling:
         """Add a sample of all signals taken at `time_s`; return the state of settling.
 
-        Raises `ValueError` if the time is before that of the last sample, or the number of signals changes or is
-        zero.
+        Raises `ValueError` if the time is before the last sample's, or the number of signals changes or is zero.
         """
         taken = tuple(float(value) for value in values)
         if not taken:
@@ -239,8 +238,7 @@ class Window:
         return max(known) if len(known) == len(estimates) else None
 
     def _signal_left_s(self, times: Sequence[float], signal: Sequence[float], spread: float) -> float | None:
-        """Estimate one signal's time left until settled, s, from the samples in the window; None without an
-        estimate.
+        """Return the estimated time, s, until one signal has settled, from the window's samples; None without one.
 
         If the span is within the precision, only the rest of the window remains to be filled. Otherwise the
         approach is modelled as exponential: the span shrinks by the same factor from each half-window to the next.
@@ -322,7 +320,7 @@ LEAST_WAY_K: Final = 2.0
 
 @dataclass
 class ChamberWatch:
-    """Checks, `slow_after_s` after each new set point, that the air has covered at least 20 % of the change.
+    """Checks after each new set point that the air covers at least 20 % of the change within `slow_after_s`.
 
     Otherwise `tell` records `CHAMBER_SLOW`.
     """
@@ -360,7 +358,7 @@ class ChamberWatch:
             self._way_c = None  # the step that needs the temperature will report the error
 
     def take(self, name: str, air_c: float) -> None:
-        """If the check is due, check an air temperature `air_c` that was read for another purpose, °C."""
+        """If the check is due, check `air_c`, °C, an air temperature that was read for another purpose."""
         if self._way_c is None or not self.due:
             return
         (start_c, target_c), self._way_c = self._way_c, None

@@ -145,9 +145,7 @@ class TimeLeft:
         self._begun: tuple[int, float] | None = None
 
     def choose(self, chosen: Mapping[str, Any]) -> None:
-        """Apply a choice of points: drop steps that it excludes, scale the expected times of those not decided
-        yet.
-        """
+        """Apply a choice of points: drop steps that it excludes, scale the times of steps not yet decided."""
         self._out |= steps_of(chosen["left_out"])
         self._out -= steps_of(chosen.get("taken_up", ()))
         step_s = [0.0 if i in self._out else seconds for i, seconds in enumerate(self._step_s)]
@@ -163,7 +161,7 @@ class TimeLeft:
         self._begun = (index, bench_s)
 
     def at(self, index: int, bench_s: float) -> float:
-        """Return the estimated time left at the start of step `index` at bench time `bench_s`, s.
+        """Return the estimated time left, s, if step `index` starts at bench time `bench_s`.
 
         Without `begin`, the first call sets the step and time from which the pace is measured.
         """

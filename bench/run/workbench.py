@@ -70,8 +70,8 @@ ZERO_MOVED: Final = 5.0
 class Levelling:
     """One levelling of the platform with the level of a bench.
 
-    `setting_u_rad` is the standard uncertainty of a head setting. `zero` is the level's own zero offset as found
-    earlier, if it was; `carry_out` updates it. `position` is the head's last position.
+    `setting_u_rad` is the standard uncertainty of a head setting. `zero` is the level's own zero offset, None until
+    it is known; `carry_out` updates it. `position` is the head's last position.
     """
 
     instruments: Instruments
@@ -419,9 +419,7 @@ class Workbench:
         return self.instruments.voltmeters
 
     def glance(self) -> tuple[float, ...]:
-        """Return the present signals x, y, z in V, between two readings, and record nothing. Raises
-        `BenchError`.
-        """
+        """Return the present signals x, y, z in V, outside a reading, and record nothing. Raises `BenchError`."""
         with self.bench.aside():
             if self._before_glances is None:
                 self._before_glances = (self._settings,)

@@ -249,7 +249,7 @@ class PriorCoefficient(FileModel):
 
 
 class PriorFile(FileModel):
-    """A validated prior file; scale factors are per g of `per_g_m_s2`, in the unit of the signal."""
+    """A validated prior file; scale factors are in the signal's unit per g, and g is `per_g_m_s2`."""
 
     type: str
     signal: str

@@ -99,9 +99,7 @@ class InstrumentsSection(FileModel):
         return (*at_block, *self.around.values())
 
     def beside(self, thermometer: ThermometerForm) -> VoltmeterForm | ThermometerForm | None:
-        """The first instrument with the same resource as `thermometer`: a voltmeter or an earlier thermometer; or
-        None.
-        """
+        """The first voltmeter or earlier thermometer with the same resource as `thermometer`, or None."""
         resource = getattr(thermometer, "resource", None)
         listed: tuple[VoltmeterForm | ThermometerForm, ...] = (*self.voltmeters, *self.thermometers)
         before = takewhile(lambda one: one is not thermometer, listed)

@@ -220,7 +220,7 @@ class PortSection(FileModel):
 
 
 def usual_baud_rate(baud_rate: int, known: tuple[int, ...]) -> int:
-    """Return the baud rate if it is one of the usual ones. Raises `ValueError` otherwise."""
+    """Return the baud rate if it is one of those in `known`. Raises `ValueError` otherwise."""
     if baud_rate not in known:
         raise ValueError(f"expected one of {', '.join(map(str, known))}, got '{baud_rate}'")
     return baud_rate
@@ -514,7 +514,7 @@ class LineForm(WiredForm):
         return self
 
     def port(self) -> Port:
-        """Return the setup of its wire, with the line ends of the section."""
+        """Return the setup of the wire, with the line ends that the section states."""
         ends = text_line.ENDS
         serial = {**text_line.SERIAL, **self.serial.settings()} if is_serial(self.resource) else None
         return Port(ends[self.reply_end], ends[self.request_end], serial)
@@ -524,9 +524,7 @@ class LineForm(WiredForm):
         return self.model_dump(include={"model", "request", "pattern", "errors"})
 
     def line_options(self) -> dict[str, Any]:
-        """Return the simulation's options: the request, the pattern and an example of the reply, the error
-        lines.
-        """
+        """Return the simulation's options: request, pattern and example of the reply, error lines."""
         ends = text_line.ENDS
         return {
             **self.model_dump(include={"request", "pattern", "example"}),

@@ -60,7 +60,7 @@ class AcutrolSection(MotorisedHeadForm):
         return tolerance_rad
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the driver's options: the axis, and the rate below which the axis counts as stationary, rad/s."""
+        """Return the driver's options: the axis, and the rate (rad/s) below which the axis counts as stationary."""
         return {"axis": self.axis, "still_rad_s": self.still_rate}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:

@@ -100,7 +100,7 @@ CERTIFICATE: Final = "certificate"
 
 
 class VoltmeterTruth(FileModel):
-    """The errors of the simulated voltmeters: whether they have noise, and whether they have errors.
+    """The noise, the errors and the flaws of the simulated voltmeters.
 
     `noise` switches the noise on. `accuracy` chooses random errors within the 90-day limits of the maker, or the
     errors in the certificates; without it there are none. The further keys are flaws of a real input: a source of

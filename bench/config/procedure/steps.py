@@ -437,8 +437,8 @@ def precision_in_words(step: Settle) -> str:
 
 
 def scan_in_words(step: Read) -> str:
-    """Return the clause on the scan order, such as ", the channels in the order z, y, x"; empty if the step states
-    none.
+    """Return the clause on the scan order, such as ", the channels in the order z, y, x"; empty if none is
+    stated.
     """
     return message(f", the channels in the order {', '.join(step.scan)}") if step.scan else ""
 

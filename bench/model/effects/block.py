@@ -174,8 +174,7 @@ class Hysteresis(BlockEffect):
 
 
 def state(conditions: Conditions, width_g: float) -> Floats:
-    """Return each channel's position in its hysteresis loop, (n, 3): -1 after a large fall of force, 1 after a
-    rise.
+    """Return each channel's position in its hysteresis loop, (n, 3), from -1 (force has fallen) to 1 (risen).
 
     Rows without an angle or in an unknown installation have 0 and do not count as settings.
     """
@@ -232,7 +231,7 @@ def _extremes(start: Floats, end: Floats, sine: Floats, cosine: Floats) -> Float
 
 
 class ThermalBias(BlockEffect):
-    """Bias b_T T, where T is the temperature minus the reference after a first-order lag."""
+    """Bias b_T T, where T is the temperature, after a first-order lag, minus the reference."""
 
     name = "thermal_bias"
     parameters = (Parameter("b_T", "ug/K", 1e-6, plausible=60e-6, per_channel=True), lag_of(5, 10, 20, 30))
@@ -247,7 +246,7 @@ class ThermalBias(BlockEffect):
 
 
 class ThermalScale(BlockEffect):
-    """Scale-factor change k_T T K_ii a_i; T is the temperature minus the reference after a first-order lag."""
+    """Scale-factor change k_T T K_ii a_i; T is the temperature, after a first-order lag, minus the reference."""
 
     name = "thermal_scale"
     parameters = (Parameter("k_T", "ppm/K", 1e-6, plausible=100e-6, per_channel=True), lag_of(5, 10, 20, 30))

@@ -171,7 +171,7 @@ def calls_in(text: str) -> frozenset[str]:
 
 @lru_cache(maxsize=2048)
 def lags_in(text: str) -> tuple[ast.expr, ...]:
-    """Return the lag times, the second arguments of `lagged`, in all its calls in an expression."""
+    """Return the lag times in an expression: the second arguments of all calls of `lagged`."""
     nodes = (n for n in ast.walk(parse(text)) if isinstance(n, ast.Call))
     return tuple(n.args[1] for n in nodes if isinstance(n.func, ast.Name) and n.func.id == LAGGED)
 

@@ -142,9 +142,7 @@ def _time_to_loss(evening: CommissioningSession, look: Callable[[], object]) -> 
 def _wait_until_back(
     evening: CommissioningSession, looks: Sequence[Callable[[], object]]
 ) -> tuple[float, BenchError | None]:
-    """Query repeatedly until all instruments respond; return the time, s, until then, and the last error or
-    None.
-    """
+    """Query until all instruments respond; return the time, s, that this took, and the last error or None."""
     begun_s = evening.time_s()
     while True:
         try:

@@ -45,9 +45,7 @@ class _Timed(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class TimingSpread:
-    """The spread of the times, s, at which the meters started a reading, and of those at which their samples
-    arrived.
-    """
+    """The spread of the meters' start times in a reading, s, and of the arrival times of their samples, s."""
 
     starts_s: float
     ends_s: float
@@ -133,7 +131,7 @@ def _judged_by_time(
     found: Finding,
     took_s: float,
 ) -> Finding:
-    """Return the finding with the duration of the reading; its state is SLOWER if that is more than expected."""
+    """Return the finding with the duration of the reading added; a reading longer than expected is SLOWER."""
     expected_s = expected_time_s(evening, meter, settings)
     held = "the driver does not say" if expected_s is None else f"the driver expects {expected_s:.3g} s"
     figures = (*found.figures, Figure("reading took", took_s, "s", held))
@@ -150,7 +148,7 @@ def _judged_by_time(
 def expected_time_s(
     evening: CommissioningSession, meter: Voltmeter, settings: VoltmeterSettings
 ) -> float | None:
-    """Return the duration of a reading that the driver expects, s; None if the driver states none."""
+    """Return the expected duration of a reading, s, as the driver states it; None if it states none."""
     if not isinstance(meter, _Timed):
         return None
     section = _form(evening, meter)
@@ -322,7 +320,7 @@ def limit_v(evening: CommissioningSession, meter: Voltmeter, volts: float) -> fl
 
 
 def scatter_limit_v(evening: CommissioningSession, meter: Voltmeter, nplc: float) -> float:
-    """Return the permitted standard deviation of the samples of a steady input, V, which is the maker's resolution.
+    """Return the permitted standard deviation, V, of the samples of a steady input: the maker's resolution.
 
     If the meter's data state no resolution for `nplc`, return the limit of error at zero.
     """
