@@ -27,7 +27,7 @@ HOUR = 3600.0
 
 
 def unit_vectors(vectors: Floats) -> tuple[Floats, Floats]:
-    """Return the unit vectors (…, 3) of vectors (…, 3), zero for a zero vector, and the lengths (…)."""
+    """Return vectors (…, 3) divided by their lengths, zero for a zero vector, and the lengths, shape (…)."""
     length = np.linalg.norm(vectors, axis=-1)
     return vectors / np.where(length > 0, length, 1.0)[..., None], length
 

@@ -40,7 +40,7 @@ def heard_by(listener: Listener | None) -> Iterator[None]:
 def tracked(parts: Iterable[_T], what: str, total: int | None = None) -> Iterator[_T]:
     """Yield the parts of the computation `what`; report progress to the listener if there is more than one part.
 
-    `total` is the number of parts, if `parts` has no length.
+    `total` states the number of parts if `len(parts)` is not defined.
     """
     count = len(parts) if isinstance(parts, Sized) else total or 0
     listener = _listener.get() if count > 1 else None
@@ -57,8 +57,7 @@ THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", 
 
 
 def one_thread() -> None:
-    """Limit linear algebra to one thread unless the environment sets a number, because threads make computations
-    with small matrices slower.
+    """Limit linear algebra to one thread, which is faster for small matrices, unless the environment sets a number.
 
     Call it before numpy is imported.
     """
@@ -68,7 +67,7 @@ def one_thread() -> None:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Pause the garbage collector while many small objects are made and kept: its passes over them would take long.
+    """Pause the garbage collector while many small objects are created, because its passes over them take long.
 
     Objects without reference cycles are freed as usual. Also usable as a function decorator.
     """
@@ -122,7 +121,7 @@ EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
 
 
 def missing(error: BaseException) -> str:
-    """Return a sentence that names the package and its extra if an optional package is missing; else ""."""
+    """Return a sentence that names the missing optional package and its extra; "" for another `error`."""
     package = (error.name or "").partition(".")[0] if isinstance(error, ImportError) else ""
     for extra, packages in EXTRAS.items():
         if package in packages:
@@ -133,7 +132,7 @@ def missing(error: BaseException) -> str:
 
 
 def _in_certificates(trace: TracebackType | None) -> bool:
-    """Return whether the failed import was in `bench.certificate`, whose extra includes the signing packages."""
+    """Return whether an import failed within `bench.certificate`, whose extra includes the signing packages."""
     while trace is not None:
         if trace.tb_frame.f_globals.get("__name__", "").startswith("bench.certificate."):
             return True

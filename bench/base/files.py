@@ -73,7 +73,7 @@ def read_given(path: Path) -> bytes:
     """Return the content of a path that a person named: a file, the standard input, or a pipe with a writer.
 
     A pipe can be read only once. Raises `OSError`, whose `strerror` says that the path is a folder or the like, or
-    that the pipe has no writer. It never waits for a writer.
+    that the pipe has no writer. This function never waits for a writer.
     """
     try:
         about = path.stat()
@@ -167,7 +167,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def write_whole(path: Path, text: str | bytes) -> None:
-    """Write a file atomically, text in UTF-8. Raises `OSError` that names the path.
+    """Write a file atomically; a text is encoded in UTF-8. Raises `OSError` that names the path.
 
     Links are followed. A device or pipe (`/dev/null`) is written to, never replaced by a file.
     """
@@ -187,7 +187,7 @@ def write_whole(path: Path, text: str | bytes) -> None:
 
 
 def _opened_at_once(path: Path) -> BinaryIO:
-    """Open a device or pipe for writing. Raises `OSError` for a pipe without a reader, instead of waiting."""
+    """Open a device or pipe for writing. Raises `OSError` for a pipe without a reader; never waits for one."""
     try:
         descriptor = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
     except OSError as error:

@@ -2,9 +2,9 @@
 
 Results, records and JSON therefore stay English, and the page of an old record can be in another language.
 `message` marks a text in the code. The values of an f-string become numbered blanks: `message(f"{n} rows")` is the
-entry "{0} rows" of the catalogue (`catalogues/uk.po`). A view calls `translated`, which finds the entry that
-matches a text with filled blanks. It translates values that are texts, and writes numbers with the decimal sign of
-the language. Templates are translated as a whole (`bench.base.template_texts`).
+entry "{0} rows" of the catalogue (`catalogues/uk.po`). A view calls `translated`, which finds the entry of a text
+although its blanks are filled. It translates values that are texts, and writes numbers with the decimal sign of the
+language. Templates are translated as a whole (`bench.base.template_texts`).
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ _BLANK: Final = re.compile(r"\{(\d+)\}")
 class Entry:
     """An entry of a catalogue: an English text with numbered blanks.
 
-    `plural` is its form for a count other than one; `context` distinguishes equal English texts.
+    `plural` is the form for any count but one; `context` distinguishes equal English texts.
     """
 
     english: str
@@ -158,14 +158,14 @@ class Entry:
 
     @property
     def of_modules(self) -> bool:
-        """Whether a module uses the text; the text must then be recognised with its blanks filled.
+        """Whether a module uses the text. The text is then looked up with its blanks already filled.
 
-        A template looks its text up with the blanks unfilled.
+        A template, in contrast, looks its texts up before it fills the blanks.
         """
         return not self.files or any(not file.endswith((".j2", ".js")) for file in self.files.split())
 
     def patterns(self) -> Iterator[tuple[str, re.Pattern[str]]]:
-        """Yield each English form with a regular expression, whose groups are the values of the blanks."""
+        """Yield each English form with a regular expression for it; groups are the values of the blanks."""
         for text in filter(None, (self.english, self.plural)):
             seen: set[str] = set()
             parts = []
@@ -212,8 +212,9 @@ class Catalogue:
         return _DECIMAL.sub(rf"\1{self.decimal}\2", text)
 
     def fill(self, entry: Entry, values: Mapping[str, str], count: float | None = None) -> str:
-        """Return a translation with blanks filled; `count`, or the first whole number of `values`, selects the
-        plural.
+        """Return the translation of `entry` with `values` in its blanks.
+
+        `count`, by default the first whole number in `values`, selects the plural form.
         """
         if count is None:
             count = next((int(value) for value in values.values() if value.isdecimal()), 2)
@@ -265,7 +266,7 @@ class Catalogue:
         return self._exactly(text) or self._filled(text) or self._filled(text, sure=False) or text
 
     def _settled(self, text: str) -> bool:
-        """Return whether a part of a text is translated, or needs no translation: a single word, or numbers."""
+        """Return whether a part of a text has a translation or, being a single word or numbers, needs none."""
         return " " not in text.strip() or not self._foreign(text)
 
     def _foreign(self, text: str) -> bool:
@@ -276,10 +277,10 @@ class Catalogue:
         return None if entry is None else self.fill(entry, {})
 
     def _filled(self, text: str, *, sure: bool = True) -> str | None:
-        """Return the translation of a text with filled blanks, by the entry that it matches; None if none does.
+        """Return the translation of `text` by the entry that it matches with filled blanks; None without a match.
 
-        `sure` selects the entries with at least `_SURE` letters. The others, such as "{0} in {1}", match short
-        values only.
+        With `sure`, the entries with at least `_SURE` letters are tried, else the others, such as "{0} in {1}",
+        whose blanks then match short values only.
         """
         for literal, entry, pattern in self._patterns[sure]:
             if literal in text and (found := pattern.fullmatch(text)) is not None:

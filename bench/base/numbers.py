@@ -37,7 +37,7 @@ class Scale:
 
     @property
     def per_g(self) -> str:
-        """The unit of a scale factor on the same scale: "µV/g"."""
+        """The unit of a scale factor printed on this scale: "µV/g"."""
         return f"({self.unit})/g" if "/" in self.unit else f"{self.unit}/g"
 
 
@@ -71,9 +71,9 @@ def places(u: float) -> int:
 
 
 def fixed(value: float, decimals: int, *, sign: bool = False) -> str:
-    """Return the number with this many decimals (-1 rounds to tens), "–" if it is not finite.
+    """Return `value` with this many decimals (-1 rounds to tens); "–" if it is not finite.
 
-    `sign` also writes "+".
+    `sign` also writes a plus sign.
     """
     if not math.isfinite(value):
         return "–"
@@ -143,7 +143,7 @@ def probability(p: float) -> str:
 
 
 def aligned(column: Sequence[str]) -> list[str]:
-    """Return right-aligned numbers padded on the right so that their decimal points align."""
+    """Return numbers for a right-aligned column, padded on the right so that their decimal points align."""
     tails = [len(text.partition(".")[2]) for text in column]
     longest = max(tails, default=0)
     return [
@@ -164,7 +164,7 @@ def typeset(text: str) -> str:
 
 
 def without_infinity(value: Any) -> Any:
-    """Return a value of nested dicts and lists with None for NaN and infinity, which JSON does not have."""
+    """Return nested dicts and lists with None in place of NaN and infinity, which JSON does not have."""
     if isinstance(value, Mapping):
         return {key: without_infinity(of) for key, of in value.items()}
     if isinstance(value, list | tuple):

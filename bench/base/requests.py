@@ -33,11 +33,11 @@ find."""
 class Option:
     """The user interface of a request's field: a line of help, and its form on the command line.
 
-    `flags` default to "--name", or "--name/--no-name" for a flag that is on; a positional `argument` has no flags.
-    `completes` names the shell completion ("bench_files", …; `bench.cli.completing`), `least` and `most` limit a
-    number. `typed` is the type on the command line, if the field also accepts objects (a table, a loaded bench
-    file). The short help shows arguments and `common` options only. An argument may have an older spelling as an
-    option (`also`), which is still accepted.
+    `flags` default to "--name", or "--name/--no-name" for a switch whose default is on; a positional `argument` has
+    none. `completes` names the shell completion ("bench_files", …; `bench.cli.completing`), `least` and `most`
+    limit a number. `typed` is the type on the command line, stated if the Python field also accepts objects (a
+    table, a loaded bench file). The short help shows arguments and `common` options only. `also` is an option that
+    is an older spelling of the argument and still accepted.
     """
 
     help: str

@@ -28,7 +28,7 @@ class Screen(Console):
 
 
 class _Rows(Table):
-    """A table whose cells show control characters as escapes; columns are as wide as this text."""
+    """A table whose cells show control characters as escapes; columns are as wide as the escaped text."""
 
     def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
         """Add a row; control characters in its texts are shown as escapes."""

@@ -1,4 +1,4 @@
-"""Texts of page templates: found in the HTML, without marks, for the catalogue and for the translated pages.
+"""Texts of page templates, found in unmarked HTML, for the catalogue and for the translated pages.
 
 A text is the content between block elements and Jinja statements, inline elements included. Its expressions become
 numbered blanks: `<p>Page <b>{{ n }}</b> of {{ m }}</p>` has the text `Page <b>{0}</b> of {1}`. A text with an
@@ -92,7 +92,7 @@ def _segment_of(text: str) -> _Segment:
 
 
 def _parts(source: str) -> Iterator[str | _Segment]:
-    """Yield the source in parts: segments of text, and all between them unchanged."""
+    """Yield the source in order: each text as a `_Segment`, the source between texts as a string."""
     segment, raw, names = _Segment(), "", 0
     for found in _TOKEN.finditer(source):
         kind, told = str(found.lastgroup), found[0]
@@ -148,7 +148,7 @@ VOID: Final = ("<br", "<input", "<img", "<hr", "<wbr")
 
 
 def _trimmed(segment: _Segment) -> tuple[str, _Segment, str]:
-    """Return a segment without its outer white space and tags, with the source before it and after it."""
+    """Return a segment without white space and tags at its ends, between the source cut off before and after it."""
     tokens = list(enumerate(segment.tokens))
     before, after = "", ""
 
@@ -178,9 +178,7 @@ def _trimmed(segment: _Segment) -> tuple[str, _Segment, str]:
 
 
 class TranslatedTemplates(Extension):
-    """A Jinja extension that replaces the texts of a template by look-ups in the catalogue of the current
-    language.
-    """
+    """A Jinja extension that replaces each text of a template by its look-up in the current catalogue."""
 
     def __init__(self, environment: Environment) -> None:
         super().__init__(environment)

@@ -42,7 +42,7 @@ def visible(text: str) -> str:
 
 
 def shown_path(path: str) -> str:
-    """Return a path as a page shows it: the last name of an absolute path, without the user's folders."""
+    """Return a path as a page shows it: of an absolute path only the last name, to hide the user's folders."""
     return PurePath(path).name if PurePath(path).is_absolute() else path
 
 
@@ -73,7 +73,7 @@ def _escape(found: re.Match[str]) -> str:
 
 
 def in_json(text: str) -> str:
-    r"""Return JSON text of the same value with control and invisible characters as JSON escapes (`\u001b`)."""
+    r"""Return a JSON text of equal value in which control and invisible characters are escapes (`\u001b`)."""
     return _ACTS.sub(_json_escape, text)
 
 
@@ -111,7 +111,7 @@ def duration(seconds: float) -> str:
 
 
 def exact_duration(seconds: float) -> str:
-    """Return a duration for a file: as `duration`, but with all its digits."""
+    """Return a duration for a file, in the unit that `duration` chooses, with all its digits."""
     if seconds and seconds % 60.0 == 0:
         return duration(seconds)
     return f"{seconds!r} s" if seconds % 1 else f"{seconds:.0f} s"

@@ -67,7 +67,7 @@ _SPELLINGS: Final = (
 class QuantityKind:
     """A kind of physical quantity in files: its name, an example, the SI unit of the converted float.
 
-    `only` lists the allowed unit spellings, if not all units of the same dimension are allowed.
+    `only` lists the permitted spellings of units; if empty, every unit of the dimension is permitted.
     """
 
     called: str
@@ -77,7 +77,7 @@ class QuantityKind:
 
     @property
     def expected(self) -> str:
-        """The beginning of the sentence that rejects a value."""
+        """The first words of the message that rejects a value: "expected an angle such as …"."""
         return f"expected {self.called} such as '{self.example}'"
 
 
@@ -136,14 +136,14 @@ def parse_quantity(text: object, kind: QuantityKind) -> float:
 
 
 def number_and_unit(text: str) -> tuple[float, str] | None:
-    """Return the number and the unit (as from `plain_unit`) of a quantity; None if the text is not a quantity."""
+    """Return number and unit (in the spelling of `plain_unit`) of a text; None if the text is not a quantity."""
     match = _QUANTITY.fullmatch(text.replace("−", "-"))
     return None if match is None else (float(match["number"]), plain_unit(match["unit"]))
 
 
 @lru_cache(maxsize=4096)
 def _parsed(text: str, kind: QuantityKind) -> float:
-    """Return the value of a text, as `parse_quantity`; cached, as a long procedure repeats the same few texts."""
+    """Return what `parse_quantity` returns for a text; cached, because a long procedure repeats its texts."""
     read = number_and_unit(text)
     if read is None:
         raise ValueError(f"{kind.expected}, got '{shortened(text)}'")
@@ -185,7 +185,7 @@ def plain_unit(unit: str) -> str:
 def unit_of(unit: str) -> tuple[float, Dimension]:
     """Return the size of `unit` in SI units, and its dimension: "mV" gives (0.001, (("V", 1.0),)).
 
-    `unit` is written as by `plain_unit`, empty for a plain number. Raises `ValueError` for an unknown unit.
+    `unit` has the spelling of `plain_unit`, empty for a plain number. Raises `ValueError` for an unknown unit.
     """
     if not unit:
         return 1.0, ()
@@ -258,7 +258,7 @@ SizeA = Annotated[float, not_negative(CURRENT)]
 
 
 def quantity_of(annotation: Any, metadata: Sequence[Any]) -> QuantityKind | None:
-    """Return the kind of quantity of an annotated number in a model; None for a plain number."""
+    """Return the kind of quantity of a model's field from its annotation and metadata; None for a plain number."""
     for entry in metadata:
         read = getattr(entry, "func", None)
         if read is None or not inspect.isfunction(read):

@@ -70,7 +70,7 @@ def explained(
 ) -> Iterator[tuple[Place, str]]:
     """Yield the place and a sentence for each error of validating `model`; `lines` has the places in the file.
 
-    A misspelt key is reported once, as misspelt and not also as missing.
+    A misspelt key is reported only as misspelt, not also as missing.
     """
     details = error.errors()[:MOST_TOLD]
     misspelt = {
@@ -95,7 +95,7 @@ def explained(
 
 
 def unknown_word(word: str, known: list[str], what: str) -> str:
-    """Return the error sentence for a `what` ("key") whose `word` is unknown, or known but misplaced.
+    """Return the error sentence for an unknown or misplaced `word`; `what` says what the word is ("key").
 
     For an unknown word it suggests the nearest in `known`.
     """
@@ -114,9 +114,9 @@ def _nearest(word: str, known: Iterable[str]) -> str | None:
 
 
 def _written(location: tuple[int | str, ...], lines: Mapping[Place, int]) -> Place:
-    """Return the location of a pydantic error as a place in the file, without the steps that are not in the file.
+    """Return the location of a pydantic error as a place in the file.
 
-    Such steps are the names of alternative models, which pydantic adds.
+    The names of alternative models, which pydantic adds to the location, are left out.
     """
     place: Place = ()
     for step in location:
@@ -214,7 +214,9 @@ class Written:
 
 
 def read_yaml(text: str) -> Written:
-    """Parse a text; without slips `lines` stays empty, to save time. Raises `yaml.YAMLError` for invalid YAML."""
+    """Parse a text; to save time, `lines` of the result is filled only if the text has slips. Raises
+    `yaml.YAMLError` for invalid YAML.
+    """
     try:
         return Written(_Reader(text, None).document())
     except _Slipped:
@@ -233,9 +235,9 @@ class _Slipped(Exception):
 
 
 class _Reader:
-    """A parser of one pass over the YAML events of a text.
+    """A parser that passes once over the YAML events of a text.
 
-    It notes lines and slips in `noting`; if that is None, it raises `_Slipped` at the first slip.
+    It notes lines and slips in `noting`; if `noting` is None, it raises `_Slipped` at the first slip.
     """
 
     def __init__(self, text: str, noting: Written | None) -> None:
@@ -410,7 +412,7 @@ class FileModel(BaseModel):
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
         """Yield the inconsistencies between parts of the file, each as (place, sentence); none by default.
 
-        `data` is the file as written, which may have other mistakes: invalid parts are skipped.
+        `data` is the file as written; parts that are invalid for another reason are skipped.
         """
         return ()
 
@@ -473,7 +475,7 @@ def load_document(path: Path, most_bytes: int = MEGABYTE) -> Document:
 
 
 def document_of(path: Path, content: bytes) -> Document:
-    """Parse the content of a file, as `load_document`; the file itself is not read. Raises `FileMistakes`."""
+    """Parse the `content` of the file `path`, which is not read. Raises `FileMistakes`, like `load_document`."""
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -1,4 +1,4 @@
-"""batch: many runs evaluated again, restartable, by processes or a cluster; changed results and verdicts."""
+"""batch: evaluate many runs again, in restartable batches by processes or a cluster; list changed results."""
 
 from __future__ import annotations
 

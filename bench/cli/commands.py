@@ -24,17 +24,17 @@ _VALUES: Final = {"int": "N", "int range": "N", "float": "X", "float range": "X"
 
 
 def ask_whole_help(ctx: Any) -> None:
-    """Make the help of the context's command, and of its subcommands, show all options."""
+    """Note in the context that the help of its command, and of the subcommands, is to show all options."""
     ctx.meta[_ASKED] = True
 
 
 def is_whole_help(ctx: Any) -> bool:
-    """Return whether the whole help is requested."""
+    """Return whether help with all options was requested (`--help-all`)."""
     return bool(ctx.meta.get(_ASKED))
 
 
 def with_plain_help(ctx: Any, args: list[str]) -> list[str]:
-    """Replace `--help-all` by `--help` in the arguments; note in the context that the whole help is requested."""
+    """Replace `--help-all` by `--help` in the arguments; note the request in the context."""
     options = args[: args.index("--")] if "--" in args else args
     if WHOLE not in options:
         return args

@@ -63,8 +63,9 @@ def calibrate(
 def _each(
     requests: Sequence[Calibrate | Verify], work: Callable[[Source], T], json: str | None, out: Path | None
 ) -> list[T | Failed]:
-    """Read the source of each request and print its bench file; return for each the result of `work`, or a
-    `Failed`.
+    """Read the source of each request, print its bench file, and do `work` on it.
+
+    Return a result of `work` or a `Failed` for each request.
     """
     from bench.services.source import done, each, load_each, reading
 
@@ -235,7 +236,10 @@ def diagnose(
 
 
 def carried_out(request: Diagnose, target: str | None, *, together: bool) -> list[Diagnosed | Failed]:
-    """Diagnose the sources and write the files; print the results, write JSON to `target`, return the results."""
+    """Diagnose the sources, write their files and the JSON `target`, print and return the results.
+
+    With `together`, all sources are one body of readings.
+    """
     one_thread()
     from bench.services.bodies import single_bodies, whole_body
     from bench.services.diagnosis import diagnosed, print_diagnosed

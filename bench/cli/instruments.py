@@ -108,7 +108,9 @@ def _offers(target: str | None) -> int:
 
 
 def _commission(request: InstrumentsRequest, target: str | None) -> int:
-    """Commission a bench and print the findings; return 0 if all works, 1 if something does not, 2 if not done.
+    """Commission a bench and print the findings.
+
+    Return 0 if everything works, 1 after a deviation, 2 if a check or the whole session was not completed.
 
     Raises `Refused` if there is no terminal or the folder cannot be used, `FileMistakes`.
     """
@@ -246,7 +248,7 @@ def _show(bench: BenchFile, serving: Serving) -> None:
 
 @contextmanager
 def _held(host: str, port: int | None) -> Iterator[None]:
-    """Lock the first port if the user chose one.
+    """Lock the first port, `port`, within the context if the user chose one.
 
     A second program on the port is refused, with a message that names the program that uses it.
     """
@@ -294,7 +296,7 @@ def _announced(serving: Serving, ready_file: Path | None) -> Iterator[None]:
 
 @contextmanager
 def _ended_by_signal() -> Iterator[threading.Event]:
-    """Yield an event that is set by Ctrl-C, SIGTERM or a closed terminal, which then do not end the program."""
+    """Yield an event that Ctrl-C, SIGTERM or a closed terminal sets, instead of ending the program."""
     from bench.run.interrupts import SIGNALS
 
     ended = threading.Event()

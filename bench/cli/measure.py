@@ -152,7 +152,7 @@ def control(request: ControlRun) -> int:
 def _follow(run: Run, request: RunRequest) -> int:
     """Diagnose a run, carry out the measurement that the diagnosis proposes, and diagnose both runs together.
 
-    On real instruments, a person must agree first. Returns the exit status of the second run, 0 without one.
+    On real instruments, a person must agree first. Returns the exit status of the second run; 0 if there was none.
     """
     from bench.run.folder import Run as RunFolder
 

@@ -33,9 +33,10 @@ devices_given: ContextVar[tuple[str, ...]] = ContextVar("devices_given", default
 
 
 def with_own_parts(command: Any) -> Any:
-    """Return a command with the options for the user's own devices and effects.
+    """Return a command with options added for the user's own devices and effects, and for the language.
 
-    `--devices` is added if the command uses a bench file, `--effects` if it uses a bench file or a model.
+    `--devices` is added if the command uses a bench file, `--effects` if it uses a bench file or a model,
+    `--language` for the commands of `SPEAKING`.
     """
     takes = {parameter.name for parameter in command.params}
     if command.name == "resume" or "bench" in takes:
@@ -62,12 +63,15 @@ def _use_language(ctx: typer.Context, name: str | None) -> None:
 
 
 def _folder_or_file(name: str, metavar: str, words: str, use: Callable[..., None]) -> Any:
-    """Return a repeatable option whose value is a folder or file, which `use` receives."""
+    """Return a repeatable option `--name` with folders or files as values; the callback `use` receives them."""
     return _own_option(name, metavar, words, use, list[str] | None)
 
 
 def _own_option(name: str, metavar: str, words: str, use: Callable[..., None], of: Any) -> Any:
-    """Return an option whose values have the type `of`, derived by the library from a temporary function."""
+    """Return an option `--name` with values of the type `of`; the callback `use` receives them.
+
+    The library can derive an option only from a function, so a temporary one is made.
+    """
     told = typer.Option(
         f"--{name}", metavar=metavar, help=words, expose_value=False, callback=use, rich_help_panel=MORE
     )
@@ -176,7 +180,7 @@ class WithEstimators(BenchCommand):
 
 
 def _writable(target: str | None) -> str | None:
-    """Return the target of `--json`. Raises `Refused`, before anything is computed, if its folder is missing."""
+    """Return `target`, the value of `--json`. Raises `Refused`, before any work, if its folder is missing."""
     if target not in {None, "-"} and not Path(str(target)).absolute().parent.is_dir():
         raise Refused(f"--json {target}: no such folder; create it or name another")
     return target
@@ -196,10 +200,9 @@ StrictFitOption = Annotated[
 
 
 def requested(command: Callable[..., int]) -> Callable[..., int]:
-    """Return a command whose options are the fields of its request, which it constructs from them.
+    """Return a command whose options are the fields of its request; the request is made from the options.
 
-    A command whose first parameter is a list of requests accepts several sources, and receives one request for
-    each.
+    If the first parameter of `command` is a list of requests, each source that the user names becomes one.
     """
     hints = get_type_hints(command, include_extras=True)
     name, request, several = next(_requests(hints))
@@ -272,7 +275,7 @@ def _older(field: RequestField) -> inspect.Parameter:
 
 
 def _in_either_way(field: RequestField, argument: Any, option: Any) -> Any:
-    """Return the value of an argument or, if it was given in its older spelling, of the option.
+    """Return a field's value, which the user gave as an `argument` or, in the older spelling, as an `option`.
 
     Raises `Refused` if both are given.
     """

@@ -54,7 +54,7 @@ def check(
 
 
 def _morning(request: Check, json: str | None) -> int:
-    """Carry out the morning check and print its one line; return the status of a commissioning."""
+    """Carry out the morning check and print one line; return the exit status, as for a commissioning."""
     from bench.base.text import visible
     from bench.run.commission.session import WISHES
     from bench.run.terminal import TerminalPerson

@@ -51,7 +51,7 @@ def table(*headings: str, no_wrap: bool = False) -> Table:
 
 
 def aside(*lines: str) -> None:
-    """Print lines on standard error, because the result is on standard output."""
+    """Print lines on standard error, to keep them apart from the result on standard output."""
     for line in lines:
         print(visible(line), file=sys.stderr)
 
@@ -91,7 +91,7 @@ def told(
     show: Callable[[Console], None],
     files: Iterable[tuple[str, Path, str | bytes]] = (),
 ) -> int:
-    """Print a result with `show`, write its derived `files`, then its JSON; return the exit status 0."""
+    """Print a result by `show`, write its `files` (description, path, content) and its JSON; return 0."""
     out = console(json=json)
     show(out)
     write_files(files, out, asked=True)
@@ -100,9 +100,9 @@ def told(
 
 
 def failed(results: Sequence[object]) -> bool:
-    """Print a line for each source that could not be evaluated; return whether there is any.
+    """Print a line for each source that could not be evaluated; return whether there are such sources.
 
-    Raises `Refused` if several sources failed for one reason, whose cause is then not in the sources.
+    Raises `Refused` if several sources failed and all for the same reason: the cause is then elsewhere.
     """
     from bench.services.source import failures
 
@@ -138,9 +138,9 @@ def write_beside(path: Path, text: str | bytes, *, asked: bool) -> bool:
 def write_result(
     source: Source, command: str, result: dict[str, Any], *, what_if: bool = False
 ) -> Path | None:
-    """Write a command's result to its usual file for a source; return the file, None if it cannot be written.
+    """Write the result of a command on a source to the usual file; return the file, None if it cannot be written.
 
-    A result with other options than the run's (`what_if`) never overwrites the run's own result.
+    A result computed with options other than those of the run (`what_if`) has a separate file.
     """
     from bench.base.files import to_text
 
@@ -169,7 +169,7 @@ def written(what: str, file: Path, out: Console | None = None) -> None:
 def bench_file(taken: BenchPart, json: str | None, of: str = "") -> None:
     """Print which bench file is used, and why; `of` names the readings if there are several.
 
-    Nothing is printed if the result goes to standard output (`json` is "-"), because the result names the file.
+    Print nothing if the JSON result goes to standard output (`json` is "-"), because it names the bench file.
     """
     if json != "-":
         console().print(f"bench file{of and f' of {of}'}: {taken.words} ({taken.file})")

@@ -20,7 +20,7 @@ _SAID = "stopped by Ctrl-C"
 def main() -> None:
     """Run the command line of `sys.argv` and exit with its status.
 
-    Even the import of the commands takes long enough to be interrupted. A second Ctrl-C ends the program at once; a
+    A Ctrl-C during the import of the commands is handled as well. A second Ctrl-C ends the program at once; a
     Ctrl-C while the message is printed is ignored. Code that must leave a bench safe handles signals itself
     (`bench.run.interrupts`).
     """

@@ -1,11 +1,15 @@
 """Conversion of other programs' logs to readings files, by a mapping of their columns, units and time format.
 
-log_columns: 1 time_format: "%Y-%m-%d %H:%M:%S" columns:
-  time_s: timestamp
-  reference_v: {columns: [k1, k2, k3], unit: V}     # their mean; their scatter goes into reference_sd_v
-  ux_v: {columns: dut, unit: uV}
-  meter_temperature_c: bath
-constants: {installation: R}
+Such a mapping is a YAML file:
+
+    log_columns: 1
+    time_format: "%Y-%m-%d %H:%M:%S"
+    columns:
+      time_s: timestamp
+      reference_v: {columns: [k1, k2, k3], unit: V}     # their mean; their scatter goes into reference_sd_v
+      ux_v: {columns: dut, unit: uV}
+      meter_temperature_c: bath
+    constants: {installation: R}
 """
 
 from __future__ import annotations
@@ -47,9 +51,9 @@ def _listed(value: Any) -> Any:
 
 
 class LogColumn(FileModel):
-    """The columns of a log whose mean becomes one column of the readings file.
+    """Columns of a log; their mean becomes one column of the readings file.
 
-    `unit` is the unit in the log. `add`, in SI, is added to the mean.
+    `unit` is the unit in the log. `add`, in the unit of the readings file, is added to the mean.
     """
 
     columns: Annotated[tuple[str, ...], BeforeValidator(_listed)]
@@ -60,8 +64,8 @@ class LogColumn(FileModel):
 class LogColumns(FileModel):
     """A mapping from the columns of a log to those of a readings file.
 
-    `time_format` is that of `strptime`, or `iso`. Lines that begin with `comment` are skipped. `constants` are
-    cells that are the same in every row.
+    `time_format` is that of `strptime`, or `iso`. Lines that begin with `comment` are skipped. `constants` maps
+    columns of the readings file to cells that are the same in every row.
     """
 
     log_columns: Literal["1"]
@@ -74,7 +78,7 @@ class LogColumns(FileModel):
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield a sentence for each unit that does not fit the quantity of its column."""
+        """Yield place and sentence for each unit of the log that does not fit the column of the readings file."""
         columns = data.get("columns") if isinstance(data, dict) else None
         for name, value in columns.items() if isinstance(columns, dict) else ():
             unit = value.get("unit") if isinstance(value, dict) else None
@@ -86,7 +90,7 @@ class LogColumns(FileModel):
 
 
 def _factor(name: str, unit: str | None) -> float:
-    """Return the size of a log's unit in the unit of column `name`.
+    """Return how many units of the readings file's column `name` make one `unit` of the log.
 
     Raises `ValueError` if the quantities differ.
     """
@@ -121,7 +125,7 @@ class ConvertedLog:
 def convert_log(
     path: Path, content: bytes, mapping: LogColumns, *, skip_bad_rows: bool = False
 ) -> ConvertedLog:
-    """Return a log as a readings file; times count from its first row.
+    """Return a log converted to a readings file; times count from the first row of the log.
 
     Raises `ReadingsError` with file, line and column for a column that the log lacks and for every cell that is
     no number (the first 20, then a count); with `skip_bad_rows` such rows are left out.

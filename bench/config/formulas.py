@@ -49,20 +49,20 @@ def dimension_mistake(effect: FormulaEffect) -> str | None:
 
 
 class _DimensionReading:
-    """Interpreter of a formula that computes dimensions: each value is a pair (number, dimension).
+    """An interpreter that computes the dimension of a formula: each of its values is a pair (number, dimension).
 
-    The number is known only for a literal without a unit and for products of such literals; otherwise it is None.
+    The number is that of a literal without a unit or of a product of such literals, else None.
     """
 
     def __init__(self, known: Known) -> None:
         self._known = known
 
     def number(self, value: float, unit: str) -> tuple[float | None, Dimension]:
-        """Return the value of a literal."""
+        """Return the value of a literal; its number is None if it has a unit."""
         return (None if unit else value), unit_of(unit)[1]
 
     def name(self, name: str) -> tuple[float | None, Dimension]:
-        """Return the value of a variable or parameter."""
+        """Return the value of a variable or parameter; its number is None."""
         return None, self._known[name]
 
     def operation(
@@ -120,7 +120,7 @@ class _DimensionReading:
 
 
 def _how(left: tuple[float | None, Dimension], right: tuple[float | None, Dimension]) -> str:
-    """Return the remedy for operands of different units, such as a unit for a plain number."""
+    """Return advice on operands of different units, such as to add a unit to a plain number."""
     for (number, own), (_, other) in ((left, right), (right, left)):
         if number is not None and not own and [power for _, power in other] == [1.0]:
             return f"; write the number with its unit, such as '{abs(number):g} {_told(other)}'"
@@ -174,9 +174,9 @@ class FormulaParameter(FileModel):
 class FormulaEntry(FileModel):
     """An effect that a user defines.
 
-    `expression` is the quantity that the effect adds at its `stage`. Its unit is rad at the stand (added to the
-    angle `adds_to`) and at the head; g at the specific force and at the block's output (before the scale factor); V
-    at the voltmeter.
+    `expression` is the quantity that the effect adds at its `stage`. The unit is rad for the stand (whose angle
+    `adds_to` is changed) and the head; g for the specific force and the block's output (before the scale factor); V
+    for the voltmeter.
     """
 
     name: Annotated[str, AfterValidator(_word)]
@@ -227,9 +227,7 @@ class EffectsFile(FileModel):
 
 
 def formula_mistakes(entries: Any, place: Place) -> Iterator[tuple[Place, str]]:
-    """Yield place and text of each mistake between the parts of formulas, and of each name that the catalogue has
-    already.
-    """
+    """Yield place and text of each contradiction within a formula, and of each name that is already used."""
     seen: dict[str, int] = {}
     for index, entry in _readable(entries):
         here = (*place, index)
@@ -252,7 +250,7 @@ def formula_mistakes(entries: Any, place: Place) -> Iterator[tuple[Place, str]]:
 
 
 def _readable(entries: Any) -> Iterator[tuple[int, FormulaEntry]]:
-    """Yield number and entry of those formulas as written whose keys are all valid by themselves."""
+    """Yield the index and the validated entry of each written formula whose keys are all valid."""
     for index, written in enumerate(entries if isinstance(entries, list) else []):
         try:
             yield index, FormulaEntry.model_validate(written)
@@ -261,7 +259,7 @@ def _readable(entries: Any) -> Iterator[tuple[int, FormulaEntry]]:
 
 
 def effects_as_written(entries: Any) -> tuple[Effect, ...]:
-    """Return the effects of a list of formulas as written; invalid formulas are skipped."""
+    """Return the effects that a list of written formulas defines; invalid formulas are skipped."""
     effects: list[Effect] = []
     for _, entry in _readable(entries):
         try:
@@ -368,7 +366,7 @@ def _number(name: str, text: str) -> tuple[float, str]:
 
 
 def written_formulas(effects: Iterable[Effect]) -> list[dict[str, Any]]:
-    """Return the formulas among effects as entries for a file, each formula once."""
+    """Return file entries for those effects that are formulas, each formula once."""
     formulas = {effect.name: effect for effect in effects if isinstance(effect, FormulaEffect)}
     return [_written(effect) for effect in formulas.values()]
 
@@ -400,7 +398,7 @@ def _written_parameter(parameter: Parameter) -> Mapping[str, Any]:
 
 
 def _exact(si: float, unit: float) -> float:
-    """Return the shortest number of units that converts back to exactly the same SI value."""
+    """Return the number of units with the fewest digits that converts back to exactly the same SI value."""
     plain = si / unit
     near = (float(f"{plain:.{digits}g}") for digits in range(1, 18))
     return next((number for number in near if number * unit == si), plain)

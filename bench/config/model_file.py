@@ -1,4 +1,4 @@
-"""Model files: the effects of a forward model with their values; and how an unnamed term gets a name."""
+"""Model files: the effects of a forward model with their values; naming of the unnamed terms in them."""
 
 from __future__ import annotations
 
@@ -64,8 +64,8 @@ class EffectEntry(FileModel):
 
 class OpenShape(FileModel):
     """A part of an effect's shape whose size is uncertain: the sum of `changes`, multiplied by the factor `times` ±
-    `u`. `of` names the effect. The readings that determine the factors of different parts leave them uncorrelated.
-    `says` describes the part for the reader of the file; nothing is computed from it.
+    `u`. `of` names the effect. The factors of different parts are uncorrelated. `says` describes the part for the
+    reader of the file; nothing is computed from it.
     """
 
     of: str
@@ -84,7 +84,7 @@ class OpenShape(FileModel):
         return {renamed.get(key, key): value for key, value in written.items()}
 
     def applied(self, number: int) -> AppliedEffect:
-        """Return the part as an effect of size `times` ± `u`; `number` counts the parts of one effect from 1."""
+        """Return the part as an effect of size `times` ± `u`; `number` numbers the parts of one effect from 1."""
         return in_part(self.of, number, tuple(entry.applied() for entry in self.changes), self.times, self.u)
 
 
@@ -109,7 +109,7 @@ class WithEffects(FileModel):
         return tuple(entry.effect() for entry in self.formulas)
 
     def applied_effects(self) -> tuple[AppliedEffect, ...]:
-        """Return the file's effects, values in SI, then each of `left_open` as an effect of uncertain size."""
+        """Return the file's effects (values in SI), then the parts in `left_open` as effects of uncertain size."""
         count: Counter[str] = Counter()
         with CATALOGUE.also(self.own_effects()):
             applied = [entry.applied() for entry in self.effects]
@@ -123,8 +123,8 @@ class ModelFile(WithEffects):
     """A model file; `parent` names the model that it extends, `data_sha256` the readings that it was derived from.
 
     `evidence` is text for the reader of the file; nothing is computed from it. `dark_uncertainty` is the scatter of
-    a reading (1 σ) that the effects, unnamed terms included, do not explain; a note warns users of the file.
-    `left_open` lists the parts of the effects' shapes whose sizes are uncertain.
+    a reading (1 σ) that neither effects nor unnamed terms explain; a note warns users of the file. `left_open`
+    lists the parts of the effects' shapes whose sizes are uncertain.
     """
 
     model_file: Literal["1"]
@@ -160,7 +160,9 @@ def load_model(path: Path, installations: Collection[str] = ()) -> ModelFile:
 def mistakes_with_formulas(
     data: Any, installations: Collection[str] = (), place: Place = ()
 ) -> Iterator[tuple[Place, str]]:
-    """Yield the mistakes in the formulas, `effects` and `left_open` of `data`, a section at `place`."""
+    """Yield place and text of the mistakes in `formulas`, `effects` and `left_open` of the section `data`, at
+    `place`.
+    """
     wrong = list(formula_mistakes(part(data, "formulas"), (*place, "formulas")))
     yield from wrong
     if wrong:
@@ -251,7 +253,7 @@ def _channels(written: Any) -> tuple[Channel, ...]:
 
 
 class _Reader:
-    """Reader of one parameter as written: `values` and standard uncertainties `u` in SI, (3,) or ().
+    """Reads a written parameter into `values` and standard uncertainties `u` in SI, shape (3,) or () each.
 
     `problems` collects the mistakes, each with its place below the parameter.
     """
@@ -391,7 +393,7 @@ def _written_left_open(applied: AppliedEffect) -> dict[str, Any]:
 
 
 def _said_of_open(effect: InPart, times: float, u: float) -> str:
-    """Return the description of an entry of `left_open`: each change multiplied by `times` ± `u`."""
+    """Return the description of an entry of `left_open`, which lists the changes multiplied by `times` ± `u`."""
     listed = []
     for one in effect.parts:
         sizes = [
@@ -453,7 +455,7 @@ WIDENED: Final = ("tau", "lag")
 
 @dataclass(frozen=True)
 class AcceptedTerms:
-    """The result of naming unnamed terms: the new effect, and the model's effects with it in place of the terms."""
+    """The result of `accept`: the new `effect`, and the model's `effects`, in which it replaces the terms."""
 
     effect: FormulaEffect
     effects: tuple[AppliedEffect, ...]
@@ -465,10 +467,10 @@ def unnamed_in(effects: Sequence[AppliedEffect]) -> list[str]:
 
 
 def accept(effects: Sequence[AppliedEffect], terms: Sequence[str], name: str, sentence: str) -> AcceptedTerms:
-    """Combine unnamed terms into one effect with a name and a sentence: those in `terms`, or all if it is empty.
+    """Combine the unnamed terms in `terms`, or all if `terms` is empty, into one effect with a name and a sentence.
 
     The effect replaces the terms among `effects`. Raises `ValueError` for unknown terms, or terms that act at
-    different stages.
+    different places of the model.
     """
     known = unnamed_in(effects)
     if not known:
@@ -521,7 +523,10 @@ def _joined(
 
 
 def _new_names(formula: FormulaEffect, taken: dict[str, Parameter], number: int) -> dict[str, str]:
-    """Return the new name of each parameter: numbered if several terms are joined, except for equal shapes."""
+    """Return the new names of a term's parameters: old name -> name with `number` appended.
+
+    Equal shape parameters share a name; with `number` 0, names are unchanged.
+    """
     names = {}
     for parameter in formula.parameters:
         same = taken.get(parameter.name)
@@ -536,7 +541,7 @@ def _with_names(expression: str, names: dict[str, str]) -> str:
 
 
 def _widened(parameter: Parameter, largest: float) -> Parameter:
-    """Return the parameter with a plausible size of at least `largest` or, for a shape, a grid around its value.
+    """Return a size parameter with a plausible size of at least `largest`, or a shape with a grid around its value.
 
     Shapes that are not in `WIDENED` are returned unchanged.
     """

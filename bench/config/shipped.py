@@ -34,7 +34,7 @@ def find_bench(name: str) -> Path:
 
 
 def _find(name: str, kind: str, called: str) -> Path:
-    """Return the path of a file named by path or by name, with or without `.yaml`.
+    """Return the path of the file that `name` states as a path or a shipped name, with or without `.yaml`.
 
     An existing path takes precedence, then an edited copy in the working folder (as made by `bench init`), then a
     shipped file.

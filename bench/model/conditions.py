@@ -39,10 +39,10 @@ class Mounting(NamedTuple):
 
 
 class HeadTurns:
-    """The rotation of the head accumulated up to each reading, rad, shape (n,).
+    """The rotation of the head, rad, shape (n,), summed over all turns up to each reading.
 
-    The head is assumed to turn by the shortest way from each angle to the next. A reading without an angle repeats
-    the values of the reading before it and does not count as a remount. The accumulation restarts with every run.
+    The head is assumed to turn by the shortest way from each angle to the next. A reading without an angle has the
+    values of the reading before it and does not count as a remount. The accumulation restarts with every run.
     """
 
     def __init__(self, conditions: Conditions) -> None:
@@ -75,7 +75,7 @@ class HeadTurns:
 
 
 def _last_of(begins: Mask) -> Ints:
-    """Return for each row i the largest index j ≤ i with `begins[j]`; 0 if there is none."""
+    """Return for each row i the last row j ≤ i for which `begins[j]` is true; 0 if there is none."""
     return (
         np.maximum.accumulate(np.where(begins, np.arange(len(begins)), 0))
         if len(begins)
@@ -85,7 +85,7 @@ def _last_of(begins: Mask) -> Ints:
 
 @dataclass(frozen=True)
 class Conditions:
-    """Columns over n readings in the order of measurement, because an effect may depend on earlier rows.
+    """The conditions of n readings as columns, in the order of measurement: an effect may depend on earlier rows.
 
     `mount` (n,) indexes `mounts`, which are in order of first appearance. `angle_rad` is the scale reading of the
     head. `direction` is the direction of approach: +1, -1, or 0 if unknown. `time_s` (since the start of the run)
@@ -158,19 +158,19 @@ class Conditions:
 
     @cached_property
     def since_mounting_s(self) -> Floats:
-        """The time since the first reading in the mounting of the row, s, shape (n,)."""
+        """The time, s, shape (n,), since the first reading in the row's mounting."""
         return np.asarray(self.elapsed_s - self.elapsed_s[self.head_turns.first])
 
     @cached_property
     def switched_on_s(self) -> Floats:
-        """The time since the unit was switched on or, if unknown, since the start of the run, s, shape (n,)."""
+        """The time, s, shape (n,), since the unit was switched on or, if unknown, since the start of the run."""
         if self.on_s is None:
             return self.elapsed_s
         return np.where(np.isfinite(self.on_s), self.on_s, self.elapsed_s)
 
     @cached_property
     def warmth_k(self) -> Floats:
-        """Temperature minus `reference_c`, K, shape (n,); zero if no row has a temperature.
+        """The temperature minus `reference_c`, K, shape (n,); zero if no row has a temperature.
 
         Rows without a temperature are interpolated in time.
         """
@@ -206,7 +206,7 @@ class Conditions:
         return np.where(known, values, between)
 
     def levels(self) -> dict[tuple[int, int], tuple[float, float]]:
-        """Return the level readings, rad: (mounting index, stand-angle column) -> (angle, standard uncertainty)."""
+        """Return the angles that the level showed: (mounting index, stand-angle column) -> (angle, its u), rad."""
         if self.level_rad is None:
             return {}
         found: dict[tuple[int, int], tuple[float, float]] = {}
@@ -217,14 +217,14 @@ class Conditions:
         return found
 
     def select(self, rows: Mask) -> Conditions:
-        """Return the rows where the mask (n,) is true, with only their mountings."""
+        """Return the conditions of the rows where the mask (n,) is true; other mountings are dropped."""
         used, mount = np.unique(self.mount[rows], return_inverse=True)
         kept: dict[str, Any] = {name: column[rows] for name, column in self._columns().items()}
         mounts = tuple(self.mounts[i] for i in used)
         return replace(self, mounts=mounts, mount=mount.ravel().astype(np.int64), **kept)
 
     def repeated(self, times: int) -> Conditions:
-        """Return the rows repeated `times` times; each repetition has mountings of its own."""
+        """Return the conditions with all rows repeated `times` times; each repetition has mountings of its own."""
         mount = (np.arange(times)[:, None] * len(self.mounts) + self.mount).ravel()
         tiled: dict[str, Any] = {
             name: np.concatenate([column] * times) for name, column in self._columns().items()
@@ -256,7 +256,7 @@ class Conditions:
         supply_v: Floats | None = None,
         meter_c: Floats | None = None,
     ) -> Conditions:
-        """Build from columns of equal length.
+        """Return the conditions made of columns of equal length.
 
         Defaults: series 1, pass 1, points 1…n, scan order x, y, z; everything else unknown.
         """
@@ -292,11 +292,11 @@ SAME_RAD: Final = 1e-3
 
 
 class HeadPath(NamedTuple):
-    """The rotation of the head to each of m settings, rad, shape (m,): from `start` to `turn`, then to `end`.
+    """The path of the head to each of m settings: angles `start`, `turn` and `end`, rad, shape (m,), in this order.
 
-    `rows` are the settings' row indices in the conditions, `sits` (m, 3, 3) the matrices `block_from_platform` of
-    their mountings. `direction` is the direction of approach: +1, -1, or 0 if unknown. `begins` marks the first
-    setting after a mounting.
+    `rows` (m,) are the settings' row indices in the conditions; `sits` (m, 3, 3) are the matrices
+    `block_from_platform`. `direction` is the direction of approach: +1, -1, or 0 if unknown. `begins` marks the
+    first setting after a mounting.
     """
 
     rows: Ints

@@ -67,8 +67,8 @@ class ForwardModel:
 
         All rows are needed in the order of measurement, because an effect may depend on earlier rows. Where `force`
         (n, 3), in g, is not NaN, it replaces the force of the installation. Where `voltage_v` (n, 3) is not NaN, it
-        replaces the block's signal at the meter inputs. A row in an unknown installation is NaN if both are NaN.
-        Other arguments are as for `specific_force`.
+        replaces the block's signal at the meter inputs. A row in an unknown installation is NaN unless `force` or
+        `voltage_v` is given for it. Other arguments are as for `specific_force`.
         """
         acting = self._force_of_stand(conditions, stand_rad, block, setting_error_rad)
         if force is not None:
@@ -88,11 +88,11 @@ class ForwardModel:
         return self.voltmeter_readings(self.output(force, conditions, block), conditions, block)
 
     def output(self, force: Floats, conditions: Conditions, block: Block) -> Floats:
-        """Return the voltages at the meters' terminals for the acting force (n, 3) in g, V, shape (n, 3)."""
+        """Return the voltages at the meters' terminals, V, shape (n, 3), for the acting `force` (n, 3), g."""
         return block.output(force) + self._additions(Stage.BLOCK_OUTPUT, force, conditions, block)
 
     def voltmeter_readings(self, voltage_v: Floats, conditions: Conditions, block: Block) -> Floats:
-        """Return the meter readings for voltages (n, 3) at their terminals, V, shape (n, 3).
+        """Return the meter readings, V, shape (n, 3), for the voltages `voltage_v` (n, 3) at the meters' terminals.
 
         The voltages may come from the block, from a short (0 V) or from a reference, in any mixture of rows.
         """
@@ -101,7 +101,7 @@ class ForwardModel:
     def _force_of_stand(
         self, conditions: Conditions, stand_rad: Floats, block: Block, setting_error_rad: Floats | float
     ) -> Floats:
-        """Return the static specific force on block axes in g, shape (n, 3), with effects of stand and head."""
+        """Return the static specific force on block axes, g, shape (n, 3), including effects of stand and head."""
         stand = stand_rad[conditions.mount]
         stand = stand + self._additions(Stage.STAND, stand, conditions, block)
         angle = conditions.angle_rad + setting_error_rad
@@ -111,7 +111,7 @@ class ForwardModel:
     def static_force(self, conditions: Conditions, stand_rad: Floats, angle_rad: Floats) -> Floats:
         """Return the static specific force on block axes in g, shape (n, 3), NaN in an unknown installation.
 
-        `stand_rad` (n, 5) and `angle_rad` (n,) are the angles of each reading with the additions of all effects.
+        `stand_rad` (n, 5) and `angle_rad` (n,) are the stand and head angles of each reading, all effects included.
         """
         on_platform = specific_force_on_platform(angle_rad, stand_rad)
         return np.asarray(np.einsum("nij,nj->ni", self._turns(conditions)[conditions.mount], on_platform))
@@ -133,7 +133,7 @@ class ForwardModel:
         return applied.addition(Seen(signal, rows, block))
 
     def _with_turns(self, conditions: Conditions) -> Conditions:
-        """Return the conditions with `turns` filled in; cached, so that equal calls return the same object."""
+        """Return the conditions with `turns` filled in, which are cached: a second call returns the same object."""
         kept: tuple[object, Conditions] | None = conditions.memory.get("turned")
         if kept is None or kept[0] is not self.installations:
             kept = self.installations, replace(conditions, turns=self._turns(conditions))

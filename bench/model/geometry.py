@@ -36,7 +36,7 @@ def stand_errors(**angles_rad: float) -> Floats:
 
 
 def within_half_turn(angle_rad: Floats) -> Floats:
-    """Return angles reduced by whole turns to the range from -pi to pi, rad."""
+    """Return angles, rad, reduced by whole turns to the range from -pi to pi."""
     return angle_rad - 2 * np.pi * np.round(angle_rad / (2 * np.pi))
 
 
@@ -73,7 +73,7 @@ class Installation:
     def from_axes(
         cls, label: str, axes: Sequence[str], turned_rad: float = 0.0, about: str = "z"
     ) -> Installation:
-        """Build from the platform axis along which each block axis lies, such as ("-x", "z", "y").
+        """Return the installation in which the block axes lie along these platform axes, such as ("-x", "z", "y").
 
         The block is then rotated by `turned_rad` about the platform axis `about` (the paper's psi). Raises
         `ValueError` unless the axes form a right-handed set.
@@ -82,7 +82,7 @@ class Installation:
 
 
 def axes_matrix(axes: Sequence[str]) -> Floats:
-    """Return the signed permutation for three axis names such as ("-x", "z", "y"), shape (3, 3).
+    """Return the matrix (3, 3), a signed permutation, for three axis names such as ("-x", "z", "y").
 
     Raises `ValueError` for an unknown name, or unless the axes form a right-handed set.
     """
@@ -107,9 +107,9 @@ INSTALLATION_2: Final = Installation("2", axes_matrix(("-x", "z", "y")))
 def specific_force_on_platform(angle_rad: Floats, stand_rad: Floats) -> Floats:
     """Return the specific force on the axes of the platform, with all stand angles applied, in g, shape (n, 3).
 
-    `angle_rad` (n,) is the true angle of the head, including the setting error alpha4; `stand_rad` (n, 5) holds
-    the stand angles of each row in the order of `STAND_ANGLES`.
-    Source: paper (3)-(4) in exact form; the paper's equations are its first order in the angles.
+    `angle_rad` (n,) is the true angle of the head, including the setting error alpha4; `stand_rad` (n, 5) holds the
+    stand angles of each row in the order of `STAND_ANGLES`. Source: paper (3)-(4), which are of first order in the
+    angles; here the exact form.
     """
     tilt, offset, yaw, pitch, roll = stand_rad.T
     turned = angle_rad + offset + pitch
@@ -163,9 +163,9 @@ def linear_columns(force: Floats) -> Floats:
 
 
 def hidden_axes(force: Floats) -> list[str]:
-    """Return the axes "x", "y", "z", and "0" for the biases, that readings at these forces do not determine.
+    """Return what readings at these forces do not determine: "x", "y", "z" for axes, "0" for the biases.
 
-    `force` (n, 3) is in g. An axis counts if the null space of the design matrix has a component along it; the
+    `force` (n, 3) is in g. An axis is listed if the null space of the design matrix has a component along it; the
     list is empty if the readings determine all twelve coefficients.
     """
     _, size, directions = np.linalg.svd(np.linalg.qr(linear_columns(force), mode="r"))
@@ -184,7 +184,7 @@ class Block:
 
     @classmethod
     def from_vector(cls, coefficients: Floats) -> Block:
-        """Build from the 12 coefficients in the order of `COEFFICIENTS`."""
+        """Return the block with these 12 coefficients, in the order of `COEFFICIENTS`."""
         vector = np.asarray(coefficients, dtype=np.float64)
         return cls(vector[:9].reshape(3, 3), vector[9:])
 
@@ -236,9 +236,9 @@ ZERO = Distribution(0.0)
 
 
 def modulus_slopes(force: Floats, block: Block) -> tuple[Floats, Floats]:
-    """Return the derivatives of |N (U - U0)| by the 12 coefficients (n, 12) and by the signals (n, 3).
+    """Return the derivatives of |a|, a = K⁻¹ (U - U0), by the 12 coefficients (n, 12) and the signals (n, 3).
 
-    `force` (n, 3) is the measured specific force, g.
+    `force` (n, 3) is a, the measured specific force, g.
     """
     # d|a|/dU = (a/|a|)^T N, d|a|/dK_ij = -(that)_i a_j, d|a|/dU0 = -(that)
     modulus = np.linalg.norm(force, axis=1)

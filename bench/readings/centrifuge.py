@@ -22,8 +22,8 @@ EXAMPLE: Final = ",".join((*FORCES, *UNCERTAIN, *SIGNALS))
 class CentrifugePoints:
     """Signals (n, 3), V, at specific forces (n, 3) on the block's axes, m/s^2; NaN where no signal was read.
 
-    Only the magnitude of a force is uncertain: by `u_ms2` (n,), independent between points, and by the fraction
-    `u_relative` (n,), from an error common to all points, such as the radius.
+    Only the magnitudes of the forces are uncertain. Their u has two parts: `u_ms2` (n,), m/s², is independent
+    between points; the fraction `u_relative` (n,) comes from an error common to all points, such as the radius.
     """
 
     source: str
@@ -34,7 +34,7 @@ class CentrifugePoints:
 
 
 def read_centrifuge(path: Path) -> CentrifugePoints:
-    """Read points above 1 g, a CSV file with the columns of `EXAMPLE`; signals that were not read are empty.
+    """Return the points above 1 g in a CSV file with the columns of `EXAMPLE`; cells of signals not read are empty.
 
     Raises `ReadingsError` for missing columns, rows without a signal, and cells that are not numbers.
     """

@@ -1,4 +1,4 @@
-"""Cells of a readings file, strictly parsed and safely written; the optional columns of level and supply."""
+"""Strict parsing and safe writing of cells of a readings file; the optional columns of level and supply."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ LEVEL_COLUMNS: Final = (*ANGLES, *DRIFTS)
 
 
 def level_rad(extra: Mapping[str, Labels], rows: int) -> Floats | None:
-    """Return α1, α2, u(α1), u(α2) of each row, rad, shape (rows, 4), NaN if unknown; None without these columns.
+    """Return α1, α2, u(α1), u(α2) of each row, rad, shape (rows, 4), NaN if unknown; None without level columns.
 
     `extra` are the text columns of a table. Raises `ValueError` for a cell that is not a number, and for an angle
     without its standard uncertainty.
@@ -182,7 +182,7 @@ def level_rad(extra: Mapping[str, Labels], rows: int) -> Floats | None:
 
 
 def drift_rad_s(extra: Mapping[str, Labels]) -> tuple[float, float] | None:
-    """Return the rms rates of α1 and α2, rad/s, from the text columns; None if the level was not read again."""
+    """Return the rms rates of α1 and α2, rad/s, from text columns; None if no mounting had two level readings."""
     if not all(name in extra for name in DRIFTS):
         return None
     rates = [[float(cell) for cell in extra[name].tolist() if cell.strip()] for name in DRIFTS]
@@ -193,7 +193,7 @@ def drift_rad_s(extra: Mapping[str, Labels]) -> tuple[float, float] | None:
 
 
 def wrong_level_cell(text: Mapping[str, str]) -> tuple[str, str] | None:
-    """Return the first invalid level column of a row and a sentence on its mistake; None for a valid row."""
+    """Return the first level column with an invalid cell in a row, and a sentence on it; None for a valid row."""
     for name in LEVEL_COLUMNS:
         cell = text.get(name, "").strip()
         try:
@@ -233,7 +233,7 @@ def is_of_a_rail(column: str) -> bool:
 
 
 def rails_of(columns: Iterable[str]) -> tuple[str, ...]:
-    """Return the names of the rails with a voltage column among `columns`, in the same order."""
+    """Return the names of the rails whose voltage column is among `columns`, in the order of `columns`."""
     matches = [_COLUMN.fullmatch(column) for column in columns]
     return tuple(match["rail"] for match in matches if match is not None and match["what"] == "v")
 
@@ -261,9 +261,9 @@ ROOM_C: Final = "room_c"
 
 
 def meter_c(extra: Mapping[str, Labels]) -> Floats | None:
-    """Return the temperature of the voltmeters, °C, shape (n,), the room temperature if no other is recorded.
+    """Return the temperature of the voltmeters, °C, shape (n,), or else that of the room, NaN where unknown.
 
-    Values are NaN where not given. Returns None without either column.
+    `extra` are the text columns of a table. Returns None if neither temperature is recorded.
     """
     own = next((name for name in (METER_C, ROOM_C) if any(map(str.strip, extra.get(name, ())))), None)
     return None if own is None else numbers(extra[own])
@@ -274,7 +274,7 @@ SINCE_POWER_ON_S: Final = "since_power_on_s"
 
 
 def since_power_on_s(extra: Mapping[str, Labels]) -> Floats | None:
-    """Return the time since the block was switched on, s, shape (n,), NaN if not given; None without the column."""
+    """Return the time since the block was switched on, s, shape (n,), NaN where unknown; None if not recorded."""
     return numbers(extra[SINCE_POWER_ON_S]) if SINCE_POWER_ON_S in extra else None
 
 
@@ -282,7 +282,7 @@ def since_power_on_cells(read_s: Sequence[float | None], power: Sequence[tuple[f
     """Return the cells of the column `since_power_on_s` for readings at the times `read_s`, s; "" if unknown.
 
     `power` lists (time in s, state) from the record; the states are "on", "found on", "off" and "fault". A block
-    "found on" has been on since the last "on"; without one the time is unknown.
+    "found on" has been on since the last "on"; without an earlier "on" the time is unknown.
     """
     cells = []
     for time_s in read_s:
@@ -302,7 +302,7 @@ def numbers(cells: Labels) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Rail:
-    """A supply rail of the block: measured voltage with its sign, V, nominal voltage, V, and current, A."""
+    """A supply rail of the block: measured and nominal voltage with their signs, V, and measured current, A."""
 
     voltage_v: float
     nominal_v: float

@@ -28,10 +28,10 @@ AGAIN: Final = 4
 
 @dataclass(frozen=True)
 class Corrections:
-    """Corrections of signals, U (1 + `gain`) + `offset_v` for x, y, z, and of the angle and temperature read.
+    """Corrections of head angles, temperatures and signals (x, y, z: U becomes U (1 + `gain`) + `offset_v`).
 
-    `head` is a table of corrections, rad, over the angle, rad, periodic over one turn; `thermometer` is a table of
-    corrections, K, over the temperature, °C, constant beyond its ends.
+    `head` lists (angle, correction), rad, periodic over one turn; `thermometer` lists (temperature in °C,
+    correction in K), and its end values hold beyond the ends.
     """
 
     gain: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -45,7 +45,7 @@ class Corrections:
         return any(self.gain) or any(self.offset_v)
 
     def then(self, gain: tuple[float, float, float], offset_v: tuple[float, float, float]) -> Corrections:
-        """Return these corrections followed by another correction of the signals, U (1 + `gain`) + `offset_v`."""
+        """Return the corrections that first apply these, then change the signals to U (1 + `gain`) + `offset_v`."""
         both = [(1.0 + own) * (1.0 + more) - 1.0 for own, more in zip(self.gain, gain, strict=True)]
         sums = [own * (1.0 + more) + added
                 for own, more, added in zip(self.offset_v, gain, offset_v, strict=True)]  # fmt: skip
@@ -110,7 +110,7 @@ def _of_thermometer(by: Corrections, temperature_c: Floats) -> Floats | float:
 
 
 def on_scale(table: Curve, angle_rad: Floats) -> Floats:
-    """Return the corrections of a head, rad, at the angles `angle_rad`, interpolated in its table; NaN for NaN."""
+    """Return the head's corrections, rad, at `angle_rad`, interpolated in `table`; NaN for an unknown angle."""
     known_rad, added_rad = np.array(table).T
     return np.asarray(np.interp(angle_rad, known_rad, added_rad, period=math.tau))
 
@@ -162,7 +162,7 @@ def with_levels(readings: Readings, seen: Sequence[LevelReading]) -> Readings:
 
 @dataclass(frozen=True)
 class _MountingLevel:
-    """The tilt in the middle of a mounting: α1 and α2 with their u, arcsec, and their rms rates, arcsec/h."""
+    """The tilt at the middle time of a mounting: α1 and α2 with their u, arcsec, and rms rates, arcsec/h."""
 
     alpha: tuple[float, float]
     u: tuple[float, float]
@@ -170,7 +170,7 @@ class _MountingLevel:
 
 
 def _mounting_level(seen: Sequence[LevelReading], mounting: tuple[int, str]) -> _MountingLevel | None:
-    """Return the platform's tilt during a mounting; None if the platform was not levelled for it."""
+    """Return the platform's tilt during a mounting from level readings; None if it was not levelled for it."""
     own = [s for s in seen if s.mounting == mounting]
     last = max((k for k, s in enumerate(own) if s.levelled), default=None)
     if last is None:
@@ -191,10 +191,10 @@ def _mounting_level(seen: Sequence[LevelReading], mounting: tuple[int, str]) -> 
 def _middle_and_rate(
     alpha: tuple[float, float], u: tuple[float, float], hours: float
 ) -> tuple[float, float, float]:
-    """Return the angle at the middle time between two readings, its standard uncertainty, and the rms of its rate.
+    """Return the angle at the middle time between two readings, its u, and the rms of its rate of change.
 
-    The angle is assumed to change linearly. The rate has the prior 0 ± u of `FOUNDATION`; if the readings refute
-    it (`REFUTED`), the prior's u is the observed rate.
+    The angle is assumed to change linearly. The rate has the prior 0 ± `FOUNDATION`; if the readings refute this
+    prior (`REFUTED`), it becomes 0 ± the observed rate.
     """
     moved = alpha[1] - alpha[0]
     rate_u = FOUNDATION_ARCSEC_H
@@ -277,5 +277,5 @@ SLIPS_RAD: Final = {
 
 
 def reflected_rad(angle_rad: Floats) -> Floats:
-    """Return the angle error, rad, if 360° - φ was read instead of φ: wrapped to [-π, π)."""
+    """Return the error of an angle φ, rad, wrapped to [-π, π), if 360° - φ was read instead of φ."""
     return np.remainder(-2 * angle_rad + np.pi, 2 * np.pi) - np.pi

@@ -111,7 +111,7 @@ def read_frame(
 ) -> Readings:
     """Return the table in a pandas DataFrame with the columns of a readings file; missing values are empty cells.
 
-    Raises as `read_csv`; line numbers in a `ReadingsError` count as if the frame were written to a file.
+    Raises `ReadingsError`, like `read_csv`; line numbers count as if the frame were written to a file.
     """
     header = [str(name).strip().lower() for name in frame.columns]
     rows = frame.itertuples(index=False, name=None)
@@ -120,7 +120,7 @@ def read_frame(
 
 
 def _cell(value: object) -> str:
-    """Return a value of a frame as a cell; 3.0 becomes "3", as pandas converts integers if a value is missing."""
+    """Return a value of a frame as a cell; 3.0 gives "3", since pandas makes integers floats if one is missing."""
     if value is None or value != value or str(value) == "<NA>":  # noqa: PLR0124 - NaN is not itself
         return ""
     return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
@@ -181,9 +181,9 @@ def _read(
 def _completed(
     header: list[str], body: list[tuple[int, list[str]]]
 ) -> tuple[list[str], list[tuple[int, list[str]]], frozenset[str]]:
-    """Return header and rows with missing columns added, and the signal columns among these.
+    """Return header and rows with missing columns added, and the names of the signal columns without values.
 
-    Columns may be missing only in a record at a known input (rows R only): pass, point, angle, and one or two of
+    Only in a record at a known input (rows R only) may columns be missing: pass, point, angle, and one or two of
     the three signals. Other tables are returned unchanged.
     """
     label = header.index("installation") if "installation" in header else len(header)
@@ -242,7 +242,7 @@ def split_table(
 
 
 def _without_empty_end(cells: list[str], least: int) -> list[str]:
-    """Return the cells without trailing empty ones, but at least `least`: spreadsheets pad lines with commas."""
+    """Return the cells without empty ones at the end (as spreadsheets add), but at least `least` cells."""
     while len(cells) > least and not cells[-1].strip():
         cells = cells[:-1]
     return cells
@@ -373,7 +373,7 @@ def format_csv(readings: Readings, *, to_the_bit: bool = False) -> str:
     """Return the table as the text of a readings file.
 
     Numbers read back to the same value, and angles to within 1e-12 degrees. Without `to_the_bit`, signals are
-    written without the rounding error of their mean: 0.91 for 0.9099999999999999.
+    written without the rounding error that averaging caused: 0.91 for 0.9099999999999999.
     """
     signal = _text if to_the_bit else _signal
     suffix = next(s for s, unit in UNITS.items() if unit == readings.unit)
@@ -416,7 +416,7 @@ ROUNDED: Final = 16
 
 
 def _signal(value: float) -> str:
-    """Return `value` as text without the rounding error of its mean, an empty text for NaN."""
+    """Return a signal as text without the rounding error that averaging caused; an empty text for NaN."""
     short = float(f"{value:.12g}")
     return _text(short if abs(short - value) <= ROUNDED * math.ulp(value) else value)
 
@@ -425,7 +425,7 @@ def _signal(value: float) -> str:
 
 
 def doubtful(readings: Readings, lines: Sequence[int]) -> tuple[str, ...]:
-    """Return a sentence for each suspicious feature of a table; `lines` are the n line numbers of its rows."""
+    """Return a sentence for each suspicious feature of a table; `lines` are the line numbers of its n rows."""
     return (*_time(readings, lines), *_scatter(readings, lines))
 
 

@@ -38,9 +38,9 @@ _NONE: Final = (None, None, None)
 
 @dataclass(frozen=True)
 class Outlier:
-    """An outlier among the samples of a reading: its number from 1, value and distance from the mean.
+    """An outlier of a reading: the number of the sample (from 1), its value, its distance from the mean.
 
-    `sigma` is this distance and `critical` the critical value, both in standard deviations of the samples.
+    `sigma` is the distance, `critical` the critical value for it, both in standard deviations of the samples.
     """
 
     sample: int
@@ -91,7 +91,7 @@ class Reading:
 
     @property
     def place(self) -> tuple[int, str, int, int]:
-        """The setting that was read: (series, installation, pass, point); a repeated reading has the same."""
+        """The setting that was read: (series, installation, pass, point); a repeated reading has the same place."""
         return self.series, self.installation, self.pass_number, self.point
 
     def __str__(self) -> str:
@@ -174,8 +174,8 @@ _NUMBERS: Final = frozenset({int, float})
 def readings_of(taken: Sequence[Reading], source: str, power: Sequence[tuple[float, str]] = ()) -> Readings:
     """Return the table of the readings `taken`, named `source`.
 
-    The scan order, the reference, further temperatures, the rails and the time since power-on become extra
-    columns if any reading has them. `power` lists the states of the supply, as for `since_power_on_cells`.
+    Scan order, reference, further temperatures, rails and time since power-on become columns in `extra` if any
+    reading has them. `power` lists the states of the supply, as for `since_power_on_cells`.
     """
 
     def column(name: str) -> Floats:
@@ -211,6 +211,6 @@ def readings_of(taken: Sequence[Reading], source: str, power: Sequence[tuple[flo
 
 
 def _cells(taken: Sequence[Reading], name: str) -> list[str]:
-    """Return a field of readings as cells of a text column, empty where it is None."""
+    """Return a field of readings as cells of a text column; None becomes an empty cell."""
     values = [getattr(reading, name) for reading in taken]
     return ["" if value is None else str(value) for value in values]

@@ -51,14 +51,14 @@ UNITS: Final[Mapping[str, str]] = {"v": "V", "counts": "counts", "g": "g", "ms2"
 class Readings:
     """A table of n settled readings as columns, in the order of measurement.
 
-    `signal` (n, 3) is in `unit`; `angle_rad` is read back from the scale, `target_rad` is the requested angle;
-    these angles, `time_s` and `temperature_c` are NaN if not given; `direction` is +1, -1 or 0 (unknown);
-    `signal_sd` (n, 3) is the standard deviation of a reading's samples, NaN if not given. `extra` keeps further
-    columns as text; `notes` are remarks for the user of the table; `skipped` lists rows that were left out on
-    request, with the reason; `verification_missing` counts the planned verification points that are not among the
-    rows. `corrected` says that known instrument errors are corrected; `resolution_read` is then the resolution
-    before correction, in `unit`. In a table of several runs, `began_s` (n,) is the start of each row's run on the
-    clock of `time_s`, and `block` (n,) the number of the block measured; None means a single run or block.
+    `signal` (n, 3) is in `unit`; `angle_rad` is read back from the scale, `target_rad` is the requested angle; both
+    angles, `time_s` and `temperature_c` are NaN if not given; `direction` is +1, -1 or 0 (unknown); `signal_sd` (n,
+    3) is the standard deviation of a reading's samples, NaN if not given. `extra` keeps further columns as text;
+    `notes` are remarks for the user of the table; `skipped` lists rows that were left out on request, with the
+    reason; `verification_missing` counts the planned verification points that are not among the rows. `corrected`
+    says that known instrument errors are corrected; `resolution_read` is then the resolution before correction, in
+    `unit`. In a table of several runs, `began_s` (n,) is the start of each row's run on the clock of `time_s`, and
+    `block` (n,) the number of the block measured; None means a single run or block.
     """
 
     source: str
@@ -95,7 +95,7 @@ class Readings:
     def resolution(self) -> float:
         """The last digit of the signals, in `unit`; 0 if they have more than 8 decimals.
 
-        It is the last digit of the means, which may have one more digit than the samples.
+        The signals are means, which may have one more digit than their samples.
         """
         if self.resolution_read is not None:
             return self.resolution_read
@@ -222,7 +222,7 @@ BETWEEN_S: Final = 3600.0
 
 @dataclass(frozen=True)
 class JoinedPart:
-    """A table to join, with the start of its clock on a clock common to all tables, s, None if unknown.
+    """A table to join; `began_s` is the start of its clock, s, on a clock common to all tables, or None if unknown.
 
     `block` is the number of the block measured, None if unknown.
     """
@@ -236,10 +236,10 @@ def together(parts: Sequence[JoinedPart]) -> Readings:
     """Return several tables joined into one, in the order in which they were measured.
 
     Series are renumbered to keep the mountings of different tables apart: the first table keeps its numbers, each
-    further table continues after the last. Times are placed on one clock: with the real intervals if every table
-    has a start and they do not overlap, else `BETWEEN_S` apart. Rows without a time get one from
-    `Conditions.elapsed_s`. `Readings.began_s` holds the start of each run's clock; `notes` state the new series
-    and start of each table. Raises `ValueError` for tables in different units.
+    further table continues after the last. All times are put on one clock: with the real intervals if every table
+    has a start and the tables do not overlap, else with `BETWEEN_S` between tables. Rows without a time get one
+    from `Conditions.elapsed_s`. `Readings.began_s` holds the start of each run's clock; `notes` state the new
+    series and start of each table. Raises `ValueError` for tables in different units.
     """
     units = {part.readings.unit: part.readings.source for part in parts}
     if len(units) > 1:
@@ -276,12 +276,12 @@ def together(parts: Sequence[JoinedPart]) -> Readings:
 
 
 def _clock_s(table: Readings) -> Floats:
-    """Return the time of each reading on the table's clock, s, estimated if not given."""
+    """Return the time, s, of each reading on the table's clock, estimated if not given."""
     return table.time_s if table.began_s is not None else table.conditions().elapsed_s
 
 
 def _starts(parts: Sequence[JoinedPart]) -> tuple[list[JoinedPart], list[float], bool]:
-    """Return the tables in order of time, the time of each first reading, s, and whether the times are measured."""
+    """Return the tables in order of time, the times of their first readings, s, and whether these are measured."""
     lasts = {id(part): float(np.max(clock_s) - clock_s[0]) for part, clock_s in _clocks(parts)}
     known = [p.began_s + _first_s(p.readings) for p in parts if p.began_s is not None]
     if len(known) == len(parts):

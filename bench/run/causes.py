@@ -1,4 +1,4 @@
-"""The classic mistakes that may explain a misfitting reading, and the decision whether to stop the run."""
+"""The common mistakes that may explain a reading that does not fit, and the decision whether to stop the run."""
 
 from __future__ import annotations
 
@@ -72,10 +72,10 @@ AS_RECORDED: Final = Member(Supposition("", Kind.EARLIER))
 class Inquiry:
     """The search for the mistakes that explain a reading.
 
-    `model` contains the procedure's installations and also the other possible orientations on the platform;
-    `otherwise` lists the labels of these orientations for each installation. `nominal` is the nominal block,
-    `prior` the `Expectation` before the first reading. `stand_u` are the standard uncertainties of the stand,
-    `noise` the noise sizes, and `most` is the largest chi2 that counts as a fit.
+    `model` contains the procedure's installations and other possible orientations of the block; `otherwise` lists,
+    by installation, the labels of these orientations. `nominal` is the nominal block, `prior` the `Expectation`
+    before the first reading. `stand_u` are the standard uncertainties of the stand, `noise` the noise sizes, and
+    `most` is the largest chi2 that counts as a fit.
     """
 
     model: ForwardModel
@@ -111,7 +111,7 @@ class Inquiry:
         return self._fitting(supposed, state.judge(signals, sighting.pose, self.noise), before)
 
     def _elsewhere(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
-        """Return the suspects that place the block in another installation, or the head at another angle."""
+        """Return the suspected mistakes of another installation of the block or another angle of the head."""
         label, angle = sighting.installation, sighting.angle_rad
         unlikely = 0.0 if sighting.pivot_rad is None else SAT_RIGHT
         supposed = [
@@ -126,7 +126,7 @@ class Inquiry:
         return self._fitting([one.supposed for one in supposed], judged, before)
 
     def _off_by_some(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
-        """Return the suspects of unknown size: the block turned about the shaft or tilted, or one channel off."""
+        """Return the suspected mistakes of unknown size: block turned about the shaft or tilted, a channel off."""
         further = self._shifts(sighting, state)
         judged = state.judge(sighting.signal_v, sighting.pose, self.noise, further)
         weighed = np.linalg.solve(judged.covariance, further[..., None])[..., 0]
@@ -162,7 +162,7 @@ class Inquiry:
         ]
 
     def _others(self, sighting: Sighting, *, few: bool) -> dict[str, Supposition]:
-        """Return, by label, the suppositions of other installations; with `few`, also of other orientations."""
+        """Return the suppositions of other installations by label; with `few`, also of other orientations."""
         label = sighting.installation
         otherwise = self.otherwise.get(label, ()) if few else ()
         known = {at: other_installation(at, label, sighting.sat_before) for at in self._installations(label)}
@@ -208,10 +208,7 @@ class Inquiry:
         ], replay
 
     def _wrong_before(self, sighting: Sighting, k: int) -> list[Member]:
-        """Return the members in which reading `k` is wrong: left out, shifted, or at another setting.
-
-        A member is a supposed mistake.
-        """
+        """Return the members (supposed mistakes) with reading `k` left out, shifted, or at another setting."""
         unlikely, was_wrong = UNLIKELY[Kind.EARLIER], message(f"{sighting.place} was wrong")
         somehow = Supposition(was_wrong, Kind.EARLIER, unlikely)
         first = 2 + len(self._others(sighting, few=True))
@@ -233,8 +230,8 @@ class Inquiry:
     ) -> ReplayedReadings:
         """Replay all readings for each member, that is, for each supposed mistake.
 
-        The default is one member that uses the readings as recorded. A reading that a member leaves out has the
-        cost of a reading that does not fit.
+        The default is one member that uses the readings as recorded. If a member leaves a reading out, the reading
+        costs as much as one that does not fit.
         """
         state = self.prior.repeated(len(members))
         cabling = np.stack([member.cabling for member in members])
@@ -283,7 +280,7 @@ class Inquiry:
 
 
 def _settings(sighting: Sighting) -> list[OtherPose]:
-    """Return other settings of the head at an earlier reading, each far enough off to stop a run."""
+    """Return the suppositions of another head angle at an earlier reading, if far enough off to stop a run."""
     at, label = sighting.angle_rad, sighting.installation
     found = head_elsewhere(label, at, sighting.last_rad, sighting.next_rad, sighting.pivot_rad)
     return [one for one in found if abs(one.off_rad) > LARGE_RAD]
@@ -296,7 +293,7 @@ def candidates(history: Sequence[Sighting]) -> list[int]:
 
 
 def likeliest(suspects: Sequence[Suspect]) -> list[Suspect]:
-    """Return the suspects that the readings cannot distinguish from the likeliest one, each text once.
+    """Return the likeliest suspect and those that the readings cannot distinguish from it, each text once.
 
     Suspects of unknown size are left out if the likeliest suspect has a definite size.
     """
@@ -320,7 +317,7 @@ CLEARLY: Final = 5.0
 
 
 class Confidence:
-    """Decides whether an early sign stops the run; remembers the mistakes despite which a person continued."""
+    """Decides whether an early sign stops the run, and remembers the mistakes that a person has accepted."""
 
     def __init__(self, readings: int) -> None:
         self._sure = float(chdtri(3, STOP_ALARM / max(readings, 1)))
@@ -331,15 +328,15 @@ class Confidence:
         self._undecided: tuple[Sighting, list[Suspect]] | None = None
 
     def mounted(self) -> None:
-        """Note a new mounting: forget accepted mistakes and the undecided reading."""
+        """Forget the accepted mistakes and the undecided reading, because the block was mounted again."""
         self._silent, self._undecided = False, None
 
     def forget(self) -> None:
-        """Note that readings are repeated: forget the undecided reading and the unexplained misfits."""
+        """Forget the undecided reading and the unexplained misfits, because readings are repeated."""
         self._silent, self._undecided, self._unexplained_v = False, None, 0.0
 
     def went_on(self, sighting: Sighting) -> None:
-        """Note that a person continued despite the mistakes named last; lasting ones no longer stop the run."""
+        """Note that a person continued despite the mistakes just named; lasting ones no longer stop the run."""
         self._silent = True
         for kind in self._last:
             if kind in LASTING:
@@ -351,7 +348,7 @@ class Confidence:
     ) -> bool:
         """Return whether to stop the run at a reading that does not fit and is explained by `causes`.
 
-        `off_v` is the size of its misfit, V; `in_a_row` is the number of consecutive readings that did not fit.
+        `off_v` is the size of the misfit, V; `in_a_row` is the number of consecutive readings that did not fit.
         """
         self._undecided = None
         somehow = [cause for cause in causes if cause.kind is Kind.EARLIER and cause.free]

@@ -247,7 +247,7 @@ class EarlyWarning:
         return sighting
 
     def _sat_before(self, label: str, new_mount: bool) -> str | None:
-        """Return the installation of the mounting before this one, or None."""
+        """Return the installation of the previous mounting, or None if there was none."""
         if not self._history:
             return None
         last = self._history[-1]
@@ -256,7 +256,7 @@ class EarlyWarning:
         return last.installation
 
     def _pivot_rad(self) -> float | None:
-        """Return the head angle of the last reading that fitted on the present mounting, rad, or None."""
+        """Return the head angle, rad, of the last reading on the present mounting that fitted; None without one."""
         for sighting in reversed(self._history):
             if sighting.taken and not sighting.struck:
                 return sighting.angle_rad
@@ -265,7 +265,7 @@ class EarlyWarning:
         return None
 
     def _changes(self, time_s: float, temperature_c: float, new_mount: bool) -> Floats:
-        """Return the variances (12,) by which the coefficients may have changed since the last reading."""
+        """Return the variances (12,) of the changes that the coefficients may have had since the last reading."""
         hours = max(0.0, time_s - self._time_s) / 3600.0 if math.isfinite(time_s - self._time_s) else 0.0
         self._time_s = self._time_s if math.isnan(time_s) else time_s
         kelvin = temperature_c - self._temperature_c
@@ -279,13 +279,13 @@ class EarlyWarning:
         return np.concatenate([np.repeat(scale * variances, 3), bias * variances])
 
     def _replace_earlier(self, reading: Reading) -> None:
-        """Strike the earlier reading that this one repeats, and relearn the model without it."""
+        """Strike the earlier reading that `reading` repeats, and relearn the model without it."""
         if (earlier := self._places.pop(reading.place, None)) is not None:
             earlier.struck = True
             self._go_through_again()
 
     def _go_through_again(self) -> None:
-        """Judge all readings again and learn from them, with the present noise estimate, except struck readings."""
+        """Judge all readings except struck ones again, with the present noise estimate, and learn from them."""
         replay = self._inquiry().replay(self._history)
         self._adopt(replay.taken[:, 0], replay.state)
 
@@ -297,8 +297,7 @@ class EarlyWarning:
     def _learn_noise(self, now: Sighting) -> None:
         """Increase the noise estimate if repeats scatter more than stated.
 
-        A pair of repeats counts only if both readings fit or both do not. Otherwise a slip of the block between
-        them would count as noise.
+        A pair of repeats counts if both readings fit or neither does. Otherwise the block may have slipped.
         """
         row = now.row
         key = (row.mounts[0], int(row.point[0]), int(row.direction[0]))
@@ -322,7 +321,7 @@ class EarlyWarning:
         )
 
     def _suspect(self, sighting: Sighting, judged: ReadingJudgement) -> EarlySign:
-        """Return the sign for a reading that does not fit, with the mistakes that explain it."""
+        """Return the sign for a reading that does not fit, with the mistakes that explain the reading."""
         inquiry = self._inquiry()
         of_run, replay = inquiry.of_run(self._history)
         of_reading = inquiry.of_reading(sighting, self._state, replay.before)
@@ -360,7 +359,7 @@ class EarlyWarning:
         return why([cause.text for cause in causes], at_fault.place if at_fault else None)
 
     def _noisy(self, sighting: Sighting, judged: ReadingJudgement) -> EarlySign:
-        """Return the sign that the bench is noisier than its file states; `take` raises it once in a run."""
+        """Return the sign that the bench is noisier than its file states; `take` gives it once in a run."""
         found, stated = self.noise.reading_v, self._repeats.stated.reading_v
         cause = message("the bench is noisier than its file states")
         words = message(
@@ -407,7 +406,7 @@ class EarlyWarning:
         return likeliest(self._inquiry().of_reading(wrong, self._state, 0.0))
 
     def _lasting(self, sighting: Sighting, suspects: Sequence[Suspect]) -> list[Suspect]:
-        """Return a lasting slip as the only cause if the previous reading had the same angle error; else []."""
+        """Return a lasting slip as the only cause if the last two readings have the same angle error; else []."""
         now = next((s for s in suspects if s.moved_rad is not None), None)
         before, self._moved = self._moved, None
         if now is None or now.moved_rad is None:

@@ -28,7 +28,7 @@ class UnitUnderTest(TypedDict):
 
 
 class VerdictAsked(TypedDict, total=False):
-    """The decision settings given on the command line, which override those of the bench file."""
+    """The decision settings that the command line states; they override those of the bench file."""
 
     limit_g: float
     rule: str
@@ -80,8 +80,8 @@ class Manifest(TypedDict, total=False):
     from a readings file (`imported`) states the number of `readings` and has no procedure. `living` marks a dry run
     whose questions a person answers. `bench_why` is the reason for the choice of the bench file. `devices` is the
     origin of drivers from outside the bench software. `verdict` overrides the bench file's decision settings;
-    `default_rule` applies where neither states a rule. `until` lists the goals at which the run ends. `check_block`
-    is the state of the check block. Fields without a value are omitted.
+    `default_rule` applies if neither of the two states a rule. `until` lists the goals at which the run ends.
+    `check_block` is the state of the check block. Fields without a value are omitted.
     """
 
     format: int
@@ -172,9 +172,9 @@ class TemperatureSet:
 
 @dataclass(frozen=True)
 class CameToRest:
-    """A quantity settled after `settled_s` seconds.
+    """The signals or the temperature settled after `settled_s` seconds.
 
-    `settled_at` are its settled values, in V (signals) or °C (chamber).
+    `settled_at` are the settled values, in V (signals) or °C (chamber).
     """
 
     settled_s: float
@@ -200,7 +200,7 @@ class Answered:
 class Powered:
     """The block was switched: "on", "off" or "cycle".
 
-    Also holds the duration of the warm-up, s, and the signals at its end, V.
+    The other fields are the duration of the warm-up, s, and the signals at its end, V.
     """
 
     switched: str
@@ -240,7 +240,7 @@ _KINDS: Final = (Mounted, Turned, TemperatureSet, CameToRest, InputSelected, Ans
 
 @cache
 def _fields() -> Mapping[Callable[..., Result], tuple[str, ...]]:
-    """Return the field names of each result type, including results of step types defined in other modules."""
+    """Return the field names of each type of result, including results of kinds of steps in other modules."""
     from bench.config.procedure.plan import KINDS  # imported here because it is slow
 
     further = (kind.BRINGS for kind in KINDS if kind.BRINGS is not None)
@@ -409,7 +409,7 @@ class Event:
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> Event:
-        """Return the event recorded as `data`; the dict loses the common fields and becomes `Event.data`.
+        """Return the event recorded as `data`; this dict, without the common fields, becomes `Event.data`.
 
         Raises `KeyError`, `TypeError` or `ValueError` for data that are not an event.
         """
@@ -467,7 +467,7 @@ _OPEN: Final[Mapping[str, RunState]] = {
 
 
 def _stopped(state: RunState) -> Mapping[str, RunState]:
-    """Return the transitions of a stopped run; a failed attempt to resume leaves `state` unchanged."""
+    """Return the transitions of a stopped run, event -> next state; a failed attempt to resume leaves `state`."""
     return {**_OPEN, EventType.RUN_FAILED: state, EventType.RUN_INTERRUPTED: state}
 
 

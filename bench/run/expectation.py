@@ -1,4 +1,4 @@
-"""The expectation of the next reading, the early sign of a misfit, and the mistakes that may cause one."""
+"""The expectation of the next reading, the early sign of a misfit, and the mistakes that may cause a misfit."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def poses(
 
 @dataclass(frozen=True)
 class NoiseSizes:
-    """Standard deviations of one reading: of each signal, V, and of the setting of the head, rad."""
+    """Standard deviations of one reading: of each signal (V), and of the setting of the head (rad)."""
 
     reading_v: float
     setting_rad: float
@@ -85,8 +85,8 @@ class NoiseSizes:
 class RepeatNoise:
     """The noise sizes estimated from repeats, never below the sizes stated in the bench file.
 
-    The stated sizes include errors that repeats do not reveal (the meters' gain, the head's graduation). They have
-    the weight of `STATED_WORTH` degrees of freedom of repeats.
+    The stated sizes include errors that repeats do not reveal (the meters' gain, the head's graduation). In the
+    estimate, the stated sizes count as much as repeats with `STATED_WORTH` degrees of freedom.
     """
 
     def __init__(self, stated: NoiseSizes) -> None:
@@ -95,10 +95,9 @@ class RepeatNoise:
         self._across_v2, self._along_rad2, self._repeats = 0.0, 0.0, 0
 
     def add(self, difference_v: Floats, slope: Floats) -> None:
-        """Add the difference (3,) of a repeat from the previous visit, V; `slope` (3,) is du/dphi, V/rad.
+        """Add the difference (3,) between a repeat and the earlier reading, V; `slope` (3,) is du/dphi, V/rad.
 
-        Along the slope, both noise sizes contribute. In the two perpendicular directions, only the signals' noise
-        does.
+        Along the slope both noise sizes contribute, in the two perpendicular directions only the signals' noise.
         """
         length = float(np.linalg.norm(slope))
         along2 = (float(difference_v @ slope) / length) ** 2 / 2
@@ -117,9 +116,9 @@ class RepeatNoise:
 class ReadingJudgement(NamedTuple):
     """The comparison of a reading with its expectation, for each of m members (supposed mistakes).
 
-    `residual` (m, 3) is in V, `covariance` (m, 3, 3) is its covariance. `chi2` (m,) has three degrees of freedom.
-    `log_det` (m,) is the logarithm of the covariance's determinant. `design` (m, 3, 17) holds the derivatives of
-    the signals with respect to the state.
+    `residual` (m, 3) is in V; `covariance` (m, 3, 3) is that of the residual, `log_det` (m,) the logarithm of its
+    determinant. `chi2` (m,) has three degrees of freedom. `design` (m, 3, 17) holds the derivatives of the signals
+    with respect to the state.
     """
 
     residual: Floats
@@ -135,7 +134,7 @@ class ReadingJudgement(NamedTuple):
 
     @property
     def p(self) -> float:
-        """The probability that chance alone causes a misfit at least as large as the first member's."""
+        """The probability of a misfit by chance that is at least as large as that of the first member."""
         return float(chdtrc(3, self.chi2[0]))
 
     def cost(self, most: float) -> Floats:
@@ -144,9 +143,9 @@ class ReadingJudgement(NamedTuple):
 
 
 class Expectation:
-    """States of m Kalman filters ("members"), each of which supposes a different mistake or none.
+    """The states of m Kalman filters ("members"); each member supposes a different mistake, or none.
 
-    `mean` (m, 17) and `covariance` are for the coefficients, V/g and V, then the stand's angles, rad.
+    `mean` (m, 17) and `covariance` (m, 17, 17) are of the 12 coefficients (V/g, V), then the 5 stand angles (rad).
     """
 
     def __init__(self, mean: Floats, covariance: Floats) -> None:
@@ -220,7 +219,7 @@ class Expectation:
         return ReadingJudgement(residual, covariance, chi2, np.linalg.slogdet(covariance)[1], design)
 
     def take(self, judged: ReadingJudgement, members: Mask | None = None) -> None:
-        """Update the states (those in the mask `members`, (m,), if given) with a judged reading."""
+        """Update the states with a judged reading; if the mask `members` (m,) is given, only the states in it."""
         across = self.covariance @ np.swapaxes(judged.design, 1, 2)
         gain = np.swapaxes(np.linalg.solve(judged.covariance, np.swapaxes(across, 1, 2)), 1, 2)
         if members is not None:
@@ -232,14 +231,14 @@ class Expectation:
 
 @dataclass(frozen=True)
 class ExpectedSignals:
-    """The expected `signals` (3,), V, of a reading, their `slope` (3,) by the angle, V/rad, and covariance."""
+    """The expected `signals` (3,) of a reading, V, their `covariance`, and `slope` (3,) by the angle, V/rad."""
 
     signals: Floats
     slope: Floats
     covariance: Floats
 
     def deviation_rad(self, signals: Floats) -> tuple[float, float]:
-        """Return the head's deviation from the commanded angle, and its standard uncertainty (GLS), rad."""
+        """Return the head's deviation from the commanded angle, and its u, rad (generalised least squares)."""
         weighted = np.linalg.solve(self.covariance, self.slope)
         information = float(self.slope @ weighted)
         if information <= 0.0:
@@ -257,8 +256,8 @@ class EarlySign:
 
     `sentence` is the complete message. `sigma` are the residuals of x, y, z in standard deviations of the
     expectation; `channels` are the channels with large residuals. `p` is the probability of so large a misfit by
-    chance. `causes` are the mistakes that explain it equally well, likeliest first, empty if none does; `kinds` are
-    the kinds of these causes. `in_a_row` is the number of consecutive readings that did not fit. `at_fault` is the
+    chance. `causes` are the mistakes that explain the reading equally well, likeliest first, empty if none does;
+    `kinds` are their kinds. `in_a_row` is the number of consecutive readings that did not fit. `at_fault` is the
     place of an earlier reading found to be wrong; the present reading fits without it, and `in_a_row` is 0. If
     `confident`, the run has to stop and ask (`bench.run.causes`); `wrong` then identifies the reading at fault
     (series, installation, pass, point).
@@ -360,7 +359,7 @@ SAME_RAD: Final = float(np.radians(0.5))
 
 @dataclass(frozen=True)
 class Supposition:
-    """A supposed mistake in words, with its kind and its prior cost."""
+    """A supposed mistake in words, with its kind; `unlikely` is its prior cost."""
 
     text: str
     kind: Kind
@@ -404,7 +403,7 @@ CABLED: Final = tuple(
 def other_installation(actual: str, stated: str, before: str | None) -> Supposition:
     """Return the supposition that the block sits in installation `actual` instead of `stated`.
 
-    `before` is the installation of the previous mounting; it is the most likely one.
+    `before` is the installation of the previous mounting; a block left in it is the likeliest mistake of this kind.
     """
     text = f"the block sits in installation {actual}, not in {stated}"
     return Supposition(text, Kind.INSTALLATION, 0.0 if actual == before else OTHER_INSTALLATION)
@@ -423,7 +422,7 @@ QUARTER_TURNS: Final = _quarter_turns()
 def orientations(installations: Mapping[str, Installation], label: str) -> dict[str, Installation]:
     """Return the other possible orientations of a block on the platform, each under a sentence that describes it.
 
-    They are the quarter turns of installation `label`, without those that equal a known installation.
+    They are installation `label` turned by quarter turns, without those that equal a known installation.
     """
     own = installations[label].block_from_platform
     known = np.array([other.block_from_platform for other in installations.values()])
@@ -547,8 +546,8 @@ class Suspect:
     """A supposed mistake that explains a reading, and its cost (-2 ln likelihood plus prior cost).
 
     `earlier` is the index of the earlier reading at fault, if any. `moved_rad`, with standard uncertainty `u_rad`,
-    is the angle by which head or block is off, if that is the mistake. `stops` means that no genuine effect
-    resembles this mistake, so that it may stop the run; `free`, that it is a shift of unknown size.
+    is the angle by which head or block is off, if that is the mistake. `stops` says that no genuine effect
+    resembles this mistake, so that it may stop the run; `free` says that it is a shift of unknown size.
     """
 
     text: str
@@ -565,8 +564,8 @@ class Suspect:
 class Member:
     """A mistake supposed in a replay: at all readings from number `since` on, or at the single reading `reading`.
 
-    `cabling` (3, 3) corrects the signals. `pose` is an index into the sighting's `poses`. `shift` is the number
-    of a shift of unknown size, `AS_IT_IS`, or `ABSENT`.
+    `cabling` (3, 3) corrects the signals. `pose` is an index into the sighting's `poses`. `shift` is the number of
+    a shift of unknown size, `AS_IT_IS` for none, or `ABSENT` if the reading is left out.
     """
 
     supposed: Supposition
@@ -590,8 +589,8 @@ class ReplayedReadings:
     """The result of replaying all n readings for each of m members, that is, under each of m supposed mistakes.
 
     `state` is each member's expectation after the last reading. `cost` (m,) is each member's cost (-2 ln
-    likelihood) of all readings; `before` is the cost of member 0 without the last one. `taken` (n, m) says which
-    readings updated each member's expectation.
+    likelihood) of all readings; `before` is the cost of member 0 without the last reading. `taken` (n, m) says
+    which readings updated each member's expectation.
     """
 
     state: Expectation

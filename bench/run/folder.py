@@ -1,4 +1,4 @@
-"""Run folders as read by analyses: inputs, history, readings; and cached summaries of many runs."""
+"""Run folders as analyses read them (inputs, history, readings), and cached summaries of many runs."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class Run:
 
     @property
     def results_missing(self) -> bool:
-        """Whether some of the results of the finished run are missing or the list of results is damaged."""
+        """Whether the finished run lacks a result, or its list of results is damaged."""
         try:
             made = read_json((self.folder / RESULTS).read_bytes())["made"]
             return made is None or not all((self.folder / Path(name).name).is_file() for name in made)
@@ -121,7 +121,7 @@ class Run:
         return self.history
 
     def readings(self) -> Readings:
-        """Return the recorded readings in the order of measurement; of a repeated step, only the last reading.
+        """Return the recorded readings in the order of measurement; a repeated step has only its last reading.
 
         Raises `RecordError` if the record was changed or holds no reading.
         """
@@ -150,7 +150,7 @@ class Run:
         ]
 
     def _unfinished_note(self, taken: int) -> tuple[str, ...]:
-        """Return notes on planned readings that are missing; `taken` is the number of readings on record."""
+        """Return notes if planned readings are missing; `taken` is the number of recorded readings."""
         history = self.trusted_history()
         out = history.progress.left_out
         planned = [i for i, step in enumerate(self.plan.steps) if isinstance(step, Read)]
@@ -167,7 +167,7 @@ class Run:
 
 
 def statement_in(verdict: Mapping[str, Any]) -> str:
-    """Return the statement in a result of `verify` or in one of its points.
+    """Return the statement of conformity in a result of `verify` or in one of its points.
 
     Results of earlier versions have no statement; for them it is "pass" or "fail". Raises `KeyError`.
     """
@@ -240,7 +240,7 @@ class Digest:
 
 
 class Digests:
-    """The digests of the runs in a folder, read from a cache; `save` adds the new digests to the cache."""
+    """The digests of the runs in a folder, from a cache where possible; `save` adds the new ones to the cache."""
 
     def __init__(self, runs: Path, cache: Path | None = None, now: Callable[[], datetime] = utc_now) -> None:
         self._file = (cache or cache_folder("runs")) / f"{sha256(os.fsencode(runs.absolute()))[:32]}.json"
@@ -287,7 +287,7 @@ class Digests:
 
 
 def _kept_in(file: Path) -> dict[str, dict[str, Any]]:
-    """Return the digests in a cache file; empty if the file is damaged or of another format."""
+    """Return the digests in a cache file by run; none if the file is damaged or has another format."""
     try:
         head, _, text = file.read_text(encoding="utf-8").partition("\n")
         if json.loads(head) == {"format": FORMAT, "sha256": sha256(text.encode())}:
@@ -299,7 +299,7 @@ def _kept_in(file: Path) -> dict[str, dict[str, Any]]:
 
 
 def _stamp(folder: Path, names: list[str]) -> Stamp:
-    """Return the stamp of the files `names`; the row of a missing file holds only its name."""
+    """Return names, sizes, times and inodes of files, to notice changes later; a missing file has only a name."""
     rows: Stamp = []
     for name in names:
         try:

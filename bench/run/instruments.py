@@ -32,7 +32,7 @@ from drivers.person import Person, Prompt, PromptKind
 class Instruments:
     """The instruments of a bench as the runner uses them. Each of x, y, z is measured by exactly one voltmeter.
 
-    `around` maps a column of the readings to the thermometer of the meters or the room, or to "chamber" (its air).
+    `around` maps a column of the readings to the thermometer of the meters or room, or to "chamber" for its air.
     `opened` holds the names of the instruments opened so far; other instruments may be in use by another program.
     """
 
@@ -90,7 +90,7 @@ def same_serials(identities: Mapping[str, Identity]) -> list[str]:
 
 
 def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str, str]) -> None:
-    """Ask before continuing if the identities (by instrument name) differ from those at the start of the run.
+    """Ask whether to continue if identities (by instrument name) have changed from `before`, the run's start.
 
     Raises `BenchError` if the person disagrees.
     """
@@ -105,7 +105,7 @@ def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str,
 
 
 def told_at_mounting(instruments: Instruments, key: str) -> float | None:
-    """Return the block's temperature that a person enters at a mounting, °C; None if no person enters it.
+    """Return the block's temperature, °C, that a person enters at a mounting; None if no person enters it.
 
     Raises `BenchError`.
     """
@@ -118,7 +118,7 @@ def told_at_mounting(instruments: Instruments, key: str) -> float | None:
 def told_at_reading(
     instruments: Instruments, known_c: float | None, key: str
 ) -> tuple[float | None, float | None]:
-    """Return the temperatures of the block and of the chamber's air, °C; the air's is None if only one is measured.
+    """Return the temperatures of block and chamber air, °C; that of the air is None if only one is measured.
 
     `known_c` is the block's temperature, if known; a person is then not asked for it. Raises `BenchError`.
     """
@@ -136,7 +136,7 @@ def told_at_reading(
 def told_around(
     instruments: Instruments, known: Mapping[str, float], air_c: float | None, key: str
 ) -> dict[str, float]:
-    """Return the temperatures of meters and room by column, °C; `air_c` is the air of the chamber, if known.
+    """Return the temperatures of meters and room, °C, by column; `air_c` is that of the chamber's air, if known.
 
     `known` holds values already entered in this mounting; a person is not asked for them again. Raises
     `BenchError`.
@@ -160,7 +160,7 @@ def leave_safe(
     `power` controls the block's supply; None if the run controls none. A block that this run has switched, or found
     on and taken over, is switched off unless its section has `when_unsafe = "stay-on"`; any other block keeps its
     state. Only an opened chamber is set, because another program may be using one that was not opened; `demanded_c`
-    is its last set point, °C, None if it has none. Closing stops the head and returns meters to local operation.
+    is the last set point, °C, None without one. Closing stops the head and returns meters to local operation.
     Returns the remaining manual tasks, keyed by instrument name.
     """
     to_do = {}
@@ -193,7 +193,7 @@ def with_notes(error: BaseException) -> str:
 
 
 def how_it_stopped(cause: BaseException, wish: RunControl | None) -> tuple[EventType, dict[str, str]]:
-    """Return type and data of the event for a stopped run; `wish` is the wish that interrupted it, if any."""
+    """Return type and data of the event that records why a run stopped; `wish` is the wish to stop, if any."""
     if isinstance(cause, Exception):
         instrument = cause.instrument if isinstance(cause, BenchError) else ""
         return EventType.RUN_FAILED, {"error": with_notes(cause), "instrument": instrument}

@@ -1,4 +1,4 @@
-"""Handling of Ctrl-C, SIGTERM and SIGHUP at harmless moments. Imported first, so it imports nothing heavy."""
+"""Handling of Ctrl-C, SIGTERM and SIGHUP at harmless moments. Imported first, it imports nothing heavy itself."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ def interrupt_main() -> None:
 
 
 class Interrupts:
-    """A context in which the signals `numbers` raise `KeyboardInterrupt`, unless shielded or held.
+    """A context in which the first signal of `numbers` raises `KeyboardInterrupt`, unless shielded or held.
 
-    A further signal, or one after `hold`, raises nothing and only sets `haste`, which shortens waits for
-    instruments. After `release`, a signal raises again, and the second signal ends the program by `end(status)`.
-    Python drops a `KeyboardInterrupt` in a weak reference's callback or in `__del__`; it is raised again
-    afterwards. `any_heard` says whether any instance received a signal. After an `Exception` leaves a nested
-    context, signals are ignored until the outer context ends, so that the error is reported.
+    A further signal, or any signal after `hold`, only sets `haste`, which shortens waits for instruments. After
+    `release`, a signal raises again, and the second signal ends the program by `end(status)`. Python drops a
+    `KeyboardInterrupt` in a weak reference's callback or in `__del__`; it is raised again afterwards. `any_heard`
+    says whether any instance received a signal. After an `Exception` leaves a nested context, signals are ignored
+    until the outer context ends, so that the error is reported.
     """
 
     any_heard: ClassVar[bool] = False

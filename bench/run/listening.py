@@ -1,4 +1,4 @@
-"""Inputs to a run from outside: jumps of the computer's clock; wishes and answers of the operator."""
+"""What reaches a run from outside: jumps of the computer's clock; wishes and answers of the operator."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ GAP_S: Final = 30.0
 
 
 class ClockWatch:
-    """A comparison of civil time (`civil`) with bench time (`now_s`, s) from event to event.
+    """Compares civil time (`civil`) with bench time (`now_s`, s) from event to event.
 
     While a computer sleeps, civil time continues, but on most systems the bench's clock stops.
     """
@@ -49,9 +49,7 @@ class ClockWatch:
         self._last: tuple[datetime, float] | None = None
 
     def gap_s(self) -> float:
-        """Return by how many seconds civil time has gained on bench time since the last call; 0 if less than
-        `GAP_S`.
-        """
+        """Return the gain of civil time over bench time since the last call, s; 0 if it is below `GAP_S`."""
         civil, now_s = self._civil(), self._now_s()
         last, self._last = self._last, (civil, now_s)
         if last is None:
@@ -65,7 +63,7 @@ LISTEN_S: Final = 0.1
 
 
 class WishListener:
-    """The wishes left in a run folder; within this context, a wish to stop interrupts the main thread.
+    """Reads the wishes left in a run folder; within this context, a wish to stop interrupts the main thread.
 
     It implements `Controls`. `stopped` is the first wish to stop that was received.
     """
@@ -138,9 +136,9 @@ class _Elsewhere(Exception):
 class Asker:
     """The person of a run, who can answer at a terminal (if any) and through files in the run's `folder`.
 
-    The first `answers_read` answers in the folder are skipped. Before `attach`, events are recorded by the `tell`
-    given here, and only a wish to stop is obeyed. `answered_by` is the author of the last answer. The class
-    implements `drivers.interfaces.WatchingPerson`.
+    The first `answers_read` answers in the folder are skipped. Until `attach` is called, `tell` records the events,
+    and only a wish to stop is obeyed. `answered_by` is the author of the last answer. The class implements
+    `drivers.interfaces.WatchingPerson`.
     """
 
     def __init__(
@@ -179,8 +177,8 @@ class Asker:
     def ask(self, prompt: Prompt) -> Answer:
         """Put the prompt; return the first valid answer, or an invalid answer typed at the terminal.
 
-        The caller rejects the invalid answer and asks again, which the record counts as the same question.
-        Raises `OperatorWish` for a wish, and `NoAnswer` at the end of the terminal's input.
+        The caller rejects an invalid answer and asks again; the record counts this as the same question. Raises
+        `OperatorWish` for a wish, and `NoAnswer` at the end of the terminal's input.
         """
         question = prompt.id.rpartition("#")[0]
         if not question or question != self._refused:
@@ -200,7 +198,7 @@ class Asker:
         return Answer(prompt.id, text)
 
     def drain(self) -> None:
-        """Refuse the answers that were left in the folder while no prompt was open."""
+        """Refuse the answers left in the folder while no prompt was open."""
         while (left := self._answers.poll()) is not None:
             self._refuse(left, self._why_stale(left))
 
@@ -283,7 +281,7 @@ class Asker:
         self._tell(EventType.ANSWERED, _event_data(replace(given, answer=text)))
 
     def _note(self, seen: AnsweredByInstrument, prompt: Prompt) -> None:
-        """Record an instrument's answer, or its problem, after which the question is asked again."""
+        """Record an instrument's answer, or its problem; after a problem the question is asked again."""
         given = LeftAnswer(self._id, seen.text, WishAuthor(by=seen.by, where=INSTRUMENT))
         if not seen.problem:
             self._take(given, prompt)

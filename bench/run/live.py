@@ -51,7 +51,7 @@ class LightlyRead(Protocol):
     """A bench whose signals can be sampled between two readings, without a record."""
 
     def glance(self) -> tuple[float, ...]:
-        """Return the present signals x, y, z, V, without recording them. Raises `BenchError`."""
+        """Return the present signals x, y, z in V, and record nothing. Raises `BenchError`."""
 
     @property
     def voltmeters(self) -> Sequence[Voltmeter]:
@@ -60,7 +60,7 @@ class LightlyRead(Protocol):
 
 @dataclass(frozen=True)
 class LiveValue:
-    """The signals at one moment, V; if there are none, `why` gives the reason.
+    """The signals at one moment, V; if they could not be sampled, `why` gives the reason.
 
     `off_arcsec` is the deviation from the commanded angle, `expanded_arcsec` its U (k = 2). Both are None if no
     angle is commanded or the deviation is not known well enough.
@@ -113,7 +113,7 @@ def _angle(arcsec: float) -> str:
 
 
 class LiveSignals:
-    """Samples the meters quickly while a question waits, writes the file `LIVE`, and calls `show` with a line.
+    """While a question waits, samples the meters quickly, writes the file `LIVE`, and calls `show` with a line.
 
     It observes the run's events to know which reading comes next. `scale_v_g` is the least scale factor of the
     block, V/g. After an error of an instrument it stays silent until the next question.
@@ -197,7 +197,7 @@ class LiveSignals:
         return LiveValue(prompt, utc_now().isoformat(), signals, off, expanded, self._has_settled())
 
     def _has_settled(self) -> bool:
-        """Return whether scatter and slope of a line fitted to the window are within limits for all signals."""
+        """Return whether all signals have settled: scatter and slope of a fitted line are within limits."""
         times = np.array([time for time, _ in self._recent])
         values = np.array([signals for _, signals in self._recent])
         if times[-1] - times[0] < SETTLED_S or len(times) < 4:
@@ -212,7 +212,7 @@ class LiveSignals:
         return bool(np.all((noise <= self._quiet_v) & (np.abs(slope) <= limit)))
 
     def _expectation(self, action: Mapping[str, Any]) -> ExpectedSignals | None:
-        """Return the signals expected at the angle that the question commands; None for another question."""
+        """Return the signals expected at the angle that `action` commands; None if it commands none."""
         if action["do"] != "turn":
             return None
         step = next((step for step in self._plan.steps[self._step :] if isinstance(step, Read)), None)

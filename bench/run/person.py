@@ -52,7 +52,7 @@ class WishAuthor:
 
     @classmethod
     def from_json(cls, line: Mapping[str, Any]) -> WishAuthor:
-        """Return the author stated in an event or in a line of the run folder's files."""
+        """Return the author stated in `line`: the data of an event, or a line of the run folder's files."""
         return cls(*(str(line.get(name, "")) for name in ("by", "role", "where")))
 
 
@@ -62,7 +62,7 @@ INSTRUMENT: Final = "instrument"
 
 
 def at_the_shell(where: str) -> WishAuthor:
-    """Return the user of this process as author: a supervisor, because this user can write to the runs."""
+    """Return the user of this process as author: a supervisor, as this user has write access to the runs."""
     try:
         name = getpass.getuser()
     except (OSError, KeyError, ImportError):  # no such user, or no user database on this system
@@ -131,7 +131,7 @@ class Controls(Protocol):
 
 
 class NoControls:
-    """The wishes of a run that nobody can control: there are none."""
+    """A source of wishes that has none, for a run that nobody can control."""
 
     stopped: RunControl | None = None
 
@@ -284,7 +284,7 @@ _WORDS: Final = {message("yes"): "yes", message("done"): "yes", message("no"): "
 
 
 def in_english(prompt: Prompt, typed: str) -> str:
-    """Return in English, as in records, an answer that was typed in the language of the pages: так → yes.
+    """Return an answer in English, as records need it, if it was typed in the language of the pages: так → yes.
 
     The answer to a choice becomes the English name of the choice.
     """
@@ -353,7 +353,7 @@ _KEEPS_OPEN: Final = {
 
 @dataclass
 class OpenPrompt:
-    """The prompt still open after the events of a run, which are passed to `take` in order."""
+    """Finds the prompt that is open after the events of a run, which are passed to `take` in order."""
 
     _event: Event | None = field(default=None, init=False)
 
@@ -427,7 +427,7 @@ def understood_answer(prompt: Prompt, text: str) -> str:
 
 
 def _on_scale(prompt: Prompt, given: str) -> float:
-    """Return a typed angle as the scale shows it, rad."""
+    """Return a typed angle in rad; a text such as `+5"` states the deviation from the prompt's target."""
     target_rad: Any = prompt.action.get("target_rad")
     return parse_angle(given) if target_rad is None else typed_angle(given, float(target_rad))
 
@@ -436,7 +436,7 @@ _BY_EYE: Final = frozenset({"turn", "read_temperature", "read_level", "read_supp
 
 
 def _read_by_eye(prompt: Prompt, given: str) -> float | None:
-    """Return the value that a person read from a scale or display (rad, °C, V or A); None for other prompts.
+    """Return the typed value of a scale or display (rad, °C, V or A); None for other prompts.
 
     Raises `ValueError` with a sentence on the fault.
     """

@@ -62,7 +62,7 @@ class UnitPower:
 
     `nap` is called repeatedly during waits and handles wishes; `tell` records events. `on` says whether the block
     was on after the last switching or check. `off_since_s` is the time of switching off (s since the run began,
-    None if unknown); `on_since_s` is the time of switching on, on `clock`. `in_charge` says whether this run has
+    None if unknown); `on_since_s` is the time of switching on by `clock`, s. `in_charge` says whether this run has
     switched the block, or found it switched on and continued with it.
     """
 
@@ -161,7 +161,7 @@ class UnitPower:
         self._record_event("off", {})
 
     def cycle(self, off_s: float, key: str) -> None:
-        """Switch the block off and on again; it stays off for `off_s` or the bench file's minimum, s."""
+        """Switch the block off and on again; it stays off for `off_s`, or longer if the bench file says so."""
         self.switch_off(key)
         self._stay_off(key, off_s)
         self._switch_on(key)
@@ -174,7 +174,7 @@ class UnitPower:
         self.on, self.off_since_s = False, self.now_s()
 
     def _stay_off(self, key: str, off_s: float = 0.0) -> None:
-        """Wait until the block has been off long enough, counted from now if its start is unknown."""
+        """Wait until the block has been off long enough; if nobody knows since when, count from now."""
         least_s = max(off_s, self.section.least_off)
         since_s = self.now_s() if self.off_since_s is None else self.off_since_s
         while (left_s := since_s + least_s - self.now_s()) > 0.0:
@@ -240,7 +240,7 @@ class UnitPower:
         return self._seen
 
     def at_reading(self, key: str) -> Mapping[str, Rail]:
-        """Return the rails' measurements before or after a reading; empty if the block is off on purpose.
+        """Return the rails' measurements for a reading, before or after it; empty if the block is off on purpose.
 
         For a supply read by a person, return the last values, to avoid a prompt at each reading. Raises the
         errors of `look`.
@@ -262,7 +262,7 @@ class UnitPower:
             self._looked_s = self.clock.now_s()
 
     def watch_while_asked(self, *persons: Person | None) -> None:
-        """Check the rails also during questions to `persons`, unless a person must read the supply."""
+        """Check the rails also while questions to `persons` wait, unless a person reads the supply."""
         if self.supply.asks_person:
             return
         for person in persons:
@@ -270,7 +270,7 @@ class UnitPower:
                 person.meanwhile = partial(self.watch, "asked")
 
     def is_as_left(self, key: str) -> bool:
-        """Return whether the block has stayed on since the run stopped, as the supply shows or a person says."""
+        """Return whether the block stayed on since the run stopped; the supply shows this, or a person says it."""
         if self.supply.asks_person:
             prompt = Prompt(
                 id=f"{key}/since",
@@ -340,7 +340,7 @@ def warm_up(
     on_progress: Callable[[Settling], None],
     key: str,
 ) -> tuple[float, tuple[float, ...]]:
-    """Wait until the block is warm; return the time since switching on, s, and the settled signals, V.
+    """Wait until the block is warm; return the time since it was switched on, s, and the settled signals, V.
 
     `stated_s` overrides the warm-up of the bench file; `sample` returns the signals. The rails are checked
     during the wait. Raises `RailFault` or `NotSettled`.
@@ -418,7 +418,7 @@ def take_up(
 
 
 def _on_at(plan: Plan, step: int) -> bool:
-    """Return whether the block is to be on before step `step`."""
+    """Return whether the plan has the block on before step `step`."""
     for before in reversed(plan.steps[:step]):
         if isinstance(before, Power):
             return before.switch != "off"
@@ -426,7 +426,7 @@ def _on_at(plan: Plan, step: int) -> bool:
 
 
 def _next_of_a_visit(plan: Plan, first: int, progress: PlanProgress) -> Read | None:
-    """Return the next reading on the present mounting; None if there is none or its visit has no reading yet."""
+    """Return the next reading on the present mounting if an earlier one of the same visit exists; else None."""
     for index in range(first, len(plan.steps)):
         step = plan.steps[index]
         if isinstance(step, Mount):

@@ -75,12 +75,12 @@ class History:
     """The content of a run's record, and the problems found in it.
 
     `problems` are sentences about the file; `torn` is an incomplete last line. `head` is the SHA-256 of the last
-    complete line, which identifies all lines up to it; `length` is the number of their bytes. `taken` holds (step,
-    reading without samples) in the order of measurement, and None where the block was remounted unplanned.
-    `identities` and `serials` are the instruments' identities and serial numbers at the start of the run; serial
-    numbers are recorded if certificates are checked. `levelled` holds (bench time, levelling result), and `power`
-    holds (bench time, state of the block's supply: "on", "found on", "off" or "fault"). Events after an invalid
-    line are left out of all fields.
+    complete line, which identifies all lines so far; `length` is their size in bytes. `taken` holds (step, reading
+    without samples) in the order of measurement, and None where the block was remounted unplanned. `identities` and
+    `serials` are the instruments' identities and serial numbers at the start of the run; serial numbers are
+    recorded if certificates are checked. `levelled` holds (bench time, levelling result), and `power` holds (bench
+    time, state of the block's supply: "on", "found on", "off" or "fault"). Events after an invalid line are left
+    out of all fields.
     """
 
     events: Events
@@ -206,7 +206,7 @@ _OPENED: Final = frozenset({EventType.RUN_STARTED, EventType.RUN_RESUMED})
 
 
 def parse_line(line: bytes) -> tuple[Event, str]:
-    """Return the event in a line, and the hash of the previous line as stated there.
+    """Return the event in a line, and the hash of the previous line that the line states.
 
     Raises `ValueError` for a line that is not a valid event.
     """
@@ -223,10 +223,9 @@ def parse_line(line: bytes) -> tuple[Event, str]:
 
 @dataclass(frozen=True)
 class ResumePoint:
-    """The place where a run is resumed: `step` is the next step, `turn` the turn to repeat before it, if any.
+    """Where a run is resumed: at step `step`, after the turn `turn` is repeated, if that is not None.
 
-    `bench_s` is the bench time at which `step` was begun last or, if it was never begun, the bench time of the last
-    event, s.
+    `bench_s` is the bench time, s, at which `step` was last begun; if it was never begun, that of the last event.
     """
 
     step: int
@@ -347,7 +346,7 @@ class Record:
         return record, history
 
     def _go_on_after(self, history: History) -> None:
-        """Continue after the end of a history that was read while this record held the file's lock."""
+        """Continue after the last event of `history`, which was read while this record held the file's lock."""
         self.state = history.state
         self._last_hash, self._count, self._length = history.head, len(history.events), history.length
         if history.torn:
@@ -362,7 +361,7 @@ class Record:
     def append(self, kind: str, bench_s: float, /, **data: Any) -> Event:
         """Write one event and return it.
 
-        On return the event is on disk; an event of `WITH_THE_NEXT` is written but not yet forced to disk.
+        On return the event is on disk; event types in `WITH_THE_NEXT` are forced to disk with the next event only.
 
         Raises `RecordError` (disk full, …), or `ValueError` for an event that is invalid in the present state.
         """
@@ -390,7 +389,7 @@ class Record:
         return event
 
     def _check_place(self) -> None:
-        """Raise `RecordError` if the next line would be lost, or would break another program's chain."""
+        """Raise `RecordError` if the next line would be lost, or would break the hash chain of another program."""
         found = os.fstat(self._file.fileno())
         if self._half_written:
             raise RecordError(f"{self.folder}: a half-written line cannot be cut off; free disk space")
@@ -474,7 +473,7 @@ def _shared(descriptor: int) -> bool:
 
 
 def is_being_written(folder: Path) -> bool:
-    """Return whether a program is carrying out this run now, found by a lock on the file opened for reading.
+    """Return whether a program is carrying out this run now; a lock on the record's file shows it.
 
     Always False on systems without file locks.
     """

@@ -18,14 +18,14 @@ from drivers.person import Person, Prompt, PromptKind
 
 @dataclass
 class PlanProgress:
-    """The progress of a plan: the steps done or left out, and how often each was redone on request.
+    """The progress of a plan: the steps done or left out, and how often each was redone at a person's wish.
 
     `temperature_c` is the last recorded temperature; `identities` are the instruments' identities by name.
     `remounts` maps (series, installation) to the series number of the readings after an unplanned remounting.
 
-    `doubt` is the unanswered early sign that stopped the run. `in_vain` holds the steps whose point was redone
-    because of an early sign, `gone_on` the steps where a person continued despite an early sign. `signs` counts the
-    early signs.
+    `doubt` is the early sign that stopped the run, as long as nobody has answered it. `in_vain` holds the steps
+    whose point was redone because of an early sign, `gone_on` the steps where a person continued despite an early
+    sign. `signs` counts the early signs.
 
     `power` is the last recorded state of the block's supply: "on", "found on", "off", "fault", or empty.
     `off_since_s` is the bench time of switching off; `warm` says whether the block has warmed up since it was
@@ -103,7 +103,7 @@ class PlanProgress:
         self.left_out -= steps_of(chosen.get("taken_up", ()))
 
     def _note_redo(self, redo: Event) -> None:
-        """Note a point that is redone because of an early sign; the redo of a whole pass clears the notes in it."""
+        """Note that a point is redone because of an early sign; a redo of a whole pass clears the notes on it."""
         if redo.data.get("wish") != Wish.REPEAT_POINT:
             self.in_vain.difference_update(redo.steps)
         elif self.doubt is not None:
@@ -120,13 +120,13 @@ class PlanProgress:
             self.temperature_c = brought.get("temperature_c")
 
     def reopen(self, plan: Plan, step: int) -> None:
-        """Mark the point's steps from `step` on as not done, except readings, so that they are repeated."""
+        """Mark the steps from `step` to the end of its point, except readings, as not done, to be repeated."""
         for index in range(step, end_of_point(plan, step)):
             if not isinstance(plan.steps[index], Read):
                 self.done.discard(index)
 
     def attempt(self, step: int) -> int:
-        """Return the number of the present attempt at a step: 1, plus 1 for each request to redo it."""
+        """Return the number of the present attempt at a step: 1, and 1 more for each redo on request."""
         return 1 + self.redone[step]
 
     def settled(self, step: int) -> bool:
@@ -159,7 +159,7 @@ def turn_before(plan: Plan, step: int, without: Collection[int] = ()) -> int:
 
 
 def is_still_to_be_read(plan: Plan, progress: PlanProgress, step: int) -> bool:
-    """Return whether any reading remains to be taken from `step` on before the next mounting.
+    """Return whether a reading remains to be taken between `step` and the next mounting.
 
     Also return True while an early sign is unanswered, because its reading may be redone.
     """
@@ -172,7 +172,7 @@ def is_still_to_be_read(plan: Plan, progress: PlanProgress, step: int) -> bool:
 
 
 def latest_turn(plan: Plan, progress: PlanProgress, step: int) -> int:
-    """Return the turn begun last, or `step` if a step of `ENDS_A_POINT` was begun after that turn.
+    """Return the index of the turn begun last, or `step` if a step of `ENDS_A_POINT` was begun after that turn.
 
     In contrast to `turn_before`, steps count in the order of execution, which differs from the plan's order
     when points are chosen during the run. The step `step` itself is ignored.
@@ -192,7 +192,7 @@ def end_of_point(plan: Plan, step: int) -> int:
 
 
 def first_of_pass(plan: Plan, turn: int) -> int:
-    """Return the index of the first turn in the pass of the turn at index `turn`."""
+    """Return the index of the first turn in the same pass as the turn at index `turn`."""
     first = turn
     for index in range(turn, -1, -1):
         if isinstance(plan.steps[index], Mount | SetTemperature):
@@ -203,7 +203,7 @@ def first_of_pass(plan: Plan, turn: int) -> int:
 
 
 def last_of_pass(plan: Plan, progress: PlanProgress, turn: int) -> int:
-    """Return the index of the last step of the point begun last in the pass of the turn with the index `turn`."""
+    """Return the last step of the latest point begun in the same pass as the turn at index `turn`."""
     last = turn
     for index in range(turn, len(plan.steps)):
         if isinstance(plan.steps[index], Mount | SetTemperature):
@@ -300,8 +300,9 @@ def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
 
 
 def step_in_doubt(plan: Plan, doubt: Event) -> int:
-    """Return the step after the reading at fault: the reading of the early sign itself, or an earlier reading on
-    the same mounting.
+    """Return the step after the reading at fault.
+
+    This reading is that of the early sign `doubt` or an earlier one on the same mounting.
     """
     _, _, pass_number, point = doubt.data.get("wrong") or (0, "", 0, 0)
     for index in range(doubt.step, -1, -1):

@@ -1,6 +1,6 @@
 """Execution of a plan step by step; each step is recorded before the next begins.
 
-The runner knows instruments only by their interfaces, and the person only as the source of answers to prompts. It
+The runner knows instruments only by their interfaces, and the person only by the answers to prompts, so that it
 cannot distinguish a simulated bench from a real one.
 """
 
@@ -61,7 +61,7 @@ class RunAborted(Exception):
 
 @dataclass(frozen=True)
 class People:
-    """The people of a run: who answers prompts, and whose commands ("wishes") are obeyed.
+    """The people of a run, who answer its prompts and whose commands ("wishes") it obeys.
 
     `decider` is asked how to continue after an early sign; by default it is `person`. `asker` is the `Asker` behind
     `person` or `decider`, if a real person answers. `patience` is the clock used during a pause: real time, even if
@@ -110,10 +110,10 @@ class Recorder:
 class Runner:
     """Executor of a plan: commands the bench, asks its people and records all events.
 
-    `watch` judges each reading. `choose` selects the remaining steps to be measured at a step index, in runs
-    that choose their points as they go. `certificates` maps the serial numbers by instrument name to sentences
-    about the instruments' certificates. `at_resumed_time` is called with the bench time at which a resumed run
-    continues, s.
+    `watch` judges each reading. In a run that chooses its points as it goes, `choose` is called with a step index
+    and returns the choice of the steps still to be measured. `certificates` returns sentences on the certificates
+    for the serial numbers by instrument name. `at_resumed_time` is called with the bench time at which a resumed
+    run continues, s.
     """
 
     plan: Plan
@@ -282,7 +282,7 @@ class Runner:
             self._zero_s = self.bench.clock.now_s() - resume.bench_s
 
     def _remount(self, step: Mount) -> None:
-        """Ask whether the block is still mounted as it was; if not, number its later readings as a new visit."""
+        """Ask whether the block is still mounted as it was; if not, its later readings form a new visit."""
         if self._workbench.still_mounted(step):
             self._workbench.temperature_c = self.progress.temperature_c
             return
@@ -297,7 +297,7 @@ class Runner:
         self._emit(EventType.REMOUNTED, **place, now_series=visit, **cause)
 
     def _insist(self, prepare: Callable[[], object]) -> None:
-        """Carry out a preparation before the steps until it succeeds.
+        """Repeat the preparation `prepare`, which precedes the steps, until it succeeds.
 
         Obey a wish to abort. After a wish to pause, start the preparation over. Refuse every other wish.
         """

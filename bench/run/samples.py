@@ -47,9 +47,9 @@ def grubbs_critical(n: int) -> float:
 class Statistics:
     """The statistics of the `n` samples of one channel, in the samples' unit; None where undefined.
 
-    `sd` needs 2 samples, the drift 3, an outlier `OUTLIER_LEAST`. `drift` is the change of the fitted line from
-    the first to the last sample. `drift_p` is the probability that samples without a drift show one at least
-    as large. `outlier` is the sample found by Grubbs' test at the level `OUTLIER_LEVEL`.
+    `sd` needs 2 samples, the drift 3, an outlier `OUTLIER_LEAST`. `drift` is the change of the fitted line from the
+    first to the last sample. `drift_p` is the probability that noise alone gives a drift at least as large.
+    `outlier` is the sample found by Grubbs' test at the level `OUTLIER_LEVEL`.
     """
 
     n: int
@@ -191,7 +191,7 @@ class Window:
     def add(self, time_s: float, values: Sequence[float]) -> Settling:
         """Add a sample of all signals taken at `time_s`; return the state of settling.
 
-        Raises `ValueError` if time runs backwards, or if the number of signals changes or is zero.
+        Raises `ValueError` if the time is before the last sample's, or the number of signals changes or is zero.
         """
         taken = tuple(float(value) for value in values)
         if not taken:
@@ -231,18 +231,18 @@ class Window:
         return Settling(settled, elapsed_s, self._taken, values, spread, left_s)
 
     def _left_s(self, signals: Sequence[Sequence[float]], spread: Sequence[float]) -> float | None:
-        """Return the longest of the signals' estimated times left, s; None if a signal has no estimate."""
+        """Return the longest estimated time, s, until a signal has settled; None if a signal has no estimate."""
         times = [time_s for time_s, _ in self._samples]
         estimates = [self._signal_left_s(times, *one) for one in zip(signals, spread, strict=True)]
         known = [estimate for estimate in estimates if estimate is not None]
         return max(known) if len(known) == len(estimates) else None
 
     def _signal_left_s(self, times: Sequence[float], signal: Sequence[float], spread: float) -> float | None:
-        """Return one signal's estimated time left, s, from the samples in the window, or None.
+        """Return the estimated time, s, until one signal has settled, from the window's samples; None without one.
 
-        If the whole span is within the precision, the window only needs to fill. Otherwise the approach is
-        modelled as exponential: the span shrinks by the same factor from each half-window to the next. With
-        the time constant τ, it reaches the precision after τ ln(span/precision), but not before all samples
+        If the span is within the precision, only the rest of the window remains to be filled. Otherwise the
+        approach is modelled as exponential: the span shrinks by the same factor from each half-window to the next.
+        With the time constant τ, it reaches the precision after τ ln(span/precision), but not before all samples
         outside the precision have left the window.
         """
         precision, now_s = self.criterion.precision, times[-1]
@@ -320,7 +320,7 @@ LEAST_WAY_K: Final = 2.0
 
 @dataclass
 class ChamberWatch:
-    """A check, `slow_after_s` after each new set point, that the air has covered at least 20 % of the change.
+    """Checks after each new set point that the air covers at least 20 % of the change within `slow_after_s`.
 
     Otherwise `tell` records `CHAMBER_SLOW`.
     """
@@ -358,7 +358,7 @@ class ChamberWatch:
             self._way_c = None  # the step that needs the temperature will report the error
 
     def take(self, name: str, air_c: float) -> None:
-        """If the check is due, check an air temperature `air_c` that was read for another purpose, °C."""
+        """If the check is due, check `air_c`, °C, an air temperature that was read for another purpose."""
         if self._way_c is None or not self.due:
             return
         (start_c, target_c), self._way_c = self._way_c, None

@@ -55,12 +55,12 @@ class Seal:
 
     @property
     def _stated(self) -> dict[str, Any]:
-        """The statements of the seal about the record."""
+        """What the seal states about the record, as JSON values."""
         return {name: getattr(self, name) for name in _STATED}
 
     @property
     def signed_bytes(self) -> bytes:
-        """The bytes to sign: a fixed prefix, and all statements of the seal about the record as JSON."""
+        """The bytes to sign: a fixed prefix, then all that the seal states about the record, as JSON."""
         text = json.dumps(self._stated, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
         return _PREFIX + text.encode()
 
@@ -161,9 +161,7 @@ def write_seal(folder: Path, seal: Seal) -> Path:
 
 
 def signed(seal: Seal, public_key: str, signature: bytes) -> Seal:
-    """Return the seal with this signature and without a time stamp, because the time stamp was made for other
-    bytes.
-    """
+    """Return the seal with this signature, but without its time stamp, which was made for other bytes."""
     return replace(seal, public_key=public_key, signature=signature, time_stamp=b"")
 
 
@@ -181,7 +179,7 @@ def new_key(file: Path, passphrase: bytes | None) -> tuple[Path, str]:
 
 
 def write_private(file: Path, key: Any, passphrase: bytes | None, beside: dict[Path, str]) -> None:
-    """Write a private key (PKCS#8, PEM), readable by its owner only, and public files.
+    """Write a private key (PKCS#8, PEM), readable by its owner only, and the public files that belong to it.
 
     `beside` maps the paths of the public files to their texts. Raises `RecordError` if a file exists, or if
     others may enter the folder.

@@ -70,7 +70,7 @@ def said(event: Event) -> str:
 
 
 def _of_somebody(event: Event) -> str:
-    """Return a sentence on an answer or wish that did not come from the terminal; empty for other events."""
+    """Return a sentence on an answer or wish from elsewhere than the terminal; empty for any other event."""
     data, by = event.data, _by(event.data)
     match event.type:
         case EventType.WISH_REFUSED:
@@ -141,7 +141,7 @@ _STOPS: Final[Mapping[str, str]] = {
 
 
 def chosen_in_words(data: Mapping[str, Any]) -> str:
-    """Return a sentence on a choice of points: the goal so far and the next points, or why measuring stops."""
+    """Return a sentence on a choice of points: state of the goal and next points, or why measuring stops."""
     so_far = message(f"{data['settings']} settings, {data['repeats']} repeats")
     now = _goal_in_words(data.get("now"))
     if data["stop"]:
@@ -184,7 +184,7 @@ def size_in_words(u: float, unit: str) -> str:
 
 
 def _per_minute(now: Mapping[str, Any] | None, coming: Mapping[str, Any]) -> str | None:
-    """Return the gain in uncertainty per minute; None if there is no gain or the goal changes."""
+    """Return the expected decrease of u per minute, as text; None if there is none or the goal changes."""
     then, takes_s = coming["then"], float(coming["takes_s"])
     if now is None or now["goal"] != then["goal"] or takes_s <= 0 or now["u"] <= then["u"]:
         return None
@@ -205,7 +205,7 @@ class RunLog:
         self._path = folder / LOG
 
     def __call__(self, event: Event) -> None:
-        """Append a line for the event; a step's start is omitted, because its end implies it."""
+        """Append a line for the event; starts of steps are omitted, because their ends imply them."""
         if event.type == EventType.STEP_STARTED:
             return
         try:

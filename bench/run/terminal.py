@@ -31,11 +31,11 @@ SLICE_S: Final = 1.0
 
 
 class LineReader:
-    """A reader of lines from a stream, one line for each question, without a thread of its own.
+    """Reads lines from a stream, one line for each question, without a thread of its own.
 
-    Input typed during other work waits in the terminal, so that no answer is lost. A stream without a file
-    descriptor (and any stream on Windows) cannot be waited for with a timeout: reading then blocks, and
-    `meanwhile` is not called.
+    Lines typed while nobody reads wait in the terminal, so that no answer is lost. A stream without a file
+    descriptor (and any stream on Windows) cannot be waited for with a timeout: reading then blocks, and `meanwhile`
+    is not called.
     """
 
     def __init__(self, answers: TextIO) -> None:
@@ -145,7 +145,7 @@ class TimeLeft:
         self._begun: tuple[int, float] | None = None
 
     def choose(self, chosen: Mapping[str, Any]) -> None:
-        """Apply a choice of points: drop unneeded steps, and scale the expected time of undecided steps."""
+        """Apply a choice of points: drop steps that it excludes, scale the times of steps not yet decided."""
         self._out |= steps_of(chosen["left_out"])
         self._out -= steps_of(chosen.get("taken_up", ()))
         step_s = [0.0 if i in self._out else seconds for i, seconds in enumerate(self._step_s)]
@@ -157,11 +157,11 @@ class TimeLeft:
         self._left_s = _from_each_on(step_s)
 
     def begin(self, index: int, bench_s: float) -> None:
-        """Set the step index and the bench time from which the pace is measured."""
+        """Measure the pace from step `index` and bench time `bench_s` on."""
         self._begun = (index, bench_s)
 
     def at(self, index: int, bench_s: float) -> float:
-        """Return the estimated time left at the start of step `index` at bench time `bench_s`, s.
+        """Return the estimated time left, s, if step `index` starts at bench time `bench_s`.
 
         Without `begin`, the first call sets the step and time from which the pace is measured.
         """
@@ -174,7 +174,7 @@ class TimeLeft:
 
 
 def _from_each_on(step_s: Sequence[float]) -> list[float]:
-    """Return the total time from each step to the end, s, and a final 0: [1, 2] -> [3, 2, 0]."""
+    """Return the time from the start of each step to the end of all, s, then a final 0: [1, 2] -> [3, 2, 0]."""
     return [*reversed(list(accumulate(reversed(step_s)))), 0.0]
 
 
@@ -187,10 +187,10 @@ HINTS: Final = {
 class TerminalPerson:
     """A person who answers prompts through a text stream: a keyboard, or a file of answers.
 
-    `pause` and `go_on` are called before and after each prompt, to hide a progress bar meanwhile. `wishes` are
-    the wishes accepted at prompts; None means all wishes of a run. `who` is the author of answers and wishes. The
-    class implements `drivers.interfaces.WatchingPerson`; `slice_s` is the interval between calls of `meanwhile`,
-    s.
+    `pause` and `go_on` are called before and after each prompt, so that a progress bar is hidden during it.
+    `wishes` are the wishes accepted at prompts; None means all wishes of a run. `who` is the author of answers and
+    wishes. The class implements `drivers.interfaces.WatchingPerson`; `slice_s` is the interval between calls of
+    `meanwhile`, s.
     """
 
     def __init__(

@@ -70,8 +70,8 @@ ZERO_MOVED: Final = 5.0
 class Levelling:
     """One levelling of the platform with the level of a bench.
 
-    `setting_u_rad` is the standard uncertainty of a head setting. `zero` is the level's own zero offset: pass
-    the value found earlier, if any; `carry_out` updates it. `position` is the head's last position.
+    `setting_u_rad` is the standard uncertainty of a head setting. `zero` is the level's own zero offset, None until
+    it is known; `carry_out` updates it. `position` is the head's last position.
     """
 
     instruments: Instruments
@@ -164,7 +164,7 @@ class Levelling:
         )
 
     def _pair(self, level: interfaces.Level, key: str) -> tuple[Inclination, Inclination]:
-        """Return the readings in both positions; repeat both if the level's zero shifted: one may be misread."""
+        """Return the readings in both positions; repeat both if the level's zero differs, as one may be misread."""
         for attempt in range(1, MOST_PAIRS + 1):
             first = self._read(level, f"{key}/first{attempt}", turned=False)
             second = self._read(level, f"{key}/turned{attempt}", turned=True)
@@ -181,7 +181,7 @@ class Levelling:
         )
 
     def _read(self, level: interfaces.Level, key: str, *, turned: bool) -> Inclination:
-        """Return the level's reading; first ask the person to place the level, if it is electronic.
+        """Return the level's reading. For an electronic level, first ask the person to place it.
 
         The prompts of a bubble level, which the person reads, also say how to place it.
         """
@@ -251,10 +251,10 @@ class BenchSetup:
 class Workbench:
     """Executor of plan steps on a bench; `now_s` returns the bench time since the start of the run, s.
 
-    `visits` maps (series, installation) to the series number recorded with later readings once the block was
-    remounted during that series. `power` controls the block's supply, where there is one. `tell` records an
-    event. `between_naps` is called repeatedly during waits. `temperature_c` is the temperature last read or
-    entered by a person; `demanded_c` is the chamber's last set point.
+    `visits` maps (series, installation) to the series number of later readings if the block was remounted during
+    that series. `power` controls the block's supply, where there is one. `tell` records an event. `between_naps` is
+    called repeatedly during waits. `temperature_c` is the temperature last read or entered by a person;
+    `demanded_c` is the chamber's last set point.
     """
 
     bench: BenchSetup
@@ -419,7 +419,7 @@ class Workbench:
         return self.instruments.voltmeters
 
     def glance(self) -> tuple[float, ...]:
-        """Return the present signals x, y, z, V, between two readings, and record nothing. Raises `BenchError`."""
+        """Return the present signals x, y, z in V, outside a reading, and record nothing. Raises `BenchError`."""
         with self.bench.aside():
             if self._before_glances is None:
                 self._before_glances = (self._settings,)
@@ -432,8 +432,8 @@ class Workbench:
     def _end_glances(self) -> None:
         """Restore the settings that the meters had before the first glance at the signals.
 
-        Called by the next wait, at no cost of time, or else by the next reading, which reports a meter that
-        refuses.
+        The next wait calls this, because it costs no time there; otherwise the next reading does. A meter that
+        refuses the settings is reported only by the reading.
         """
         if self._before_glances is None:
             return
@@ -529,7 +529,7 @@ class Workbench:
 
     @staticmethod
     def _sample(meters: Sequence[Voltmeter]) -> dict[str, tuple[float, ...]]:
-        """Return the samples by channel; start all meters before reading the first, so they sample together."""
+        """Start all meters, then fetch, so that they sample at the same time; return the samples by channel."""
         for meter in meters:
             meter.start()
         samples: dict[str, tuple[float, ...]] = {}

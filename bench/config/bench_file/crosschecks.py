@@ -71,7 +71,7 @@ def _channel_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _one_range_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
-    """Yield a mistake for each voltmeter on another range than the first."""
+    """Yield a mistake for each voltmeter whose range differs from that of the first voltmeter."""
     ranges = [_value(part(meter, "range") or "10 V", VOLTAGE) for meter in _items(voltmeters)]
     for index, range_v in enumerate(ranges):
         if range_v is not None and ranges[0] is not None and range_v != ranges[0]:
@@ -80,7 +80,7 @@ def _one_range_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _resource_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Check that no two instruments share a resource, except thermometers and signals on one multiplexer."""
+    """Check that no two instruments have the same resource, unless they are inputs of one multiplexer."""
     meters = enumerate(_items(part(data, "instruments", "voltmeters")))
     places: list[tuple[str, Place]] = [(f"voltmeter {i + 1}", ("voltmeters", i)) for i, _ in meters]
     places += [(f"the {role.replace('_', ' ')}", (role,)) for role in (*FURTHER, *SURROUNDINGS)]
@@ -97,7 +97,7 @@ def _resource_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _is_on_a_free_channel(data: Any, key: str) -> bool:
-    """Return whether a thermometer has a multiplexer channel that no instrument stated before it uses.
+    """Return whether a thermometer has a multiplexer channel that the instruments stated before it do not use.
 
     `key` is the thermometer's key under `instruments`.
     """
@@ -116,13 +116,15 @@ def _is_on_a_free_channel(data: Any, key: str) -> bool:
 
 
 def _with_pair(sensor: Any) -> set[str]:
-    """Return the channel of a sensor, and the channel ten higher, to which its sense wires may be connected."""
+    """Return the channel of a sensor and the channel ten higher, where its sense wires may be."""
     own = str(part(sensor, "channel"))
     return {own, str(int(own) + 10)} if own.isdecimal() else {own}
 
 
 def _surrounding_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Check the thermometers of meters and room: no certificate, no gradient, `chamber` only with a chamber."""
+    """Check that the thermometers of meters and room have neither certificate nor gradient, and that the word
+    `chamber` is used only on a bench with a chamber.
+    """
     for key in SURROUNDINGS:
         stated = part(data, "instruments", key)
         chamber = part(data, "instruments", "chamber")
@@ -179,7 +181,7 @@ def _label_mistakes(installations: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _name_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Check that instrument names are unique, and that each fault names an instrument with a wire."""
+    """Check that instrument names are unique, and that each simulated fault is of an instrument with a wire."""
     instruments = _instruments(data)
     if instruments is None:
         return
@@ -251,7 +253,7 @@ _A: Final[tuple[Place, ...]] = (
 
 
 def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Yield the mistakes in the block's rails, compared with the limits of the block and of its power supply.
+    """Yield the mistakes in the settings of the block's rails, also against the limits of block and power supply.
 
     Each is a place and a text. `data` is the bench file as written; any part of it may be missing or malformed.
     """
@@ -285,7 +287,7 @@ def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 
 @dataclass(frozen=True)
 class _Rail:
-    """The numbers of a rail by key, V and A; None for an unreadable number, which pydantic reports."""
+    """The numbers (V, A) of a rail's section by key; None for an unreadable number, which pydantic reports."""
 
     numbers: dict[Place, float | None]
 
@@ -367,7 +369,7 @@ def _voltages_against_block(rail: _Rail) -> Iterator[tuple[Place, str]]:
 
 
 def _against_supply(rail: _Rail, output: Any, limits: SupplyLimits | None) -> Iterator[tuple[Place, str]]:
-    """Check that the supply has the rail's output, and that the output supports its settings."""
+    """Check that the supply has the output stated for a rail, and that this output supports the rail's settings."""
     if limits is None or not isinstance(output, str):
         return
     if output not in limits.outputs:
@@ -382,7 +384,7 @@ def _against_supply(rail: _Rail, output: Any, limits: SupplyLimits | None) -> It
 
 
 def _limits_of_supply(written: Any) -> SupplyLimits | None:
-    """Return the settings that the supply's outputs support; None if the section is invalid or they are unknown."""
+    """Return the limits of the supply's outputs; None if they are unknown or the section is invalid."""
     device = devices().get(part(written, "driver"))
     if device is None or not issubclass(device.section, SupplyForm):
         return None
@@ -393,7 +395,7 @@ def _limits_of_supply(written: Any) -> SupplyLimits | None:
 
 
 def _value(written: Any, kind: QuantityKind) -> float | None:
-    """Return a quantity as written in its SI unit; None if it is missing or unreadable."""
+    """Return the value of a written quantity in its SI unit; None if it is missing or unreadable."""
     try:
         return parse_quantity(written, kind)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Bench files, `config/*.yaml`, and the state of their instruments' certificates on a given day."""
+"""Bench files (`config/*.yaml`), and the certificates of their instruments as valid on a given day."""
 
 from __future__ import annotations
 
@@ -130,19 +130,19 @@ class BenchFile(FileModel):
 
     @property
     def nplc_supported(self) -> tuple[float, ...]:
-        """The integration times that all voltmeters support, in power-line cycles, ascending."""
+        """The integration times, in power-line cycles, that all voltmeters support, ascending."""
         kinds = [meter.kind.limits.nplc for meter in self.instruments.voltmeters]
         return tuple(sorted(set(kinds[0]).intersection(*kinds)))
 
     @property
     def most_samples(self) -> int:
-        """The most samples in a reading; a multiplexer's memory is shared by its channels."""
+        """The greatest number of samples of a channel in a reading; channels of a multiplexer share its memory."""
         meters = self.instruments.voltmeters
         return min(meter.kind.limits.of_channels(len(meter.channels)).most_samples for meter in meters)
 
     @property
     def least_samples(self) -> int:
-        """The fewest samples in a reading that all voltmeters accept."""
+        """The smallest number of samples in a reading that all voltmeters accept."""
         return max(meter.kind.limits.least_samples for meter in self.instruments.voltmeters)
 
     @property
@@ -153,7 +153,7 @@ class BenchFile(FileModel):
 
     @property
     def head_backoff_rad(self) -> float:
-        """The least distance from which the head approaches an angle, rad; 0 for a manual head."""
+        """The least rotation, rad, with which the head approaches an angle; 0 for a manual head."""
         head = self.instruments.head
         return head.backoff if isinstance(head, MotorisedHeadForm) else 0.0
 
@@ -169,7 +169,7 @@ class BenchFile(FileModel):
         return {"1": INSTALLATION_1, "2": INSTALLATION_2} | stated
 
     def stand_distributions(self) -> dict[str, Distribution]:
-        """Return the distribution of each stand error by its name in `STAND_ERRORS`, rad and V.
+        """Return the distributions of the stand errors (rad, V) by their names in `STAND_ERRORS`.
 
         The distribution of an angle that the file omits is zero.
         """
@@ -218,7 +218,7 @@ class _WithUnknownInstruments(BenchFile):
 
 
 def load_recorded_bench(path: Path) -> BenchFile:
-    """Read the bench file of a recorded run for evaluation, without the effects of the simulation.
+    """Read the bench file of a recorded run for evaluation; the effects of the simulation are left out.
 
     Evaluations do not use these effects, and the catalogue may no longer contain them. The section of an instrument
     with a missing plug-in is kept as written. Raises `FileMistakes` with every other mistake.
@@ -238,7 +238,7 @@ def missing_drivers(path: Path) -> list[str]:
 
 
 def foreign_drivers(bench: BenchFile) -> dict[str, str]:
-    """Return the drivers of a bench that came from plug-ins, each with the file or distribution it came from."""
+    """Return the drivers of a bench that are plug-ins: driver name -> file or distribution of the plug-in."""
     origins = {section.driver: devices().origin(section.driver) for section in bench.instruments.all()}
     return {name: origin for name, origin in origins.items() if origin}
 
@@ -256,8 +256,8 @@ _MICRO: Final = 1e-6
 class Standing:
     """The certificate of an instrument as it applies to readings of a certain day.
 
-    `answered` is the serial number that the instrument reported: None if unknown, as for readings from a file, and
-    empty if the instrument has none.
+    `answered` is the serial number that the instrument reported: empty if it has none, None if unknown, as for
+    readings from a file.
     """
 
     section: InstrumentForm
@@ -286,7 +286,7 @@ class Standing:
 
     @property
     def correction(self) -> str:
-        """The corrections by the certificate in words; empty if there are none."""
+        """The corrections that the certificate states, in words; empty if it states none."""
         certificate = self.certificate
         if isinstance(self.section, VoltmeterForm):
             return ", ".join(self._of_the_meter(self.section))
@@ -330,7 +330,7 @@ class Standing:
                 yield f"{which}, does not cover the {range_v:g} V range: the data sheet's limits apply there"
 
     def to_json(self, *, why_not: str) -> dict[str, Any]:
-        """Return the certificate as a member of a result; `why_not` says why it is not applied (else empty)."""
+        """Return the certificate as a member of a result; `why_not` says why it is not applied ("" if it is)."""
         certificate = self.certificate
         until = certificate.valid_until
         return {
@@ -351,7 +351,7 @@ class Standing:
 def standings(
     bench: BenchFile, day: datetime.date, answered: Mapping[str, str] | None = None
 ) -> tuple[Standing, ...]:
-    """Return the certificates of a bench as they apply on a day.
+    """Return the certificates of the instruments of a bench as they apply on a day.
 
     `answered` maps instrument names to the serial numbers that the instruments reported.
     """
@@ -383,7 +383,7 @@ def without(bench: BenchFile, names: Set[str]) -> BenchFile:
 
 
 def corrections_of(bench: BenchFile) -> Corrections:
-    """Return the corrections that the certificates of a bench add to readings.
+    """Return the corrections of readings that the certificates of a bench state.
 
     Gain and offset are the corrections of each channel's voltmeter on its range.
     """

@@ -33,8 +33,9 @@ Dof = Annotated[float, Field(gt=0.0)]
 
 
 class RunEntry(FileModel):
-    """A run from which the file was learned: its name, the head of its record's hash chain (or empty), the hash of
-    its readings.
+    """A run from which the file was learned.
+
+    `head` is the head of its record's hash chain, empty without a record; `readings` is the hash of its readings.
     """
 
     name: str
@@ -43,9 +44,7 @@ class RunEntry(FileModel):
 
 
 class MeanEntry(FileModel):
-    """The mean of an angle with its standard uncertainty: over all mountings, or over the mountings in one
-    `installation`.
-    """
+    """The mean of an angle over all mountings, or those in one `installation`, with its standard uncertainty."""
 
     angle: AngleName
     installation: str = Field("", min_length=0)
@@ -78,7 +77,7 @@ class NoiseEntry(FileModel):
 
 
 class StandEntry(FileModel):
-    """The learned angles: means with covariance, rad², and standard deviations between mountings (`remount`)."""
+    """The learned angles: `means`, their `covariance`, and standard deviations between mountings (`remount`)."""
 
     means: tuple[MeanEntry, ...] = Field(min_length=1)
     covariance_rad2: tuple[tuple[float, ...], ...]
@@ -112,7 +111,7 @@ class StandEntry(FileModel):
 
 
 def _symmetric(covariance: Floats) -> bool:
-    """Return whether a covariance (k, k) is symmetric within a tolerance relative to its own variances.
+    """Return whether a covariance (k, k) is symmetric within a tolerance proportional to its variances.
 
     Values in rad² are so small that any absolute tolerance would accept them.
     """
@@ -121,7 +120,7 @@ def _symmetric(covariance: Floats) -> bool:
 
 
 class MeterValuesEntry(FileModel):
-    """One quantity of each meter, relative to the mean of its group, with the covariance matrix, in SI units."""
+    """A quantity of each meter relative to the mean of its group, and the covariance of these values, in SI."""
 
     values: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
@@ -186,7 +185,7 @@ class LearnedFile(WithEffects):
     not_identified: tuple[str, ...] = ()
 
     def has(self, head: str, readings: Sequence[str]) -> bool:
-        """Whether the file was learned from the record with this chain head, or from readings with any of these
+        """Whether the file was learned from the record with this chain `head` or from readings with one of these
         hashes.
         """
         return any((head and run.head == head) or run.readings in readings for run in self.runs)
@@ -197,7 +196,7 @@ class LearnedFile(WithEffects):
 
 
 def learned_for(bench: BenchFile) -> str:
-    """Return a hash of the parts of a bench to which learned values apply: stand, head, installations, meters."""
+    """Return a hash of those parts of a bench that learned values describe: stand, head, installations, meters."""
     own = {
         "stand": bench.stand.model_dump(mode="json"),
         "installations": {label: one.model_dump(mode="json") for label, one in bench.installations.items()},
@@ -250,7 +249,7 @@ class PriorCoefficient(FileModel):
 
 
 class PriorFile(FileModel):
-    """A validated prior file; scale factors are per g of `per_g_m_s2`, in the unit of the signal."""
+    """A validated prior file; scale factors are in the signal's unit per g, and g is `per_g_m_s2`."""
 
     type: str
     signal: str

@@ -99,7 +99,7 @@ class InstrumentsSection(FileModel):
         return (*at_block, *self.around.values())
 
     def beside(self, thermometer: ThermometerForm) -> VoltmeterForm | ThermometerForm | None:
-        """The first voltmeter or thermometer whose resource a thermometer shares; None if it shares none."""
+        """The first voltmeter or earlier thermometer with the same resource as `thermometer`, or None."""
         resource = getattr(thermometer, "resource", None)
         listed: tuple[VoltmeterForm | ThermometerForm, ...] = (*self.voltmeters, *self.thermometers)
         before = takewhile(lambda one: one is not thermometer, listed)

@@ -269,8 +269,8 @@ class StandSection(FileModel):
     """The stand errors: alpha1 to alpha4 and Delta U_M of the paper, and three more angles.
 
     By default the mounting roll has the limit of the mounting error, and the mounting offset is zero. `foundation`
-    is the tilt of the levelled platform in a day. If the platform is levelled during a run, the measured values
-    replace `axis_tilt` and `zero_offset` for that mounting.
+    is the change of the levelled platform's tilt in a day. If the platform is levelled during a run, the measured
+    values replace `axis_tilt` and `zero_offset` for that mounting.
     """
 
     axis_tilt: AngleError
@@ -403,8 +403,8 @@ class GravityError(ErrorSize):
 class TemperatureError(ErrorSize):
     """The limit of the difference between the temperatures of the block in use and in the calibration, K.
 
-    By default the difference is constant throughout a run. If the difference fluctuates, `correlation_time` is
-    its correlation time; only then does averaging over readings reduce it.
+    By default the difference is constant throughout a run. If it fluctuates, `correlation_time` is its correlation
+    time, and averaging over readings reduces it.
     """
 
     limit: SizeK
@@ -477,8 +477,9 @@ _Factor = Annotated[float, Field(ge=0.0)]
 class ZeroRepeats(FileModel):
     """The scatter of the zeros of x, y, z between repeats, as found by `bench diagnose --together`.
 
-    `restart` is the standard deviation of each repeat, `drift` that of the change from one repeat to the next, in
-    g; `scale` holds factors on the u of the readings. Exactly one of the three is stated.
+    `restart` is the standard deviation of the zeros from repeat to repeat, `drift` that of their change from one
+    repeat to the next, both in g; `scale` holds factors on the u of the readings. Exactly one of the three is
+    stated.
     """
 
     restart: tuple[_ZeroG, _ZeroG, _ZeroG] | None = None

@@ -60,13 +60,11 @@ class DeviceSection(FileModel):
 
     @classmethod
     def alternatives(cls) -> Iterable[type[FileModel]]:
-        """Return the section classes of all instruments of the role, if this class is the role's form; else
-        nothing.
-        """
+        """Return the section classes of a role's instruments if this class is the form of the role, else none."""
         return cls.sections_of(cls.role) if "role" in cls.__dict__ else ()
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the keyword arguments of the driver, without those that every driver of its role has."""
+        """Return the keyword arguments that the driver has in addition to those of every driver of its role."""
         return {}
 
     def simulation_options(self, truth: Any) -> dict[str, Any]:
@@ -83,9 +81,9 @@ class Device:
 
     `name` is the instrument's `driver` in bench files. `driver` and `simulation` name classes as "module:Class"; a
     leading dot means a module in the folder of the declaration. `simulation` is None for an instrument that a
-    person operates. `example` is a bench-file section of the instrument (for a voltmeter with one signal, the
-    section of channel x). `simulated` lists the keys of the role's simulation section that this instrument's
-    simulation uses. `place` orders the instruments of a role in lists; equal places are ordered by name.
+    person operates. `example` is a bench-file section of the instrument; for a voltmeter that reads one signal, it
+    is the section of channel x. `simulated` lists the keys of the role's simulation section that this instrument's
+    simulation uses. In lists, the instruments of a role are in the order of `place`, then of name.
     """
 
     name: str
@@ -150,7 +148,7 @@ def any_resource(resource: str) -> str:
 
 
 def resource_on(*interfaces: Literal["TCPIP", "ASRL"], example: str) -> AfterValidator:
-    """Return the validator of a VISA resource that accepts these interfaces only; `example` is for its message."""
+    """Return a validator of VISA resources that accepts these `interfaces` only; its message shows `example`."""
 
     def check(resource: str) -> str:
         if _VISA.fullmatch(resource) is None or not resource.startswith(interfaces):
@@ -162,7 +160,7 @@ def resource_on(*interfaces: Literal["TCPIP", "ASRL"], example: str) -> AfterVal
 
 @dataclass(frozen=True)
 class Port:
-    """The line terminations of an instrument's wire, and the serial port parameters (None without such a port)."""
+    """The line terminations of an instrument's wire, and the parameters of its serial port, if it has one."""
 
     read_termination: str
     write_termination: str
@@ -192,7 +190,7 @@ class WiredForm(DeviceSection):
         return bus_place(self.resource)
 
     def port(self) -> Port:
-        """Return the setup of the wire: the facts of the instrument, overridden by the `serial` section."""
+        """Return the setup of the wire that the instrument's facts state, changed as the section `serial` says."""
         stated = getattr(self, "serial", None)
         serial = None if stated is None else {**self.facts.SERIAL, **stated.settings()}
         tail = getattr(self.facts, "READ_TAIL", 0)
@@ -213,7 +211,7 @@ class PortSection(FileModel):
 
     @classmethod
     def of(cls, facts: ModuleType) -> Self:
-        """Return the port with the factory setting in an instrument's facts."""
+        """Return the port with the factory setting that an instrument's facts state."""
         return cls(baud_rate=facts.SERIAL["baud_rate"])
 
     def settings(self) -> dict[str, Any]:
@@ -222,7 +220,7 @@ class PortSection(FileModel):
 
 
 def usual_baud_rate(baud_rate: int, known: tuple[int, ...]) -> int:
-    """Return the baud rate if it is one of the usual ones. Raises `ValueError` otherwise."""
+    """Return the baud rate if it is one of those in `known`. Raises `ValueError` otherwise."""
     if baud_rate not in known:
         raise ValueError(f"expected one of {', '.join(map(str, known))}, got '{baud_rate}'")
     return baud_rate
@@ -395,7 +393,7 @@ class VoltmeterCertificate(Certificate):
         return next((value for value in self.values if value.range == range_v), None)
 
     def errors(self) -> dict[float, tuple[float, float]]:
-        """Return, by range, the gain error and the offset (V) that the corrections remove."""
+        """Return the errors that the corrections remove: range (V) -> (gain error, offset in V)."""
         found = {}
         for value in self.values:
             gain = 1.0 + (value.gain.correction if value.gain else 0.0)
@@ -516,7 +514,7 @@ class LineForm(WiredForm):
         return self
 
     def port(self) -> Port:
-        """Return the setup of its wire, with the line ends of the section."""
+        """Return the setup of the wire, with the line ends that the section states."""
         ends = text_line.ENDS
         serial = {**text_line.SERIAL, **self.serial.settings()} if is_serial(self.resource) else None
         return Port(ends[self.reply_end], ends[self.request_end], serial)
@@ -526,7 +524,7 @@ class LineForm(WiredForm):
         return self.model_dump(include={"model", "request", "pattern", "errors"})
 
     def line_options(self) -> dict[str, Any]:
-        """Return the simulation's options: the request, the pattern and an example of the reply, error lines."""
+        """Return the simulation's options: request, pattern and example of the reply, error lines."""
         ends = text_line.ENDS
         return {
             **self.model_dump(include={"request", "pattern", "example"}),

@@ -60,7 +60,7 @@ class AcutrolSection(MotorisedHeadForm):
         return tolerance_rad
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the driver's options: the axis, and the rate below which the axis counts as stationary, rad/s."""
+        """Return the driver's options: the axis, and the rate (rad/s) below which the axis counts as stationary."""
         return {"axis": self.axis, "still_rad_s": self.still_rate}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
@@ -156,8 +156,9 @@ _NEWPORT_ESP301 = Device(
 class ZaberSection(MotorisedHeadForm):
     """A rotary stage with a Zaber controller.
 
-    `steps_per_degree` counts microsteps at the setting `resolution`; it is negative if the scale falls as the step
-    count rises. Homing turns the stage to its sensor and ignores all limits; it therefore requires `allow_homing`.
+    `steps_per_degree` is the number of microsteps at the setting `resolution`; it is negative if the angle falls as
+    the step count rises. Homing turns the stage to its sensor and ignores all limits; it therefore requires
+    `allow_homing`.
     """
 
     facts: ClassVar = zaber
@@ -232,9 +233,8 @@ Axis = Literal["+X", "-X", "+Y", "-Y"]
 class LeicaNivelSection(LevelForm, WiredForm):
     """A Leica Nivel210 (RS-232) or Nivel220 (RS-485), at a serial port or behind a terminal server.
 
-    `sensor` is the sensor's address without the N. `along` and `across` name sensor axes in the first of its two
-    positions, for an observer who faces the end of the shaft: `along` points away along the shaft, `across` to the
-    right.
+    `sensor` is the sensor's address without the N. `along` and `across` are the sensor axes that, in the first of
+    its two positions, point away along the shaft and to the right, for an observer who faces the end of the shaft.
     """
 
     facts: ClassVar = nivel

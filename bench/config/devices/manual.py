@@ -71,7 +71,8 @@ class ManualLevelSection(LevelForm):
 
     `division` is the angle of one graduation of the vial, which has `divisions` graduations on either side.
     `reading` is the standard uncertainty of a reading, in graduations. `scale` is the relative standard uncertainty
-    of `division`. `turn` is the standard uncertainty of the level's alignment with an axis, and of its half turn.
+    of `division`. `turn` is the standard uncertainty of aligning the level with an axis, and of turning it by half
+    a turn.
     """
 
     by_hand: ClassVar = True

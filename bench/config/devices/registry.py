@@ -2,8 +2,8 @@
 
 A distribution declares the entry-point group `triaxial_bench.devices`; each entry is a `Device` or a module with a
 `DEVICE`. Folders are listed in the environment variable `BENCH_DEVICES` (joined by the system's path separator) or
-given with `--devices`. A bench file cannot name them, since their code is executed. Each module or package directly
-in a folder may define a `DEVICE`; such modules import each other relatively (`from .facts import …`).
+given with `--devices`. A bench file cannot name folders, because their code is executed. Each module or package
+directly in a folder may define a `DEVICE`; they import each other relatively (`from .facts import …`).
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ _HERE: Final = __name__.rpartition(".")[0]
 
 @dataclass
 class Devices:
-    """The devices found, by name, with their origins and the problems met while loading them."""
+    """The devices found, by name, with the place of each declaration and the problems met in loading."""
 
     found: dict[str, Device] = field(default_factory=dict)
     places: dict[str, str] = field(default_factory=dict)
@@ -92,7 +92,7 @@ class Devices:
         return None if place.startswith(str(Path(__file__).parent) + os.sep) else place
 
     def why_not(self, name: object) -> str | None:
-        """Return the failed import that may be the reason why this name is unknown; else None."""
+        """Return the failed imports or declarations that may explain why `name` is unknown, as text; else None."""
         if not isinstance(name, str) or name in self.found:
             return None
         if name in self.doubled:
@@ -112,7 +112,7 @@ class Devices:
         }
 
     def add(self, device: Device, place: str) -> None:
-        """Add a device from an origin `place`; of two devices with the same name, neither is used."""
+        """Add a device declared in the file or distribution `place`; two devices of one name are both unusable."""
         wrong = _wrong_declaration(device)
         if wrong:
             self.troubles.append(f"{place} cannot be used: {wrong}")
@@ -230,10 +230,10 @@ def _union(sections: tuple[type[DeviceSection], ...]) -> Any:
 def chosen_by_driver(role: Role, *, name: str = "", recorded: bool = False) -> BeforeValidator:
     """Return a validator that turns a section as written into the section class of its `driver`.
 
-    `name` is the default name of the instrument, if not the name of the role.
+    `name` is the default name of the instrument; if it is empty, the default is the name of the role.
 
-    For an unknown driver the only error is one about the driver: with similar names, or the reason why the driver
-    could not be loaded. If the bench file was `recorded` with a run, such a section is instead kept as written.
+    An unknown driver gives one error only, which lists similar names or says why the driver could not be loaded. In
+    a bench file that was `recorded` with a run, the section of an unknown driver is kept as written.
     """
 
     def choose(written: object) -> object:
@@ -245,7 +245,7 @@ def chosen_by_driver(role: Role, *, name: str = "", recorded: bool = False) -> B
 
 
 def unknown_drivers(sections: Iterable[object]) -> list[str]:
-    """Return, sorted, the driver names in `sections` (as written in the file) for which no device is known."""
+    """Return the unknown driver names in `sections`, which are as written in the file; the names are sorted."""
     stated = [section.get("driver") for section in sections if isinstance(section, dict)]
     return sorted({name for name in stated if isinstance(name, str) and devices().get(name) is None})
 
@@ -262,7 +262,7 @@ def _validated(written: dict[str, Any], role: Role, recorded: bool) -> DeviceSec
 
 
 def _strange(driver: object, names: tuple[str, ...]) -> str | None:
-    """Return the message for a driver name unlike all known names; None for a similar name or a non-string."""
+    """Return the message for a driver name that resembles none of `names`; None if it does, or is no string."""
     if not isinstance(driver, str) or difflib.get_close_matches(driver, names, n=1, cutoff=0.5):
         return None
     return (
@@ -272,7 +272,7 @@ def _strange(driver: object, names: tuple[str, ...]) -> str | None:
 
 
 def _refuse_driver(written: dict[str, Any], reason: str | None, names: tuple[str, ...]) -> None:
-    """Raise `ValidationError` for a driver that is missing or unknown; `reason` replaces the default text."""
+    """Raise `ValidationError` for a missing or unknown driver of a section; `reason` replaces the default text."""
 
     def refuse(_: str) -> str:
         raise ValueError(reason)
@@ -350,7 +350,7 @@ class UnknownThermometer(ThermometerForm):
 
     @property
     def tolerance_k(self) -> float:
-        """The limit of the thermometer's error, K: unknown, so that of an ordinary thermometer is assumed."""
+        """The assumed limit of the thermometer's error, K: that of an ordinary thermometer."""
         return 0.5
 
 

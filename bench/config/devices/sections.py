@@ -57,8 +57,8 @@ class VoltmeterKind:
     `over_range` is the fraction of a range up to which the meter reads. `accuracy` gives, by range, the error
     limits of DC volts within 90 days at 23 ± 5 °C, as fractions of reading and of range; `accuracy_of_year` gives
     the limits within a year where they are known. `linearity` gives the limits of integral nonlinearity in the same
-    form. `resolution` gives the resolution, as a fraction of the range, from each integration time (in NPLC) on; it
-    is empty if unknown.
+    form. `resolution` maps an integration time (in NPLC) to the resolution at this and longer times, as a fraction
+    of the range; it is empty if unknown.
     """
 
     limits: VoltmeterLimits
@@ -100,15 +100,16 @@ CERTIFICATE: Final = "certificate"
 
 
 class VoltmeterTruth(FileModel):
-    """The errors of the simulated voltmeters: whether they have noise, and whether they have errors.
+    """The noise, the errors and the flaws of the simulated voltmeters.
 
-    `accuracy` chooses random errors within the 90-day limits of the maker, or the errors in the certificates. The
-    further keys are flaws of a real input: a source of `source_ohm` is loaded by 10 MΩ unless the high impedance is
-    on; `mains` is the amplitude of the mains voltage on the signal, which an integration over whole cycles cancels;
-    `zero_drift` is the drift of the zero per hour with autozero off; `flicker` is the standard deviation of 1/f
-    noise per decade of frequency. `firmware` names the versions of the meters in turn; "3-1-1" sends a comma after
-    the last reading. `errors_at_start` are errors in the queue at switch-on. With `real_port`, an RS-232 meter
-    loses messages sent between a query and its reply, and stops responding after ten idle minutes.
+    `noise` switches the noise on. `accuracy` chooses random errors within the 90-day limits of the maker, or the
+    errors in the certificates; without it there are none. The further keys are flaws of a real input: a source of
+    `source_ohm` is loaded by 10 MΩ unless the high impedance is on; `mains` is the amplitude of the mains voltage
+    on the signal, which an integration over whole cycles cancels; `zero_drift` is the drift of the zero per hour
+    with autozero off; `flicker` is the standard deviation of 1/f noise per decade of frequency. `firmware` names
+    the versions of the meters in turn; "3-1-1" sends a comma after the last reading. `errors_at_start` are errors
+    in the queue at switch-on. With `real_port`, an RS-232 meter loses messages sent between a query and its reply,
+    and stops responding after ten idle minutes.
     """
 
     noise: bool = True
@@ -181,7 +182,7 @@ class VoltmeterForm(WiredForm):
 
     @property
     def inputs_used(self) -> Channel | dict[Channel, int]:
-        """The signal at the only input; for several inputs, the input number of each signal."""
+        """The signal of a voltmeter with one input; for several inputs, the input number of each signal."""
         raise NotImplementedError
 
     @field_validator("range")
@@ -234,7 +235,7 @@ class SerialPortForm(VoltmeterForm):
 
 
 def written_channels(voltmeter: Any) -> tuple[str, list[Any]] | None:
-    """Return the key ("channels" or "inputs") and the signals of a voltmeter section as written, or None."""
+    """Return the key ("channels" or "inputs") and the signals of a written voltmeter section; None without it."""
     if not isinstance(voltmeter, dict):
         return None
     for key in ("channels", "inputs"):

@@ -217,8 +217,8 @@ class Keysight34970AThermometerSection(ThermometerForm, WiredForm):
     """A temperature sensor on a channel of a 34901A card, such as 104.
 
     A four-wire `pt100` has its sense wires ten channels higher, such as on 114. If the voltmeter for the signals
-    has the same `resource`, the sensor is an extra channel of that meter, which is configured again after each
-    temperature.
+    has the same `resource`, the sensor is an extra channel of that meter; the meter is configured for signals again
+    after each reading of the temperature.
     """
 
     facts: ClassVar = multiplexer
@@ -307,7 +307,7 @@ class LineThermometerSection(TemperatureRange, ThermometerForm, LineForm):
         return self.tolerance
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the options common to all instruments that answer with a line of text, and the range, °C."""
+        """Return the options common to instruments with a line of text, and the temperature range, °C."""
         return super().driver_options() | {"minimum_c": self.minimum, "maximum_c": self.maximum}
 
     def simulation_options(self, truth: ThermometerTruth) -> dict[str, Any]:

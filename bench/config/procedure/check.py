@@ -1,4 +1,4 @@
-"""Checks of a plan against a bench before anything moves; the effort of the plan."""
+"""Checks of a plan against a bench before anything moves; the work and disk space that the plan needs."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def _reading_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
 
 
 def _level_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
-    """Check that a plan with levelling has a level, and a head that may go to 0°."""
+    """For a plan with levelling, check that the bench has a level and that its head may go to 0°."""
     first = next((step for step in plan.steps if isinstance(step, Level)), None)
     if first is None:
         return
@@ -105,7 +105,7 @@ def _level_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
 
 
 def _scan_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
-    """Check the requested scan orders: a multiplexer always reads its channels in ascending order."""
+    """Check that the bench can follow the scan orders: a multiplexer reads channels in ascending order only."""
     scans = {step.scan: step.key for step in reversed(plan.steps) if isinstance(step, Read) and step.scan}
     for scan, key in reversed(scans.items()):
         order = read_order(in_scan_order(bench.instruments.voltmeters, scan))
@@ -118,7 +118,7 @@ def _scan_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
 
 
 def _turn_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
-    """Check each target, and the start of a motorised head's approach to it, against the head's limits."""
+    """Check that each target, and the angle where a motorised head's approach to it begins, is within limits."""
     if bench.head_limits_rad is None:
         return
     low_rad, high_rad = bench.head_limits_rad
@@ -183,7 +183,7 @@ def _settling_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
 
 
 def switched_before(plan: Plan, bench: BenchFile) -> str | None:
-    """Return the description of the run's power-on before the first step; None if there is none."""
+    """Return the description of the power-on with which the run begins; None if the run begins without one."""
     supply = bench.unit_under_test.supply
     if supply is None or not plan.begins_on():
         return None
@@ -257,7 +257,7 @@ def operator_actions(plan: Plan, bench: BenchFile) -> int:
 
 
 def largest_signal_v(plan: Plan, bench: BenchFile) -> float:
-    """Return the largest signal at the orientations of a plan for nominal scale factors, V."""
+    """Return the largest signal, V, at the orientations of a plan, for nominal scale factors."""
     scale_v_g = np.array(bench.unit_under_test.scale_factors.values)
     return max(
         (float(np.max(np.abs(f * scale_v_g))) for f in orientations(plan, bench).values()), default=0.0
@@ -282,7 +282,7 @@ def disk_needed_bytes(plan: Plan) -> int:
 
 
 def orientations(plan: Plan, bench: BenchFile) -> dict[float | None, Floats]:
-    """Return the nominal specific forces, in g, at which a calibration from this plan has readings.
+    """Return the nominal specific forces, in g, of the readings that a calibration would use.
 
     The keys are the chamber temperatures that the plan sets (None before the first), the values are arrays (n, 3).
     Each orientation occurs once. Verification points and installations missing from the bench file are omitted.

@@ -82,7 +82,7 @@ class _Context:
         return f"{self.mount}.{self.pass_number}.{self.point}"
 
     def inside(self, document: Document, file: IncludedFile) -> _Context:
-        """Return the context for the steps of an included file, which overrides the sections that it states."""
+        """Return the context for the steps of an included file, whose own sections override the present ones."""
         return replace(
             self,
             document=document,
@@ -91,7 +91,7 @@ class _Context:
         )
 
     def failure(self, *nearer: FailureSection | None) -> OnFailure:
-        """Return the handling of a failed step: the first one stated in `nearer`, else that of this context."""
+        """Return the handling of a failed step: the first stated in `nearer`, else the one of this context."""
         said = next((section for section in (*nearer, self.on_failure) if section is not None), None)
         return OnFailure() if said is None else said.to_plan()
 
@@ -101,7 +101,7 @@ class _TooLong(Exception):
 
 
 class Expansion:
-    """The expansion of a procedure whose files are valid and whose verbs are all allowed where they occur.
+    """The expansion of a procedure into steps; its files are valid, and every verb is allowed where it occurs.
 
     `mistakes` holds the mistakes that only the expansion reveals (such as a point read twice), each with its
     document.
@@ -200,7 +200,7 @@ class Expansion:
         self._all(verb.steps, (*place, "steps"), inside)
 
     def _level(self, verb: LevelVerb, place: Place, context: _Context) -> None:
-        """Append a reading of the level, for the mounting for which the platform was last levelled."""
+        """Append a reading of the level; it belongs to the mounting for which the platform was last levelled."""
         if self._levelled is None:
             text = (
                 "the platform was not levelled before: give an installation before it 'level: {}', so that this "
@@ -303,7 +303,7 @@ class Expansion:
             self._since_power[mounted] = None
 
     def _since_switched(self, context: _Context) -> _Context:
-        """Return the context with the series number that its mounting has since the block was last switched on."""
+        """Return the context with a new series number if the block was switched on again during its mounting."""
         series = context.series
         while (mounted := (context.installation, series)) in self._since_power:
             following = self._since_power[mounted]

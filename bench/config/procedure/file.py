@@ -398,7 +398,7 @@ class TemperatureVerb(ActionVerb):
 
 
 class TemperaturesVerb(FileModel):
-    """Do the steps at each of several temperatures, set as by the verb `temperature`.
+    """Do the steps at each of several temperatures, each set as the verb `temperature` sets one.
 
     Inside an installation the block stays mounted, and each temperature is a separate series.
     """
@@ -450,7 +450,7 @@ class PowerVerb(ActionVerb):
 
 
 class _StepEntry(FileModel):
-    """A step: exactly one of the verbs."""
+    """A step of a procedure file: exactly one of its verbs is stated."""
 
     installation: InstallationVerb | None = None
     repeat: RepeatVerb | None = None

@@ -60,7 +60,7 @@ class Procedure:
 def load_procedure(path: Path, content: bytes | None = None) -> Procedure:
     """Read and check a procedure. Raises `FileMistakes` with every mistake in it and its included files.
 
-    With `content` the file itself is not read, as it may not be written yet.
+    If `content` is given, the file itself is not read, because it may not exist yet.
     """
     try:
         return _loaded(path, content)
@@ -110,7 +110,7 @@ class _Tree:
         return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
 
     def located(self, document: Document, mistake: FileMistake) -> FileMistake:
-        """Return the mistake, with the name of its file if that is an included one."""
+        """Return the mistake; if it is in an included file, with the name of that file."""
         return mistake if document is self._root else replace(mistake, file=str(document.path))
 
     def _read(self, document: Document, model: type[IncludedFile], chain: tuple[Path, ...]) -> None:
@@ -157,7 +157,7 @@ class _Tree:
         return ""
 
     def _unreadable(self, path: Path, mistake: FileMistake) -> str:
-        """Return why an included file cannot be read; empty if it is not YAML, which is recorded as a mistake.
+        """Return why an included file cannot be read; for a file that is not YAML, record a mistake and return "".
 
         The file is not quoted, since it may not be a procedure at all.
         """
@@ -170,8 +170,7 @@ class _Tree:
     def _check_scopes(self, document: Document, steps: Any, place: Place, scope: _Scope) -> None:
         """Check that every verb is allowed where it occurs; `steps` are as written, valid or not.
 
-        An included file is checked once for each set of enclosing verbs; more checks would repeat the same
-        mistakes.
+        An included file is checked once for each set of enclosing verbs, so that no mistake is reported twice.
         """
         for entry, verb, body in _entries(steps, place):
             problem = scope.problem(verb)
@@ -192,7 +191,7 @@ _SUFFIXES: Final = frozenset({".yaml", ".yml"})
 
 
 def _resolved(path: Path) -> Path:
-    """Return a path with symbolic links resolved; the path itself if that fails (reading it then reports why)."""
+    """Return a path with symbolic links resolved, or the path itself if that fails; reading it then reports why."""
     try:
         return path.resolve()
     except (OSError, RuntimeError, ValueError):

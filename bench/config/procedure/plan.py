@@ -83,14 +83,14 @@ class Plan:
         return sum(step.BY_OPERATOR for step in self.steps)
 
     def begins_on(self) -> bool:
-        """Whether the block must be on before the first step: true unless a power step precedes any reading."""
+        """Whether the block must be on before the first step: yes, unless a power step comes before any reading."""
         kinds = (type(step) for step in self.steps if isinstance(step, Read | Power))
         return next(kinds, Read) is Read
 
     def step_duration_s(
         self, step: Step, line_hz: float = 50.0, supply: UnitSupplySection | None = None
     ) -> float:
-        """Return the expected duration of a step, s; for settling, the shortest possible.
+        """Return the expected duration of a step, s; for a settling step, it is the shortest possible.
 
         `supply` is the bench-file section on the block's supply, needed for the times of switching.
         """
@@ -99,7 +99,7 @@ class Plan:
     def duration_by_kind_s(
         self, line_hz: float = 50.0, supply: UnitSupplySection | None = None
     ) -> dict[str, float]:
-        """Return the expected total duration of the steps of each kind that occurs, s, in the order of `counts`.
+        """Return the expected duration, s, of all steps of a kind, by kind, in the order of `counts`.
 
         If the block is switched on before the first step, the time of switching counts under "power".
         """
@@ -113,9 +113,9 @@ class Plan:
     def duration_by_mount_s(
         self, line_hz: float = 50.0, supply: UnitSupplySection | None = None
     ) -> dict[str, float]:
-        """Return the expected duration of each visit to an installation, s, by "1", "1 (series 2)", ….
+        """Return the expected duration, s, of each visit to an installation, by its name: "1", "1 (series 2)", ….
 
-        The time before the first mounting is under the empty string.
+        The time before the first mounting has the name "".
         """
         total: dict[str, float] = {}
         if supply is not None and self.begins_on():
@@ -132,7 +132,7 @@ class Plan:
         return sum(self.duration_by_kind_s(line_hz, supply).values())
 
     def longest_duration_s(self, line_hz: float = 50.0, supply: UnitSupplySection | None = None) -> float:
-        """Return the duration of the whole plan if all settling and warm-up takes until its timeout, s."""
+        """Return the duration, s, of the whole plan if every settling and warm-up lasts until its timeout."""
         settling = [step for step in self.steps if isinstance(step, Settle)]
         longer = sum(step.timeout_s - self.step_duration_s(step, line_hz) for step in settling)
         if supply is not None:

@@ -45,7 +45,7 @@ class OnFailure:
 
 @dataclass(frozen=True, slots=True)
 class OperatorTime:
-    """The expected times of the operator for a turn, a mounting, an answer or other task, an input change, s."""
+    """The expected times, s, of the operator: for a turn, a mounting, a task or an answer, an input change."""
 
     turn_s: float = 120.0
     mount_s: float = 1200.0
@@ -71,7 +71,7 @@ class AtBench(Protocol):
 
     @property
     def between_naps(self) -> Callable[[], None]:
-        """The function that handles requests of the operator; it is called repeatedly during waits."""
+        """A function that handles the operator's wishes; a step calls it repeatedly while it waits."""
         ...
 
     def watch_rails(self, key: str) -> None:
@@ -91,9 +91,9 @@ class ActionVerb(FileModel):
 class Step:
     """A step of a plan; each kind of step is a subclass.
 
-    `NAME` is the kind in counts and in JSON, `BY_OPERATOR` whether the operator does it on a bench without motors.
-    A kind in a separate module has a `VERB`, which is called `NAME` in procedure files. `BRINGS` is the dataclass
-    of its result, whose fields are recorded.
+    `NAME` is the kind in counts and in JSON; `BY_OPERATOR` says whether it needs the operator on a bench without
+    motors. A kind in a separate module has a `VERB`, which is called `NAME` in procedure files. `BRINGS` is the
+    dataclass of its result, whose fields are recorded.
     """
 
     NAME: ClassVar[str] = ""
@@ -140,7 +140,7 @@ class Mount(Step):
 
 @dataclass(frozen=True, slots=True)
 class _AtPoint(Step):
-    """A step at a numbered point of a pass, on one visit (`series`) to an installation."""
+    """A step at a numbered point of a pass; `series` numbers the visits to the installation."""
 
     installation: str
     series: int
@@ -202,8 +202,8 @@ class Wait(Step):
 class Settle(Step):
     """The run waits until the signals or the temperature have settled; it fails after `timeout_s`.
 
-    A sample is taken every `interval_s`. The quantity has settled when all samples of the last `window_s` lie
-    within `precision` (V or K, by `what`), and one sample is older than that window.
+    A sample is taken every `interval_s`. The quantity has settled when the samples of the last `window_s` span no
+    more than `precision` (V for signals, K for temperature) and one sample is older than that.
     """
 
     NAME: ClassVar[str] = "settle"
@@ -390,7 +390,7 @@ class Level(Step):
         return message(f"{what} in two positions{times}")
 
     def takes_s(self, times: Times) -> float:
-        """Return the expected duration of turns, readings (two positions, two axes) and levelling, s."""
+        """Return the expected duration, s, of turns, readings (two positions, two axes) and levelling."""
         by_hand = times.operator
         levelled_s = by_hand.mount_s * (self.within_rad is not None)
         return self.settings * (by_hand.turn_s + 4.0 * by_hand.answer_s) + levelled_s
@@ -416,7 +416,7 @@ def in_scan_order(meters: Sequence[_Meter], scan: str) -> list[_Meter]:
 
 
 def read_order(meters: Sequence[_HasChannels]) -> str:
-    """Return the order in which the meters, started one after the other, read the channels, such as "xyz"."""
+    """Return the order in which the channels are read if the meters start in this order, such as "xyz"."""
     return "".join(channel for meter in meters for channel in meter.channels)
 
 
@@ -437,7 +437,9 @@ def precision_in_words(step: Settle) -> str:
 
 
 def scan_in_words(step: Read) -> str:
-    """Return the clause on the scan order, such as ", the channels in the order z, y, x"; empty without one."""
+    """Return the clause on the scan order, such as ", the channels in the order z, y, x"; empty if none is
+    stated.
+    """
     return message(f", the channels in the order {', '.join(step.scan)}") if step.scan else ""
 
 
@@ -445,7 +447,7 @@ def scan_in_words(step: Read) -> str:
 
 
 def power_duration_s(step: Power, supply: UnitSupplySection | None) -> float:
-    """Return the duration of switching, s: least time off, switching, and shortest warm-up, if stated."""
+    """Return the duration of a power step, s: least time off, switching, and shortest warm-up, as far as stated."""
     least_off_s, switching_s, warm_up_s = (
         (0.0, 0.0, 0.0) if supply is None else (supply.least_off, supply.switching_s, supply.warm_up_s)
     )

@@ -1,4 +1,4 @@
-"""The catalogue of effects: effects of this folder, of installed distributions, and temporarily of the user.
+"""The catalogue of effects: those of this folder and of installed distributions, and within a context the user's.
 
 A distribution adds effects by the entry-point group `triaxial_bench.effects`; each entry is an `Effect`, a
 subclass of it, or a module with subclasses. The user's own effects are formulas from a file; they are known
@@ -121,7 +121,7 @@ class Catalogue(MutableMapping[str, Effect]):
         del self._known[name]
 
     def _installed(self) -> Iterator[tuple[str, Effect]]:
-        """Yield the effects of installed distributions, each after a description of its origin."""
+        """Yield the effects of installed distributions as (description of the origin, effect)."""
         for entry in importlib.metadata.entry_points(group=GROUP):
             dist = entry.dist
             place = (

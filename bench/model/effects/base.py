@@ -1,4 +1,4 @@
-"""The base classes of effects: an effect is simulated, estimated by the fit and named in reports by one class."""
+"""The base classes of effects: one class serves to simulate an effect, to fit it and to name it in reports."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from bench.model.geometry import Block
 class Stage(StrEnum):
     """The stage of the measuring chain at which an effect acts, in the order of the chain.
 
-    The signal that `Effect.addition` receives, and to which its result is added: at STAND the stand angles in rad
-    (n, 5), columns as `STAND_ANGLES`; at HEAD_ANGLE the head angle in rad (n,); at SPECIFIC_FORCE the force on
-    block axes in g (n, 3); at VOLTMETER_READING the voltage at the meter terminals in V (n, 3). At BLOCK_OUTPUT an
-    effect receives the force in g (n, 3) and returns volts (n, 3).
+    `Effect.addition` receives the signal at its stage, and its result is added to this signal: at STAND the stand
+    angles in rad (n, 5), columns as `STAND_ANGLES`; at HEAD_ANGLE the head angle in rad (n,); at SPECIFIC_FORCE the
+    force on block axes in g (n, 3); at VOLTMETER_READING the voltage at the meter terminals in V (n, 3). At
+    BLOCK_OUTPUT an effect receives the force in g (n, 3) and returns volts (n, 3).
     """
 
     STAND = "stand"
@@ -34,7 +34,7 @@ class Stage(StrEnum):
 class Subsystem(StrEnum):
     """The part of the bench to which an effect belongs.
 
-    Of two explanations in the same part, the diagnosis prefers the simpler.
+    Of two explanations in one part, the diagnosis prefers the simpler.
     """
 
     BLOCK = "block"
@@ -45,7 +45,7 @@ class Subsystem(StrEnum):
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of an effect: its unit in files, that unit in SI, and a plausible size (1 sigma) in SI.
+    """A parameter of an effect: its unit in files, the size of this unit in SI, a plausible value (1 sigma) in SI.
 
     A `per_channel` parameter has a value for each of x, y, z, zero for a channel without the effect. A parameter
     with a `grid` (SI values) is a shape, such as a time constant, a width or a harmonic. Readings are not linear
@@ -90,9 +90,10 @@ class Effect(ABC):
 
     `sentence` describes the effect; `shown_by` names a measurement that would show it. A `per_mount` effect may act
     in single mountings; if it `lasts`, it acts from that mounting to the end of the run. A `per_pass` effect may
-    act in single passes of a mounting; if it `outlasts_mount`, it may continue through remounts. `apart` lists sets
-    of parameters that may be nonzero while the others are zero; if empty, the names imply them. `needs_history` is
-    true if a reading depends on earlier rows, `needs_path` if it depends on the path of the head to the setting.
+    act in single passes of a mounting; if it `outlasts_mount`, it may continue through remounts. `apart` lists the
+    sets of parameters that a diagnosis tries alone, with the others zero; if empty, it derives the sets from the
+    names. `needs_history` is true if a reading depends on earlier rows, `needs_path` if it depends on the path of
+    the head to the setting.
     """
 
     name: str
@@ -118,7 +119,7 @@ class Effect(ABC):
 
 
 class BlockEffect(Effect):
-    """An effect of the accelerometers: from the specific force in g to an addition to their signals in V."""
+    """An effect of the accelerometers: it depends on the specific force in g, and adds to their signals in V."""
 
     stage = Stage.BLOCK_OUTPUT
     subsystem = Subsystem.BLOCK
@@ -150,7 +151,7 @@ class VoltmeterEffect(Effect):
 
 
 def angle(name: str, plausible_arcsec: float) -> Parameter:
-    """Return an angle parameter common to all channels, with its plausible size in arcsec."""
+    """Return the parameter `name`: an angle common to all channels, of the plausible size `plausible_arcsec`."""
     return Parameter(name, "arcsec", ARCSEC, plausible_arcsec * ARCSEC, per_channel=False)
 
 
@@ -162,8 +163,8 @@ def wave(values: Values, phase: Floats, prefix: str = "") -> Floats:
 def lagged(signal: Floats, time_s: Floats, lag_s: float) -> Floats:
     """Return a signal (n,) after a first-order lag that was in equilibrium at its first value.
 
-    The solution is exact for a signal linear between the times. The result is unchanged from one row to the next at
-    equal times, and restarts from the signal if the time falls (a new run).
+    The solution is exact for a signal linear between the times. Rows at equal times have equal results; where the
+    time falls, a new run begins, and the result restarts from the signal.
     """
     if lag_s <= 0.0 or len(signal) == 0:
         return signal
@@ -184,13 +185,13 @@ def lagged(signal: Floats, time_s: Floats, lag_s: float) -> Floats:
 
 
 def lag_of(*minutes: int) -> Parameter:
-    """Return a lag parameter; its grid is zero and the given times, min."""
+    """Return the shape parameter of a lag; its grid is zero and the given `minutes`."""
     grid = (0.0, *(m * MINUTE for m in minutes))
     return Parameter("lag", "min", MINUTE, plausible=10 * MINUTE, per_channel=False, grid=grid)
 
 
 def play(signal: Floats, width: float) -> Floats:
-    """Return a signal (n,) after mechanical play of half-width `width`.
+    """Return a signal (n,) as transmitted with mechanical play of half-width `width`.
 
     At the first value the signal is at the centre of the play.
     """
@@ -277,9 +278,9 @@ class AppliedEffect:
         return rows
 
     def addition(self, seen: Seen) -> Floats:
-        """Return the effect's addition with these values.
+        """Return the effect's addition with its `values`.
 
-        It is zero outside the effect's mountings (see `Effect.addition`).
+        It is zero in rows where the effect does not act (see `Effect.addition`).
         """
         added = self.effect.addition(self.complete_values(), seen)
         if not self.installations:
@@ -299,9 +300,9 @@ PART: Final = "part"
 
 @dataclass(frozen=True)
 class InPart(Effect):
-    """An uncertain part of the shape of the effect named `of`, with one size that a fit may estimate.
+    """An uncertain part of the shape of the effect `of`; a fit may estimate its one parameter, a size.
 
-    The effect is this size times the sum of `parts`, which are effects with fixed values.
+    It adds this size times the sum of `parts`, which are effects with fixed values.
     """
 
     name: str
@@ -337,6 +338,6 @@ class InPart(Effect):
 
 
 def in_part(of: str, number: int, parts: tuple[AppliedEffect, ...], value: float, u: float) -> AppliedEffect:
-    """Return part `number` of the shape of effect `of`, with the estimate `value` of its size and its `u`."""
+    """Return part `number` of the shape of the effect `of`; the part has the size `value` with uncertainty `u`."""
     effect = InPart(f"{of}_shape_{number}", of, parts)
     return AppliedEffect(effect, {PART: np.asarray(value)}, u={PART: np.asarray(u)})

@@ -19,7 +19,7 @@ from bench.model.effects.base import BlockEffect, Parameter, Seen, Values, lag_o
 
 
 def _size(name: str, unit: str, plausible: float) -> Parameter:
-    """Return a per-channel coefficient; `plausible` is in g per the power of g in `unit`."""
+    """Return a per-channel parameter; for the `unit` "ug/g^2", its `plausible` size is in g/g^2."""
     return Parameter(name, unit, 1e-6, plausible, per_channel=True)
 
 
@@ -120,7 +120,7 @@ ROUNDED_G: Final = 0.01
 
 
 class BiasAsymmetry(BlockEffect):
-    """Asymmetry (K0'/2) sign(a_i) of the bias; beyond a dead band of half-width w, K0' is -2 w."""
+    """Asymmetry (K0'/2) sign(a_i) of the bias. A dead band of half-width w looks like K0' = -2 w beyond it."""
 
     name = "bias_asymmetry"
     parameters = (_size("K0p", "ug", 20e-6),)
@@ -142,9 +142,9 @@ SLOW: Final = 0.05
 
 
 class Hysteresis(BlockEffect):
-    """Dependence on the side of approach: a signed step (width 0), or a play operator of half-width `width_g`.
+    """Dependence on the side from which the force came: a step (width 0), or a play of half-width `width_g`.
 
-    `size` is the saturated value.
+    `size` is the deviation after a large change of force.
     """
 
     name = "hysteresis"
@@ -174,7 +174,7 @@ class Hysteresis(BlockEffect):
 
 
 def state(conditions: Conditions, width_g: float) -> Floats:
-    """Return the position in each channel's hysteresis loop, -1 to 1, shape (n, 3); +1 after a large rise of force.
+    """Return each channel's position in its hysteresis loop, (n, 3), from -1 (force has fallen) to 1 (risen).
 
     Rows without an angle or in an unknown installation have 0 and do not count as settings.
     """
@@ -194,7 +194,7 @@ def state(conditions: Conditions, width_g: float) -> Floats:
 
 
 def _play(path: HeadPath, sine: Floats, cosine: Floats, width_g: float) -> Floats:
-    """Return the state of a play operator of half-width `width_g` at the end of each path, shape (m, 3)."""
+    """Return the state, -1 to 1, of a play of half-width `width_g` at the end of each of m paths, shape (m, 3)."""
     stops = np.concatenate(
         [_extremes(path.start, path.turn, sine, cosine), _extremes(path.turn, path.end, sine, cosine)]
     )
@@ -214,8 +214,8 @@ def _play(path: HeadPath, sine: Floats, cosine: Floats, width_g: float) -> Float
 def _extremes(start: Floats, end: Floats, sine: Floats, cosine: Floats) -> Floats:
     """Return the forces at the turning points and the end of each rotation, in g, shape (3, m, 3).
 
-    Between turning points the force is monotonic, so a play operator needs no other points. A rotation of slightly
-    more than half a turn has at most two turning points; missing ones are replaced by the end.
+    Between turning points the force is monotonic, so no other points are needed to follow a play. A rotation of
+    slightly more than half a turn has at most two turning points; missing ones are replaced by the end.
     """
     amplitude, phase = np.hypot(sine, cosine), np.arctan2(sine, cosine)
     sense = np.sign(end - start)[:, None]
@@ -231,7 +231,7 @@ def _extremes(start: Floats, end: Floats, sine: Floats, cosine: Floats) -> Float
 
 
 class ThermalBias(BlockEffect):
-    """Bias b_T T, where T is the temperature minus the reference after a first-order lag."""
+    """Bias b_T T, where T is the temperature, after a first-order lag, minus the reference."""
 
     name = "thermal_bias"
     parameters = (Parameter("b_T", "ug/K", 1e-6, plausible=60e-6, per_channel=True), lag_of(5, 10, 20, 30))
@@ -246,7 +246,7 @@ class ThermalBias(BlockEffect):
 
 
 class ThermalScale(BlockEffect):
-    """Scale-factor change k_T T K_ii a_i; T is the temperature minus the reference after a first-order lag."""
+    """Scale-factor change k_T T K_ii a_i; T is the temperature, after a first-order lag, minus the reference."""
 
     name = "thermal_scale"
     parameters = (Parameter("k_T", "ppm/K", 1e-6, plausible=100e-6, per_channel=True), lag_of(5, 10, 20, 30))

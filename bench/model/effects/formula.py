@@ -52,7 +52,7 @@ class ExpressionReading(Protocol, Generic[Term]):
     """An interpretation of an expression, for example as its value, its degree or its dimension."""
 
     def number(self, value: float, unit: str) -> Term:
-        """Return the interpretation of a number that occurs in the expression.
+        """Interpret a number that occurs in the expression.
 
         `value` is converted to SI, and `unit` is its SI unit, or "" for a plain number.
         """
@@ -102,7 +102,7 @@ def parse(text: str) -> ast.expr:
 
 
 def _refuse_others(node: ast.AST, text: str, deeper: int) -> None:
-    """Raise `ExpressionError` for the first forbidden node, or for nesting beyond `deeper` levels."""
+    """Raise `ExpressionError` for the first forbidden node, or for more than `deeper` further levels of nesting."""
     if deeper == 0:
         raise ExpressionError(f"the expression is nested more than {MOST_NESTED} deep; simplify it")
     match node:
@@ -171,13 +171,13 @@ def calls_in(text: str) -> frozenset[str]:
 
 @lru_cache(maxsize=2048)
 def lags_in(text: str) -> tuple[ast.expr, ...]:
-    """Return the second arguments of all calls of `lagged` in an expression."""
+    """Return the lag times in an expression: the second arguments of all calls of `lagged`."""
     nodes = (n for n in ast.walk(parse(text)) if isinstance(n, ast.Call))
     return tuple(n.args[1] for n in nodes if isinstance(n.func, ast.Name) and n.func.id == LAGGED)
 
 
 def interpret(text: str, reading: ExpressionReading[Term]) -> Term:
-    """Return the result of one interpretation of an expression, which may raise `ExpressionError`."""
+    """Return the result of interpreting an expression by `reading`. Raises the `ExpressionError` of `reading`."""
     return _read(parse(text), reading)
 
 
@@ -210,7 +210,7 @@ def _as_float(value: int | float) -> float:
 
 
 class ValueReading:
-    """The numeric value of an expression.
+    """An interpretation of an expression as its numeric value.
 
     `names` maps variables and parameters to values; `lagged` is the lag function. The caller suppresses numpy's
     warnings of results that are not finite.
@@ -248,7 +248,7 @@ _OPERATIONS: Final[Mapping[str, Callable[[Floats, Floats], Any]]] = {
 
 
 class DegreeReading:
-    """The degree of an expression in the size parameters: 0 or 1. Every term of an effect must have degree 1."""
+    """An interpretation as the degree in the size parameters, 0 or 1; every term of an effect must have 1."""
 
     def __init__(self, sizes: frozenset[str]) -> None:
         self._sizes = sizes
@@ -369,8 +369,7 @@ class FormulaEffect(Effect):
     def addition(self, values: Values, seen: Seen) -> Floats:
         """Return the addition at the stage (see `Effect.addition`).
 
-        A non-finite result counts as 0 if a variable of that reading is unknown; otherwise it raises
-        `ExpressionError`.
+        A non-finite result counts as 0 if a variable of the reading is unknown; else it raises `ExpressionError`.
         """
         used = frozenset(names_in(self.expression))
         known = {name: of(seen) for name, of in variables_of(self.stage).items() if name in used}
@@ -388,7 +387,7 @@ class FormulaEffect(Effect):
         return self._placed(self._finite(np.broadcast_to(added, shape), away), seen)
 
     def _finite(self, added: Floats, away: Mask) -> Floats:
-        """Return the additions, with 0 for non-finite values in the readings `away`, whose variables are unknown.
+        """Return `added` with 0 for non-finite values in the readings `away`, which have unknown variables.
 
         Raises `ExpressionError` for a non-finite value in any other reading.
         """
@@ -427,7 +426,7 @@ SINCE_POWER_ON: Final = "since_power_on"
 
 
 def variables_of(stage: Stage) -> dict[str, Variable]:
-    """Return the variables of a formula at a stage: name -> function of `Seen` with shape (n,) or (n, 3)."""
+    """Return the variables of a formula at a stage: name -> function from `Seen` to values (n,) or (n, 3)."""
     match stage:
         case Stage.SPECIFIC_FORCE | Stage.BLOCK_OUTPUT:
             return _COMMON | _own_and_each("a") | {"aj": _axis_after(1), "ak": _axis_after(2)}
@@ -438,7 +437,7 @@ def variables_of(stage: Stage) -> dict[str, Variable]:
 
 
 def _own_and_each(letter: str) -> dict[str, Variable]:
-    """Return the variables for a signal on each channel's own axis and on x, y and z: "a" -> a, ax, ay, az."""
+    """Return the variables of a signal: for "a" they are a (on each channel's own axis), ax, ay and az."""
     each = {letter + channel: _axis(i) for i, channel in enumerate(CHANNELS)}
     return {letter: lambda seen: seen.signal, **each}
 

@@ -30,7 +30,7 @@ def into(column: str, angle_rad: Floats, stand_rad: Floats) -> Floats:
 
 
 class ConstantAngle(StandEffect):
-    """A stand angle beyond the limits in the bench file."""
+    """A constant stand angle, larger than the bench file allows, in the column `column` of `STAND_ANGLES`."""
 
     column: ClassVar[str]
     per_mount = True
@@ -61,7 +61,7 @@ class ZeroOffset(ConstantAngle):
 
 
 class MountingError(ConstantAngle):
-    """The mounting error alpha3 beyond its limits: -alpha3 sin(phi) out of the plane of rotation."""
+    """The mounting error alpha3 beyond its limits: it tilts by -alpha3 sin(phi) out of the plane of rotation."""
 
     name = "mounting_error"
     column = "mounting_error"
@@ -81,7 +81,7 @@ class MountingOffset(ConstantAngle):
 
 
 class MountingRoll(ConstantAngle):
-    """alpha5, the third mounting angle: alpha5 cos(phi) out of the plane of rotation."""
+    """The third mounting angle alpha5, which tilts by alpha5 cos(phi) out of the plane of rotation."""
 
     name = "mounting_roll"
     column = "mounting_roll"
@@ -140,7 +140,7 @@ class HeadGraduation(HeadEffect):
 
 
 class Backlash(HeadEffect):
-    """A difference b between the angles of the two directions of approach; zero where the direction is unknown."""
+    """Backlash b: the angle differs by b between the directions of approach; no effect if that is unknown."""
 
     name = "backlash"
     parameters = (angle("play", 10),)
@@ -284,7 +284,9 @@ PAIRS: Final = tuple((CHANNELS[i], CHANNELS[j]) for i, j in ((0, 1), (1, 2), (2,
 
 
 class MetersExchanged(VoltmeterEffect):
-    """Two meters swapped: their difference in gain and zero adds to one channel and subtracts from the other."""
+    """Two swapped meters: their difference in gain and zero adds to one channel and is subtracted from the
+    other.
+    """
 
     name = "meters_exchanged"
     parameters = tuple(
@@ -306,7 +308,7 @@ class MetersExchanged(VoltmeterEffect):
     outlasts_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return gain U + zero, V, shape (n, 3), for channels with exchanged meters.
+        """Return gain U + zero, V, shape (n, 3), for channels with exchanged meters, zero for others.
 
         It is positive in one channel of each pair and negative in the other.
         """

@@ -88,7 +88,7 @@ _SHAPES: Final = (
 def _followed(values: Values, seen: Seen) -> Floats:
     """Return the meters' temperature minus the reference, after the effect's lag and hysteresis, K, shape (n,).
 
-    Gain and zero of the meters are proportional to it.
+    The effects of temperature on gain and zero are proportional to this difference.
     """
     conditions = seen.conditions
     behind = lagged(conditions.meter_warmth_k, conditions.elapsed_s, float(values["lag"]))
@@ -96,7 +96,7 @@ def _followed(values: Values, seen: Seen) -> Floats:
 
 
 class VoltmeterThermalGain(VoltmeterEffect):
-    """Gain change g T of each channel's meter.
+    """Gain change g T of each channel's meter; g is its temperature coefficient.
 
     T is the meter's temperature minus 23 °C, after a lag or with hysteresis.
     """
@@ -115,7 +115,7 @@ class VoltmeterThermalGain(VoltmeterEffect):
 
 
 class VoltmeterThermalOffset(VoltmeterEffect):
-    """Zero change o T of each channel's meter.
+    """Zero change o T of each channel's meter; o is its temperature coefficient.
 
     T is the meter's temperature minus 23 °C, after a lag or with hysteresis.
     """
@@ -134,7 +134,7 @@ class VoltmeterThermalOffset(VoltmeterEffect):
 
 
 class VoltmeterMove(VoltmeterEffect):
-    """A jump of the zero of each channel's meter, as if it was moved, at the time `at` since the run began."""
+    """A jump of the zero of each channel's meter, as if it was moved, at the time `at` after the run began."""
 
     name = "voltmeter_move"
     parameters = (
@@ -154,9 +154,9 @@ class VoltmeterMove(VoltmeterEffect):
 
 
 class ReferenceSupply(VoltmeterEffect):
-    """Change s v of a reference voltage at the inputs with its supply.
+    """A change s v of the reference voltage at the inputs, caused by the supply of the reference.
 
-    v is the voltage of the reference's supply rail minus its nominal voltage.
+    v is the voltage of that supply rail minus its nominal voltage.
     """
 
     name = "reference_supply"
@@ -228,7 +228,7 @@ class VoltmeterGain(VoltmeterEffect):
     shown_by = "a reference voltage at the inputs; the voltmeters' calibration"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the voltages that the gain error adds to the n readings, in V, (n, 3): the error times U."""
+        """Return the gain error times U in volts, shape (n, 3)."""
         return values["gain"] * seen.signal
 
 
@@ -247,7 +247,7 @@ class ReferenceStep(VoltmeterEffect):
     outlasts_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the voltages that the step adds to the n readings U, in V, (n, 3): its size times U."""
+        """Return the size of the step times U in volts, shape (n, 3)."""
         return values["step"] * seen.signal
 
 

@@ -44,11 +44,11 @@ from sim.world.world import World, WorldSettings
 
 @dataclass(frozen=True)
 class Surroundings:
-    """The objects that drivers need in addition to their own section: person, clock, line frequency and wire.
+    """The objects that drivers need in addition to their sections: person, clock, line frequency and wire.
 
-    `resources` overrides resources of the bench file, by instrument name. `haste` ends the waiting for
-    instruments that do not respond. `holding` reserves the instruments that are opened. `sessions` collects the
-    message sessions created, by instrument name.
+    `resources` overrides resources of the bench file, by instrument name. `haste` ends waits for instruments that
+    do not respond. `holding` reserves the instruments that are opened. `sessions` collects the message sessions
+    created, by instrument name.
     """
 
     person: Person
@@ -122,7 +122,7 @@ def loaded_class(section: InstrumentForm, which: Literal["driver", "simulation"]
 
 
 def _thermometers(sections: InstrumentsSection, meters: Sequence[Any], given: Surroundings) -> dict[str, Any]:
-    """Return the drivers of the thermometers by name; a sensor at another instrument's input shares its session."""
+    """Return the drivers of the thermometers by name; a sensor wired to another instrument uses its session."""
     made: dict[str, Any] = {meter.name: meter for meter in meters}
     of = {section.name: key.partition("_")[0] for key, section in sections.around.items()}
     for section in sections.thermometers:
@@ -271,7 +271,7 @@ def _probes(bench: BenchFile, world: World, host: InstrumentForm) -> dict[int, P
 def _seen_by(section: InstrumentForm, given: InstrumentsSection, world: World) -> World:
     """Return the world that an instrument observes.
 
-    For a thermometer away from the block it is a world in which the block has the temperature of that place.
+    A thermometer at the meters or in the room observes a world in which the block has the temperature there.
     """
     at = {"meter_thermometer": world.meters_c, "room_thermometer": world.room_c}
     key = next((key for key, around in given.around.items() if around is section), None)

@@ -1,4 +1,4 @@
-"""The composition root: real and simulated benches assembled from drivers, simulations and persons."""
+"""Real and simulated benches, each assembled here from drivers, simulations and persons."""
 
 from __future__ import annotations
 
@@ -64,10 +64,10 @@ _DONE: Final = frozenset(
 
 
 class LivingOperator:
-    """A `drivers.interfaces.WatchingPerson`: `person` answers while a scripted operator acts in the world.
+    """A `drivers.interfaces.WatchingPerson`: a real `person` answers, and a scripted operator acts in the world.
 
-    The simulated head moves to the angle that the person reports. The prompt contains the value that a display or a
-    level's bubble shows. In the simulated world, a task takes as long as the scripted operator needs for it.
+    The simulated head moves to the angle that the person reports. A prompt to read a display or a level's bubble
+    contains the value shown. In the simulated world, a task takes as long as the scripted operator needs for it.
     """
 
     def __init__(self, person: WatchingPerson, hands: ScriptedOperator) -> None:
@@ -130,7 +130,7 @@ HELD: Final = "instruments"
 
 
 def held_instruments() -> Holding:
-    """Return the reservations of instruments, which all programs of this user share."""
+    """Return the object that reserves instruments; all programs of this user share the reservations."""
     return Holding(cache_folder(HELD))
 
 
@@ -139,7 +139,7 @@ class Assembly:
     """An assembled bench: instruments, the person who answers prompts, the clock, and observers of the run.
 
     `sessions` are the sessions of the wired instruments; `simulated` is the simulated bench of a dry run. `aside`
-    returns a context in which readings leave a simulated world unchanged. `at_resumed_time` sets the simulated
+    returns a context in which readings do not change the simulated world. `at_resumed_time` sets the simulated
     clock to the bench time at which a run is resumed, s.
     """
 
@@ -193,7 +193,7 @@ def dry_bench(
     operator = scripted if living is None else LivingOperator(living, scripted)
 
     def key_world(event: Event) -> None:
-        """Pass the present step's key to the world, so that its random numbers depend on the step alone."""
+        """Pass the present step's key to the world, whose random numbers then depend on the step alone."""
         if event.type == EventType.STEP_STARTED:
             attempt = int(event.data["attempt"])
             key = str(event.data["key"])
@@ -201,7 +201,7 @@ def dry_bench(
             world.begin_step(key if attempt == 1 else f"{key}@{attempt}", scan)
 
     def scan_of(index: int, meters: Sequence[Voltmeter]) -> tuple[int, ...]:
-        """Return the channel indices in the order in which the step reads them."""
+        """Return the channel indices in the order in which step `index` of the plan reads them."""
         step = None if plan is None else plan.steps[index]
         return scan_order(read_order(in_scan_order(meters, step.scan if isinstance(step, Read) else "")))
 
@@ -355,8 +355,8 @@ def dry_evening(
 ) -> Iterator[CommissioningSession]:
     """Yield a commissioning session on the simulated bench of a bench file, with a scripted person.
 
-    Time is measured as the sum of the simulated and the computer's clock, because a fault that delays a response
-    delays it in real time. Raises `BenchError` for a fault that its instrument cannot have.
+    Time is the sum of the simulated and the computer's clock, because a simulated fault delays responses in real
+    time. Raises `BenchError` for a fault that its instrument cannot have.
     """
     watch = WireWatch(log)
     with dry_bench(file, model, seed, watch, haste) as assembly:

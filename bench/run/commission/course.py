@@ -60,7 +60,7 @@ def cables(evening: CommissioningSession) -> Iterator[Cable]:
 
 
 def check_cables(evening: CommissioningSession) -> None:
-    """Ask the person to pull and replug each cable; check that its instruments respond again as before."""
+    """Ask the person to pull and replug each cable; check that the instruments on it then respond as before."""
     for cable in cables(evening):
         present = [one for one in cable.instruments if evening.present(one)]
         first = (present or cable.instruments)[0]
@@ -125,7 +125,7 @@ def _look(evening: CommissioningSession, instrument: Instrument) -> Callable[[],
 
 
 def _time_to_loss(evening: CommissioningSession, look: Callable[[], object]) -> tuple[float, str]:
-    """Query an instrument whose cable is out; return the time until its error, s, and the error, "" if none.
+    """Query an instrument whose cable is out; return the time until an error, s, and the error ("" for none).
 
     Every exception is caught, because the session has to continue until the cable is back in.
     """
@@ -142,7 +142,7 @@ def _time_to_loss(evening: CommissioningSession, look: Callable[[], object]) -> 
 def _wait_until_back(
     evening: CommissioningSession, looks: Sequence[Callable[[], object]]
 ) -> tuple[float, BenchError | None]:
-    """Query repeatedly until all instruments respond; return the time taken, s, and the last error or None."""
+    """Query until all instruments respond; return the time, s, that this took, and the last error or None."""
     begun_s = evening.time_s()
     while True:
         try:
@@ -161,7 +161,7 @@ BENCH: Final = "bench"
 
 @dataclass(frozen=True)
 class Part:
-    """A part of the session: the message to the person before it, its condition, and its checks."""
+    """A part of the session: its condition, the message that announces it to the person, and its checks."""
 
     title: str
     announced: str
@@ -178,7 +178,7 @@ def _identities(evening: CommissioningSession) -> None:
 
 
 def who(evening: CommissioningSession, instrument: Instrument) -> Finding:
-    """Return the finding on an opened instrument: the identity that it reported."""
+    """Return the finding on an opened instrument, which states the identity that it reported."""
     by_hand = evening.section(instrument.name).by_hand
     said = "is operated by hand" if by_hand else str(evening.identities[instrument.name])
     return Finding(IDENTITY, instrument.name, State.WORKS, said)

@@ -76,7 +76,7 @@ class Motor(Protocol):
 
 @dataclass(frozen=True)
 class Beyond:
-    """Demands beyond the limits of an instrument, each with a phrase that describes it.
+    """Demands that exceed the limits of an instrument, each with a phrase that describes the demand.
 
     `within` describes the permitted range.
     """
@@ -142,7 +142,7 @@ def _refused(beyond: Beyond) -> Finding:
 
 
 def refuse_or_say(name: str, what: str, demand: Callable[[], object]) -> None:
-    """Make a demand that must be refused; the instrument is not connected, so it has no effect.
+    """Make a demand that must be refused; even an accepted one has no effect on the unconnected instrument.
 
     Raises `CheckEnded` if the demand is not refused as beyond the limits.
     """
@@ -162,7 +162,7 @@ def refuse_or_say(name: str, what: str, demand: Callable[[], object]) -> None:
 
 
 def check_moves(evening: CommissioningSession) -> None:
-    """Turn the head a little both ways, and stop it once in motion; the person confirms each move first."""
+    """Turn the head a little both ways, and stop it once during a move; the person confirms before each move."""
     head = evening.instruments.head
     form = evening.section(head.name)
     if isinstance(form, MotorisedHeadForm) and isinstance(head, Motor):
@@ -196,7 +196,7 @@ def _with_motor(
 
 
 def _within(form: MotorisedHeadForm, angle_rad: float) -> float:
-    """Return the head's angle, clipped to the limits if it exceeds them by no more than the tolerance.
+    """Return the head's angle `angle_rad`, or the nearest limit if it is beyond a limit by at most the tolerance.
 
     Raises `CheckEnded` for a head outside its limits, or without room for a small move.
     """
@@ -379,7 +379,7 @@ ROOM: Final = "temperature of the room"
 
 
 def check_level(evening: CommissioningSession) -> None:
-    """Read the level in two positions half a turn apart, which yields its zero and the platform's tilt."""
+    """Read the level in two positions half a turn apart, to determine its zero and the platform's tilt."""
     level = evening.instruments.level
     if level is not None:
         head = evening.instruments.head

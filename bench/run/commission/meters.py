@@ -1,4 +1,4 @@
-"""Checks of the voltmeters: settings, time of a reading, simultaneity, and noise with shorted inputs."""
+"""Checks of the voltmeters: settings, duration of a reading, simultaneous start, and noise with shorted inputs."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ class _Timed(Protocol):
     """A voltmeter whose driver states the duration of a reading."""
 
     def reading_time_s(self, settings: VoltmeterSettings, character_time_s: float = 0.0) -> float:
-        """Return the time from the start until the last character of the samples has arrived, s."""
+        """Return the time, s, from the start of a reading until the last character of its samples arrives."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class TimingSpread:
-    """The spread of the meters' start times in one reading, and of the times at which their samples arrived, s."""
+    """The spread of the meters' start times in a reading, s, and of the arrival times of their samples, s."""
 
     starts_s: float
     ends_s: float
@@ -69,8 +69,8 @@ def _settings(
 ) -> VoltmeterSettings:
     """Return settings with the longest supported integration time up to `nplc` line periods.
 
-    The time is one that all meters support or, if there is none, one that this meter supports. The number of
-    samples is clipped to the limits of the bench file.
+    It is one that all meters support or, if there is none, one that `meter` supports. The number of samples is
+    clipped to the limits of the bench file.
     """
     has = evening.file.nplc_supported or _form(evening, meter).kind.limits.nplc
     near = [one for one in has if one <= nplc] or [min(has)]
@@ -79,7 +79,7 @@ def _settings(
 
 
 def check_settings(evening: CommissioningSession) -> None:
-    """Set up each meter in two ways; each time, the driver reads the settings back."""
+    """Set up each meter twice, with different settings; each time, the driver reads the settings back."""
     for meter in evening.instruments.voltmeters:
         evening.carry_out(SETTINGS, meter, partial(_set_twice, evening, meter))
 
@@ -131,7 +131,7 @@ def _judged_by_time(
     found: Finding,
     took_s: float,
 ) -> Finding:
-    """Return the finding with the duration of its reading; a longer one than expected is `State.SLOWER`."""
+    """Return the finding with the duration of the reading added; a reading longer than expected is SLOWER."""
     expected_s = expected_time_s(evening, meter, settings)
     held = "the driver does not say" if expected_s is None else f"the driver expects {expected_s:.3g} s"
     figures = (*found.figures, Figure("reading took", took_s, "s", held))
@@ -148,7 +148,7 @@ def _judged_by_time(
 def expected_time_s(
     evening: CommissioningSession, meter: Voltmeter, settings: VoltmeterSettings
 ) -> float | None:
-    """Return the duration of a reading that the driver expects, s; None if the driver states none."""
+    """Return the expected duration of a reading, s, as the driver states it; None if it states none."""
     if not isinstance(meter, _Timed):
         return None
     section = _form(evening, meter)
@@ -157,7 +157,7 @@ def expected_time_s(
 
 
 def _character_s(serial: Mapping[str, object] | None) -> float:
-    """Return the time of one character on a serial line, including start bit, s; 0 without serial settings."""
+    """Return the time, s, of a character with its start bit on a serial line; 0 without serial settings."""
     if serial is None:
         return 0.0
     bits = 1 + int(str(serial["data_bits"])) + (serial["parity"] != "none") + int(str(serial["stop_bits"]))
@@ -242,7 +242,7 @@ def short_inputs(evening: CommissioningSession) -> None:
 
 
 def measure_noise(evening: CommissioningSession) -> None:
-    """Compare mean and scatter of each channel of shorted inputs with the data sheet's limits."""
+    """Compare mean and scatter of each channel, whose input is shorted, with the data sheet's limits."""
     for meter in evening.instruments.voltmeters:
         evening.carry_out(NOISE, meter, partial(_noise, evening, meter), by_answers=False)
 
@@ -302,26 +302,26 @@ def _of_channel(
 
 
 def largest_scatter_v(sigma_v: float, n: int) -> float:
-    """Return the upper limit of the standard deviation of `n` samples, V, for the true value `sigma_v`."""
+    """Return the upper limit, V, of the standard deviation of `n` samples whose true value is `sigma_v`."""
     from scipy.stats import chi2
 
     return sigma_v * math.sqrt(float(chi2.isf(SIGNIFICANCE, n - 1)) / (n - 1)) if n > 1 else sigma_v
 
 
 def zero_limit_v(evening: CommissioningSession, meter: Voltmeter) -> float:
-    """Return the maker's limit of error of a shorted input within 90 days, V."""
+    """Return the maker's limit of error, V, at a shorted input within 90 days."""
     range_v = evening.file.voltmeter_range_v
     return range_v * _form(evening, meter).kind.accuracy[range_v][1]
 
 
 def limit_v(evening: CommissioningSession, meter: Voltmeter, volts: float) -> float:
-    """Return the maker's limit of error at an input of `volts` within 90 days, V."""
+    """Return the maker's limit of error, V, at an input of `volts` within 90 days."""
     of_reading, _ = _form(evening, meter).kind.accuracy[evening.file.voltmeter_range_v]
     return of_reading * abs(volts) + zero_limit_v(evening, meter)
 
 
 def scatter_limit_v(evening: CommissioningSession, meter: Voltmeter, nplc: float) -> float:
-    """Return the permitted standard deviation of a sample of a steady input, V: the maker's resolution.
+    """Return the permitted standard deviation, V, of the samples of a steady input: the maker's resolution.
 
     If the meter's data state no resolution for `nplc`, return the limit of error at zero.
     """

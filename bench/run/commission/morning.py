@@ -36,7 +36,7 @@ LEAST_P: Final = 0.0027
 
 @dataclass(frozen=True)
 class MorningCourse:
-    """The course of a morning check: the instruments, and the checks that the fields select.
+    """The course of a morning check: tests of instruments and head, and the checks that the fields select.
 
     `reference_v` is the voltage of the reference, None without one. `judge` compares a reading of the check block
     in `installation` with its control chart; if it is None, `no_chart` says why. `serial` is "" for a bench
@@ -131,7 +131,7 @@ def _tested(instrument: Instrument) -> Finding:
 
 
 def _held(evening: CommissioningSession, meter: Voltmeter, volts: float) -> Finding:
-    """Return the finding on a meter at the reference voltage: whether each channel is within its limit of error."""
+    """Return the finding on whether the channels of a meter at the reference voltage are within limits of error."""
     meter.configure(meters.slow(evening, meter, SAMPLES))
     samples, _ = meters.reading(evening, meter)
     stated_v = evening.file.stand_distributions()["voltmeter_error"].limit
@@ -169,7 +169,7 @@ def _compared(
     turned_rad: float,
     changed_v: Floats,
 ) -> Finding:
-    """Return the finding on the head's return home: the differences of the angles read and of the signals."""
+    """Return the finding on the head's return home, from the changes of angles read and signals since the start."""
     stand = evening.file.stand_distributions()
     setting_rad = stand["setting_error"].u
     scale = np.abs(evening.file.unit_under_test.scale_factors.values)
@@ -201,7 +201,7 @@ def _compared(
 
 
 def _judged(serial: str, reading: Reading, judged: ReadingJudgement) -> Finding:
-    """Return the finding on a reading of the check block: its agreement with the control chart."""
+    """Return the finding on whether a reading of the check block agrees with the control chart."""
     figures = tuple(
         Figure(
             f"{channel} less expected", 1e6 * float(off), "µV", f"u {1e6 * math.sqrt(float(variance)):.3g} µV"

@@ -109,7 +109,7 @@ class TimedExchange:
 
 
 class WireWatch:
-    """A `Wire` that records exchanges and failures and forwards all messages to `log`; `time_s` is its clock."""
+    """A `Wire` that records exchanges and failures, timed by `time_s`, and forwards all messages to `log`."""
 
     def __init__(self, log: Wire | None, time_s: Callable[[], float] | None = None) -> None:
         self.time_s = time_s or SystemClock().now_s
@@ -133,7 +133,7 @@ class WireWatch:
             self._log(instrument, direction, text)
 
     def mark(self) -> tuple[int, int]:
-        """Return the present numbers of exchanges and failures, as a mark for later queries."""
+        """Return a mark of this moment, from which `exchanges` and `failures` count."""
         return len(self._exchanges), len(self._failures)
 
     def exchanges(self, mark: tuple[int, int], instrument: str) -> list[TimedExchange]:
@@ -163,7 +163,7 @@ class Skipped(Exception):
 
 
 class SessionEnded(Exception):
-    """The session is ended by the person or by the end of the answers; the text is the reason."""
+    """The person has ended the session, or no more answers come; the text is the reason."""
 
 
 class CheckEnded(Exception):
@@ -280,8 +280,8 @@ class CommissioningSession:
     ) -> Finding:
         """Carry out one check of one instrument; store and return its finding, even after an exception.
 
-        `look` performs the check. `also` are other instruments involved. `by_answers` adds a check of the response
-        times of single commands, `by_wire` a check for other faults on the wires. With `opened` False, the
+        `look` performs the check. `also` are the other instruments that take part. `by_answers` adds a check of the
+        response times of single commands, `by_wire` one for other faults on the wires. With `opened` False, the
         instruments are not opened first. Raises only `SessionEnded` and `KeyboardInterrupt`.
         """
         name = instrument.name
@@ -301,7 +301,7 @@ class CommissioningSession:
         return found
 
     def present(self, instrument: Instrument) -> bool:
-        """Return whether an instrument is still to be checked, having been lost fewer than `MOST_LOSSES` times."""
+        """Return whether an instrument is still to be checked: it is, unless it was lost `MOST_LOSSES` times."""
         return self._losses.get(instrument.name, 0) < MOST_LOSSES
 
     def _found(
@@ -332,7 +332,7 @@ class CommissioningSession:
             return Finding(check, name, State.OTHER, cause, remedy="report it with the wire log")
 
     def _open(self, instrument: Instrument) -> None:
-        """Open an instrument; a refusal counts as a loss of the instrument. Raises `BenchError`."""
+        """Open an instrument; a failure counts as a loss of the instrument. Raises `BenchError`."""
         try:
             self.identities[instrument.name] = instrument.open()
         except InstrumentLost:
@@ -345,7 +345,7 @@ class CommissioningSession:
         self._losses[name] = self._losses.get(name, 0) + 1
 
     def _of_error(self, check: str, name: str, state: State, error: BenchError) -> Finding:
-        """Return the finding for an error, attributed to the instrument named in the error if it exists."""
+        """Return the finding for an error, on the instrument that the error names if the bench has it."""
         known = error.instrument in {one.name for one in self.instruments.all()}
         about = "" if known else f"{error.instrument}: "
         remedy = "; ".join((error.remedy, *getattr(error, "__notes__", ())))
@@ -360,7 +360,7 @@ class CommissioningSession:
     def _with_wire(
         self, found: Finding, name: str, mark: tuple[int, int], before: int | None, by_answers: bool
     ) -> Finding:
-        """Return the finding with faults on a wire added: failures followed by success, slow responses."""
+        """Return the finding with faults on a wire added: failures, garbled replies, slow responses."""
         failures, after = self.watch.failures(mark, name), self._connection(name)
         if failures:
             said = f"{found.said}, but its wire failed meanwhile ({failures[0]})"
