@@ -489,7 +489,7 @@ def _recorded(record: Record) -> str:
         done = sum(taken is not None for taken in read_history(place).taken)
     except RecordError as error:
         return str(error)
-    return f"{done} readings are kept in {place}"
+    return f"{'1 reading is' if done == 1 else f'{done} readings are'} kept in {place}"
 
 
 def _kept(record: Record) -> str:
