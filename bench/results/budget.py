@@ -86,7 +86,7 @@ class SourcePart(ResultModel):
 
 
 class AccelerationPart(ResultModel):
-    """The uncertainty of any measured acceleration."""
+    """The uncertainty of a measured acceleration, by its magnitude."""
 
     range_g: float
     same_voltmeters: bool = Field(description="whether it is read with the voltmeters of the calibration")
@@ -94,7 +94,7 @@ class AccelerationPart(ResultModel):
 
 
 class VerificationPart(ResultModel):
-    """The uncertainty of Δg at each verification point, and whether it is small enough for a decision."""
+    """The uncertainty of Δg at each verification point, and whether that is small enough for a decision."""
 
     limit_g: float
     rule: str
@@ -116,7 +116,7 @@ class VerificationPart(ResultModel):
 
 
 class OutputPart(ResultModel):
-    """A coefficient or a Δg by the Monte Carlo method, compared with the linear result."""
+    """The distribution of a coefficient or Δg by the Monte Carlo method, compared with the linear result."""
 
     mean: float
     u: float
@@ -352,7 +352,7 @@ def _by_source(result: BudgetResult) -> Iterator[Row]:
 
 
 def _combined(result: BudgetResult) -> Iterator[Row]:
-    """Yield the rows below the sources: u of the stand, u per local g, combined u, degrees of freedom, U."""
+    """Yield the rows below the sources: u of the stand, combined u (local g exact, then not), dof, U."""
     coefficients = [result.coefficients[name] for name in result.order]
     if "stand" in result.groups:
         yield Row("stand, as calibrate states", _micro(result.groups["stand"].u))

@@ -134,7 +134,7 @@ class DueResult(ResultModel):
     )
 
     def print_on(self, out: Console) -> None:
-        """Print the first units due, and why other units have no date."""
+        """Print the units that are due first, and why other units have no date."""
         shown = table("due", "unit", "by", ">calibrations", "last", "")
         for one in self.units[:ON_SCREEN]:
             simulated = "simulated" if one.simulated else ""
@@ -255,7 +255,7 @@ def unit_page(result: UnitResult) -> str:
 
 
 def _expected(due: DuePart | None) -> list[str]:
-    """Return the expected errors at the last calibration and on the due date, in µg, as text."""
+    """Return as text the errors, in µg, expected at the last calibration and on the due date."""
     sizes = [due.error_at_last_g, due.error_when_due_g] if due else []
     return ["–" if size is None else two_digits(size * 1e6) for size in sizes]
 
@@ -301,7 +301,9 @@ def _drawing(calibrations: Sequence[UnitCalibration]) -> Callable[[Figure], None
 
 
 def coefficient_rows(calibrations: Sequence[UnitCalibration]) -> list[tuple[str, ...]]:
-    """Return a row for each coefficient: name, last value, U, changes since the previous and first values, unit."""
+    """Return a row for each coefficient: name, last value, U, changes since the one before and the first,
+    unit.
+    """
     if not calibrations:
         return []
     values, sizes = _arrays(calibrations)

@@ -154,7 +154,7 @@ class RegisterSays(ResultModel):
 
     @property
     def words(self) -> str:
-        """The state in the register, as a suffix to the verdict; "" for a valid certificate."""
+        """The state in the register, as text that is appended to the verdict; "" for a valid certificate."""
         if self.holds:
             return ""
         return f", {self.state.upper()} ({self.by})" if self.known else ", UNKNOWN TO THE REGISTER"

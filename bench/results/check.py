@@ -42,7 +42,7 @@ class OpenCoefficients(ResultModel):
 
 
 class DirectionPart(ResultModel):
-    """A linear combination of coefficients and stand errors that the readings leave undetermined."""
+    """A linear combination of coefficients and stand errors; the readings do not determine it."""
 
     kind: str = Field(description="kind of combination; `turn` is a common turn of the block's axes")
     text: str
@@ -105,7 +105,7 @@ class CheckResult(ResultModel):
 
 @dataclass(frozen=True)
 class Findings:
-    """The result of a check with the objects that its text needs: plan, bench and predictions."""
+    """The result of a check, and the objects from which its text is made: plan, bench and predictions."""
 
     result: CheckResult
     plan: Plan
@@ -194,7 +194,7 @@ def print_findings(found: Findings, out: Console, *, every_step: bool = False) -
 
 
 def _coefficients_in_words(not_determined: list[OpenCoefficients]) -> Iterator[str]:
-    """Yield sentences on the coefficients that a calibration determines, by temperature if there are several."""
+    """Yield sentences on the coefficients that a calibration determines, at each of several temperatures."""
     if not not_determined:
         yield "no calibration: it has no reading in an installation of known orientation"
     temperatures: dict[tuple[str, ...], list[str]] = {}
@@ -216,7 +216,7 @@ def _coefficients_in_words(not_determined: list[OpenCoefficients]) -> Iterator[s
 
 
 def _open_in_words(found: Outlook | None) -> Iterator[str]:
-    """Yield sentences on the combinations that the readings do not determine, and on the cheapest remedies."""
+    """Yield sentences on combinations of coefficients that the readings leave open, and on remedies."""
     if found is None:
         return
     for sentence in found.open:
@@ -320,7 +320,7 @@ def _blocks(steps: Sequence[Step]) -> Iterator[_Block]:
 
 
 def _folded(shapes: Sequence[object], fewest: int) -> Iterator[tuple[int, int, int]]:
-    """Yield start index, period and number of repetitions of each pattern in a sequence.
+    """Yield start index, period and number of repetitions of each pattern in the sequence `shapes`.
 
     At each element, the pattern that covers most elements is chosen, if it repeats at least `fewest` times.
     Otherwise the element is yielded alone, with period and repetitions 1.
@@ -352,7 +352,7 @@ _FIELDS: Final = {kind: tuple(f.name for f in fields(kind)) for kind in KINDS}
 
 
 def _shape(step: Step, without: frozenset[str]) -> tuple[Any, ...]:
-    """Return the type of a step and its fields except those in `without`; similar steps have equal shapes."""
+    """Return the shape of a step: its type, and its fields not in `without`; equal for similar steps."""
     return (type(step), *(getattr(step, name) for name in _FIELDS[type(step)] if name not in without))
 
 

@@ -62,7 +62,7 @@ class ShortTermPart(ResultModel):
 
 
 class DeviationPart(ResultModel):
-    """The deviation of a coefficient from the centre line, its u, and their ratio; also for the EWMA."""
+    """Deviation of a coefficient from the centre line, its u, and their ratio `z`; the same for the EWMA."""
 
     deviation: float
     u: float
@@ -127,7 +127,7 @@ class DriftPart(ResultModel):
 
 
 class NineRun(ResultModel):
-    """A run of the check block in its nine intrinsic numbers."""
+    """A run of the check block as charted by its nine intrinsic numbers."""
 
     t2: float = Field(description="T² of the nine intrinsic numbers")
     p: float = Field(description="p-value of T²")
@@ -137,7 +137,7 @@ class NineRun(ResultModel):
 
 
 class NineChart(ResultModel):
-    """The chart of the nine intrinsic numbers, which do not depend on the mounting; it decides."""
+    """The chart of the nine intrinsic numbers, which do not depend on the mounting; it gives the verdict."""
 
     centre: dict[str, ValuePart] = Field(description="centre lines, in unit/g, degrees and g")
     scale: float = Field(description="factor on the stated u")
@@ -180,10 +180,10 @@ class ChartResult(ResultModel):
 
 @dataclass(frozen=True)
 class CheckBlockChart:
-    """The control chart of a check block: `chart` in the nine intrinsic numbers, which decides, and `twelve`.
+    """The control charts of a check block: `chart`, which decides, shows its nine intrinsic numbers.
 
-    `twelve` is the chart of the coefficients. `unit` is the unit of the signals and `g_m_s2` the g to which scale
-    factors refer; `notes` names the runs left out.
+    `twelve` is the chart of the twelve coefficients. `unit` is the unit of the signals; `g_m_s2` is the local
+    g, m/s², to which scale factors refer. `notes` names the runs left out.
     """
 
     chart: ControlChart
@@ -352,14 +352,14 @@ def _run_cells(result: ChartResult, run: ChartedRun) -> list[str]:
 
 
 def _deviation_cells(name: str, own: DeviationPart, signal: str) -> list[str]:
-    """Return the cells of a number: its deviation and u, then its deviation and EWMA in units of their u."""
+    """Return the cells of a number: its deviation d, u of d, d divided by its u, EWMA divided by its u."""
     size, unit = _scale_of(name, own.u, signal)
     off = f"{fixed(own.deviation / size, 1)} {unit}"
     return [off, f"{own.u / size:.1f} {unit}", _in_u(own.z), _in_u(own.ewma_z)]
 
 
 def _scale_of(name: str, largest: float, signal: str) -> tuple[float, str]:
-    """Return the factor and the unit in which deviations of an intrinsic number or a coefficient are printed."""
+    """Return factor and unit to print deviations of the intrinsic number or coefficient `name`."""
     if name in INTRINSIC:
         return small_unit(name, largest, signal)
     scale = scale_for(largest, signal)
@@ -510,7 +510,7 @@ def _panel(axes: Axes, along: Floats, values: Floats, limits: Floats) -> None:
 
 
 def _level(axes: Axes, along: Floats, level: Floats, **style: Any) -> None:
-    """Draw a control limit as a step of width 1 around each run, so that it is visible even for a single run."""
+    """Draw a control limit as a step of width 1 around each run: visible even if there is only one run."""
     axes.plot(np.column_stack((along - 0.5, along + 0.5)).ravel(), np.repeat(level, 2), **style)
 
 

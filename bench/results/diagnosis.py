@@ -92,7 +92,7 @@ class SimulationPart(ResultModel):
 
 
 class SimulationsPart(ResultModel):
-    """Simulations with the given model, before and after the effects found are added to it."""
+    """Simulations by the given model, first without and then with the effects found."""
 
     before: SimulationPart
     after: SimulationPart | None
@@ -106,7 +106,7 @@ class ShiftPart(ResultModel):
 
 
 class RivalPart(ResultModel):
-    """A family of effects that may explain the readings instead of an effect found."""
+    """A family of effects that may explain the readings in place of an effect that was found."""
 
     name: str
     ln_odds: float = Field(description="ln of the odds that this family is present")
@@ -286,7 +286,7 @@ def mistakes_result(
     bench: BenchPart | None,
     corrections: Sequence[CorrectionPart],
 ) -> DiagnoseResult:
-    """Return the result of a diagnosis that ended after the search for mistakes: too few other readings remain."""
+    """Return the result of a diagnosis without search for effects, as mistakes leave too few readings."""
     nothing: dict[str, Any] = {
         **dict.fromkeys(("next_measurement", "verification_orientation", "gap", "model", "noise", "p_left")),
         **dict.fromkeys(("form", "registered", "simulation", "report")),
@@ -412,7 +412,7 @@ def _places(diagnosis: Diagnosis, out: Console) -> None:
 
 
 def print_mistakes(found: MistakesAlone, files: Files, out: Console) -> None:
-    """Print the mistakes of a diagnosis that ended after the search for them, and what must be measured again."""
+    """Print the mistakes of a diagnosis that searched for nothing else, and what must be measured again."""
     for mistake in found.mistakes:
         out.print(f"Mistake: {mistake.name}: {mistake.words}", style="bold")
     out.print(f"In the corrected copy {found.reason}")

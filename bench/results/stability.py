@@ -184,7 +184,7 @@ def _term(terms: NoiseTerms, k: int, unit: str) -> str:
 
 
 def allan_figure(found: Stability, *, inline: bool = False) -> str:
-    """Return an SVG file of the Allan deviation with 95 % limits and fitted noise terms, and of the spectrum below.
+    """Return an SVG file: the Allan deviation with 95 % limits and fitted noise terms; the spectrum.
 
     With `inline`, the SVG is an element of a page.
     """
