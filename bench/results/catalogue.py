@@ -301,9 +301,7 @@ def _drawing(calibrations: Sequence[UnitCalibration]) -> Callable[[Figure], None
 
 
 def coefficient_rows(calibrations: Sequence[UnitCalibration]) -> list[tuple[str, ...]]:
-    """Return a row for each coefficient: name, last value, U, changes since the one before and the first,
-    unit.
-    """
+    """Return a row for each coefficient: name, last value, U, change since the previous and first, unit."""
     if not calibrations:
         return []
     values, sizes = _arrays(calibrations)

@@ -37,7 +37,7 @@ Files = Iterator[tuple[str, Path, str]]
 
 @dataclass(frozen=True)
 class RecordAtRest:
-    """The noise and drift of a static record, with the bench file used, notes on its choice, and the run if any."""
+    """Noise and drift of a static record; the bench file, notes on its choice, and the run (or None)."""
 
     found: Stability
     taken: BenchTaken
@@ -118,7 +118,7 @@ def _bench_of(record: str, runs: Path, bench: Bench) -> tuple[BenchTaken, tuple[
 
 
 def _known_input(request: asked.Stability, runs: Path) -> Source | None:
-    """Return the source if it is a record at a known input; None for any other file or run."""
+    """Return the record as a source if its input is known; None for any other file or run."""
     path = Path(request.record)
     if path.is_file():
         if REFERENCE_V not in split_table(path, REFERENCE_V)[0]:
@@ -131,7 +131,7 @@ def _known_input(request: asked.Stability, runs: Path) -> Source | None:
 
 
 def _record_at_rest(name: str, runs: Path, bench: BenchFile) -> tuple[StaticRecord, Run | None, float | None]:
-    """Return the record; if it is a run, also the run and the integration time of a sample, s (else None, None)."""
+    """Return the record `name`; if it is a run, also the run and the integration time of a sample, s."""
     path = Path(name)
     if path.is_file():
         return read_static(path), None, None
