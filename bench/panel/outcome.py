@@ -28,7 +28,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Whisker:
-    """A verification point in the picture: its label, and positions across and down in the drawing's units."""
+    """A verification point in the picture: its label, and its place (across, down) in the drawing's units."""
 
     label: str
     value: str
@@ -53,7 +53,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the live page shows of a run that has ended.
+    """The outcome of a run that has ended, as the live page shows it.
 
     `state` is "waiting" while the results are computed, "none" if there are none, else "ready". `misfit` says why a
     diagnosis is offered; it is empty if the readings fit the model and the verification passed.
@@ -135,7 +135,7 @@ def _row(name: str, difference: float, expanded: float, unit: str) -> str:
 def previous_calibration(run: Run, runs: RunsFolder) -> Run | None:
     """Return the run of the unit's last calibration before a run; None if there is none.
 
-    Both runs are on the same kind of instruments, real or simulated.
+    Both runs are on real instruments, or both on simulated ones.
     """
     mine = _identity(run)
     if mine is None:

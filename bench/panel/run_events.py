@@ -42,9 +42,9 @@ _STOPPED: Final = frozenset(
 class RunView:
     """The state of a run, derived from its events.
 
-    `step` is the event with which the current step began, and `begun` the event of the first step since the run was
-    begun or resumed. `turn` is the event of the last turn since the block was mounted; `set_c` is the set point of
-    the chamber, °C. Results of steps are computed from their events only on demand, as few are needed.
+    `step` is the event with which the current step began; `begun` is that of the first step since the run was
+    begun or resumed. `turn` is the event of the last turn since the block was mounted; `set_c` is the set
+    point of the chamber, °C. Results of steps are computed from events on demand only, as few are needed.
     """
 
     plan: Plan
@@ -174,14 +174,14 @@ class RunView:
 
     @property
     def mounted(self) -> Mount | None:
-        """The step that mounted the block last, None if it was not mounted."""
+        """The last step that mounted the block; None if the block was not mounted yet."""
         event = self._brought.get(Mount)
         step = None if event is None else self.plan.steps[event.step]
         return step if isinstance(step, Mount) else None
 
     @property
     def chamber(self) -> tuple[Event, float] | None:
-        """The latest known air temperature of the chamber, °C, after the event that reported it."""
+        """The event that last reported the chamber's air temperature, and this temperature, °C."""
         known: list[tuple[Event, float]] = []
         if self.slow is not None:
             known.append((self.slow, float(self.slow.data["air_c"])))
@@ -215,14 +215,14 @@ class Tail:
         self._count = 0
 
     def grown(self) -> bool:
-        """Return whether the record has unread content or was shortened."""
+        """Return whether the record has unread content, or has become shorter."""
         try:
             return self._path.stat().st_size != self._read
         except OSError:
             return False
 
     def new(self) -> Iterator[Event]:
-        """Yield the events written since the last call; in a long record, starts of old steps are skipped.
+        """Yield the events written since the last call; of a long record, not those that begin old steps.
 
         Raises `RecordError` if anything but new lines changed in the record.
         """

@@ -1,4 +1,4 @@
-"""Checks that name each change since the accepted validation; a person may accept changes with a reason."""
+"""Checks that name each change since the accepted validation; a person may accept a change with a reason."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ A "fault" of the power supply also counts.
 
 @dataclass
 class FailureRegister(Chain):
-    """The register of failures: `seen` maps numbers to failures, `noted` to the notes on each failure."""
+    """The register of failures: `seen` maps numbers to failures, `noted` maps numbers to notes on them."""
 
     FIRST: ClassVar[str] = first_head("triaxial-bench failures 1\n")
 

@@ -62,7 +62,7 @@ async def sign_out(request: Request) -> Response:
 
 
 def choose_language(request: Request) -> Response:
-    """Keep the chosen language in a cookie, and show again the page on which it was chosen."""
+    """Store the chosen language in a cookie, and show the page again on which it was chosen."""
     response = RedirectResponse(
         _here(urlsplit(request.headers.get("referer", "/")).path or "/"), status_code=303
     )
