@@ -79,10 +79,10 @@ def due_units(
 ) -> DueResult:
     """Return the due dates of the units that a question selects, earliest first, and units without a date.
 
-    `limit_g` is the error allowed, by default the limit of each unit's last verification. `interval_days` applies
-    to units without a sufficient history. `before` (ISO 8601) leaves out units that are due on that day or later.
-    Due dates of many units are computed by `processes` worker processes, by default one for each core. Raises
-    `Refused` for an invalid question.
+    `limit_g` is the error allowed, by default the limit of each unit's last verification. `interval_days`
+    applies to units whose history is too short. `before` (ISO 8601) leaves out units that are due on that day
+    or later. Due dates of many units are computed by `processes` worker processes, by default one for each
+    core. Raises `Refused` for an invalid question.
     """
     interval = _checked(limit_g, interval_days)
     asked = f"method {METHOD}, limit {limit_g!r}, interval {interval!r}"

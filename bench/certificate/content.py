@@ -1,7 +1,7 @@
 """The typed content of a certificate, as ISO/IEC 17025:2017, 7.8 requires it, independent of PDF and XML.
 
-The content does not depend on the current date, the folder or the user. The same record, input files and
-`Issue` therefore always give the same bytes of the PDF and of the XML.
+The content does not depend on date, folder or user. The same record, input files and `Issue` therefore always
+give the same bytes of PDF and XML.
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ class RunReference:
 
 @dataclass(frozen=True)
 class RunFindings:
-    """The results of a run for the unit. `begun` and `ended` are civil times (ISO 8601), empty if unknown.
+    """What a run found on the unit. `begun` and `ended` are civil times (ISO 8601), empty if unknown.
 
     `result` and `verdict` are the complete evaluation; `verdict` is None if no verification point was
     measured. `result_json` and `readings_csv` are the contents of the files attached to the certificate.

@@ -88,7 +88,7 @@ def _house_rule(laboratory: Laboratory | None) -> DecisionRule | None:
 
 
 def texts_for(laboratory: Laboratory | None) -> tuple[Texts, ...]:
-    """Return the texts in each language of a laboratory, with its own wordings; English without a laboratory."""
+    """Return the texts in each language of a laboratory, with its wordings; English without a laboratory."""
     if laboratory is None:
         return (texts_of(_FIRST_LANGUAGE),)
     return tuple(

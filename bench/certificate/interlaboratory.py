@@ -252,7 +252,7 @@ def _results(request: SealKit) -> dict[str, str]:
 
 
 def kit_planned(request: PlanKit) -> Kit:
-    """Plan the route of the block with a blind code for each stop, and write it, as `bench kit plan` does.
+    """Plan the route of the block with a blind code for each stop, and write the plan (`bench kit plan`).
 
     Raises `Refused` for a plan that exists, fewer than three laboratories, or a name given twice.
     """
@@ -278,8 +278,8 @@ def kit_sealed(request: SealKit) -> Kit:
 def kit_evaluated(request: EvaluateKit) -> KitResult:
     """Compare each laboratory with the consensus of the others, as `bench kit evaluate` does.
 
-    The comparison is in the nine intrinsic numbers. Results and checks are given as CODE=FILE. Raises `Refused` if
-    a seal is missing or broken, or a stop has no result.
+    The nine intrinsic numbers are compared. Results and checks are given as CODE=FILE. Raises `Refused` if a
+    seal is missing or broken, or a stop has no result.
     """
     return evaluate_kit(load_kit(Path(request.plan)), _results(request), request.g, _by_code(request.check))
 

@@ -289,9 +289,7 @@ class Adjusted(FileModel):
 
 
 class External(FileModel):
-    """Results from an external provider: `what` they are, `by` whom they were provided (ISO/IEC 17025:2017, 7.8.2.1
-    p).
-    """
+    """Results from an external provider: `what` results, `by` whom (ISO/IEC 17025:2017, 7.8.2.1 p)."""
 
     what: str
     by: str
@@ -300,8 +298,8 @@ class External(FileModel):
 class Supplied(FileModel):
     """Data from the customer that the certificate uses (ISO/IEC 17025:2017, 7.8.2.2).
 
-    `affects_validity` states whether a wrong value could invalidate a result; page 1 then carries the warning of
-    7.8.2.2.
+    `affects_validity` states whether a wrong value could invalidate a result; if so, page 1 has the warning
+    of 7.8.2.2.
     """
 
     what: str

@@ -109,7 +109,7 @@ def symbol(name: str) -> Cell:
 
 
 def value_cells(value: Value, size: float = 1.0, unit: str = "") -> list[Cell]:
-    """Return the cells of a result: name, value, U, k, degrees of freedom, `unit` (whose size is `size`)."""
+    """Return the cells of a result, in `unit` of size `size`: name, value, U, k, degrees of freedom, unit."""
     U = value.U / size
     freedom = (
         "∞"

@@ -132,7 +132,7 @@ class Register(Chain):
         sync_folder(self.folder)
 
     def _finish(self, part: Path) -> None:
-        """Rename a temporary file to its final name if its certificate was issued; delete it if not."""
+        """Rename a temporary file to its final name if its certificate was issued; else delete it."""
         name = part.name.removesuffix(_PART)
         standing = self.standings.get(name.rsplit(".", 1)[0])
         stated = None if standing is None else standing.entry.files.get(name)

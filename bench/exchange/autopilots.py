@@ -69,8 +69,8 @@ def sensor_of(result: BlockResult, nominal: Floats | None = None) -> Sensor:
 class Diagonal:
     """The form of autopilots: a_i = (z_i - offset_i) scale_i, m/s^2; the cross-axis terms are left out.
 
-    `modulus_g` and `vector_g` are the largest errors (g) of |a| and of the vector a that this causes at 1 g,
-    over all directions.
+    `modulus_g` and `vector_g` are the largest errors (g) of |a| and of the vector a that the omission causes
+    at 1 g.
     """
 
     offset: Floats

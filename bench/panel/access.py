@@ -71,13 +71,13 @@ class Settings:
         )
 
     def allows_host(self, host: str) -> bool:
-        """Return whether a request may have this Host header; on loopback, only the computer's own names may."""
+        """Return whether the panel serves requests with this Host header; on loopback, only local names."""
         if self.loopback:
             return host in {f"{name}:{self.port}" for name in ("127.0.0.1", "localhost", "[::1]")}
         return bool(host)
 
     def allows_origin(self, origin: str, host: str) -> bool:
-        """Return whether a page of this origin may request changes: only the panel's own pages may."""
+        """Return whether a page of this origin may request changes; only a page of the panel may."""
         return origin == (self.address or f"http://{host}")
 
 
@@ -108,7 +108,7 @@ class Role(StrEnum):
 
 @dataclass(frozen=True)
 class Person:
-    """A signed-in person: name, role, and the secret of the session, which only the browser stores."""
+    """A signed-in person: name, role, and the secret of the session (only the browser stores it)."""
 
     name: str
     role: Role
@@ -231,7 +231,7 @@ def counted(receive: Receive) -> Receive:
 def without_body(receive: Receive) -> Receive:
     """Return an ASGI `receive` that drops the body of a GET or HEAD request.
 
-    An event stream calls `receive` only after its response has begun, too late to refuse a large body.
+    An event stream calls `receive` only after its response has begun: too late to refuse a large body.
     """
 
     async def dropped() -> Message:

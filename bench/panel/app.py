@@ -232,7 +232,7 @@ class Connection(H11Protocol):
 class OncePerMinute(logging.Filter):
     """A log filter that passes each warning at most once a minute, and all errors.
 
-    Clients can thus not fill the disk with warnings.
+    Clients therefore cannot fill the disk with warnings.
     """
 
     def __init__(self) -> None:

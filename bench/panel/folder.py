@@ -94,7 +94,7 @@ class Certificates:
         self._register: Register | None = None
 
     def of(self, run: Run) -> tuple[Issued, ...]:
-        """Return the certificates of a run in its present state. Raises `Refused` for a tampered register."""
+        """Return the certificates of a run's present record. Raises `Refused` for a tampered register."""
         head = _head_of(run) if self._folder is not None else ""
         register = self._read()
         if not head or register is None:
@@ -129,7 +129,7 @@ class Certificates:
 
 
 def _head_of(run: Run) -> str:
-    """Return the head hash of a run's record from its calibration result, an empty string if there is none."""
+    """Return the head of a run's record, as its calibration result states it; "" if there is none."""
     try:
         return str(read_json(read_page(run, "calibrate.json"))["record"]["head"])
     except (Refusal, ValueError, KeyError, TypeError):

@@ -52,7 +52,7 @@ WORDS: Final = {
 
 @dataclass(frozen=True)
 class Holding:
-    """The state of control of a run: the holder (empty for nobody), `since` when, and by which deed (`how`).
+    """Who controls a run: the holder (empty for nobody), `since` when, and by which deed (`how`).
 
     `asking` lists the persons who request control, in order; `denied` those whose last request was denied.
     """

@@ -404,7 +404,7 @@ def chosen_procedure(name: str, runs: RunsFolder) -> Path:
 
 
 def chosen_bench(name: str, runs: RunsFolder) -> Path:
-    """Return the bench file with this name, or (`next:RUN`) the bench file of a run. Raises `Refusal`."""
+    """Return the bench file with this name or (`next:RUN`) that of a run. Raises `Refusal`."""
     if name.startswith(OF_RUN):
         run = runs.run(name.removeprefix(OF_RUN))
         original = Path(str(run.manifest.get("bench", "")))

@@ -52,7 +52,7 @@ def block_axes(installation: Installation, angle_rad: float) -> Floats:
 
 @dataclass
 class Sheet:
-    """A drawing under construction: SVG elements in drawing order. `kind` arguments are CSS classes."""
+    """A drawing in progress: SVG elements in drawing order. Each argument `kind` is a CSS class."""
 
     shapes: list[str] = field(default_factory=list)
 

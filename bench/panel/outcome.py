@@ -1,4 +1,4 @@
-"""The end of a run on its live page: the verdict as a picture, what changed, and what to do next."""
+"""The end of a run on its live page: a picture of the verdict, what changed, and what to do next."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool) -> Ou
 
 
 def _misfit(found: Results) -> str:
-    """Return the reason to diagnose a run: the model does not fit the readings, or the verdict is no pass."""
+    """Return why to diagnose a run: the model does not fit the readings, or the verdict is no pass."""
     if found.calibration is not None and not found.calibration.fits:
         return message("The model does not fit the readings. The diagnosis looks for the missing effect.")
     if found.verdict is not None and not found.verdict.passed:

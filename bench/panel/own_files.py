@@ -35,9 +35,9 @@ class FileText:
 
 @dataclass
 class EditedFile:
-    """A bench file or a procedure in its form: the file as it was read (`base`), and the messages of the page.
+    """A file being edited in the panel: the file as it was read (`base`), and the messages of the page.
 
-    `start` is the file that a new file copies, empty for a file that exists; `name` is the name of the file.
+    `name` is the name of the file; `start` is the file of which a new file is a copy, else empty.
     """
 
     name: str

@@ -225,7 +225,7 @@ def _block(text: str, at: Place) -> tuple[int, int, int]:
 
 
 def _compared(text: str, lines: list[str], at: Place, times: int) -> str:
-    """Return changed lines as text, with step `at` now `times` times. Raises `Refusal` (409) otherwise."""
+    """Return `lines` as text. Raises `Refusal` (409) if they change more than the copies of step `at`."""
     changed = "\n".join(lines) + "\n"
     wanted = copy.deepcopy(read_yaml(text).data)
     steps: Any = wanted

@@ -127,7 +127,7 @@ def accept_certificate(request: ReadCertificate, section: Section) -> str:
 
 
 def signed(text: str, name: str, now: datetime) -> str:
-    """Return the text with a first line, a comment, that says who changed the file in the panel, and when."""
+    """Return `text` below a comment that says who changed the file in the panel, and when."""
     kept = re.sub(r"\A# changed in the panel by [^\n]*\n", "", text)
     return f"# changed in the panel by {name} on {now.astimezone():%Y-%m-%d}\n{kept}"
 
@@ -321,7 +321,7 @@ KeyPath = tuple[str, ...]
 
 
 def _blocks(text: str) -> list[tuple[list[str], list[KeyPath]]]:
-    """Return the blocks of comments and empty lines, each with the key paths of the next lines, nearest first."""
+    """Return the blocks of comments and empty lines, each with the key paths of the lines that follow it."""
     lines = text.splitlines()
     aside = [not line.strip() or line.lstrip().startswith("#") for line in lines]
     paths = _paths([line for line, is_aside in zip(lines, aside, strict=True) if not is_aside])

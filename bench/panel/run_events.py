@@ -204,7 +204,7 @@ _BEGUN: Final = f'"type": "{EventType.STEP_STARTED}"'.encode()
 
 
 class Tail:
-    """A reader of the events of a growing record, from the first on.
+    """A reader of all events of a growing record.
 
     An incomplete last line is read once it is complete.
     """

@@ -34,9 +34,9 @@ def prompt_of(asked: AskedPrompt, seen: RunView, installations: Mapping[str, Ins
     """Return a question as a JSON object for pages and scripts.
 
     `id`, `kind`, `text`, `default`, `unit`, `choices`, `minimum`, `maximum` and `picture` are those of the
-    `Prompt`; `time` is when the question was asked; `do` is the operator's task. For a turn, `target` is the angle
-    in ° ′ ″ and `direction` +1 or -1. `drawing` is an SVG or empty. `buttons` are the possible answers, each with
-    its `text` and its `label`; if `enter` is true, the Enter key presses the first.
+    `Prompt`; `time` is when the question was asked; `do` is the operator's task. For a turn, `target` is the
+    angle in ° ′ ″ and `direction` +1 or -1. `drawing` is an SVG or empty. `buttons` are the possible answers,
+    each with its `text` and its `label`; if `enter` is true, the Enter key presses the first button.
     """
     prompt = asked.prompt
     action: Mapping[str, Any] = prompt.action  # from a record, so not validated
@@ -236,7 +236,7 @@ def _alarm(cause: str, action: str, details: str, do: str) -> dict[str, str]:
 
 
 def _first_sentence(text: str) -> tuple[str, str]:
-    """Return a text in two parts: up to its first semicolon or end of a sentence, and the rest."""
+    """Return a text in two parts: up to the first semicolon or end of a sentence, and the rest."""
     found = _SENTENCE.search(text)
     return (text, "") if found is None else (text[: found.start()] + ".", text[found.end() :])
 

@@ -144,7 +144,7 @@ def carried_out(asked: Findings) -> Findings:
 
 
 def _tested(bench: Path) -> dict[str, Any]:
-    """Return the results of testing the instruments of a bench file, or the problem, as members of `Findings`."""
+    """Test the instruments of a bench file; return results, or the problem, as members of `Findings`."""
     from bench.config.bench_file.file import load_bench
     from bench.run.interrupts import Interrupts
     from bench.services.instruments import look_at

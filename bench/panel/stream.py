@@ -51,7 +51,7 @@ class PlottedPoints:
 
 
 class ResidualPlot:
-    """The residuals of a run's readings from their predictions, as `points` for viewers.
+    """The readings of a run minus their predictions, as `points` for viewers.
 
     A point has the keys `n` (event number), `step`, `installation`, `series`, `pass`, `point`, `angle_deg`,
     `time_s`; per channel the `residual`, its standard uncertainty `u` (both in `unit`) and `sigma`; and `struck` if
@@ -328,7 +328,7 @@ class SharedFollower:
         self._live_task.cancel()
 
     async def wait(self, version: int) -> bool:
-        """Wait, at most 2 s (`BEAT_S`), for a version other than `version`; return whether there is one."""
+        """Wait, at most 2 s (`BEAT_S`), for any version but `version`; return whether there is one."""
         if self.version == version:
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._news.wait(), BEAT_S)

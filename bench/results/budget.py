@@ -168,7 +168,7 @@ class BudgetResult(ResultModel):
 
     @property
     def capable(self) -> bool | None:
-        """Whether every verification point can be passed with the coverage probability; None without points."""
+        """Whether the limits leave room for U at every verification point; None without points."""
         return self.verification.capable
 
     def report(self, path: str | Path) -> None:
@@ -352,7 +352,7 @@ def _by_source(result: BudgetResult) -> Iterator[Row]:
 
 
 def _combined(result: BudgetResult) -> Iterator[Row]:
-    """Yield the rows below the sources: u of the stand, combined u (local g exact, then not), dof, U."""
+    """Yield the rows below the sources: u of the stand, combined u (exact or stated local g), dof, U."""
     coefficients = [result.coefficients[name] for name in result.order]
     if "stand" in result.groups:
         yield Row("stand, as calibrate states", _micro(result.groups["stand"].u))

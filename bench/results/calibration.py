@@ -162,7 +162,7 @@ class ArrayWithU(ResultModel):
 
 
 class TriangularPart(ResultModel):
-    """The nine coefficients, with a triangular K, that free positions determine without oriented readings."""
+    """The nine coefficients (K is triangular) that free positions alone determine."""
 
     convention: str
     bias: ArrayWithU
@@ -388,7 +388,7 @@ def coefficients_table(found: Calibration) -> Table:
 
 
 def sources_table(found: Calibration) -> Table:
-    """Return a table of the error sources that the readings do not show, with the largest contribution of each."""
+    """Return a table of the error sources that readings do not show, and the largest contribution of each."""
     shown = table("further contributions to u", ">u", "from", ">most", "in")
     for source in found.sources:
         u = u_of(source.covariance)

@@ -261,7 +261,7 @@ def _expected(due: DuePart | None) -> list[str]:
 
 
 def unit_figure(calibrations: Sequence[UnitCalibration]) -> str:
-    """Return an SVG element that plots each coefficient minus its last value over time, with bars U (k = 2)."""
+    """Return an SVG element: each coefficient minus its last value, against time, with bars U (k = 2)."""
     from bench.results.plots import svg_figure
 
     words = f"Each of the twelve coefficients in {len(calibrations)} calibrations, less its last value"
@@ -301,7 +301,7 @@ def _drawing(calibrations: Sequence[UnitCalibration]) -> Callable[[Figure], None
 
 
 def coefficient_rows(calibrations: Sequence[UnitCalibration]) -> list[tuple[str, ...]]:
-    """Return a row for each coefficient: name, last value, U, change since the previous and first, unit."""
+    """Return a row for each coefficient: name, last value, U, change since previous and first value, unit."""
     if not calibrations:
         return []
     values, sizes = _arrays(calibrations)

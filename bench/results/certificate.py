@@ -76,7 +76,7 @@ class RegisterResult(ResultModel):
             out.print(f"{one.number}  {one.issued[:10]}  {one.unit}  {one.run}  {state}")
 
     def print_head(self, out: Console) -> None:
-        """Print the number of certificates, and the hash of the last line, which depends on all lines."""
+        """Print the number of certificates, and the hash of the last line, which covers all lines."""
         out.print(f"{len(self.certificates)} certificates, chain of hashes complete, head {self.head}")
 
 

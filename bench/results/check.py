@@ -237,7 +237,7 @@ def _remedy_in_words(remedy: Remedy) -> str:
 
 
 def outlook_in_words(found: TimeOutlook) -> str:
-    """Return the predicted time and number of settings of a run: median, and the range of 90 % of all runs."""
+    """Return the predicted time and number of settings in words: median, and range of 90 % of all runs."""
     low_s, mid_s, high_s = found.quantiles(found.time_s)
     low, mid, high = (round(n) for n in found.quantiles(found.settings))
     reached = float(np.mean(found.reached))
@@ -279,10 +279,10 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """A group of steps that begins at index `start`: `period` steps, repeated `times` times at various points and
+    """A pattern of `period` steps from index `start` on, carried out `times` times at various points and
     angles.
 
-    Blocks with an equal `shape` differ only in point, angle and pass.
+    Blocks of equal `shape` differ only in point, angle and pass.
     """
 
     start: int

@@ -443,7 +443,7 @@ def unit_of_change(name: str, unit: str) -> tuple[float, str]:
 
 
 def _print_together(found: AllTogether, count: str, out: Console) -> None:
-    """Print the benches and pairs of benches that differ significantly in the joint test of all `count` numbers."""
+    """Print the benches, and pairs of benches, that differ significantly by the joint test of all numbers."""
     benches: Iterable[tuple[str, TogetherPart]] = found.benches.items()
     pairs = ((f"{pair.first} and {pair.second}", pair) for pair in found.pairs)
     apart = [(name, one) for name, one in (*benches, *pairs) if one.apart]

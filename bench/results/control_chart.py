@@ -119,7 +119,7 @@ class ComponentsPart(ResultModel):
 
 
 class DriftPart(ResultModel):
-    """The drift rate of a coefficient in the accepted runs, from a straight line without the known drift."""
+    """The rate at which a coefficient drifts in the accepted runs, after subtraction of the known drift."""
 
     per_year: float
     u: float
@@ -274,7 +274,7 @@ class CheckBlockChart:
 
 
 def _members(chart: ControlChart) -> dict[str, Any]:
-    """Return the members that the charts of the nine intrinsic numbers and of the twelve coefficients share."""
+    """Return the members that both charts (nine intrinsic numbers, twelve coefficients) have."""
     centre = chart.centre
     u = np.sqrt(np.diag(centre.covariance) * centre.scale)
     return {
@@ -341,8 +341,8 @@ def _in_u(z: float | None) -> str:
 
 
 def _run_cells(result: ChartResult, run: ChartedRun) -> list[str]:
-    """Return the cells of a run: start time, T² of the nine intrinsic numbers, T² of their EWMA, and short-term s
-    relative to the baseline.
+    """Return the cells of a run: start time, T² of the nine numbers, T² of their EWMA, short-term s by that
+    of the baseline.
     """
     f, nine = run.short_term.f, result.intrinsic.runs[run.run]
     ewma_t2 = "–" if nine.ewma_t2 is None else f"{nine.ewma_t2:.1f}"
@@ -384,8 +384,8 @@ def _numbers_table(
 ) -> Table:
     """Return a table with a row for each number of a run.
 
-    The columns are the deviation from the centre line, its u, the deviation in units of u, the EWMA in units of its
-    u, and the ratio of the baseline's scatter to the stated u, with the p-value if it is below 0.01.
+    The columns: deviation from the centre line; its u; deviation divided by its u; EWMA divided by its u;
+    scatter of the baseline divided by the stated u, with its p-value if below 0.01.
     """
     shown = table(
         run, ">off the centre", ">u", f">in u (≤ {limits.single:.1f})",

@@ -176,7 +176,7 @@ class FoundResult(ResultModel):
 
 
 class DiagnoseResult(FoundResult):
-    """A diagnosis: where model and readings disagree, which effect is missing, and how far it closes the gap.
+    """A diagnosis: where model and readings disagree, the missing effect, and how far it closes the gap.
 
     For several sources, the output of `bench diagnose --json` is a list of these; a source that could not be
     evaluated has a `source-failed` object in its place.
@@ -523,7 +523,7 @@ SIDE_BY_SIDE: Final = 4
 
 
 def _blocks(full: FullDiagnosis, out: Console) -> None:
-    """Print the coefficients of each block with u, and the p-value of its comparison with the simulation."""
+    """Print the coefficients of each block with u, and the p-value of readings against simulation."""
     changed = any(block.after is not None for block in full.blocks)
     out.print(f"Coefficients of each block{', with the effects found' if changed else ''}; u in brackets:")
     numbered = list(enumerate(full.blocks, start=1))

@@ -221,7 +221,7 @@ def _drawn_of(shown: ModelComparison) -> int:
 
 
 def _overlays(shown: ModelComparison) -> tuple[list[Markup], list[Markup]]:
-    """Return overlays of measured and simulated signals: a list with the clearest one, and a list of the others."""
+    """Return two lists of overlays of measured and simulated signals: the clearest one, and the others."""
     figures = [drawn(overlay_of_mount(shown, i)) for i in most_telling(shown)[: _drawn_of(shown)]]
     return figures[:1], figures[1:]
 
@@ -400,7 +400,7 @@ def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
 
 
 def most_telling(shown: ModelComparison) -> list[int]:
-    """Return the indices of the mountings, first that in which the effects found change signals most."""
+    """Return the indices of mountings, sorted by the effects' change of their signals, largest first."""
     before, last = shown.before.calibration, shown.last.calibration
     missing = before.residuals - last.residuals
     sizes = [float(np.mean(missing[rows] ** 2)) for _, rows in mounts_of(before)]
@@ -452,8 +452,9 @@ def overlay(
     """Return a plot of measured and simulated signals, a row per channel; `place` (such as a mounting) is in its
     title.
 
-    The left column has the signals. The right column has both minus the simulation with the given model; this shows
-    what that model lacks, and whether the effects found explain it. `draw_channel` draws a channel into its axes.
+    The left column has the signals. The right column has both minus the simulation by the given model: what
+    that model lacks, and how far the effects found explain this. `draw_channel` draws a channel into its
+    axes.
     """
     whose = (
         message("simulated with the effects found") if found else message("simulated with the given model")

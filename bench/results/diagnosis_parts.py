@@ -150,7 +150,7 @@ class FormGapPart(ResultModel):
 
 
 class GapPart(FormGapPart):
-    """The reduced chi-square of readings held out of the fit, and whether it confirms the effects found."""
+    """The reduced chi-square of readings held out of the fit; do these readings confirm the effects found?"""
 
     shrinks: bool | None = Field(
         description="whether the gap shrinks by the rule in `registered`, which a name requires; null if "
@@ -329,7 +329,7 @@ def mistake_part(mistake: Mistake) -> EffectPart:
 
 
 def gap_part(gap: Gap) -> GapPart:
-    """Return the part of the result on a gap; its numbers are null if no readings could be held out."""
+    """Return the part of the result on a gap; numbers are null if no readings could be held out."""
     return GapPart.from_object(
         gap,
         **_sizes(gap),

@@ -321,7 +321,7 @@ def _percent(probability: float) -> str:
 
 
 def gap_of_verdict(diagnosis: AnyDiagnosis) -> str:
-    """Return how far the gap closes or, if this does not confirm the findings, why; "" if nothing was found."""
+    """Return how far the gap closes, or why held-out readings do not confirm the findings; may be ""."""
     gap = diagnosis.gap
     return gap.reason if diagnosis.of_copy == "confounded" and gap.reason else gap_in_words(gap)
 
@@ -384,7 +384,7 @@ def alike_in_words(effects: Sequence[NamedEffect | Mistake]) -> str:
 
 
 def named_in_words(effect: NamedEffect) -> str:
-    """Return the name of an effect with its probability; for a tie, the probabilities of all its names."""
+    """Return the name of an effect with its probability; for a tie, all names with their probabilities."""
     odds = odds_in_words(effect)
     if effect.cannot_tell_from:
         return odds

@@ -389,9 +389,9 @@ class ScatterPart(LimitedPart):
 class DriftOfUnits(ResultModel):
     """The drift of one coefficient, as a standard deviation over the units.
 
-    `rate` is in the unit of the coefficient per year; `walk`, in that unit, is the random walk in one year.
-    `p` is the probability of such a drift by chance. `taken_out` says whether the drift was significant and
-    therefore removed before the scatter over time was computed.
+    `rate` is in the unit of the coefficient per year; `walk`, the random walk in one year, is in the unit of
+    the coefficient. `p` is the probability of such a drift by chance. `taken_out` says whether the drift was
+    significant and therefore removed before the scatter over time was computed.
     """
 
     rate: float = Field(description="standard deviation of the rates, per year; 0 if no drift was removed")

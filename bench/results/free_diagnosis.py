@@ -226,7 +226,7 @@ def overlay_of_sensor(found: FreeDiagnosis, sensor: int) -> str:
 
 
 def modulus_in_time(found: FreeDiagnosis) -> str:
-    """Return a plot of |a| - 1 g against the time since the start of the record, before and after the effects
+    """Return a plot of |a| - 1 g against time since the start of a record, before and after the effects
     found.
     """
     rows = found.rows
@@ -264,9 +264,7 @@ def modulus_in_time(found: FreeDiagnosis) -> str:
 
 
 def modulus_by_record(found: FreeDiagnosis) -> str:
-    """Return a bar chart of the root mean square of |a| - 1 g by record and sensor, before and after the effects
-    found.
-    """
+    """Return a bar chart of the rms of |a| - 1 g by record and sensor, before and after the effects found."""
     rows = found.rows
     records = np.unique(rows.record)
     scale = scale_for(float(np.max(np.abs(found.before.left))), "g")

@@ -95,7 +95,7 @@ def laboratories_of(codes: Sequence[str], judged: Sequence[LaboratoryJudged]) ->
 
 
 def drifts_of(seen: Sequence[tuple[str, str, Literal["calibration", "monitor"], Drift]]) -> list[DriftPart]:
-    """Return the part of the result on each change: the codes of its first and last stop, and what measured it."""
+    """Return the part on each change of the block: codes of first and last stop, and what measured it."""
     p = [drift.p for *_, drift in seen]
     looks = holm(np.array(p)).tolist() if p else []
     return [

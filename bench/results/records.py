@@ -227,7 +227,7 @@ class NowPart(ResultModel):
 class EventLine(ResultModel):
     """One event of a run's record, a line of events.jsonl; `prev` links the events to a chain of hashes.
 
-    Events of type step_done have further members by kind of step, such as `angle_deg` for a turn.
+    An event step_done has further members that depend on the kind of step, such as `angle_deg` for a turn.
     """
 
     model_config = ConfigDict(extra="allow")

@@ -358,7 +358,7 @@ def _each(sizes: tuple[float, float, float], unit: str) -> str:
 
 
 def sources(calibration: Calibration) -> dict[str, Any]:
-    """Return the table of error sources that the readings do not show, and the u of gravity; empty without sources.
+    """Return the table of error sources that readings do not show, and u of gravity; empty without any.
 
     Cells: u of the source, its largest contribution to scale factors, cross-axis terms and biases, and its origin.
     """

@@ -63,7 +63,7 @@ class TumbleNoisePart(ResultModel):
 
 
 class AbovePart(ResultModel):
-    """Points above 1 g that were included in the fit, and their chi-square against the fit at 1 g."""
+    """Points above 1 g in the fit, and their chi-square when compared with the fit at 1 g alone."""
 
     points: int
     largest_g: float

@@ -306,7 +306,7 @@ def advice(result: Verification) -> tuple[str, ...]:
 
 
 def _to_pass(result: Verification) -> Iterator[str]:
-    """Yield a sentence on what would make the verification pass, with the largest contributions to u."""
+    """Yield a sentence on how the verification could pass, with the largest contributions to u."""
     needed = result.to_pass
     if needed is None:
         return

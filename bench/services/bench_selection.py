@@ -179,7 +179,7 @@ def origin_beside(readings: Path) -> OriginBeside:
 
 
 def is_told(file: Path) -> bool:
-    """Return whether a file is an origin file; the readings file to which it belongs is not checked."""
+    """Return whether a file is an origin file, of whatever readings file."""
     try:
         _About.model_validate_json(_read(file) or b"")
     except ValidationError:

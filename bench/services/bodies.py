@@ -115,7 +115,7 @@ def place_together(sources: Sequence[Source]) -> Source:
 
 
 def _blocks(sources: list[Source], one_block: bool | None) -> list[int | None]:
-    """Return the index of the block that each source measured; None for each if only the readings can decide."""
+    """Return the index of the block in each source; all are None if only the readings can decide."""
     if one_block is not None:
         return [0 if one_block else number for number in range(len(sources))]
     sheets = [tuple(source.bench.unit_under_test.scale_factors.values) for source in sources]
@@ -176,7 +176,7 @@ class _Named:
 
 
 def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
-    """Return the readings of a source, corrected for mistakes that the early warning found, and these mistakes.
+    """Return a source's readings, corrected for mistakes that the early warning found, and these mistakes.
 
     The readings are returned unchanged if the early warning found no sign of a mistake during the run.
     """

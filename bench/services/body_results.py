@@ -53,7 +53,7 @@ class BodyResult(ABC):
 
     @property
     def verdict(self) -> str:
-        """One of agrees, mistake, named, confounded, unknown."""
+        """The verdict: agrees, mistake, named, confounded or unknown."""
         return "mistake"
 
     @property

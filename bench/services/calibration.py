@@ -343,7 +343,7 @@ def calibration_of(
     join_verification: bool = False,
     prior: Path | None = None,
 ) -> CalibrationResult:
-    """Calibrate a source with its own bench and model, and with the `prior` file of its unit's type if given.
+    """Calibrate a source with its own bench and model and, if given, the `prior` file for its unit's type.
 
     Raises `CalibrationError` if the readings allow no calibration, `Refused` for a prior that does not apply.
     """

@@ -106,7 +106,7 @@ class CheckValues:
 
 
 def check_values(run: Run) -> CheckValues:
-    """Return the calibration of a run of the check block, from the cache if the record has not changed since.
+    """Return the calibration of a run of the check block; from the cache, if the record is unchanged.
 
     Raises `CalibrationError` if the readings give no calibration, `RecordError` if the record is damaged.
     """
@@ -386,7 +386,7 @@ def _restarted(section: CheckBlockSection) -> datetime | None:
 
 
 def _with_options(section: CheckBlockSection, request: Chart) -> CheckBlockSection:
-    """Return a section in which the options of a request replace the bench file's. Raises `Refused`."""
+    """Return `section` with the options of a request in place of its own. Raises `Refused`."""
     smoothing, arl, limits = request.smoothing, request.arl, request.limits
     if smoothing is not None and not LEAST_SMOOTHING <= smoothing <= 1.0:
         raise Refused(f"--smoothing {smoothing:g}: give a λ of the EWMA between {LEAST_SMOOTHING:g} and 1")
@@ -500,8 +500,8 @@ class CheckBefore:
     def recorded(self, rule: str, reason: str | None) -> CheckedBefore:
         """Return the check as a member of a manifest.
 
-        `rule` is the rule of the bench file, `reason` the operator's reason to begin in spite of the check, or
-        None.
+        `rule` is that of the bench file, `reason` the operator's reason to begin in spite of the check (or
+        None).
         """
         told: CheckedBefore = {"rule": rule, "state": self.state, "said": self.sentence}
         if self.run:

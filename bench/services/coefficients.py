@@ -411,7 +411,7 @@ ALL: Final = "all"
 
 
 def forms_of(names: list[str]) -> list[ExportForm]:
-    """Return the requested forms, each once, in the requested order; "all" stands for all forms.
+    """Return the forms of these names in their order, each once; "all" stands for all forms.
 
     Raises `Refused` for an unknown form.
     """

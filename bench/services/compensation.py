@@ -176,7 +176,7 @@ def tumble_of(
 ) -> TumbleView:
     """Return the tumble of each axis of a source with the nonlinear `terms` (such as "K2"), by IEEE 1293.
 
-    Points `above` 1 g join the fit. Raises `CalibrationError` if the readings do not determine them.
+    Points `above` 1 g join the fit. Raises `CalibrationError` if the readings do not determine the terms.
     """
     view = tumble_view(
         source.readings,

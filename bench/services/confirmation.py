@@ -1,4 +1,4 @@
-"""Test of a model file on new readings: whether its effects are confirmed, changed or gone."""
+"""Test of a model file on new readings: are its effects confirmed, changed or gone?"""
 
 from __future__ import annotations
 

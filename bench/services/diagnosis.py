@@ -90,7 +90,7 @@ class DiagnosisResult(ResultWithPage):
 
     @property
     def verdict(self) -> str:
-        """One of agrees, mistake, named, confounded, unknown."""
+        """The verdict: agrees, mistake, named, confounded or unknown."""
         return self.diagnosis.verdict
 
     @property
@@ -193,7 +193,7 @@ class DiagnosisResult(ResultWithPage):
 class DiagnosisAlone(ResultWithPage):
     """A diagnosis of readings that are all free positions, or a record at a known input.
 
-    `view` is the module with the text, the JSON and the page of the findings.
+    `view` is the name of the module that makes text, JSON and page of the findings.
     """
 
     found: FreeDiagnosis | RecordDiagnosis
@@ -205,7 +205,7 @@ class DiagnosisAlone(ResultWithPage):
 
     @property
     def verdict(self) -> str:
-        """One of agrees, mistake, named, confounded, unknown."""
+        """The verdict: agrees, mistake, named, confounded or unknown."""
         return self.found.verdict
 
     def models_of(self, *, accept_first: bool = False) -> list[tuple[AppliedEffect, ...]]:

@@ -192,7 +192,7 @@ def _included(procedure: Procedure) -> dict[str, bytes]:
 
 
 def _free_name(procedure: str, runs: Path) -> str:
-    """Return an unused name for a run: the procedure and the time, with a number if that name is taken."""
+    """Return an unused name for a run: procedure and time, with a number if there is such a run already."""
     stem = re.sub(r"[^\w.+-]", "-", procedure)
     base = f"{stem}-{utc_now().astimezone():%Y%m%d-%H%M%S}"
     name, number = base, 2
@@ -252,7 +252,7 @@ def resumed(
 ) -> Iterator[tuple[Run, Interrupts]]:
     """Resume a run and yield it when it is finished, while signals are still handled.
 
-    `announce` receives the run before it is resumed. A finished run that only lacks results is yielded as it is.
+    `announce` receives the run before it is resumed. A finished run without results is yielded unchanged.
     """
     away = is_away(request.answers, panel=request.panel)
     who = None if away else acting_at(TERMINAL, request.operator)
@@ -314,8 +314,9 @@ def carry_out(
 ) -> None:
     """Carry out a run to its end. If it stops early, raise `Refused` with the number of readings kept.
 
-    A resumed run has a `history`. `interrupts` handles signals during the run, `wishes` reads the requests (pause,
-    skip, …) left in its folder, `asker` puts questions to a person. `resumed_by` is who resumed it, if known.
+    A resumed run has a `history`. `interrupts` handles signals during the run, `wishes` reads the requests
+    (pause, skip, …) left in its folder, `asker` puts questions to a person. `resumed_by` is the person who
+    resumed it.
     """
     signals = interrupts or Interrupts()
     write_whole(run.folder / RESULTS, to_text({"made": None}))

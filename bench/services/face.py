@@ -56,8 +56,8 @@ def read_readings(
 ) -> Readings:
     """Read a readings file, or a pandas DataFrame with the same columns (`angle_deg`, `ux_v`, …).
 
-    The bench file states the installations. Raises `ReadingsError` with every bad row. With `skip_bad_rows`, bad
-    rows are instead left out and listed in `Readings.skipped`.
+    The bench file states the installations. Raises `ReadingsError` with every bad row. With `skip_bad_rows`,
+    bad rows are left out and listed in `Readings.skipped`.
     """
     if isinstance(readings, str | Path):
         path = Path(readings)

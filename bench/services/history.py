@@ -126,7 +126,7 @@ class LearningResult:
     def write(self, path: str | Path) -> None:
         """Write the learned file.
 
-        Raises `Refused` if the file exists or more than a third of the runs contradict the others, `OSError`.
+        Raises `OSError`, and `Refused` if the file exists or over a third of the runs contradict the others.
         """
         path = Path(path)
         if path.exists():
@@ -218,10 +218,9 @@ learn = python_call(Learn, learning_of, "learn")
 
 
 def _until(expires: datetime.date | str | None, made: datetime.date) -> datetime.date:
-    """Return the last valid day of a learned file: the date `expires`, or `expires` days after `made` if it
-    is a number.
+    """Return the last valid day of a learned file: the date `expires`, or that many days after `made`.
 
-    Without `expires` it is `USUAL_DAYS` after `made`. Raises `Refused` for a day that is not after `made`.
+    With None, it is `USUAL_DAYS` after `made`. Raises `Refused` for a day that is not after `made`.
     """
     if expires is None:
         return made + datetime.timedelta(days=USUAL_DAYS)

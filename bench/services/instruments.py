@@ -80,8 +80,8 @@ class Nobody:
 class InstrumentLook:
     """The findings on one instrument; `failure` is the first fault.
 
-    `samples` is the number of samples requested from a voltmeter; `to_do` is what a person must do if the
-    instrument was not left safe.
+    `samples` is the number of samples requested from a voltmeter; `to_do` is what a person must do about an
+    instrument that was not left safe.
     """
 
     name: str
@@ -137,7 +137,7 @@ def look_at(file: BenchFile, wire: WireLog | None, haste: Haste | None = None) -
 
 
 def _row(file: BenchFile, instrument: Instrument) -> InstrumentLook:
-    """Return an empty `InstrumentLook` with the instrument's address and settings from the bench file."""
+    """Return an `InstrumentLook` with only the instrument's address and settings from the bench file."""
     section = next(section for section in file.instruments.all() if section.name == instrument.name)
     address = getattr(section, "resource", None)
     settings = ""
@@ -296,7 +296,7 @@ def commission(setting: CommissioningPlan) -> dict[str, Any]:
 def _take(folder: Path) -> None:
     """Create the folder of a commissioning.
 
-    Raises `Refused` if it cannot be created, or if it has another commissioning.
+    Raises `Refused` if it cannot be created, or already holds a commissioning.
     """
     if (folder / PAGE).exists() or (folder / WIRE_LOG).exists():
         raise Refused(f"{folder}: already holds a commissioning; name another folder with --out")

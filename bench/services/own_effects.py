@@ -60,7 +60,7 @@ def knowing_effects_on_record(run: Run) -> AbstractContextManager[None]:
 
 
 def accept_terms(request: Accept) -> tuple[Path, Path]:
-    """Write the effect file of the newly named terms and a model file that uses it; return both paths.
+    """Write an effect file with the newly named terms, and a model file that uses it; return both paths.
 
     Raises `Refused` for invalid terms or an invalid name and if a file exists, `FileMistakes` for an invalid
     model file.

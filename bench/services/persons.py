@@ -1,8 +1,8 @@
 """The persons of a laboratory: names, roles, rights and identities, in one register beside the laboratory file.
 
-The register is a chain: each line adds or changes a person or ends a person's rights, and names the administrator.
-It contains no secret, but only salted hashes of tokens and public keys. Operators, those who issue certificates,
-accept validations and close failures, and those who sign in to the panel are persons of this register. Without one,
+The register is a chain: each line adds or changes a person or ends a person's rights, and names the
+administrator. It contains no secrets, only public keys and salted hashes of tokens. With a register, only its
+persons operate, issue certificates, accept validations, close failures and sign in to the panel. Without one,
 operators are free text, and the laboratory file names those who may authorise.
 """
 
@@ -193,7 +193,7 @@ def acting_at(where: str, name: str, laboratory: Path | None = None) -> WishAuth
 
 
 def resumer(where: str, name: str) -> WishAuthor:
-    """Return the author to record for resuming a run; "nobody" if there is neither a `name` nor a register."""
+    """Return the author of a resumption for the record; nobody if there is neither `name` nor register."""
     by = acting_at(where, name)
     return by if name or persons_of(laboratory_known(None)) is not None else NOBODY_KNOWN
 

@@ -143,8 +143,8 @@ def stand_of(
 ) -> Stand:
     """Return the stand for planning on a bench, with all errors that a calibration states.
 
-    `known` are learned sizes of stand and noise. `day` is the day of the readings, up to which drift since
-    the certificates counts. Raises `CalibrationError` for a bench file that states no noise.
+    `known` are learned sizes of stand and noise. `day` is the day of the readings; drift counts from the
+    certificates to that day. Raises `CalibrationError` for a bench file that states no noise.
     """
     sizes = {name: d.u for name, d in (bench.stand_distributions() | assumed_stand(bench)).items()}
     hidden = signed_sources(bench, model, day)

@@ -80,7 +80,7 @@ class Request:
 
 
 def reading(asked: OnReadings, *sources: Given | Path, out: Path | None = None) -> Request:
-    """Return the `Request` to read `sources` with the options of a command; `out` replaces its output folder."""
+    """Return the `Request` to read `sources` with the options `asked`; derived files go to folder `out`."""
     model, place = getattr(asked, "model", None), out or getattr(asked, "out", None)
     return Request(
         [str(source) if isinstance(source, Path) else source for source in sources],
@@ -195,7 +195,7 @@ class Source:
         }
 
     def as_certified(self) -> Source:
-        """Return the source without learned values: certificates alone correct it, limits are as stated."""
+        """Return the source without learned values: corrected by certificates, with limits as stated."""
         readings = corrected(self.as_read, self.traced.by_certificates)
         return replace(
             self, known=None, known_meters=None, readings=replace(readings, notes=self.readings.notes)
@@ -398,7 +398,7 @@ def _of_model_file(
 
 
 def _run_of(name: str, runs: Path) -> Run | None:
-    """Return the run of this name; None for a readings file. Raises `Refused` if that does not exist."""
+    """Return the run of this name; None for a readings file. Raises `Refused` if neither exists."""
     path = Path(name)
     if path.is_file() and path.name != MANIFEST:
         return None

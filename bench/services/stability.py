@@ -109,7 +109,7 @@ stability = python_call(asked.Stability, at_rest, "stability")
 def _bench_of(record: str, runs: Path, bench: Bench) -> tuple[BenchTaken, tuple[str, ...]]:
     """Return the bench file to use, and notes on the choice.
 
-    It is the bench file `bench` of the request, else that of the run or of the origin file, else the default.
+    The file is `bench` (from the request), else that of the run or of the origin file, else the default.
     """
     if Path(record).is_file():
         return bench_of(record, None, origin_beside(Path(record)), bench)

@@ -213,8 +213,7 @@ SIMULATED: Final = "the sizes of learned file {bench} come from simulated runs"
 
 @dataclass(frozen=True)
 class LearnedTaken:
-    """The part of a learned file that an evaluation uses, with notes; empty if the file is not valid for this
-    evaluation.
+    """The part of a learned file that is valid for an evaluation, with notes; may be empty.
 
     `name` identifies the learned differences of voltmeters in `meters`.
     """
@@ -288,7 +287,7 @@ def with_effects(model: ForwardModel, effects: tuple[AppliedEffect, ...]) -> For
 def with_meters(
     found: LearnedTaken, file: LearnedFile, bench: BenchFile, day: datetime.date, meters: Mapping[str, str]
 ) -> LearnedTaken:
-    """Return `found` with the learned differences of the voltmeters that `meters` names for the channels."""
+    """Return `found` with learned differences of voltmeters added; `meters` names that of each channel."""
     if file.meters is None:
         return found
     if not meters:

@@ -1,4 +1,4 @@
-"""Runs that continue until goals for the uncertainty are reached; the expected outcome of any plan."""
+"""Runs that continue until goals for the uncertainty are reached; what to expect of any plan."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ def _refuse_too_short(aim: Aim, pool: Pool) -> None:
 class Until:
     """The chooser of a run's next settings.
 
-    Its choices depend on the run's record alone, so that a resumed run makes the same choices.
+    The choices depend on the run's record alone, so that a resumed run makes the same ones.
     """
 
     def __init__(self, run: Run, bench: BenchFile) -> None:

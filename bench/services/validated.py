@@ -1,4 +1,4 @@
-"""The fingerprint of the program, the register of validations, and the refusal that a laboratory demands.
+"""The fingerprint of the program, the register of validations, and the refusal of what is not validated.
 
 The register is the folder `validations` beside the laboratory file. An entry says that a named person accepted the
 result of `bench validate` for a program (its fingerprint) and a bench file (its SHA-256).

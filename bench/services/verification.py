@@ -106,9 +106,7 @@ class Judgement:
     population: Population | None
 
     def but(self, asked: VerdictOptions) -> Judgement:
-        """Return the basis of a verdict with the options `asked` applied; naming another rule discards the guard
-        band.
-        """
+        """Return this basis with the options `asked` applied; another rule discards the guard band."""
         rule = self.rule
         if asked.guard_band is not None:
             rule = DecisionRule.of(asked.rule or rule.name, asked.guard_band)

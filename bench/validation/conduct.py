@@ -50,7 +50,7 @@ DEFAULT_BENCH: Final = "paper-stand"
 
 
 def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationResult:
-    """Carry out a validation; return its result, which is written into a folder with its page, PDF and seal.
+    """Carry out a validation; write result, page, PDF and seal into a folder; return the result.
 
     Raises `Refused` for a folder that already holds a validation or cannot be written, and for an unusable key.
     """
@@ -137,9 +137,9 @@ def _take(folder: Path) -> None:
 
 
 def _accepted(laboratory: Path | None, bench: Path) -> tuple[str, dict[str, Any] | None]:
-    """Return number and result of the accepted validation with which this one is compared.
+    """Return number and result of the accepted validation to compare with; "" and None without one.
 
-    That is the latest for the bench file or, if there is none, the latest for any bench file.
+    It is the latest valid one for a bench file with the name of `bench`.
     """
     if laboratory is None:
         return "", None
@@ -152,7 +152,7 @@ def _accepted(laboratory: Path | None, bench: Path) -> tuple[str, dict[str, Any]
 
 
 def _of_past_runs(part: AgainstPart) -> ValidationCheck:
-    """Return the finding on past runs as a check; a changed result is a change that a person may accept."""
+    """Return the finding on past runs as a check; a person may accept a changed result."""
     runs = [one.run for one in part.changed]
     words = f"{len(runs)} of {part.compared} changed" + (
         f", {len(part.failed)} failed" if part.failed else ""

@@ -98,7 +98,7 @@ def impedance(x: Floats) -> Floats:
 
 
 def linear_impedance() -> tuple[Propagated, Floats, Floats]:
-    """Return the linear propagation of GUM example H.2, and mean (3,) and covariance (3, 3) of its inputs."""
+    """Return GUM example H.2 by linear propagation, and mean (3,) and covariance (3, 3) of the inputs."""
     samples = np.stack([VOLTS, AMPERES, PHASE])
     mean, covariance = samples.mean(axis=1), np.cov(samples) / 5
     v, i, phi = mean

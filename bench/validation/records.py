@@ -177,7 +177,7 @@ def _with_another_digit(run: Run) -> tuple[list[bytes], int, bytes]:
 
 
 def changed_copy(run: Run) -> Run:
-    """Return a copy of a run, made in the same folder of runs, with one digit of a reading changed."""
+    """Copy a run within its folder of runs, change one digit of a reading, and return the copy."""
     lines, at, digit = _with_another_digit(run)
     return _copy(run, f"{run.name}-changed", {EVENTS: b"".join([*lines[:at], digit, *lines[at + 1 :]])})
 

@@ -221,7 +221,7 @@ def real_list(
 def ellipsoidal(
     covariance: Sequence[Sequence[float]], units: Sequence[str], k: float, probability: float
 ) -> Node:
-    """Return the element of a `covariance` (n, n) of quantities in `units` (n), column by column.
+    """Return the element of a `covariance` (n, n), written by columns, of quantities in `units` (n).
 
     `k` and `probability` describe the coverage ellipsoid (x - m)ᵀ V⁻¹ (x - m) ≤ k².
     """
@@ -347,7 +347,7 @@ def _days(root: Node) -> Iterator[str]:
 
 
 def _simulation(root: Node) -> Iterator[str]:
-    """Yield a fault unless certificate number and statements agree on whether the run was simulated."""
+    """Yield a fault if certificate number and statements disagree on whether the run was simulated."""
     number = root.findtext("dcc:administrativeData/dcc:coreData/dcc:uniqueIdentifier", "", NAMESPACES)
     said = root.find(".//dcc:statement[@refType='bench_simulated']", NAMESPACES) is not None
     if said != number.startswith(SIMULATED_SERIES):

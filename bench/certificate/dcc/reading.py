@@ -195,7 +195,7 @@ def _others(
     g_m_s2: float | None,
     noise_v: float | None,
 ) -> DocumentReading:
-    """Return the coefficients in another program's list as a result with K in V/g.
+    """Return the coefficients that another program `listed` as a result with K in V/g.
 
     Raises `Refused` if gravity or noise are not given, or if the units or uncertainties in the list do not suffice.
     """

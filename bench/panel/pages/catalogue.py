@@ -58,7 +58,7 @@ async def figure(request: Request) -> Response:
 
 
 async def _asked(request: Request, question: Callable[[Catalogue, str], Told], asked: str) -> Told:
-    """Return the answer to a question to the panel's catalogue. Raises `Refusal` (404) if it has none."""
+    """Ask the panel's catalogue a question; return the answer. Raises `Refusal` (404) without a catalogue."""
     looking(request)
     where = panel_of(request).settings.catalogue
     if not where:

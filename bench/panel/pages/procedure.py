@@ -159,7 +159,7 @@ CHANGES: Final = {"copy": with_copy, "remove": without_step}
 
 
 def _text_of(given: Mapping[str, str], name: str) -> str:
-    """Return a text of several lines. Raises `Refusal` (400) for characters that no file of the panel has."""
+    """Return the text of several lines in field `name`. Raises `Refusal` (400) for impossible characters."""
     lines = re.split(r"\r\n|\r|\n", given.get(name, "").rstrip())
     text = "\n".join(line.rstrip(" \t") for line in lines) + "\n"
     if visible(text) != text:
@@ -178,7 +178,7 @@ def _data(text: str) -> Any:
 
 
 def _from_table(text: str, given: Mapping[str, str]) -> str:
-    """Return a text with the values typed in the table's fields; the text itself if it is no YAML."""
+    """Return `text` with the values typed in the table's fields; unchanged if it is no YAML."""
     data = _data(text)
     if not isinstance(data, dict):
         return text

@@ -134,7 +134,7 @@ async def check_answer(request: Request) -> Response:
 
 
 def checked(asked: AskedPrompt | None, prompt_id: str, text: str) -> dict[str, str]:
-    """Return what is wrong with an answer, `problem` (empty if acceptable), and how it is `understood`.
+    """Return the `problem` with an answer ("" if acceptable), and how the answer is `understood`.
 
     Raises `Refusal` (409) if the question is no longer open.
     """

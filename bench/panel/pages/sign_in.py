@@ -83,5 +83,5 @@ def _form(request: Request, after: str, *, link: str = "", wrong: str = "", stat
 
 
 def _here(path: str) -> str:
-    """Return a path if it is on this panel, otherwise "/", so that a link cannot redirect to another site."""
+    """Return `path` if it is on this panel, else "/", so that no link redirects to another site."""
     return quote(path, errors="replace") if _HERE.fullmatch(path) else "/"
