@@ -1,1 +1,1 @@
-"""The same work on many runs, by processes or a cluster, restartable; a table of what changed."""
+"""The same work over many runs, restartable, by processes or a cluster; a table of what changed."""

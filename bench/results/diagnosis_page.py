@@ -400,7 +400,7 @@ def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
 
 
 def most_telling(shown: ModelComparison) -> list[int]:
-    """Return the indices of mountings, sorted by the effects' change of their signals, largest first."""
+    """Return the mountings' indices; the one whose signals the effects found change most comes first."""
     before, last = shown.before.calibration, shown.last.calibration
     missing = before.residuals - last.residuals
     sizes = [float(np.mean(missing[rows] ** 2)) for _, rows in mounts_of(before)]

@@ -510,7 +510,7 @@ def _evidence_for_form(form: FreeForm) -> dict[str, str]:
 
 
 def less_certain(coefficients: Mapping[str, CoefficientChange]) -> list[str]:
-    """Return the coefficients whose u the effects found raise much, and the factor: "Kyz (u 249 times)"."""
+    """Return the coefficients whose u grows much through the effects found, as "Kyz (u 249 times)"."""
     grown = [(name, one.u_after / one.u_before) for name, one in coefficients.items() if one.u_before > 0]
     grown.sort(key=lambda pair: -pair[1])
     return [f"{name} (u {two_digits(times)} times)" for name, times in grown if times > MUCH_LESS_CERTAIN]

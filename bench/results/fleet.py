@@ -71,7 +71,7 @@ class SizePart(LimitedPart):
 
 
 class AllotmentPart(ResultModel):
-    """The test whether units were assigned to benches at random."""
+    """A test of whether units were assigned to benches at random."""
 
     chi2: float
     dof: int

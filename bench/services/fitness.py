@@ -72,8 +72,8 @@ def refuse_unfit(bench: BenchFile, path: Path, request: RunRequest, *, away: boo
     """Raise `Refused` for a real run by a program that is not validated, or with expired certificates.
 
     Expired certificates prevent the run if the bench file says `expired: refuse`. With `expired: ask`, they
-    also prevent it if nobody can be asked, that is, without a terminal unless questions are answered in the
-    run's folder (`away`).
+    also prevent it if nobody can be asked: there is no terminal, and no answers come from the run's folder
+    (not `away`).
     """
     refuse_unvalidated_run(bench, path, request.laboratory)
     late = expired(bench)

@@ -428,7 +428,7 @@ def requirements(request: Require) -> Requirements:
 
 
 def _target(request: Require, bench: BenchFile, *, reading: bool) -> tuple[Target, str, QuantityKind]:
-    """Return the quantity that must reach an accuracy, and the unit and kind of quantity of the accuracy."""
+    """Return the quantity that must be accurate, then unit and kind of quantity of the stated accuracy."""
     of, up_to = request.of, request.up_to
     if up_to is not None and of not in ACCELERATIONS:
         raise Refused("--up-to needs --of acceleration or --of modulus; add one")
