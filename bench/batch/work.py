@@ -282,7 +282,7 @@ class VerdictValues:
 
     @property
     def words(self) -> str:
-        """The verdict: accepted or not, and the statement if it adds something."""
+        """The verdict in words: accepted or not, and the statement if that says more."""
         word = "passed" if self.passed else "failed"
         plain = "pass" if self.passed else "fail"
         return word if self.statement == plain else f"{word} ({self.statement})"
@@ -328,7 +328,7 @@ class Stored:
 
 
 def stored_calibration(folder: Path) -> Stored:
-    """Return the earlier coefficients and verdict in a run's folder."""
+    """Return the earlier coefficients and verdict that are stored in a run's folder."""
     notes: list[str] = []
     found = _read(folder / CALIBRATE_FILE, CalibrationValues.of_file, notes)
     judged = _read(folder / VERIFY_FILE, VerdictValues.of_file, notes)
@@ -336,7 +336,7 @@ def stored_calibration(folder: Path) -> Stored:
 
 
 def stored_diagnosis(folder: Path) -> Stored:
-    """Return the earlier diagnosis in a run's folder."""
+    """Return the earlier diagnosis that is stored in a run's folder."""
     notes: list[str] = []
     return Stored(diagnosis=_read(folder / DIAGNOSE_FILE, Named.of_file, notes), notes=notes)
 

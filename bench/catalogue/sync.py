@@ -177,7 +177,7 @@ def _seen(roots: Sequence[str], processes: int) -> WalkResult:
 
 
 def _look_apart(seen: WalkResult, waiting: list[Place], now_ns: int, processes: int) -> None:
-    """Scan many folders in worker processes and in this one; add the results to `seen`."""
+    """Scan many folders, in worker processes and in this process; add the results to `seen`."""
     parts = list(_batches(waiting, LOOKED))
     with pool_of(processes - 1, ENDED) as pool:
         asked = [pool.submit(scan_all, part, now_ns) for part in parts]
@@ -297,7 +297,7 @@ def _write(connection: Connection, batch: list[FolderEntry], known: dict[str, Ro
 
 
 def _places(connection: Connection, runs: list[int]) -> dict[int, str]:
-    """Return the path of each known run in the catalogue."""
+    """Return the path of each of the `runs` that the catalogue has."""
     found: dict[int, str] = {}
     for some in _batches(runs, MOST_IN):
         rows = connection.execute(select(RUNS.c.id, RUNS.c.path).where(RUNS.c.id.in_(some)))

@@ -1,4 +1,4 @@
-"""A unit in the catalogue: its runs, its coefficients over time, its due date."""
+"""A unit in the catalogue: its runs, coefficients over time, and due date."""
 
 from __future__ import annotations
 

@@ -199,7 +199,7 @@ class RunFindings:
 
     @property
     def verification(self) -> Verification | None:
-        """The check at the verification points; None if none was measured."""
+        """The check at the verification points; None if no such point was measured."""
         return None if self.verdict is None else self.verdict.verification
 
 
@@ -335,7 +335,7 @@ class Certificate:
 
     @property
     def stated(self) -> tuple[StatedField, ...]:
-        """The additional fields that the laboratory and order files state for this certificate."""
+        """The additional fields of this certificate, from the laboratory file and the order file."""
         return tuple(stated_fields(self.laboratory, self.unit, self.order))
 
     @property

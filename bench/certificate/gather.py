@@ -353,5 +353,5 @@ def _one_line(text: str) -> str:
 
 
 def issued_at(now: datetime) -> str:
-    """Return a civil time as a certificate states it: to the second, with its offset."""
+    """Return `now` as a certificate states it: civil time to the second, with offset."""
     return now.replace(microsecond=0).isoformat()

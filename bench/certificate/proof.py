@@ -367,7 +367,7 @@ def verdict(certificate: Certificate, write: Writer) -> list[Block]:
 
 
 def verdict_of(found: RunFindings, write: Writer) -> list[Block]:
-    """Return the blocks of the statement of conformity for the results of a run."""
+    """Return the blocks of the statement of conformity, made from a run's results."""
     result = found.verification
     if result is None:
         return [write.words("no_conformity")]

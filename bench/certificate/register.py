@@ -69,7 +69,7 @@ class Register(Chain):
         self._put_in_place(self.standings[entry.number].entry)
 
     def revoke(self, entry: Entry) -> None:
-        """Append the revocation of a certificate. Raises `OSError`."""
+        """Append the line that revokes a certificate. Raises `OSError`."""
         self.append(entry)
 
     def file(self, name: str) -> bytes:

@@ -37,7 +37,7 @@ class Signatory:
 
     @property
     def name(self) -> str:
-        """The name of the key's owner according to its certificate."""
+        """The name of the key's owner, as the certificate of the key states it."""
         return name_of(self.chain[0])
 
     @property

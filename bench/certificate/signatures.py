@@ -276,7 +276,7 @@ def sign_pdf(body: bytes, signatory: Signatory, now: datetime, reason: str, plac
 
     class Writer(IncrementalPdfFileWriter):
         def ensure_output_version(self, version: Any) -> None:
-            """Keep PDF version 1.7, as PDF/A-3 requires; for PAdES, its extension ESIC suffices."""
+            """Keep PDF version 1.7, which PDF/A-3 requires; its extension ESIC suffices for PAdES."""
 
     told = signers.PdfSignatureMetadata(
         field_name=FIELD,

@@ -49,7 +49,7 @@ def picture(unit: str) -> list[str]:
 
 
 def how_to_test(name: str) -> str:
-    """Return a line that explains how to run the test in a file of this kind."""
+    """Return a line that explains how to run the test in an exported file `name`."""
     return f"""this file tests itself: python -c "$(sed -n 's/^# {MARK}//p' {name})" {name}"""
 
 

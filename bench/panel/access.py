@@ -508,5 +508,5 @@ def role_of(person: laboratory.Person) -> Role:
 
 
 def _hash(secret: str) -> str:
-    """Return the SHA-256 of a secret; its 256 random bits need no slow password hash."""
+    """Return the SHA-256 of a secret, whose 256 random bits need no slow password hash."""
     return hashlib.sha256(secret.encode(errors="replace")).hexdigest()

@@ -185,11 +185,11 @@ class WorkFolder:
         self.path = path
 
     def tell(self, found: Any) -> None:
-        """Store `found`, a dataclass with the findings so far."""
+        """Store the findings so far: `found`, a dataclass."""
         write_whole(self.path / FOUND, to_text(asdict(found)))
 
     def lock(self) -> FileLock:
-        """Return the lock that the process holds while it is alive."""
+        """Return the lock that the folder's process holds while it is alive."""
         return FileLock(self.path / LOCK, mode=0o600)
 
     def at_work(self) -> bool:
@@ -226,7 +226,7 @@ class WishFolder(WorkFolder):
         (self.path / STARTED).unlink(missing_ok=True)
 
     def started(self) -> str:
-        """Return the name of the run started from this wish, an empty string if none was."""
+        """Return the name of the run started from this wish; "" if no run was started."""
         try:
             return read_regular(self.path / STARTED).decode()
         except OSError:

@@ -93,7 +93,7 @@ def _misfit(found: Results) -> str:
 
 
 def _change(run: Run, runs: RunsFolder) -> Change | None:
-    """Compare a run with the unit's previous calibration; None if there is none."""
+    """Compare a run with the unit's previous calibration; None if there is no previous one."""
     previous = previous_calibration(run, runs)
     if previous is None:
         return None

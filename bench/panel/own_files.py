@@ -26,7 +26,7 @@ CALLED: Final = {CONFIG: message("bench file"), PROCEDURES: "procedure"}
 
 @dataclass(frozen=True)
 class FileText:
-    """The text of a file and its hash, empty for a file that does not exist yet."""
+    """The text of a file, and its hash, which is empty for a file that does not exist yet."""
 
     path: Path
     text: str

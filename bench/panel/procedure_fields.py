@@ -97,7 +97,7 @@ def _rows(steps: Any, at: Place, depth: int) -> Iterator[Row]:
 
 
 def _in_line(body: Any) -> str:
-    """Return the part of a step that has no fields as text in one line."""
+    """Return as one line of text the part of a step for which there are no fields."""
     if isinstance(body, dict):
         return ", ".join(f"{key}: {_in_line(value)}" for key, value in body.items() if key != "steps")
     return ", ".join(map(_in_line, body)) if isinstance(body, list) else str(body or "")

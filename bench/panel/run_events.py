@@ -157,7 +157,7 @@ class RunView:
 
     @property
     def turned(self) -> tuple[Event, Turned] | None:
-        """The last turn since the block was mounted, with its event; the angle is as read back."""
+        """The last turn since the block was mounted, with its event and the angle read back."""
         event, mounted = self._brought.get(Turn), self._brought.get(Mount)
         if event is None or (mounted is not None and mounted.number > event.number):
             return None

@@ -361,7 +361,7 @@ def _channel(reading: Reading, i: int) -> dict[str, Any]:
 
 
 def _rest(seen: RunView) -> str:
-    """Return a sentence on how long the last settling took, an empty string if there was none."""
+    """Return a sentence on how long the last settling took; "" if nothing has settled yet."""
     if seen.rest is None:
         return ""
     step, rest = seen.rest

@@ -199,7 +199,7 @@ class Follower:
 
     @property
     def prompt(self) -> AskedPrompt | None:
-        """The open question, None if there is none or no program waits for the answer."""
+        """The open question; None if there is none, or if no program waits for the answer."""
         asked = self._seen.prompt
         return asked if self._alive and asked is not None and asked.event.number > self._unheard else None
 
@@ -232,7 +232,7 @@ class Follower:
         return self._residuals.version, len(self._residuals.points)
 
     def points(self) -> PlottedPoints:
-        """Return the current points: readings compared with their predictions."""
+        """Return the present points: readings minus their predictions."""
         return PlottedPoints(self._residuals.version, tuple(self._residuals.points))
 
     def _look_for_writer(self, *, at_once: bool) -> bool:
@@ -305,12 +305,12 @@ class SharedFollower:
 
     @property
     def prompt(self) -> AskedPrompt | None:
-        """The open question, None if there is none or no program waits for the answer."""
+        """The open question; None if there is none, or if no program waits for the answer."""
         return None if self._follower is None else self._follower.prompt
 
     @property
     def judging(self) -> bool:
-        """Whether readings are still to be compared with their predictions."""
+        """Whether readings still await comparison with their predictions."""
         return self._follower is not None and self._follower.waiting
 
     @property
@@ -361,7 +361,7 @@ class SharedFollower:
             await asyncio.sleep(LIVE_LOOK_S)
 
     def _wake(self) -> None:
-        """Wake the streams to all viewers, which then send the changes."""
+        """Wake the streams of all viewers; each then sends the changes to its viewer."""
         self.version += 1
         awaited, self._news = self._news, asyncio.Event()
         awaited.set()

@@ -24,7 +24,7 @@ class FileAsked(ResultModel):
 
 
 class ProgramPart(ResultModel):
-    """The versions of the program that computed the new results."""
+    """The versions of program, Python and packages that computed the new results."""
 
     version: str
     python: str
@@ -53,7 +53,7 @@ class Counted(ResultModel):
 
 
 class VerdictChange(ResultModel):
-    """Number of runs with a given stored verdict and a given new one."""
+    """The number of runs with the same stored verdict and the same new verdict."""
 
     stored: str
     now: str

@@ -39,7 +39,7 @@ BySource = Annotated[dict[str, float], Field(description="standard uncertainty f
 
 
 class ReadingCounts(ResultModel):
-    """The numbers of fitted readings and of verification points in the procedure."""
+    """How many fitted readings and how many verification points the procedure has."""
 
     fitted: int
     verification: int
@@ -535,7 +535,7 @@ def modulus(result: BudgetResult) -> BudgetFigure:
 
 
 def _gathered(shares: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Return the shares that reach `VISIBLE`, and under "others" the sum of all other shares."""
+    """Return the shares of at least `VISIBLE`, and the sum of all other shares as "others"."""
     seen = {source: share for source, share in shares.items() if np.max(share) >= VISIBLE}
     rest = sum((share for source, share in shares.items() if source not in seen), np.zeros(12))
     return {**seen, "others": rest} if np.any(rest > 0.0) else seen

@@ -87,7 +87,7 @@ class ComponentPart(ResultModel):
 
 
 class DriftPart(ResultModel):
-    """The drift of the biases over the run, relative to their means."""
+    """The drift of the biases during the run, relative to the mean of each bias."""
 
     hours: float
     rms: dict[str, float]
@@ -137,7 +137,7 @@ class OutlierPart(ResultModel):
 
 
 class FreePositionPart(ResultModel):
-    """A free position (unknown orientation) used in the fit through |a| = 1 g."""
+    """A free position (of unknown orientation), which the fit uses through |a| = 1 g."""
 
     installation: str
     pass_number: int = Field(alias="pass")

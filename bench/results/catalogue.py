@@ -75,7 +75,7 @@ class AskResult(ResultModel):
     rows: list[Row] = Field(description="rows as values by column; null if not recorded; times in UTC")
 
     def print_on(self, out: Console) -> None:
-        """Print the first rows with the columns that fit a terminal."""
+        """Print the first rows, with as many columns as the terminal has room for."""
         if self.rows:
             names = [name for name in _COLUMNS_ON_SCREEN.get(self.of, self.rows[0]) if name in self.rows[0]]
             shown = table(*(name.replace("_", " ") for name in names))

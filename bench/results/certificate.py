@@ -62,7 +62,7 @@ class RegisteredCertificate(ResultModel):
 
 
 class RegisterResult(ResultModel):
-    """The certificates in a register, and the problems with their files."""
+    """The certificates in a register, and the problems with the files of certificates."""
 
     register_: str = Field(alias="register", description="folder of the register")
     head: str = Field(description="SHA-256 of the last line, which depends on all lines before it")

@@ -50,7 +50,7 @@ class DirectionPart(ResultModel):
 
 
 class ObservabilityPart(ResultModel):
-    """The coefficients and stand errors that the readings determine, and those they do not."""
+    """The coefficients and stand errors that the readings determine, and those that remain open."""
 
     rank: int
     unknowns: int
@@ -339,7 +339,7 @@ def _folded(shapes: Sequence[object], fewest: int) -> Iterator[tuple[int, int, i
 
 
 def _times(codes: Sequence[int], start: int, period: int) -> int:
-    """Return how many times in a row the `period` codes at `start` occur."""
+    """Return how many times in a row the `period` codes from index `start` on occur in `codes`."""
     end = start + period
     while end < len(codes) and codes[end] == codes[end - period]:
         end += 1
@@ -376,7 +376,7 @@ def _block_in_words(steps: Sequence[Step], block: _Block) -> str:
 
 
 def _where(step: Step) -> str:
-    """Return the point of a step; for a step without one, the description of the step."""
+    """Return in words the point of a step or, if it has none, the description of the step."""
     if not isinstance(step, Turn | Read):
         return step.describe()
     return step.where()
@@ -387,7 +387,7 @@ def _span(first: Turn, last: Turn) -> str:
 
 
 def _doing(step: Step) -> str:
-    """Return the action of a step without its point: "turn", "read 10 × 1 NPLC"."""
+    """Return in words what a step does, without the point: "turn", "read 10 × 1 NPLC"."""
     match step:
         case Turn():
             return "turn"

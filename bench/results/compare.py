@@ -270,7 +270,7 @@ class DegreePart(ResultModel):
 
 
 class PairPart(ResultModel):
-    """The difference between two benches on the units that both measured."""
+    """The difference between two benches, from the units that both of them measured."""
 
     first: str
     second: str

@@ -114,7 +114,7 @@ def confirm_result(
     simulated: bool,
     notes: Sequence[str],
 ) -> ConfirmResult:
-    """Return the result of testing a model; the keyword arguments are members of the result."""
+    """Return the result of a model's test; all keyword arguments are members of the result."""
     return ConfirmResult(
         closed=found.closed,
         before=found.before.reduced,

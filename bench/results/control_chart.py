@@ -100,7 +100,7 @@ class VariabilityPart(ResultModel):
 
 
 class PooledPart(ResultModel):
-    """The short-term standard deviation of a reading, pooled over the baseline."""
+    """The short-term standard deviation of a reading, pooled over the baseline runs."""
 
     s: float
     dof: float

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 
 class OrientationPart(ResultModel):
-    """The orientation of the block at the verification points, as the signals show it."""
+    """The orientation of the block at the verification points, inferred from the signals."""
 
     off_deg: float = Field(description="angle between the signals' orientation and the bench file's, deg")
     axis: Vector = Field(description="axis of this turn, in the axes of the block")
@@ -565,7 +565,7 @@ def _limits_of_sight(full: FullDiagnosis, out: Console) -> None:
 
 
 def print_files(diagnosis: AnyDiagnosis, files: Files, out: Console) -> None:
-    """Print the files that were written, and why no model file was."""
+    """Print the files that were written and, if there is no model file, the reason."""
     report = () if files.report is None else (files.report,)
     told = {"corrected copy of the readings": files.copies, "model": files.models, "report": report}
     for what, paths in told.items():

@@ -160,7 +160,7 @@ def p_in_column(p: float, digits: int = 1) -> str:
 
 
 def significance_in_words(effect: NamedEffect) -> str:
-    """Return the corrected p-value of an effect, and its total size rho if that is known."""
+    """Return in words the corrected p-value of an effect and, if known, its total size rho."""
     p = message(f"{p_in_words(effect.p_all_looks)}, corrected for multiple tests")
     if effect.rho is None:
         return p
@@ -258,7 +258,7 @@ def closed_in_words(
 
 
 def micro_g(value_g: float) -> str:
-    """Return a size, given in g, in µg: "412 µg", "9.0 µg"."""
+    """Return a size `value_g`, which is in g, as text in µg: "412 µg", "9.0 µg"."""
     size = 1e6 * value_g
     return f"{size:.0f} µg" if abs(size) >= WHOLE_UG else f"{two_digits(size)} µg"
 

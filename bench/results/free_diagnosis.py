@@ -333,7 +333,7 @@ def render(
 
 
 def _coefficients(found: FreeDiagnosis, sensor: int) -> dict[str, CoefficientChange]:
-    """Return the nine coefficients of a sensor before and after, by name."""
+    """Return a sensor's nine coefficients before and after the effects found, by name."""
     fits = (found.before, found.after)
     each = np.stack([column for fit in fits for column in (fit.block[sensor].vector, fit.u[sensor])], axis=1)
     rows = zip(COEFFICIENTS, each.tolist(), strict=True)

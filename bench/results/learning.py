@@ -32,7 +32,7 @@ class ContradictionPart(ResultModel):
 
 
 class SizePart(ResultModel):
-    """An error of the bench that was learned from runs."""
+    """The size of an error of the bench, learned from runs."""
 
     value: float
     u: float = Field(description="standard uncertainty")

@@ -90,7 +90,7 @@ class UnitPart(ResultModel):
 
 
 class RecordPart(ResultModel):
-    """The number of events and the hash of the last one, which identify a run's record."""
+    """What identifies a run's record: the number of events, and the hash of the last event."""
 
     events: int
     head: str = Field(description="SHA-256 of the last line, which depends on all lines before it")

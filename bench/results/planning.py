@@ -65,12 +65,12 @@ class LimitPart(ResultModel):
 
     @property
     def words(self) -> str:
-        """The limit with its printed unit, or why there is none."""
+        """The limit with its printed unit, or the reason why there is no limit."""
         return self.verdict if self.limit is None else self.shown(self.limit, down=True)
 
     @property
     def now(self) -> str:
-        """The size in the bench file, with its printed unit."""
+        """The size that the bench file states, with the printed unit."""
         return self.shown(self.u_now * (math.sqrt(3.0) if self.distribution == "rectangular" else self.k))
 
     def shown(self, value: float, *, down: bool = False) -> str:

@@ -79,7 +79,7 @@ class RecordCalibrateResult(ResultModel):
 def record_calibrate_result(
     found: RecordCalibration, model: str, skipped_rows: Sequence[str], made_from: Mapping[str, Any]
 ) -> RecordCalibrateResult:
-    """Return the result; `made_from` are source, bench, date and certificates."""
+    """Return the result; `made_from` holds the members source, bench, date and certificates."""
     names = ("source", "bench", "made_at", "simulated", "corrections")
     return RecordCalibrateResult(
         estimator="gls", unit="V", level_v=found.level_v, not_observable=list(found.not_observable), model=model,

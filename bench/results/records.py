@@ -102,7 +102,7 @@ class ManifestPart(ResultModel):
 
 
 class ProvenRecordPart(RecordPart):
-    """The fingerprint of a record, with the findings of `--verify`."""
+    """What identifies a record, with the findings of `--verify`."""
 
     told: list[str] = Field(description="evidence for and against the record; only with --verify")
 

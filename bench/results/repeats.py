@@ -134,6 +134,6 @@ def between_part(found: BetweenRecords) -> BetweenRecordsPart:
 
 
 def repeats_between(between: BetweenRecords) -> str:
-    """Return how zeros scatter between records, with the term by which u must be widened."""
+    """Return in words how zeros scatter between records, and the term by which u must be widened."""
     sizes = [f"{c} {size}" for c, size in zip(CHANNELS, between.term_sizes(), strict=False)]
     return repeats_told(between.repeats, "between records", sizes)

@@ -154,7 +154,7 @@ def print_stability(found: Stability, out: Console) -> None:
 
 
 def averaging_lines(found: Stability) -> list[str]:
-    """Return a line on the averaging time of each channel."""
+    """Return a line for each channel on its averaging time."""
     pairs = zip(found.record.channels, found.averages, strict=True)
     return [f"channel {channel}: {average.tau_s:.3g} s: {average.why}" for channel, average in pairs]
 

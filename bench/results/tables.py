@@ -346,7 +346,7 @@ def readings(calibration: Calibration) -> tuple[str, list[Row]]:
 
 
 def _limits(noise: Noise) -> str:
-    """Return the limits of the setting error in words; "" if the data do not determine them."""
+    """Return the limits of the setting error in words; "" if the data determine no limits."""
     if noise.setting_limits_rad is None:
         return ""
     low, high = (limit / ARCSEC for limit in noise.setting_limits_rad)

@@ -130,7 +130,7 @@ def verify_result(found: Verification, **made_from: Any) -> VerifyResult:
 
 
 def verification_table(found: Verification) -> Table:
-    """Return a table of Δg at each verification point, with the statement and the risks."""
+    """Return a table of the verification points: Δg, statement of conformity and risks."""
     guarded = found.rule != SIMPLE
     expanded = ">U (k=2)" if all(p.k == 2.0 for p in found.points) else ">U (95.45 %)"
     shown = table(

@@ -207,7 +207,7 @@ def _mismatch(readings: str, file: str, about: Origin) -> str:
 
 
 def _read(path: Path) -> bytes | None:
-    """Return the content of a regular file of at most 1 MB; None for any other path."""
+    """Return the content of `path`, a regular file of at most 1 MB; None for anything else."""
     try:
         return read_regular(path, MEGABYTE)
     except OSError:
@@ -262,7 +262,7 @@ class BenchTaken:
 
     @property
     def reason(self) -> str:
-        """The reason for this bench file, followed by the reason why the run was begun with it."""
+        """The reason for this bench file, and the reason why the run was begun with this file."""
         return ": ".join(filter(None, (self.why, self.chosen)))
 
     def part(self) -> BenchPart:

@@ -63,7 +63,7 @@ class BodyResult(ABC):
 
     @property
     def next_measurement(self) -> Proposal | None:
-        """The measurement proposed next; None if nothing is proposed."""
+        """The measurement that is proposed next; None if none is proposed."""
         return None
 
     @abstractmethod

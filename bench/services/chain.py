@@ -45,7 +45,7 @@ class Entry:
 
 
 def civil_now() -> str:
-    """Return the civil time of an entry, ISO 8601 with offset, to the second."""
+    """Return the present civil time for an entry: ISO 8601 with offset, to the second."""
     return utc_now().astimezone().isoformat(timespec="seconds")
 
 
@@ -98,7 +98,7 @@ class Chain:
         return content
 
     def append(self, entry: Entry) -> None:
-        """Append a line and flush it to the disk. Raises `OSError`."""
+        """Append `entry` as a line, and flush it to the disk. Raises `OSError`."""
         told = {
             "n": self.count + 1,
             "time": entry.time,

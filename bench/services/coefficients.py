@@ -264,7 +264,7 @@ def _wander(data: Any) -> Floats | None:
 
 
 def _covariance(data: Any, name: str) -> Floats:
-    """Return a covariance (12, 12) of a result in the order of `COEFFICIENTS`."""
+    """Return the covariance (12, 12) in member `name` of a result, in the order of `COEFFICIENTS`."""
     order = [list(data["order"]).index(coefficient) for coefficient in COEFFICIENTS]
     rows = _numbers(data[name])
     size = len(COEFFICIENTS)

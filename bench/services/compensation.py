@@ -100,7 +100,7 @@ class Compensation:
         return all(check.passed for _, check in self.checks) and all(t.accepted(strict=strict) for t in tests)
 
     def files(self) -> Iterator[tuple[str, Path, str]]:
-        """Yield the files to write: a description, the path and the text of each."""
+        """Yield description, path and text of each file to write."""
         unit = self.source.bench.unit_under_test
         of = f"{unit.type} {unit.serial}".strip() + f", from {self.source.name}"
         of += " (simulated instruments)" if self.source.simulated else ""

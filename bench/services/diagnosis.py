@@ -95,7 +95,7 @@ class DiagnosisResult(ResultWithPage):
 
     @property
     def next_measurement(self) -> Proposal | None:
-        """The measurement proposed next; None if nothing is proposed."""
+        """The measurement that is proposed next; None if none is proposed."""
         return self.found.next_measurement
 
     def to_dict(self) -> dict[str, Any]:

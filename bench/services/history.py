@@ -1,4 +1,4 @@
-"""Evaluations of many runs of one bench, of one block over time, and of noise at rest."""
+"""Evaluations of several runs: of one bench (learning), or of one block over time (comparison)."""
 
 from __future__ import annotations
 
@@ -353,7 +353,7 @@ def _by_channel(source: Source) -> tuple[str, str, str] | None:
 
 
 def _day(source: Source) -> float | None:
-    """Return the start of a record in days since 1970-01-01; None if it is not recorded."""
+    """Return the start of a run in days since 1970-01-01; None if it is not recorded."""
     try:
         return datetime.datetime.fromisoformat(source.made_at or "").timestamp() / 86400.0
     except ValueError:

@@ -188,7 +188,7 @@ def _size(text: str) -> tuple[str, float]:
 
 
 def duration_s(option: str, text: str) -> float:
-    """Return the time that an option states, s. Raises `Refused` for an invalid time."""
+    """Return the time, s, in the `text` of an option. Raises `Refused` for an invalid time."""
     seconds = quantity(option, text, DURATION, plain=False)
     if seconds < 0:
         raise Refused(f"{option} {text}: give a time of 0 or more")
@@ -196,7 +196,7 @@ def duration_s(option: str, text: str) -> float:
 
 
 def _times(request: PlanPoints) -> Times:
-    """Return the durations of the steps of a procedure. Raises `Refused` for an invalid time."""
+    """Return how long each kind of step takes, by the request. Raises `Refused` for an invalid time."""
     times = Times(
         duration_s("--cost-setting", request.cost_setting),
         duration_s("--cost-remount", request.cost_remount),

@@ -424,7 +424,7 @@ class Failed:
     problem: str
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the dictionary that replaces the result of the source."""
+        """Return the JSON object that takes the place of the source's result."""
         return FailedPart(source=self.name, problem=self.problem).to_dict()
 
     def __str__(self) -> str:

@@ -427,7 +427,7 @@ def _outlook(plan: Plan, bench: BenchFile) -> Outlook | None:
 
 
 def _free_bytes(folder: Path) -> int:
-    """Return the free bytes on the disk of a folder, or of its nearest existing parent."""
+    """Return the free bytes on the disk of `folder` or, if it is missing, of its nearest parent."""
     path = folder.resolve()
     while not path.exists():
         path = path.parent

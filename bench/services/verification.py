@@ -59,7 +59,7 @@ class VerdictOptions:
 
     @classmethod
     def of_run(cls, run: Run | None) -> VerdictOptions:
-        """Return the verdict options with which a run was begun; for None, no options."""
+        """Return the verdict options with which a run was begun; no options without a run."""
         recorded = {} if run is None else run.manifest.get("verdict", {})
         return cls(recorded.get("limit_g"), recorded.get("rule"), recorded.get("guard_band"))
 

@@ -116,7 +116,7 @@ def _in_record(run: Run) -> Iterator[dict[str, Any]]:
 
 
 def _note(register: FailureRegister, request: Failures, laboratory: Path) -> None:
-    """Append to the register what a person states about a failure."""
+    """Append to the register what the request states about a failure."""
     number, by = str(request.number), request.by
     lacking = [
         option

@@ -163,7 +163,7 @@ def raised_at(error: BaseException) -> str:
 
 
 def carry_out(context: Context, checks: Iterable[Check]) -> list[ValidationCheck]:
-    """Carry out checks; return a row for each finding. Progress is reported to the listener."""
+    """Carry out checks, with reports of progress; return a row for each finding."""
     rows: list[ValidationCheck] = []
     for one in tracked(list(checks), "checks"):
         rows += one.carried_out(context)

@@ -264,7 +264,7 @@ _AXIS: Final = ("basic_nominalValue", "basic_referenceValue", "basic_measuredVal
 
 @dataclass(frozen=True)
 class Section:
-    """The section `certificate` for a bench file as text, and notes for the user."""
+    """The section `certificate` of a bench file, as text, and notes for the user."""
 
     text: str
     notes: tuple[str, ...]
@@ -361,7 +361,7 @@ def _rows(
 
 
 def _checked(stated: dict[str, Any], values: list[dict[str, str]]) -> Iterator[str]:
-    """Yield a sentence for each mistake that a bench file would have with these values."""
+    """Yield a sentence for each mistake that these values would be in a bench file."""
     if not values:
         return
     form = HeadCertificate if "angle" in values[0] else ChamberCertificate

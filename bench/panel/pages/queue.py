@@ -198,7 +198,7 @@ def _bench(path: Path, _changed_ns: int) -> BenchFile:
 
 
 def _attention(standing: Standing, today: date) -> str:
-    """Return a sentence on a certificate that has expired or will soon; empty for any other."""
+    """Return a sentence on a certificate that has expired or soon will; "" for any other."""
     until = standing.certificate.valid_until
     if until is None or (until - today).days > REMINDED_DAYS:
         return ""

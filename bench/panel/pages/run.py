@@ -66,7 +66,7 @@ async def run(request: Request) -> Response:
 
 
 async def outcome(request: Request) -> Response:
-    """Send the part of the live page that shows the outcome of a run that has ended."""
+    """Send the outcome of a run that has ended, as a part of the live page."""
     found = run_of(request)
     state = await panel_of(request).followers.state(found.folder)
     told = await run_in_threadpool(_outcome, request, found, state)

@@ -102,7 +102,7 @@ def form_field(name: str) -> FormField:
 
 
 async def check(request: Request) -> Response:
-    """Start a separate process that checks the chosen run and carries it out dry."""
+    """Start a separate process that checks the requested run and carries out a dry run of it."""
     person, sent = await acting(request, Role.OPERATOR)
     panel = panel_of(request)
     wish = await run_in_threadpool(wished, panel, person, sent)
