@@ -91,7 +91,7 @@ class Job:
         return {name: value for name, value in self.to_json().items() if value != usual[name]}
 
     def to_json(self) -> dict[str, Any]:
-        """Return the job as stored and compared: its options, and the SHA-256 of each file."""
+        """Return the job as stored and compared: its options, and the SHA-256 of each file that they name."""
         given = asdict(self)
         given["population"] = None if self.population is None else list(self.population)
         given["effects"] = [_named(file) for file in self.effects]

@@ -185,7 +185,7 @@ class RecordSeen:
 
     @property
     def temperature_c(self) -> float | None:
-        """Mean of the temperatures of the readings, °C."""
+        """Mean temperature (°C) of the readings."""
         finite = [value for value in self._temperatures if math.isfinite(value)]
         return sum(finite) / len(finite) if finite else None
 

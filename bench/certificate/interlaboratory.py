@@ -57,7 +57,7 @@ class Kit:
     stops: tuple[Stop, ...] = field(default_factory=tuple)
 
     def stop(self, code: str) -> Stop:
-        """Return the stop with a blind code. Raises `Refused` for an unknown code."""
+        """Return the stop with this blind code. Raises `Refused` for an unknown code."""
         found = next((stop for stop in self.stops if stop.code == code), None)
         if found is None:
             raise Refused(f"{code}: no such code; the plan has {', '.join(s.code for s in self.stops)}")

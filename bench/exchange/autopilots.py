@@ -50,7 +50,8 @@ class Sensor:
 def sensor_of(result: BlockResult, nominal: Floats | None = None) -> Sensor:
     """Return the block as a sensor in m/s^2.
 
-    `nominal` (3,) are its nominal scale factors, unit/g; None takes the block's own, rounded to `DIGITS` digits.
+    `nominal` (3,) are its nominal scale factors in unit/g; None takes the block's own, rounded to `DIGITS`
+    digits.
     """
     if result.unit == "m/s^2":
         own = np.full(3, STANDARD_GRAVITY)
@@ -104,7 +105,7 @@ def diagonal(sensor: Sensor) -> Diagonal:
 class Triangular:
     """The form of Kalibr: z = M R a + b, with M lower triangular and R the rotation to the axes of M.
 
-    `turn_rad` is the angle of the rotation R, rad.
+    `turn_rad` is the angle (rad) of the rotation R.
     """
 
     M: Floats

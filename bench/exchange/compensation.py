@@ -43,7 +43,7 @@ def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[st
 
 
 def table_checks(model: TemperatureModel, table: CompensationTable) -> Floats:
-    """Return the check vectors (n, 7): temperature, deg C, signals, and the table's accelerations, g.
+    """Return the check vectors (n, 7): temperature (deg C), signals, and the table's accelerations (g).
 
     There are 20 vectors or, if that is more, one for each step of the table, so that each row is tested.
     """

@@ -320,7 +320,7 @@ class ExportForm:
     """A form: its name in `words`, the suffix of file names, and the function that writes a file.
 
     `loses` is a function that returns comment lines on the parts of a result that the form omits; it is None
-    if the form omits nothing. Both functions accept the scale factors (3,), unit/g, by which signals were
+    if the form omits nothing. Both functions accept the scale factors (3,) in unit/g by which signals were
     converted to m/s²; None means the block's own, rounded.
     """
 

@@ -59,7 +59,7 @@ class InversePart(DerivedPart):
 
 
 class MisalignmentsPart(DerivedPart):
-    """The angles α_ji of the input axes, rad."""
+    """The angles α_ji (rad) of the input axes."""
 
     convention: str
 
@@ -181,7 +181,7 @@ class BlockResult:
 
     @cached_property
     def misalignments(self) -> Derived:
-        """The six angles of the input axes, rad."""
+        """The six angles (rad) of the input axes."""
         return misalignments(self.block, self.covariance)
 
     @cached_property

@@ -73,7 +73,7 @@ def read_page(run: Run, name: str) -> bytes:
 
 @dataclass(frozen=True)
 class Issued:
-    """A certificate of a run: number, status (`state`) with its cause (`by`), files; whether it is signed."""
+    """A certificate of a run: number, status (`state`), cause of the status (`by`), signed or not, files."""
 
     number: str
     state: str

@@ -44,7 +44,7 @@ class RunView:
 
     `step` is the event with which the current step began; `begun` is that of the first step since the run was
     begun or resumed. `turn` is the event of the last turn since the block was mounted; `set_c` is the set
-    point of the chamber, °C. Results of steps are computed from events on demand only, as few are needed.
+    point (°C) of the chamber. Results of steps are computed from events on demand only, as few are needed.
     """
 
     plan: Plan
@@ -181,7 +181,7 @@ class RunView:
 
     @property
     def chamber(self) -> tuple[Event, float] | None:
-        """The event that last reported the chamber's air temperature, and this temperature, °C."""
+        """The event that last reported the chamber's air temperature, and this temperature (°C)."""
         known: list[tuple[Event, float]] = []
         if self.slow is not None:
             known.append((self.slow, float(self.slow.data["air_c"])))

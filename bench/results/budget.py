@@ -168,7 +168,7 @@ class BudgetResult(ResultModel):
 
     @property
     def capable(self) -> bool | None:
-        """Whether the limits leave room for U at every verification point; None without points."""
+        """Whether U is small enough at every verification point for a decision; None without points."""
         return self.verification.capable
 
     def report(self, path: str | Path) -> None:

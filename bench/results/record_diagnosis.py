@@ -169,9 +169,10 @@ def evidence_in_words(found: RecordDiagnosis) -> dict[str, str]:
 
 
 def course_figure(time_h: Floats, courses: Sequence[tuple[str, Floats, Floats]]) -> str:
-    """Return a plot of signal minus reference against time (n,), h: a row per channel.
+    """Return a plot of signal minus reference against time, with a row for each channel.
 
-    `courses` has for each channel its name, and the difference (n,) before and after the effects found, V.
+    `time_h` (n,) is in h. `courses` has for each channel its name, and the difference (n,) in V, before and
+    after.
     """
     scale = scale_for(max(float(abs(before).max()) for _, before, _ in courses), "V")
 

@@ -186,7 +186,7 @@ def _term(terms: NoiseTerms, k: int, unit: str) -> str:
 def allan_figure(found: Stability, *, inline: bool = False) -> str:
     """Return an SVG file: the Allan deviation with 95 % limits and fitted noise terms; the spectrum.
 
-    With `inline`, the SVG is an element of a page.
+    With `inline`, return an SVG element for a page.
     """
     curves, terms, tau_s = found.curves, found.terms, found.longest_s
     scale = scale_for(min(float(curve.deviation.min()) for curve in curves), found.record.unit)

@@ -126,7 +126,7 @@ def _blocks(sources: list[Source], one_block: bool | None) -> list[int | None]:
 
 
 def _of_the_stand(source: Source) -> dict[str, float]:
-    """Return the standard uncertainties of the stand's errors, rad, by name, without "voltmeter_error"."""
+    """Return the standard uncertainties (rad) of the stand's errors by name, without "voltmeter_error"."""
     return {name: u for name, u in source.stand_u.items() if name != "voltmeter_error"}
 
 
@@ -147,7 +147,7 @@ def _require_same_bench(first: Source, other: Source) -> None:
 
 
 def _began_s(source: Source) -> float | None:
-    """Return the start of a run in Unix time, s; None for a readings file, which does not state it."""
+    """Return the start of a run, s in Unix time; None for a readings file, which does not state it."""
     if source.run is None or source.run.imported:
         return None
     try:

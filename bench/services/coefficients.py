@@ -258,7 +258,7 @@ def _block_terms(data: Any, where: str) -> Floats | None:
 
 
 def _wander(data: Any) -> Floats | None:
-    """Return the limits of the bias wander during a run (3,); None if the result does not state them."""
+    """Return the limits (3,) of the wander of each bias during a run; None if the result states none."""
     stated = data["noise"].get("wander")
     return np.array([_positive(stated.get(c)) for c in CHANNELS]) if isinstance(stated, dict) else None
 
@@ -425,7 +425,7 @@ def forms_of(names: list[str]) -> list[ExportForm]:
 
 
 def nominal_of(text: str | None, results: list[BlockResult]) -> Floats | None:
-    """Return the scale factors (3,), unit/g, stated by `--nominal`. Raises `Refused` for an invalid text.
+    """Return the scale factors (3,) in unit/g stated by `--nominal`. Raises `Refused` for an invalid text.
 
     It also raises `Refused` for results whose signals are accelerations, or whose scale factors differ in sign.
     """

@@ -461,7 +461,7 @@ def _assembly(
 
 
 def _elapsed_s(history: History) -> float:
-    """Return the present bench time on a real bench, s: that of the last event plus the civil time since."""
+    """Return the present bench time (s) of a real bench: that of the last event plus civil time since."""
     if not history.events:
         return 0.0
     last = history.events[-1]

@@ -82,7 +82,7 @@ class Persons(Chain):
         self.entries.append(entry)
 
     def who_may(self, right: Right) -> list[Person]:
-        """Return the persons who have the right `right` at present."""
+        """Return the persons who have this right at present."""
         return [one for one in self.everyone.values() if not one.ended and right in one.may]
 
     def with_token(self, token: str) -> Person | None:

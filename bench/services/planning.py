@@ -188,7 +188,7 @@ def _size(text: str) -> tuple[str, float]:
 
 
 def duration_s(option: str, text: str) -> float:
-    """Return the time, s, in the `text` of an option. Raises `Refused` for an invalid time."""
+    """Return the time (s) in the `text` of an option. Raises `Refused` for an invalid time."""
     seconds = quantity(option, text, DURATION, plain=False)
     if seconds < 0:
         raise Refused(f"{option} {text}: give a time of 0 or more")
@@ -224,7 +224,7 @@ def mountings(bench: BenchFile, installations: str | None, visits: int) -> list[
 
 
 def even_angles(bench: BenchFile, count: int) -> Floats:
-    """Return those of `count` angles, evenly around a turn, rad, that the head reaches from both sides."""
+    """Return those of `count` even angles of a turn (rad) that the head can approach from both sides."""
     angles = 2 * np.pi * np.arange(count) / count
     if bench.head_limits_rad is None:
         return angles

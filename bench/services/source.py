@@ -168,7 +168,7 @@ class Source:
 
     @property
     def stand_u(self) -> dict[str, float]:
-        """Standard uncertainties of the stand's errors by name, rad; "voltmeter_error" is in V.
+        """Standard uncertainties (rad) of the stand's errors by name; "voltmeter_error" is in V.
 
         For signals in other units, "voltmeter_error" is 0.
         """

@@ -131,7 +131,7 @@ def _known_input(request: asked.Stability, runs: Path) -> Source | None:
 
 
 def _record_at_rest(name: str, runs: Path, bench: BenchFile) -> tuple[StaticRecord, Run | None, float | None]:
-    """Return the record `name`; if it is a run, also the run and the integration time of a sample, s."""
+    """Return the record `name`; if it is a run, also the run and the integration time (s) of a sample."""
     path = Path(name)
     if path.is_file():
         return read_static(path), None, None

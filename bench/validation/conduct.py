@@ -123,7 +123,7 @@ def _bench_name(context: Context) -> str:
 
 
 def _cpu_s() -> float:
-    """Return the processor time, s, of this program and of the processes that it waited for."""
+    """Return the processor time (s) of this program and of the processes that it waited for."""
     return sum(os.times()[:4])
 
 

@@ -187,7 +187,7 @@ def sums(context: Context) -> Iterator[Finding]:
 
 
 def mass_deviation(x: Floats) -> Floats:
-    """Return the deviation of a weight from its nominal mass, mg.
+    """Return the deviation (mg) of a weight from its nominal mass.
 
     The density terms vanish in linear propagation, but not in second order.
     """

@@ -41,7 +41,7 @@ def specific_force(
     alpha5: np.ndarray | float = 0.0,
     psi: float = 0.0,
 ) -> np.ndarray:
-    """Return the specific force on the block's axes, g, shape (n, 3): the upward component of each axis.
+    """Return the specific force (n, 3) on the block's axes in g: the upward component of each axis.
 
     The shaft is y. Angles are in rad, (n,) or one for all. A right-hand turn about y (the shaft) would carry
     x downwards; the head counts the other way.
