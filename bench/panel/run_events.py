@@ -222,7 +222,7 @@ class Tail:
             return False
 
     def new(self) -> Iterator[Event]:
-        """Yield the events written since the last call; of a long record, not those that begin old steps.
+        """Yield the events written since the last call; in a long record, skip those that begin old steps.
 
         Raises `RecordError` if anything but new lines changed in the record.
         """

@@ -137,7 +137,7 @@ class OutlierPart(ResultModel):
 
 
 class FreePositionPart(ResultModel):
-    """A free position (of unknown orientation), which the fit uses through |a| = 1 g."""
+    """A free position (of unknown orientation) in the fit, with the condition |a| = 1 g."""
 
     installation: str
     pass_number: int = Field(alias="pass")
@@ -146,7 +146,7 @@ class FreePositionPart(ResultModel):
 
 
 class FreePositionsPart(ResultModel):
-    """The free positions used in the fit through |a| = 1 g."""
+    """The free positions in the fit, with the condition |a| = 1 g."""
 
     used: int
     rms_g: float = Field(description="root mean square of |a| − 1 g over all free positions")

@@ -21,7 +21,7 @@ MEANING: Final = {
 
 
 class RatioPart(ResultModel):
-    """Scatter of repeats about predictions from the others, divided by its u; with a 95 % interval."""
+    """Scatter of repeats about their predictions, divided by u of the prediction; with 95 % interval."""
 
     value: float
     low: float

@@ -53,7 +53,7 @@ class SignedModel:
 
 
 def sign_model(model: TemperatureModel, source: Source) -> SignedModel:
-    """Return the model with the bench errors that no reading shows added to its covariance.
+    """Return the model; its covariance then includes the bench errors that no reading shows.
 
     These errors are computed from one `source`, because they are equal at all temperatures.
     """
