@@ -1,4 +1,4 @@
-"""The job that a batch does with each run, and the columns of the table that results."""
+"""The job that a batch does for each run, and the columns of the resulting table."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ DIAGNOSE_FILE: Final = "diagnose.json"
 class Job:
     """One command with its options, for any number of runs; files are named by absolute paths.
 
-    `command` is calibrate, diagnose or report; `pages` is the folder of the pages that report writes. The
-    other fields are the options of these commands.
+    `command` is calibrate, diagnose or report; `pages` is the folder for the pages of `report`. The other
+    fields are options of these commands.
     """
 
     command: str
@@ -64,7 +64,7 @@ class Job:
         return Request([run], Path(run).parent, self.bench, model, self.g_m_s2, None, self.skip_bad_rows)
 
     def asked(self) -> VerdictOptions:
-        """Return the verdict options that replace those recorded in each run."""
+        """Return the verdict options of the job, which replace those recorded in each run."""
         return VerdictOptions(self.limit_g, self.rule, self.guard_band, self.population)
 
     def checked(self) -> Job:
@@ -91,7 +91,7 @@ class Job:
         return {name: value for name, value in self.to_json().items() if value != usual[name]}
 
     def to_json(self) -> dict[str, Any]:
-        """Return the job as the batch stores and compares it: its options and the SHA-256 of each file."""
+        """Return the job as stored and compared: its options, and the SHA-256 of each file that they name."""
         given = asdict(self)
         given["population"] = None if self.population is None else list(self.population)
         given["effects"] = [_named(file) for file in self.effects]

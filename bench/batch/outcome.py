@@ -1,4 +1,4 @@
-"""The outcome of a batch: its whole table, the verdicts that changed, and the shifts of coefficients."""
+"""The outcome of a batch: the whole table, changed verdicts, and shifts of coefficients."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def _cores() -> int:
 
 
 def outcome_in(folder: Path) -> BatchResult:
-    """Return the result so far of the batch in a folder. Raises `Refused` if there is no batch in it."""
+    """Return the result so far of the batch in a folder. Raises `Refused` if the folder has no batch."""
     store = Store(folder)
     store.noted()
     with store:
@@ -91,7 +91,7 @@ Ask = Any
 
 @contextmanager
 def asked_of(folder: Path) -> Iterator[Ask]:
-    """Yield a DuckDB connection to the rows that a batch has so far; large queries use the disk."""
+    """Yield a DuckDB connection to the rows computed so far; large queries use the disk."""
     import duckdb
 
     with duckdb.connect(":memory:", config={"memory_limit": _MEMORY, "threads": 1}) as ask:

@@ -33,7 +33,7 @@ _PATIENCE_S: Final = 5.0
 def by_processes(job: Job, runs: Iterator[str], count: int, recycled: int | None = None) -> Iterator[Row]:
     """Yield the rows of runs as they are done, in any order, computed by `count` processes.
 
-    `runs` is consumed only as the processes need it. Raises `Refused` when no process can be started.
+    `runs` is read only as fast as the processes need runs. Raises `Refused` when no process can be started.
     """
     usual = RECYCLED_DIAGNOSES if job.command == DIAGNOSE else RECYCLED
     pool = _Pool(job, runs, count, recycled or usual)
@@ -45,7 +45,7 @@ def by_processes(job: Job, runs: Iterator[str], count: int, recycled: int | None
 
 @dataclass(eq=False)
 class _Worker:
-    """A worker process: its connection, and the runs queued for it; it computes the first of them."""
+    """A worker process: its connection, and the runs queued for it, the first of which it is computing."""
 
     process: Any
     wire: Connection
@@ -109,7 +109,7 @@ class _Pool:
         return self._next.popleft() if self._next else next(self._runs, None)
 
     def _has_more(self, count: int) -> bool:
-        """Whether at least `count` runs are left to hand out."""
+        """Whether at least `count` runs still have to be handed out."""
         while len(self._again) + len(self._next) < count:
             run = next(self._runs, None)
             if run is None:
@@ -134,7 +134,7 @@ class _Pool:
             its.close()
 
     def _count_early_death(self, how: str) -> None:
-        """Count a process that died before it was ready. Raises `Refused` if too many processes died so."""
+        """Count a process that died before it was ready. Raises `Refused` if too many processes did."""
         self._early_deaths += 1
         if self._early_deaths >= TRIES * self._count:
             raise Refused(f"the worker processes end before they start ({how}); try --workers 1")
@@ -180,7 +180,7 @@ class _Pool:
 
 
 def died_at(run: str, why: str) -> Row:
-    """Return the row of a run that repeatedly killed its process; `why` is the reason that the row states."""
+    """Return the row of a run whose process died repeatedly; `why` is the reason that the row states."""
     told = f"every process failed at this run: {why}; try it alone"
     return {"run": run, "name": Path(run).name, "failed": told}
 
@@ -239,8 +239,9 @@ _LOOKED_AGAIN: Final = 100
 def by_scheduler(job: Job, runs: Iterator[str], address: str) -> Iterator[Row]:
     """Yield the rows of runs as they are done, in any order, computed by the workers of a scheduler.
 
-    The paths of runs must be valid on the computers of the workers, too. `runs` is consumed only as workers need
-    it. Raises `Refused` if no scheduler answers, if it disconnects, and if a worker has a different program.
+    The paths of runs must be valid on the computers of the workers, too. `runs` is read only as fast as
+    workers need runs. Raises `Refused` if no scheduler answers, if it disconnects, or if a worker has another
+    program.
     """
     dask: Any = import_module("distributed")
 

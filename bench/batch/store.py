@@ -38,7 +38,7 @@ _READ: Final = (
 
 @dataclass(frozen=True)
 class Listed:
-    """The runs of a batch (absolute paths, sorted, unique), and the paths found that are not runs."""
+    """The runs of a batch (absolute paths, sorted, unique), and the matching paths that are no runs."""
 
     runs: tuple[str, ...]
     no_runs: tuple[str, ...] = ()
@@ -47,7 +47,7 @@ class Listed:
 def list_runs(
     over: Sequence[str], runs: Path, catalogue: str | None = None, option: str = "--over"
 ) -> Listed:
-    """Return the runs that `over` selects, either by a query (words such as `unit=Q-17`, all required) or by
+    """Return the runs that `over` selects, by a query (words such as `unit=Q-17`, all required) or by
     patterns.
 
     Patterns are shell patterns (`*`, `?`, `[…]`, `**` for nested folders), matched in the working folder or else in
@@ -69,7 +69,7 @@ def list_runs(
 
 
 def _words(given: str) -> list[str]:
-    """Return the words of a text if all are query words; otherwise the text as one pattern, with spaces."""
+    """Return the words of a text if all are query words; otherwise the whole text, as one pattern."""
     words = given.split()
     return words if len(words) > 1 and all(map(is_question, words)) else [given]
 
@@ -122,7 +122,7 @@ def _matches(pattern: str, runs: Path) -> list[Path]:
 
 
 def _globbed(pattern: str) -> list[str]:
-    """Return the paths that match a pattern. Unlike for `Path.glob`, the pattern may be absolute."""
+    """Return the paths that match a pattern, which may be absolute (unlike for `Path.glob`)."""
     return glob.glob(pattern, recursive=True)  # noqa: PTH207
 
 
@@ -146,7 +146,7 @@ _OPTIONS: Final = {"g_m_s2": "g", "limit_g": "limit"}
 
 @dataclass(frozen=True)
 class BatchProgress:
-    """Progress of a batch: `pending` runs with fingerprints, the number `done`, `notes` for the user."""
+    """Progress of a batch: `pending` runs with fingerprints, number of runs `done`, `notes` for the user."""
 
     pending: Mapping[str, str]
     done: int

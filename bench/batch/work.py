@@ -1,4 +1,4 @@
-"""The unit of work: it turns a run and a job into a row. It writes nothing into the run's folder."""
+"""The unit of work: making a row from a run and a job. It writes nothing into the run's folder."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def _calibrated(job: Job, source: Source) -> Row:
 
 
 def _of_meters(job: Job, source: Source, result: RecordCalibrationResult) -> Row:
-    """Return the columns of a record at a known input: gain and offset of each channel, beside the stored ones."""
+    """Return the columns for a record at a known input: gain and offset of each channel, new and stored."""
     row: Row = {}
     if job.command == REPORT:
         row["page"] = str(_written(job, source, report_page(result, job.asked())[0]))
@@ -132,7 +132,7 @@ def _of_meters(job: Job, source: Source, result: RecordCalibrationResult) -> Row
 
 
 def _meters_of(told: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
-    """Return value and u of gain and offset in a stored result, by column of the table."""
+    """Return value and u of each gain and offset in a stored result, by column of the table."""
     return {
         f"{what}_{channel}": (float(part[what]["value"]), float(part[what]["u"]))
         for channel, part in told["channels"].items()
@@ -225,8 +225,8 @@ def _diagnosis(source: Source) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class CalibrationValues:
-    """The calibration in a row: values and u (12,) in unit/g and unit, and the p-value of lack of fit, None if
-    untested.
+    """The calibration in a row: values and u (12,) in unit/g and unit, and the p-value of lack of fit (or
+    None).
     """
 
     estimator: str
@@ -242,7 +242,7 @@ class CalibrationValues:
 
     @property
     def fit(self) -> str:
-        """Whether the model fits the readings, in a word or two."""
+        """Whether the model fits the readings, in one or two words."""
         if self.p is None:
             return "not judged"
         return "does not fit" if self.p < LACK_OF_FIT_P else "fits"
@@ -282,7 +282,7 @@ class VerdictValues:
 
     @property
     def words(self) -> str:
-        """The verdict: accepted or not, and the statement if it adds something."""
+        """The verdict in words: accepted or not, and the statement if that says more."""
         word = "passed" if self.passed else "failed"
         plain = "pass" if self.passed else "fail"
         return word if self.statement == plain else f"{word} ({self.statement})"
@@ -319,7 +319,7 @@ class Named:
 
 @dataclass(frozen=True)
 class Stored:
-    """Earlier results in a run's folder, each None if it is missing or unreadable; `notes` say why."""
+    """Earlier results in a run's folder; one that is missing or unreadable is None, and `notes` say why."""
 
     calibration: CalibrationValues | None = None
     verdict: VerdictValues | None = None
@@ -328,7 +328,7 @@ class Stored:
 
 
 def stored_calibration(folder: Path) -> Stored:
-    """Return the earlier coefficients and verdict in a run's folder."""
+    """Return the earlier coefficients and verdict that are stored in a run's folder."""
     notes: list[str] = []
     found = _read(folder / CALIBRATE_FILE, CalibrationValues.of_file, notes)
     judged = _read(folder / VERIFY_FILE, VerdictValues.of_file, notes)
@@ -336,7 +336,7 @@ def stored_calibration(folder: Path) -> Stored:
 
 
 def stored_diagnosis(folder: Path) -> Stored:
-    """Return the earlier diagnosis in a run's folder."""
+    """Return the earlier diagnosis that is stored in a run's folder."""
     notes: list[str] = []
     return Stored(diagnosis=_read(folder / DIAGNOSE_FILE, Named.of_file, notes), notes=notes)
 
@@ -356,10 +356,10 @@ def _read(file: Path, understood: Any, notes: list[str]) -> Any:
 def changes(before: CalibrationValues | None, now: CalibrationValues) -> Row:
     """Return the columns of the earlier values, the new values and their changes.
 
-    Without earlier values there are only the new ones. Both follow from the same readings, so that a change is no
-    random deviation. A change is stated in units of the earlier u, or of the new u if the earlier coefficient had
-    none (fixed by convention). If neither has a u, the change is zero or unknown. Results in different units of
-    the signals are not compared.
+    Without earlier values there are only the new ones. Both follow from the same readings; a change is
+    therefore no random deviation. A change is in units of the earlier u, or of the new u for a coefficient
+    that had no u (fixed by convention). If neither has a u, the change is zero or unknown. Results in
+    different units of the signals are not compared.
     """
     row: Row = {**_columns(now, ""), **({} if before is None else _columns(before, "_stored"))}
     if before is None:
@@ -384,7 +384,7 @@ def changes(before: CalibrationValues | None, now: CalibrationValues) -> Row:
 
 
 def change_in_u(before: CalibrationValues, now: CalibrationValues) -> Floats:
-    """Return the change of each coefficient (12,) divided by its u; NaN if a coefficient without u changed."""
+    """Return the change of each coefficient (12,) divided by its u; NaN for a change without u."""
     moved = now.values - before.values
     unit = np.where(before.u > 0, before.u, now.u)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -43,8 +43,8 @@ Row = dict[str, Any]
 def instruments_of(bench: BenchFile | None, run: int, started: Mapping[str, Any]) -> dict[str, list[Row]]:
     """Return the rows of the instruments of a run, their uses and certificates, by table.
 
-    `started` are the data of the event with which the run began: identities and serial numbers that were
-    reported.
+    `started` are the data of the event with which the run began, such as reported identities and serial
+    numbers.
     """
     answered = {str(k): str(v) for k, v in (started.get("instruments") or {}).items()}
     serials = {str(k): str(v).strip() for k, v in (started.get("serials") or {}).items()}
@@ -145,7 +145,7 @@ class RecordSeen:
     def _note(self, content: bytes) -> None:
         """Note state, readings and temperatures of the run.
 
-        Quotation marks in a text of an operator are escaped, so that it cannot match the patterns.
+        An operator's text cannot match the patterns, because its quotation marks are escaped.
         """
         for found in _CHANGING.finditer(content):
             name = found.group(1).decode()
@@ -169,7 +169,7 @@ class RecordSeen:
     def proved(self) -> str:
         """How thoroughly the record was verified.
 
-        It is "read" (every event), "chain" (hashes only), "none", or "broken" if the check failed.
+        The value is "read" (every event), "chain" (hashes only), "none" or, if the check failed, "broken".
         """
         if self.problem:
             return "broken"
@@ -185,7 +185,7 @@ class RecordSeen:
 
     @property
     def temperature_c(self) -> float | None:
-        """Mean of the temperatures of the readings, °C."""
+        """Mean temperature (°C) of the readings."""
         finite = [value for value in self._temperatures if math.isfinite(value)]
         return sum(finite) / len(finite) if finite else None
 
@@ -208,7 +208,7 @@ _KEYS: Final = frozenset({"id", "run", "instrument", "certificate"})
 
 @dataclass(frozen=True)
 class FolderEntry:
-    """The content of a folder: rows by table, or the `reason` why it holds no run for the catalogue."""
+    """The content of a folder: rows by table, or the `reason` why it has no run for the catalogue."""
 
     path: str
     fingerprint: str
@@ -287,7 +287,7 @@ def _rows(folder: Path, *, whole: bool) -> dict[str, list[Row]]:
 
 
 def _storable(row: Row) -> Row:
-    """Return a row in a form that every database accepts. Raises `ValueError` for too large a number."""
+    """Return a row in a form that every database accepts. Raises `ValueError` for a number too large."""
     for name, value in row.items():
         if isinstance(value, str) and not value.isprintable():
             row[name] = visible(value)
@@ -299,7 +299,7 @@ def _storable(row: Row) -> Row:
 def _results(folder: Path, run: int, record: RecordSeen) -> dict[str, Any]:
     """Return the rows of a run's results by table.
 
-    The key `problem` describes results that cannot be read; the key `bench` is the name of the bench, if known.
+    The key `problem` describes results that cannot be read; `bench` is the bench's name, if known.
     """
     rows: dict[str, Any] = {"problem": ""}
     for name, read in ((CALIBRATE, _calibration), (f"{VERIFY}.json", _verification), (DIAGNOSE, _diagnosis)):

@@ -53,7 +53,7 @@ _VERDICTS: Final[Mapping[str, str]] = {"passed": "pass", "failed": "fail"}
 
 @dataclass(frozen=True)
 class Key:
-    """A key of questions: its meaning in words, and the function that builds its condition."""
+    """A key in questions: its meaning in words, and the function that builds the condition for a value."""
 
     meaning: str
     build: Build
@@ -96,7 +96,7 @@ def run_folders(catalogue: Catalogue, query: Sequence[str]) -> list[Path]:
 
 
 def _like(column: ColumnElement[Any], value: str) -> Condition:
-    """Return the condition that a text equals `value`, in which `*` matches any text."""
+    """Return the condition that the text in a column equals `value`, in which `*` matches any text."""
     if value == NONE:
         return column.is_(None)
     if "*" not in value:
@@ -126,7 +126,7 @@ def _text(*columns: ColumnElement[Any]) -> Build:
 
 
 def _among(table: Table, condition: Callable[[str], Condition]) -> Build:
-    """Return the builder for a key on another table: a row there, of the same run, must satisfy the condition."""
+    """Return the builder for a key on another table, in which a row of the run must satisfy the condition."""
 
     def build(operator: str, value: str) -> Condition:
         wanted = ~_row_of(table) if value == NONE else _row_of(table, condition(value))
@@ -143,7 +143,7 @@ def _row_of(table: Table, *conditions: Condition) -> Condition:
 
 
 def _size(column: ColumnElement[Any], table: Table | None = None) -> Build:
-    """Return the builder for a numerical key; values are in the unit of the column."""
+    """Return the builder for a numerical key on a column, whose unit the values have."""
 
     def build(operator: str, value: str) -> Condition:
         try:
@@ -182,7 +182,7 @@ def _whether(column: ColumnElement[Any]) -> Build:
 
 
 def _time(fixed: str | None = None) -> Build:
-    """Return the builder for a key on the start time of a run."""
+    """Return the builder for a key on a run's start time; the operator is `fixed` or, if None, typed."""
 
     def build(operator: str, value: str) -> Condition:
         if fixed and operator != "=":
@@ -302,7 +302,7 @@ class AnswerTable:
         return AskResult(query=list(query), of=of, count=len(self), rows=self.mappings())
 
     def write_csv(self, file: Path) -> None:
-        """Write the table as CSV (RFC 4180). Texts that a spreadsheet would run as formulas get a leading
+        """Write the table as CSV (RFC 4180). A text that a spreadsheet would run as a formula gets a leading
         apostrophe.
         """
         text = io.StringIO()
@@ -326,7 +326,7 @@ class AnswerTable:
 
 
 def answer(catalogue: Catalogue, query: Sequence[str], of: str = "runs") -> AnswerTable:
-    """Return the answer to a question: its runs, or the objects of another kind `of` (see `KINDS`) that they used.
+    """Return the answer to a question: its runs or, by the kind `of` (see `KINDS`), what they used.
 
     Raises `Refused` for an invalid question.
     """
@@ -372,7 +372,7 @@ def _coefficients(asked: Condition) -> Select[Any]:
 
 
 def _unpacked(found: AnswerTable) -> AnswerTable:
-    """Return the table with a separate column for each coefficient and each u."""
+    """Return the table with each coefficient and each u in a column of its own."""
     size = len(COEFFICIENTS)
     rows = []
     for row in found.rows:
@@ -413,10 +413,10 @@ def _grouped(column: ColumnElement[Any], *further: Any) -> Callable[[Condition],
 def _used(
     table: Table, key: ColumnElement[Any], names: str, order: str, *further: Any
 ) -> Callable[[Condition], Select[Any]]:
-    """Return the query for objects that runs used (instruments, certificates), sorted by `order`.
+    """Return the function that makes the query for what runs used (instruments, certificates).
 
-    `table` has the objects, `key` is their column in `USES`, `names` and `order` are columns of `table`. `further`
-    are counts in addition to the numbers of runs and units.
+    `table` has a row for each, `key` is its column in `USES`; `names` are the columns shown, sorted by
+    `order`. `further` are counts beside those of runs and units.
     """
     columns = [table.c[name] for name in names.split()]
 

@@ -1,4 +1,4 @@
-"""The catalogue's database, SQLite or PostgreSQL: its location, its tables, and the rebuilding of old ones.
+"""The catalogue's database, SQLite or PostgreSQL: location, tables, and rebuilding of old tables.
 
 Values that were not recorded are NULL; times are UTC; sizes are SI with the unit in the name. A row's key is
 derived from the object that the row describes (the hash of `run.json`, an instrument's identity, …). Any number of
@@ -224,7 +224,7 @@ Index("ix_verifications_verdict_run", VERIFICATIONS.c.verdict, VERIFICATIONS.c.r
 
 
 def key_of(*words: str) -> int:
-    """Return the key (63 bits) of the object that the words identify."""
+    """Return the key (63 bits) of the object that the `words` identify together."""
     digest = hashlib.sha256("\x1f".join(words).encode("utf-8", "surrogatepass")).digest()
     return int.from_bytes(digest[:8], "big") >> 1
 
@@ -262,7 +262,7 @@ class Catalogue:
 
     @contextmanager
     def reading(self) -> Iterator[Connection]:
-        """Yield a connection that sees one consistent state. Raises `Refused` where the database fails."""
+        """Yield a connection that sees one consistent state. Raises `Refused` if the database fails."""
         with _refusing(self.where), self.engine.connect() as connection:
             yield connection
 
@@ -360,7 +360,7 @@ def _prepare_file(file: Path, *, existing: bool) -> None:
 
 
 def _listen(engine: Engine) -> None:
-    """Make SQLite take the write lock at the start of a write transaction, so that writers wait and do not fail."""
+    """Make SQLite lock at the start of each write transaction, so that other writers wait and do not fail."""
     from sqlalchemy import event
 
     if engine.dialect.name != "sqlite":
@@ -447,8 +447,8 @@ def _make_tables(connection: Connection) -> None:
 def _renew(connection: Connection) -> str:
     """Replace the tables of an older catalogue by current ones, for a sync to fill; return a sentence on it.
 
-    Runs that can be read again keep only their folders, so that a sync finds them. Runs and registers whose
-    folders are gone keep their rows, as far as the new tables have columns for them.
+    For a run that can be read again, only the folder is kept, so that a sync finds it. Runs and registers
+    whose folders are gone keep their rows, as far as the new tables have the columns.
     """
     before = MetaData()
     before.reflect(connection, only=lambda name, _: name in {*METADATA.tables, "alembic_version"})
@@ -479,7 +479,7 @@ def _renew(connection: Connection) -> str:
 
 
 def forget_dues(connection: Connection, changed: ColumnElement[bool]) -> None:
-    """Delete the cached due dates of the units whose runs satisfy `changed`, a condition on `RUNS`."""
+    """Delete the cached due dates of units with runs that satisfy `changed`, a condition on `RUNS`."""
     units = select(RUNS.c.unit).where(changed)
     connection.execute(delete(DUES).where(DUES.c.unit.in_(units)))
 

@@ -1,9 +1,9 @@
-"""Synchronisation of the catalogue with run folders: new or changed ones are read, vanished ones marked.
+"""Synchronisation of the catalogue with run folders: reads new or changed folders, marks vanished ones.
 
-The folders are authoritative: a deleted catalogue is rebuilt from them. Many folders are read by worker processes.
-Rows are written in atomic batches, so that the next sync continues an interrupted one, and simultaneous syncs lose
-nothing. A row's key is derived from the object that the row describes. A folder that was moved or renamed therefore
-gives the same run; a copy next to it is reported and counts once.
+The folders are authoritative: a deleted catalogue is rebuilt from them. Many folders are read by worker
+processes. Rows are written in atomic batches, so that the next sync continues an interrupted one, and
+simultaneous syncs lose nothing. A row's key is derived from the object that the row describes. A folder that
+was moved or renamed therefore gives the same run. A copy is reported, and counts once with the original.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ def sync(
 
 
 def _orphaned(row: Row) -> bool:
-    """Return whether a folder is a copy of a run folder that is gone."""
+    """Return whether the folder of a row is a copy of a run folder that no longer exists."""
     reason = row["reason"] or ""
     original = reason.removeprefix(_COPY).removesuffix(_COUNTED)
     return reason.startswith(_COPY) and not Path(original, MANIFEST).exists()
@@ -177,7 +177,7 @@ def _seen(roots: Sequence[str], processes: int) -> WalkResult:
 
 
 def _look_apart(seen: WalkResult, waiting: list[Place], now_ns: int, processes: int) -> None:
-    """Scan many folders in worker processes and in this one; add the results to `seen`."""
+    """Scan many folders, in worker processes and in this process; add the results to `seen`."""
     parts = list(_batches(waiting, LOOKED))
     with pool_of(processes - 1, ENDED) as pool:
         asked = [pool.submit(scan_all, part, now_ns) for part in parts]
@@ -199,14 +199,14 @@ def _is_text(path: str) -> bool:
 
 
 def _unread(connection: Connection) -> set[str]:
-    """Return the folders that must be read again because their runs were dropped with an older schema."""
+    """Return the folders that must be read again because an older schema's rows on them were dropped."""
     missing = FOLDERS.c.run.is_not(None) & FOLDERS.c.run.not_in(select(RUNS.c.id))
     paths = connection.execute(select(FOLDERS.c.path).where(missing)).scalars()
     return {path for path in paths if Path(path, MANIFEST).exists()}
 
 
 def _known(connection: Connection, roots: Sequence[str], unread: set[str]) -> dict[str, Row]:
-    """Return the catalogue's rows on folders below `roots` and in `unread`, by path."""
+    """Return the catalogue's rows on the folders below `roots` and those in `unread`, by path."""
     heads = tuple(root.rstrip(os.sep) + os.sep for root in roots)
     names = FOLDERS.columns.keys()
     rows = (dict(zip(names, row, strict=True)) for row in connection.execute(select(FOLDERS)))
@@ -297,7 +297,7 @@ def _write(connection: Connection, batch: list[FolderEntry], known: dict[str, Ro
 
 
 def _places(connection: Connection, runs: list[int]) -> dict[int, str]:
-    """Return the path of each known run in the catalogue."""
+    """Return the path of each of the `runs` that the catalogue has."""
     found: dict[int, str] = {}
     for some in _batches(runs, MOST_IN):
         rows = connection.execute(select(RUNS.c.id, RUNS.c.path).where(RUNS.c.id.in_(some)))
@@ -317,7 +317,7 @@ def _forget(connection: Connection, runs: list[int]) -> None:
 
 
 def _upsert(connection: Connection, table: Table, rows: list[Row]) -> None:
-    """Insert rows, replacing rows with the same keys. Of several rows with one key the last is kept."""
+    """Insert rows in place of rows with the same keys. Of several rows with one key the last is kept."""
     if not rows:
         return
     if connection.dialect.name == "sqlite":
@@ -349,7 +349,7 @@ def _mark_odd(connection: Connection, odd: dict[str, str]) -> None:
 
 
 def _write_registers(connection: Connection, registers: Sequence[str], done: Synced) -> None:
-    """Replace the rows of registers; a damaged register is reported as a problem, and keeps its old rows."""
+    """Replace the rows of registers; a damaged register is reported and keeps its earlier rows."""
     for folder in registers:
         try:
             rows = issued_in(folder)
@@ -411,9 +411,9 @@ class WalkResult:
 def scan(root: str, now_ns: int, most: int | None = None) -> tuple[WalkResult, list[Place]]:
     """Walk a folder that is or contains run folders, at any depth; symbolic links below it are not followed.
 
-    Run folders are not entered further, nor are hidden folders. When more than `most` folders wait, the walk ends
-    and returns them with the result, for `scan_all` to continue in any process. Raises `OSError` if `root` cannot
-    be read.
+    Folders inside run folders, and hidden folders, are not entered. When more than `most` folders wait, the
+    walk ends and returns them too; `scan_all` can continue from them in any process. Raises `OSError` if
+    `root` cannot be read.
     """
     seen = WalkResult()
     with os.scandir(root):

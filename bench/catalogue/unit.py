@@ -1,4 +1,4 @@
-"""A unit in the catalogue: its runs, its coefficients over time, its due date."""
+"""A unit in the catalogue: its runs, coefficients over time, and due date."""
 
 from __future__ import annotations
 
@@ -77,12 +77,12 @@ def due_units(
     before: str | None = None,
     processes: int | None = None,
 ) -> DueResult:
-    """Return the due dates of the units that a question selects, earliest first, and the units without a date.
+    """Return the due dates of the units that a question selects, earliest first, and units without a date.
 
-    `limit_g` is the error allowed, by default the limit of each unit's last verification. `interval_days` applies
-    to units without a sufficient history. `before` (ISO 8601) leaves out units that are due on that day or later.
-    Due dates of many units are computed by `processes` worker processes, by default one for each core. Raises
-    `Refused` for an invalid question.
+    `limit_g` is the error allowed, by default the limit of each unit's last verification. `interval_days`
+    applies to units whose history is too short. `before` (ISO 8601) leaves out units that are due on that day
+    or later. Due dates of many units are computed by `processes` worker processes, by default one for each
+    core. Raises `Refused` for an invalid question.
     """
     interval = _checked(limit_g, interval_days)
     asked = f"method {METHOD}, limit {limit_g!r}, interval {interval!r}"
@@ -107,7 +107,7 @@ def due_units(
 
 
 def _instruments_due(catalogue: Catalogue, query: Sequence[str], before: str | None) -> list[InstrumentDue]:
-    """Return the instruments whose latest certificate expires before a day, by default within 30 days."""
+    """Return the instruments whose latest certificate expires before a day (default: in 30 days)."""
     day = (utc_now().date() + timedelta(days=REMINDED_DAYS + 1)).isoformat() if before is None else before
     wanted = (INSTRUMENTS.c.name, CERTIFICATES.c.number, CERTIFICATES.c.valid_until)
     stated = (
@@ -187,7 +187,7 @@ def _reckon(
 
 
 def _keep(catalogue: Catalogue, found: Reckoned, asked: str) -> None:
-    """Cache the due dates of those units whose data have not changed since these dates were computed."""
+    """Cache the due dates in `found`, except of units whose data have changed since these were computed."""
     with suppress(Refused), catalogue.writing() as connection:  # read-only users get no cache
         for name, told, mark in found:
             if mark and _mark(connection, name) == mark:
@@ -196,9 +196,9 @@ def _keep(catalogue: Catalogue, found: Reckoned, asked: str) -> None:
 
 
 def _mark(connection: Connection, name: str) -> str:
-    """Return a fingerprint of a unit's runs in the catalogue; empty if a run was written a moment ago.
+    """Return a fingerprint of a unit's runs in the catalogue; "" if a run was written only just now.
 
-    The files of such a run may change once more without a change of their times
+    The files of such a run may still change without a change of their times
     (`bench.catalogue.sync.SETTLED_NS`).
     """
     asked = (
@@ -265,7 +265,7 @@ def unit_calibrations(catalogue: Catalogue, unit: str) -> list[UnitCalibration]:
 
 
 def compared_of(catalogue: Catalogue, name: str) -> tuple[CoefficientTable, bool, list[str]]:
-    """Return the comparable calibrations of a unit, whether they are simulated, and notes on those left out."""
+    """Return the comparable calibrations of a unit, whether they are simulated, and notes on any left out."""
     table = coefficient_table(catalogue, [f"unit={name}"])
     notes = [f"without {words}" for words in table.left_out]
     return *_compared(table, notes), notes
@@ -329,7 +329,7 @@ def _per_g(table: CoefficientTable, g_m_s2: float) -> CoefficientTable:
 
 
 def limit_of(catalogue: Catalogue, query: list[str]) -> float | None:
-    """Return the limit of |Δg|, in local g, of the last verification among the runs of a question.
+    """Return the limit of |Δg|, in local g, in the last verification among the runs of a question.
 
     None if no run states a limit.
     """

@@ -34,9 +34,9 @@ class CoefficientTable:
 
     `path`, `unit`, `unit_type`, `bench`, `signal_unit` (n,) are texts, None if not recorded; `when` (n,) is
     datetime64 in UTC, NaT if not recorded. `vector` (n, 12) are the coefficients in `signal_unit` per g =
-    `g_m_s2` (n,), biases in `signal_unit`. `covariance` (n, 12, 12) is the combined covariance. `u_meters` (n,
-    12) is the part of u due to errors that the same meters repeat, NaN if the result does not state it. `sigma`
-    (n,) is the noise of a reading. `simulated` (n,) is False only for runs recorded as real. `left_out` states in
+    `g_m_s2` (n,), biases in `signal_unit`. `covariance` (n, 12, 12) is the combined covariance. `u_meters`
+    (n, 12) is the part of u from errors that the same meters repeat, NaN if not stated. `sigma` (n,) is the
+    noise of a reading. `simulated` (n,) is False only for runs recorded as real. `left_out` states in
     sentences which runs of the question are omitted.
     """
 
@@ -61,8 +61,8 @@ class CoefficientTable:
 def coefficient_table(catalogue: Catalogue, query: Sequence[str]) -> CoefficientTable:
     """Return the calibrations of the runs that a question selects.
 
-    Runs whose folders are gone or whose records are damaged are omitted and reported in `left_out`, as are
-    results that do not belong to the present record. Raises `Refused` for an invalid question.
+    Runs with a vanished folder, a damaged record, or a result of another record are omitted and reported in
+    `left_out`. Raises `Refused` for an invalid question.
     """
     asked = condition_of(query)
     believed = and_(
@@ -134,7 +134,7 @@ MOST_COMPARED: Final = 400
 
 
 def measured_of(table: CoefficientTable) -> tuple[ComparedCalibrations, Mask, tuple[str, ...]]:
-    """Return the comparable calibrations of a table, their mask in it (n,), and notes on the others.
+    """Return the comparable calibrations of a table, a mask (n,) of them, and notes on the others.
 
     A calibration is comparable if unit, bench and date are known and its covariance is complete. Raises `Refused`
     if there are none, or if simulated and real runs or different signal units are mixed.
@@ -195,8 +195,8 @@ def _regular(table: CoefficientTable) -> Mask:
 def compared(table: CoefficientTable, method: str | None = None) -> BenchComparison:
     """Compare benches by the units that several of them measured.
 
-    The errors that calibrations share (meters, K2 and K3 of a block) are read from the results in their folders.
-    Raises `Refused` or `CalibrationError` if there is nothing to compare, or too much.
+    The errors that calibrations share (meters, K2 and K3 of a block) are read from the results in their
+    folders. Raises `Refused` or `CalibrationError` if there are too few or too many calibrations to compare.
     """
     measured, known, notes = measured_of(table)
     paths = table.path[known]

@@ -1,7 +1,7 @@
 """The typed content of a certificate, as ISO/IEC 17025:2017, 7.8 requires it, independent of PDF and XML.
 
-The content does not depend on the current date, the folder or the user. The same record, input files and
-`Issue` therefore always give the same bytes of the PDF and of the XML.
+The content does not depend on date, folder or user. The same record, input files and `Issue` therefore always
+give the same bytes of PDF and XML.
 """
 
 from __future__ import annotations
@@ -81,9 +81,9 @@ class Values:
 class Condition:
     """A quantity that influences the calibration, and its range `low` to `high` during the run, in `unit`.
 
-    `key` is the key of the quantity's name in `words.yaml`; `about`, such as the supply rail, fills the blank in
-    that name. `u` is the standard uncertainty of the quantity, None if only the range is known. `source` names the
-    sensor or the estimate behind the values.
+    `key` is the key of the quantity's name in `words.yaml`; `about`, such as the supply rail, fills the blank
+    in the name. `u` is the standard uncertainty of the quantity, None if only the range is known. `source`
+    names the sensor or the estimate behind the values.
     """
 
     key: str
@@ -99,8 +99,8 @@ class Condition:
 class Instrument:
     """An instrument used in the run, with its certificate on the day of the run.
 
-    `identity` is the instrument's answer to the identification query. `foreign` is true if the certificate belongs
-    to another instrument. `why_not` is the reason why the corrections in the certificate were not applied.
+    `identity` is the instrument's answer to the identification query. `foreign` says whether the certificate
+    belongs to another instrument; `why_not` is the reason why its corrections were not applied.
     """
 
     name: str
@@ -118,8 +118,8 @@ class Instrument:
 class Contribution:
     """A source of uncertainty that does not show in the scatter of the readings.
 
-    `most_in` names the coefficient in whose u the source has the largest share; `u` is its contribution to
-    that coefficient, in `unit`. `prior` marks a `size` that nobody stated for this bench.
+    `most_in` names the coefficient in whose u the source has the largest share; `u` is that contribution, in
+    `unit`. `prior` says that nobody stated the `size` for this bench.
     """
 
     name: str
@@ -156,7 +156,7 @@ class Method:
 class RunReference:
     """The record of the run, from which the results can be reproduced.
 
-    `events` is the number of events and `head` the SHA-256 of the last one. `seal` is the seal as JSON and
+    `events` is the number of events, `head` the SHA-256 of the last event. `seal` is the seal as JSON and
     `sealed` the time of sealing. For an unsealed run, `sealed` is empty, and `seal` is an unsigned seal made
     from the record.
     """
@@ -171,7 +171,7 @@ class RunReference:
 
 @dataclass(frozen=True)
 class RunFindings:
-    """The results of a run for the unit. `begun` and `ended` are civil times (ISO 8601), empty if unknown.
+    """What a run found on the unit. `begun` and `ended` are civil times (ISO 8601), empty if unknown.
 
     `result` and `verdict` are the complete evaluation; `verdict` is None if no verification point was
     measured. `result_json` and `readings_csv` are the contents of the files attached to the certificate.
@@ -199,13 +199,13 @@ class RunFindings:
 
     @property
     def verification(self) -> Verification | None:
-        """The check at the verification points; None if none was measured."""
+        """The check at the verification points; None if no such point was measured."""
         return None if self.verdict is None else self.verdict.verification
 
 
 @dataclass(frozen=True)
 class Before:
-    """The certificate that a new one supersedes.
+    """The certificate that a new certificate supersedes.
 
     `kind` is "amended" or "replaced"; `sha256` is the hash of the superseded certificate's XML as issued.
     """
@@ -250,7 +250,7 @@ class Attached:
 class Certificate:
     """A certificate. `issue` is None for a draft; `laboratory` and `order` are None if not given.
 
-    `unit` is the order's entry for this unit, `as_found` the results of a run before an adjustment.
+    `unit` is the order's entry for this unit; `as_found` are the results of a run before an adjustment.
     `texts` are the words in the chosen languages, the main language first.
     """
 
@@ -289,7 +289,7 @@ class Certificate:
 
     @property
     def coverage(self) -> float:
-        """The coverage probability that belongs to `k` for a normal distribution."""
+        """The coverage probability of `k` for a normal distribution."""
         return math.erf(self.k / math.sqrt(2.0))
 
     @property
@@ -313,10 +313,10 @@ class Certificate:
 
     @property
     def origins(self) -> dict[str, list[tuple[str, dict[str, str]]]]:
-        """Statements on sampling, external providers and customer data, which do not come from the laboratory.
+        """Statements on what does not come from the laboratory: sampling, external results, customer data.
 
-        Each heading maps to a list of sentences. A sentence is a key in `words.yaml` with the values for its
-        blanks. Empty without an order. Source: ISO/IEC 17025:2017, 7.8.2.1 k and p, 7.8.2.2.
+        Each heading maps to a list of sentences. A sentence is a key in `words.yaml` with the values for the
+        blanks. The result is empty without an order. Source: ISO/IEC 17025:2017, 7.8.2.1 k and p, 7.8.2.2.
         """
         order = self.order
         if order is None:
@@ -335,7 +335,7 @@ class Certificate:
 
     @property
     def stated(self) -> tuple[StatedField, ...]:
-        """The additional fields that the laboratory and order files state for this certificate."""
+        """The additional fields of this certificate, from the laboratory file and the order file."""
         return tuple(stated_fields(self.laboratory, self.unit, self.order))
 
     @property
@@ -347,7 +347,7 @@ class Certificate:
 
     @property
     def valid_instruments(self) -> bool:
-        """Whether every voltmeter and head used has a valid certificate of its own; see `uncertified`."""
+        """Whether voltmeters and head have valid certificates of their own; see `uncertified`."""
         return not uncertified(self.found)
 
     @property
@@ -369,7 +369,7 @@ def stated(of: Verification) -> tuple[Statement, tuple[Statement, ...]]:
 
 
 def uncertified(found: RunFindings) -> tuple[str, ...]:
-    """Return the names of the voltmeters and the head that had no valid certificate of their own on the day.
+    """Return the names of those voltmeters (and head) that had no valid certificate of their own on the day.
 
     Their certificate is missing, expired or belongs to another instrument.
     """
@@ -381,7 +381,7 @@ def uncertified(found: RunFindings) -> tuple[str, ...]:
 
 
 def rule_said(say: Callable[..., Said], rule: DecisionRule) -> Said:
-    """Return a decision rule in words, made by `say`, which returns the text for a key in `words.yaml`."""
+    """Return a decision rule in words; `say` is the function that gives the text of a key."""
     if rule.guard_band is None:
         return say("rule_unstated", times=f"{100 * FALSE_ACCEPTANCE:g}")
     return say(_RULES[rule.name], times=f"{rule.guard_band:g}")

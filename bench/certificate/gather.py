@@ -88,7 +88,7 @@ def _house_rule(laboratory: Laboratory | None) -> DecisionRule | None:
 
 
 def texts_for(laboratory: Laboratory | None) -> tuple[Texts, ...]:
-    """Return the texts in each language of a laboratory, with its own wordings; English without a laboratory."""
+    """Return the texts in each language of a laboratory, with its wordings; English without a laboratory."""
     if laboratory is None:
         return (texts_of(_FIRST_LANGUAGE),)
     return tuple(
@@ -140,7 +140,7 @@ def found_by(
 ) -> RunFindings:
     """Evaluate a run with its own bench file and return the results, with U = `k` u of the coefficients.
 
-    `asked` are the options of the verdict; `agreed` is the decision rule if the record states none. Raises as
+    `asked` are options of the verdict; `agreed` is the decision rule if the record names none. Raises as
     `certificate_of`.
     """
     (source,) = load_sources(Request([name], runs))
@@ -270,8 +270,8 @@ def _conditions(source: Source) -> Iterator[Condition]:
 def _of_temperature(source: Source) -> tuple[float, str]:
     """Return the standard uncertainty (K) of the block's temperature, and the origin of that uncertainty.
 
-    The origin is a thermometer at the block; without one, it is the air temperature and the possible
-    difference between air and block.
+    The origin is a thermometer at the block or, without one, the air temperature and how far the block may
+    differ from it.
     """
     known = {error.name: error for error in hidden_sources(source.bench, source.model)}
     thermometer, band = known.get("thermometer"), known["temperature"]
@@ -327,7 +327,7 @@ def _contributions(result: CalibrationResult) -> Iterator[Contribution]:
 
 
 def _result_json(run: Run, result: CalibrationResult, verdict: VerificationResult | None) -> str:
-    """Return the result and the verdict as JSON; paths in the run's local folder are replaced by its name."""
+    """Return the result and the verdict as JSON, with the run's name in place of the path of its folder."""
     told = {**result.to_dict(), "verification": None if verdict is None else verdict.to_dict()}
     told["source"] = run.name
     for part in (told, told["verification"] or {}):
@@ -353,5 +353,5 @@ def _one_line(text: str) -> str:
 
 
 def issued_at(now: datetime) -> str:
-    """Return a civil time as a certificate states it: to the second, with its offset."""
+    """Return `now` as a certificate states it: civil time to the second, with offset."""
     return now.replace(microsecond=0).isoformat()

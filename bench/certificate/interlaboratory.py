@@ -39,7 +39,7 @@ SHA256: Final = re.compile(r"[0-9a-f]{64}")
 
 @dataclass(frozen=True)
 class Stop:
-    """One stop of the block: its blind `code`, the laboratory, whether it is the pilot, and the seal of its result
+    """A stop of the block: blind `code`, laboratory, whether this is the pilot, and the seal of the result,
     if given.
     """
 
@@ -57,7 +57,7 @@ class Kit:
     stops: tuple[Stop, ...] = field(default_factory=tuple)
 
     def stop(self, code: str) -> Stop:
-        """Return the stop with a blind code. Raises `Refused` for an unknown code."""
+        """Return the stop with this blind code. Raises `Refused` for an unknown code."""
         found = next((stop for stop in self.stops if stop.code == code), None)
         if found is None:
             raise Refused(f"{code}: no such code; the plan has {', '.join(s.code for s in self.stops)}")
@@ -65,7 +65,7 @@ class Kit:
 
 
 def plan_kit(block: str, laboratories: Sequence[str], seed: int) -> Kit:
-    """Return the plan: the first laboratory is the pilot, which measures first, after every two others, and last.
+    """Return the plan: the first laboratory (the pilot) measures first, after every two others, and last.
 
     The order of the other laboratories and the codes are random, drawn with `seed`. Raises `Refused` for fewer than
     three laboratories, or a name given twice.
@@ -125,7 +125,7 @@ def seal_of(result: str) -> str:
 
 
 def sealed(kit: Kit, given: Mapping[str, str]) -> Kit:
-    """Return the plan with the seals of results, given by code. Raises `Refused` for a code already sealed."""
+    """Return the plan with the seals of the results `given` by code. Raises `Refused` for a sealed code."""
     for code in given:
         if kit.stop(code).seal not in {"", seal_of(given[code])}:
             raise Refused(f"{code}: is sealed already with another result; agree on a new code")
@@ -143,9 +143,10 @@ def evaluate_kit(
     """Return the evaluation of results, given by code: files of `calibrate --json`, or DCCs (XML, PDF) of any
     program.
 
-    `g_m_s2` is the local gravity (m/s²) of certificates that do not state it. `checks` are readings of monitors by
-    code, in order of time. Changes of the block between monitors and between the pilot's stops, in excess of u,
-    widen the u of each difference. Raises `Refused` if a seal is missing or broken, or a stop has no result.
+    `g_m_s2` is the local gravity (m/s²) of certificates that do not state it. `checks` are monitors at each
+    stop, by code, in order of time. Changes of the block, between monitors or the pilot's stops, that exceed
+    their u widen the u of each difference. Raises `Refused` if a seal is missing or broken, or a stop has no
+    result.
     """
     problems = [f"{s.code}: no result is given" for s in kit.stops if s.code not in given]
     problems += [
@@ -191,9 +192,9 @@ _Seen = tuple[str, str, Literal["calibration", "monitor"], Drift]
 
 
 def _between_pilots(pilots: Sequence[str], there: Mapping[str, Snapshot]) -> Iterator[_Seen]:
-    """Yield the change of the nine intrinsic numbers from each stop of the pilot to its next.
+    """Yield the change of the nine intrinsic numbers from each stop of the pilot to the pilot's next stop.
 
-    Errors that both stops share cancel.
+    Errors that two stops have in common cancel.
     """
     for first, last in pairwise(pilots):
         nine = [there[code].per(STANDARD_GRAVITY).in_nine() for code in (first, last)]
@@ -251,7 +252,7 @@ def _results(request: SealKit) -> dict[str, str]:
 
 
 def kit_planned(request: PlanKit) -> Kit:
-    """Plan the route of the block with a blind code for each stop, and write it, as `bench kit plan` does.
+    """Plan the route of the block with a blind code for each stop, and write the plan (`bench kit plan`).
 
     Raises `Refused` for a plan that exists, fewer than three laboratories, or a name given twice.
     """
@@ -264,7 +265,7 @@ def kit_planned(request: PlanKit) -> Kit:
 
 
 def kit_sealed(request: SealKit) -> Kit:
-    """Note the seal (SHA-256) of each result, given as CODE=FILE, in the plan; return the plan.
+    """Note in the plan the seal (SHA-256) of each result, given as CODE=FILE; return the plan.
 
     Raises `Refused` for an unknown code, or for one that is sealed with another result.
     """
@@ -277,8 +278,8 @@ def kit_sealed(request: SealKit) -> Kit:
 def kit_evaluated(request: EvaluateKit) -> KitResult:
     """Compare each laboratory with the consensus of the others, as `bench kit evaluate` does.
 
-    The comparison is in the nine intrinsic numbers. Results and checks are given as CODE=FILE. Raises `Refused` if
-    a seal is missing or broken, or a stop has no result.
+    The nine intrinsic numbers are compared. Results and checks are given as CODE=FILE. Raises `Refused` if a
+    seal is missing or broken, or a stop has no result.
     """
     return evaluate_kit(load_kit(Path(request.plan)), _results(request), request.g, _by_code(request.check))
 

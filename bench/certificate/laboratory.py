@@ -70,10 +70,10 @@ def texts_of(language: str) -> Texts:
 
 @dataclass(frozen=True)
 class OnCertificate:
-    """A mark for a field of a laboratory or order file that is printed on the certificate under its own name.
+    """A mark for a field of a laboratory or order file: the certificate shows the field under its own name.
 
-    `page` is the page of the PDF. If `otherwise`, a key in `words.yaml`, is set, the row is always printed,
-    before other rows; if the file does not state the field, the row has this text.
+    `page` is the page of the PDF. With `otherwise`, a key in `words.yaml`, the row is always printed, before
+    other rows; its text is that of the key if the file does not state the field.
     """
 
     page: Literal["front", "method", "conditions"]
@@ -82,7 +82,7 @@ class OnCertificate:
 
 @dataclass(frozen=True)
 class StatedField:
-    """A field for a certificate: the key of its label, its `texts` (possibly none) and its page."""
+    """A field on a certificate: the key of its label, its `texts` (possibly none) and its page."""
 
     key: str
     texts: tuple[str, ...]
@@ -94,7 +94,7 @@ def stated_fields(
 ) -> Iterator[StatedField]:
     """Yield a `StatedField` for each field that is marked with `OnCertificate`, file by file.
 
-    The field's `texts` are empty if its file is None or does not contain it.
+    `texts` are empty if the file is None or does not state the field.
     """
     for model, file in ((Laboratory, laboratory), (UnitOrder, unit), (Order, order)):
         for name, field in (type(file) if file else model).model_fields.items():
@@ -167,8 +167,8 @@ Language = Annotated[str, BeforeValidator(_language)]
 class Laboratory(Contact, StatedRule):
     """A validated laboratory file. Paths in it are relative to the file.
 
-    `rule` and `guard_band` are the decision rule if neither the order nor the record states one. `numbers` is
-    the scheme of certificate numbers, and `k` the coverage factor of the coefficients. `texts` replaces the
+    `rule` and `guard_band` are the decision rule if neither order nor record states a rule. `numbers` is the
+    scheme of certificate numbers, and `k` the coverage factor of the coefficients. `texts` replaces the
     program's texts, by language and key. With `require_validation`, real runs and certificates need a program
     whose validation was accepted.
     """
@@ -289,9 +289,7 @@ class Adjusted(FileModel):
 
 
 class External(FileModel):
-    """Results from an external provider: `what` they are, `by` whom they were provided (ISO/IEC 17025:2017, 7.8.2.1
-    p).
-    """
+    """Results from an external provider: `what` results, `by` whom (ISO/IEC 17025:2017, 7.8.2.1 p)."""
 
     what: str
     by: str
@@ -300,8 +298,8 @@ class External(FileModel):
 class Supplied(FileModel):
     """Data from the customer that the certificate uses (ISO/IEC 17025:2017, 7.8.2.2).
 
-    `affects_validity` states whether a wrong value could invalidate a result; page 1 then carries the warning of
-    7.8.2.2.
+    `affects_validity` states whether a wrong value could invalidate a result; if so, page 1 has the warning
+    of 7.8.2.2.
     """
 
     what: str
@@ -311,8 +309,8 @@ class Supplied(FileModel):
 class UnitOrder(FileModel):
     """A unit in an order: its receipt, its condition, and whether the run shows it as found or as left.
 
-    An entry without `serial` applies to all units. `calibrated` is the day of calibration for imported readings
-    without a date. `deviations` are deviations from the method.
+    An entry without `serial` applies to all units. `calibrated` is the day of calibration if readings were
+    imported without a date. `deviations` are those from the method.
     """
 
     serial: str | None = None
@@ -337,11 +335,11 @@ class UnitOrder(FileModel):
 class Order(StatedRule):
     """A validated order file.
 
-    `rule` and `guard_band` are the decision rule agreed with the customer, which overrides the rule in the record
-    (ISO/IEC 17025:2017, 7.1.3); `agreed` are other agreements. `place` is the place of calibration if it was not
-    the laboratory. `without_certificates` is why the customer accepts instruments without valid certificates.
-    `sampling` is the sampling plan and method, and who sampled; without it, the customer supplied the units.
-    `external` are results from other bodies, `supplied` data from the customer.
+    `rule` and `guard_band` are the decision rule agreed with the customer, which overrides the rule in the
+    record (ISO/IEC 17025:2017, 7.1.3); `agreed` are other agreements. `place` is the place of calibration if
+    it was not the laboratory. `without_certificates` is why the customer accepts instruments without valid
+    certificates. `sampling` is the sampling plan and method, and who sampled; without `sampling`, the
+    customer supplied the units. `external` are results from other bodies, `supplied` data from the customer.
     """
 
     customer: Contact

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Desk:
-    """The inputs for issuing: loaded files, the authorising person's name, key, schemas and clock."""
+    """The inputs for an issue: loaded files, name of the authorising person, key, schemas and clock."""
 
     runs: Path
     laboratory_file: Document
@@ -55,7 +55,7 @@ class Desk:
 
 
 def desk_of(request: Issuing, passphrase: Callable[[], bytes]) -> Desk:
-    """Return the inputs for issuing, checked; `passphrase` is called if the key needs one.
+    """Return the checked inputs for an issue; `passphrase` is called if the key needs a passphrase.
 
     Raises `Refused` with every missing option of the request, and `FileMistakes` for mistakes in its files.
     """
@@ -91,7 +91,7 @@ def laboratory_in(file: Path | None) -> Laboratory:
 
 
 def _outcome(run: str, number: str | None = None, **told: Any) -> IssuedRun:
-    """Return the outcome for a run; `told` replaces members that otherwise have default values."""
+    """Return the outcome for a run; `told` are members that differ from their default values."""
     usual: dict[str, Any] = {"files": [], "why": None, "issued_before": False, "lacks": []}
     return IssuedRun(run=run, number=number, **{**usual, **told})
 
@@ -109,7 +109,7 @@ class Bodies:
 
 
 def issue_all(names: Sequence[str], desk: Desk) -> Iterator[IssuedRun]:
-    """Issue a certificate for each run in turn; yield the outcomes. A failure does not stop the others."""
+    """Issue a certificate for each run in turn; yield the outcomes. A failure stops no other run."""
     laboratory, order = desk.laboratory, desk.order
     person, register = desk.person(laboratory), Register(laboratory.register_folder)
     for name in names:
@@ -139,7 +139,7 @@ def drafts(request: IssueCertificates) -> Iterator[IssuedRun]:
 
 
 def _tried(name: str, make: Callable[[str], IssuedRun]) -> IssuedRun:
-    """Return the outcome of `make` for a run; an exception becomes an outcome, so that other runs continue."""
+    """Return the outcome of `make` for a run; an exception becomes an outcome and stops no other run."""
     try:
         return make(name)
     except Exception as error:
@@ -172,7 +172,7 @@ def _wanted(name: str, desk: Desk, laboratory: Laboratory, order: Order) -> Cert
 
 
 def _holding(register: Register, certificate: Certificate) -> NumberStatus | None:
-    """Return the valid certificate of the same record; None if there is none."""
+    """Return the status of a valid certificate of the same record; None if there is none."""
     head = certificate.found.record.head
     of_record = (s for s in register.standings.values() if s.entry.data["record"]["head"] == head)
     return next((standing for standing in of_record if standing.state == ISSUED), None)
@@ -181,7 +181,7 @@ def _holding(register: Register, certificate: Certificate) -> NumberStatus | Non
 def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) -> IssuedRun:
     """Issue a certificate for the run `name` that supersedes the certificate `number`.
 
-    The old certificate becomes "replaced" if `replaced`, else "amended". The new certificate states the number of
+    The old certificate becomes "replaced" (`replaced`) or "amended". The new certificate states the number of
     the old one and the `reason`. Raises `Refused` if the old certificate is not valid or is for another unit.
     """
     laboratory, order = desk.laboratory, desk.order
@@ -210,7 +210,7 @@ def revoke(request: RevokeCertificate) -> None:
 
 
 def holds(register: Register, number: str) -> NumberStatus:
-    """Return the status of a certificate number. Raises `Refused` unless that certificate is valid now."""
+    """Return the status of the certificate `number`. Raises `Refused` unless it is valid now."""
     standing = issued(register, number)
     if standing.state != ISSUED:
         told = f"by {standing.by}" if standing.state != REVOKED else f": {standing.by}"
@@ -323,7 +323,7 @@ def signed(
 def made_again(register: Register, number: str, runs: Path) -> Bodies:
     """Reproduce the unsigned forms of an issued certificate from its record and its stored inputs.
 
-    Raises `Refused` if a stored input or the record has changed; otherwise raises as issuing does.
+    Raises `Refused` if a stored input or the record has changed; else raises like the issue of a certificate.
     """
     entry = issued(register, number).entry
     kept = entry.data["made_from"]
@@ -351,7 +351,7 @@ def made_again(register: Register, number: str, runs: Path) -> Bodies:
 
 
 def checked(request: CheckRegister) -> tuple[RegisterResult, list[Path]]:
-    """Return the content of a register, for one certificate number or all, and the paths of copied files.
+    """Return the content of a register, for one certificate number or all numbers, and the files copied.
 
     The files are copied to `request.out`. With `request.again`, each certificate is reproduced from its record and
     compared. Raises `Refused` for a number that was never issued.
@@ -369,7 +369,7 @@ def checked(request: CheckRegister) -> tuple[RegisterResult, list[Path]]:
 
 
 def register_result(register: Register, number: str | None, runs: Path | None) -> RegisterResult:
-    """Return the content of an open register, for one number or all.
+    """Return the content of an open register, for one number or (None) all.
 
     If `runs` is given, each certificate is also reproduced from its record in that folder and compared.
     """
@@ -401,7 +401,7 @@ def register_result(register: Register, number: str | None, runs: Path | None) -
 
 
 def _same(register: Register, number: str, runs: Path, problems: list[str]) -> bool:
-    """Return whether the reproduced unsigned forms equal the issued ones; append differences to `problems`."""
+    """Reproduce a certificate; return whether its unsigned forms are as issued, else add to `problems`."""
     stated = register.standings[number].entry.data["bodies"]
     try:
         again = made_again(register, number, runs).sha256()

@@ -1,4 +1,4 @@
-"""Page data and unsigned PDF of a certificate, and the check that a file is such a PDF.
+"""Page data and unsigned PDF of a certificate, and the check that a file is a certificate's PDF.
 
 A certificate is a PDF/A-3b with files attached (ISO 19005-3:2012). `faults_of` checks the objects of a file,
 signed or unsigned. Each fault names its clause. The check is not complete: veraPDF checks more.
@@ -43,7 +43,7 @@ def attachments_of(certificate: Certificate, dcc: bytes) -> tuple[Attached, ...]
 def data_of(certificate: Certificate, dcc: bytes) -> dict[str, Any]:
     """Return the input data of the page template. Raises `Refused` for a logo that is not a picture.
 
-    Numbers, figures, and texts that do not come from `words.yaml`, are in the main language only.
+    Only texts from `words.yaml` are in all languages; numbers, figures and other texts are in the main one.
     """
     with speaking(known_language(certificate.texts[0].language) or ENGLISH):
         return _data_of(certificate, dcc)
@@ -142,7 +142,7 @@ def _front(certificate: Certificate, write: Writer) -> list[Block]:
 
 
 def _days(certificate: Certificate) -> str:
-    """Return the first and the last day of the calibration, or the one day if they coincide."""
+    """Return the first and the last day of the calibration, or one day if both coincide."""
     if certificate.calibrated is None:
         return ""
     first, last = certificate.calibrated
@@ -236,7 +236,7 @@ def _inputs(certificate: Certificate, dcc: bytes) -> dict[str, str]:
 def typeset_pdf(data: dict[str, str], moment: int, template: bytes | None = None) -> bytes:
     """Return the PDF typeset from a template, by default the template of certificates.
 
-    `moment` (s since 1970) is its stated creation time.
+    `moment` (s since 1970) is the creation time that the PDF states.
     """
     import typst
 

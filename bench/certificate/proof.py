@@ -41,7 +41,7 @@ class Writer:
         self._texts = certificate.texts
 
     def say(self, key: str, **values: object) -> list[str]:
-        """Return the text `key` in each language; a list among `values` has one wording per language."""
+        """Return the text `key` in each language; a list in `values` has a wording for each language."""
         return [
             text.say(key, **{name: of[i] if isinstance(of, list) else of for name, of in values.items()})
             for i, text in enumerate(self._texts)
@@ -56,12 +56,12 @@ class Writer:
         return {"kind": "words", "words": self.say(key, **values)}
 
     def pairs(self, rows: Iterable[tuple[str, Sequence[Cell]]]) -> Block:
-        """Return a block of rows, each a label with its lines; a row without content shows a dash."""
+        """Return a block of `rows` (key of the label, lines); a row without content shows a dash."""
         told = [[self.say(key), [one for one in lines if one] or [NOBODY_SAYS]] for key, lines in rows]
         return {"kind": "pairs", "rows": told}
 
     def stated(self, certificate: Certificate, page: str) -> list[tuple[str, list[Cell]]]:
-        """Return a page's rows from the laboratory and order files; rows that are always printed come first."""
+        """Return a page's rows from laboratory and order files; those always printed come first."""
         fields = [one for one in certificate.stated if one.place.page == page]
         rows: list[tuple[str, list[Cell]]] = []
         for one in sorted(fields, key=lambda field: not field.place.otherwise):
@@ -109,7 +109,7 @@ def symbol(name: str) -> Cell:
 
 
 def value_cells(value: Value, size: float = 1.0, unit: str = "") -> list[Cell]:
-    """Return the cells of a result: name, value, U, k, degrees of freedom, unit; numbers are in units of `size`."""
+    """Return the cells of a result, in `unit` of size `size`: name, value, U, k, degrees of freedom, unit."""
     U = value.U / size
     freedom = (
         "∞"
@@ -141,7 +141,7 @@ def local(rows: Iterable[Sequence[Cell]]) -> list[list[Cell]]:
 
 
 def correlation_rows(values: Values) -> list[list[Cell]]:
-    """Return the lower triangle of the correlation matrix; results without uncertainty have dashes."""
+    """Return the lower triangle of the correlation matrix, with dashes for results without uncertainty."""
     rows: list[list[Cell]] = []
     u = [value.u for value in values.values]
     for i, value in enumerate(values.values):
@@ -175,7 +175,7 @@ def span(low: float, high: float, u: float | None, unit: str) -> str:
 
 
 def plain(told: Any) -> Any:
-    """Return data with control characters made visible, so that no text can hide another on the page."""
+    """Return data with control characters visible, so that no text on the page can hide another."""
     if isinstance(told, dict):
         return {name: plain(of) for name, of in told.items()}
     if isinstance(told, list | tuple):
@@ -367,7 +367,7 @@ def verdict(certificate: Certificate, write: Writer) -> list[Block]:
 
 
 def verdict_of(found: RunFindings, write: Writer) -> list[Block]:
-    """Return the blocks of the statement of conformity for the results of a run."""
+    """Return the blocks of the statement of conformity, made from a run's results."""
     result = found.verification
     if result is None:
         return [write.words("no_conformity")]
@@ -431,7 +431,7 @@ _kept: dict[str, tuple[Any, str]] = {}
 
 
 def _drawn(draw: Callable[[Any], str], of: Any) -> str:
-    """Return a figure; the latest of each kind is cached, because the page is typeset twice."""
+    """Return the figure that `draw` makes; the latest of each kind is cached, as pages are typeset twice."""
     name = f"{draw.__name__} {language()}"
     kept = _kept.get(name)
     if kept is None or kept[0] is not of:

@@ -1,8 +1,8 @@
 """The register of issued certificates: an append-only file whose lines contain the previous line's hash.
 
-Writing the line issues the certificate. Until then, its files have temporary names; they are renamed
-afterwards, or when the register is next opened. After any interruption, a number therefore exists with its
-files or not at all. Only one program at a time has the register open.
+Writing the line issues the certificate. Before that, the certificate's files have temporary names; they are
+renamed afterwards, or when the register is next opened. After an interruption, a number therefore exists with
+all its files or not at all. Only one program at a time has the register open.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ ISSUED, REVOKED = "issued", "revoked"
 class NumberStatus:
     """The status of a certificate number: `state` is "issued", "amended", "replaced" or "revoked".
 
-    `by` is the number of the successor, or the reason for the revocation.
+    `by` is the number of the certificate that supersedes it, or the reason for the revocation.
     """
 
     entry: Entry
@@ -69,7 +69,7 @@ class Register(Chain):
         self._put_in_place(self.standings[entry.number].entry)
 
     def revoke(self, entry: Entry) -> None:
-        """Append the revocation of a certificate. Raises `OSError`."""
+        """Append the line that revokes a certificate. Raises `OSError`."""
         self.append(entry)
 
     def file(self, name: str) -> bytes:
@@ -98,7 +98,7 @@ class Register(Chain):
         return wrong
 
     def catch_up(self) -> None:
-        """Read the lines that were added since the last call, and finish interrupted issues.
+        """Read the lines that were added since the last call, and finish issues that were interrupted.
 
         Raises `Refused` for a changed line.
         """
@@ -132,7 +132,7 @@ class Register(Chain):
         sync_folder(self.folder)
 
     def _finish(self, part: Path) -> None:
-        """Rename a temporary file to its final name if its certificate was issued; delete it if not."""
+        """Rename a temporary file to its final name if its certificate was issued; else delete it."""
         name = part.name.removesuffix(_PART)
         standing = self.standings.get(name.rsplit(".", 1)[0])
         stated = None if standing is None else standing.entry.files.get(name)

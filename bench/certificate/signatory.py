@@ -37,7 +37,7 @@ class Signatory:
 
     @property
     def name(self) -> str:
-        """The name of the key's owner according to its certificate."""
+        """The name of the key's owner, as the certificate of the key states it."""
         return name_of(self.chain[0])
 
     @property
@@ -100,7 +100,7 @@ def new_certificate_key(file: Path, name: str, passphrase: bytes | None, now: da
 def signatory_of(key: str, chain: Path | None, passphrase: Callable[[], bytes], now: datetime) -> Signatory:
     """Return the signatory for a `key`: a PEM file, or the address of a key in a token (`pkcs11:…`, RFC 7512).
 
-    `chain` is a PEM file with the certificates, the key's own first. Without it, the chain is read from the
+    `chain` is a PEM file with certificates, that of the key first. Without it, the chain is read from the
     key's folder or from the token. Raises `RecordError` for a key file that others may read or that holds no
     key, `Refused` for a key or certificate that cannot be used for signing at `now`.
     """
@@ -203,8 +203,8 @@ def signatory_in_token(
 ) -> Signatory:
     """Return the signatory for a key in a token; `pin` is called for the PIN.
 
-    `chain`, if given, replaces the certificate in the token. Raises `Refused` if the address does not name
-    exactly one key, if the module is not a PKCS #11 module, or if the token rejects the PIN.
+    `chain`, if given, replaces the certificate in the token. Raises `Refused` if the address names no key or
+    several, if the module is not for PKCS #11, or if the token rejects the PIN.
     """
     import pkcs11
 
@@ -305,10 +305,10 @@ def _signing(key: Any, told: str) -> Callable[[bytes], bytes]:
 
 
 def why_not_trusted(chain: Sequence[Certificate], when: datetime, trusted: Sequence[Certificate]) -> str:
-    """Return why a signer's certificate is not trusted at the time `when`; "" if it is trusted.
+    """Return why a signer's certificate is not trusted at time `when`; "" if it is.
 
-    A certificate is trusted if `trusted` contains it, or contains a certificate under which it was issued. `chain`
-    starts with the signer's certificate; the others may link it to `trusted`. Revocation lists are not checked.
+    A certificate is trusted if `trusted` contains it or a certificate under which it was issued. `chain`
+    starts with the signer's certificate; the others may link that to `trusted`. Revocation is not checked.
     """
     own = chain[0]
     if fingerprint_of(own) in {fingerprint_of(one) for one in trusted}:

@@ -35,7 +35,7 @@ def parser() -> etree.XMLParser:
 
 
 class NotIntact(Exception):
-    """Raised when a signature is malformed or the signed content was changed; the message says which."""
+    """Raised for a malformed signature or changed content; the message says which."""
 
 
 class NoCertificate(NotIntact):
@@ -48,7 +48,7 @@ class Unsigned(NotIntact):
 
 @dataclass(frozen=True)
 class SignedXml:
-    """A signed XML: its `content` in canonical form, without comments and signature, and the signer's certificate
+    """A signed XML: its canonical `content` without comments and signature, and the signer's certificate
     `chain`.
 
     `signed_at` is the time by the signer's clock. `comments` counts the comments in the file, which are not signed.
@@ -87,7 +87,7 @@ def sign_xml(document: bytes, signatory: Signatory, now: datetime) -> bytes:
 
 
 class _Key:
-    """An adapter that gives a signatory's key the interface that signxml expects of a key."""
+    """An adapter: a signatory's key with the interface that signxml expects of a key."""
 
     def __init__(self, signatory: Signatory) -> None:
         self._signatory = signatory
@@ -98,7 +98,7 @@ class _Key:
 
 
 def check_xml(document: bytes) -> SignedXml:
-    """Verify the signature of a document; return the signed content and the signer, trusted or not.
+    """Verify the signature of a document; return signed content and signer, who need not be trusted.
 
     Raises `Unsigned` if there is no signature. Raises `NotIntact` if there are several, if the signature does not
     cover the whole document or has unsigned parts, or if anything signed was changed.
@@ -155,7 +155,7 @@ def _read(document: bytes) -> Any:
 
 
 def _the_signature(root: Any) -> Any:
-    """Return the only signature of a document: the last element of the root, with exactly the required parts.
+    """Return the only signature of a document: the last element of its root, with exactly the required parts.
 
     Raises `Unsigned` if there is none, `NotIntact` if there are several or if one is misplaced or malformed.
     """
@@ -276,7 +276,7 @@ def sign_pdf(body: bytes, signatory: Signatory, now: datetime, reason: str, plac
 
     class Writer(IncrementalPdfFileWriter):
         def ensure_output_version(self, version: Any) -> None:
-            """Keep PDF version 1.7, as PDF/A-3 requires; for PAdES, its extension ESIC suffices."""
+            """Keep PDF version 1.7, which PDF/A-3 requires; its extension ESIC suffices for PAdES."""
 
     told = signers.PdfSignatureMetadata(
         field_name=FIELD,
@@ -296,7 +296,7 @@ def sign_pdf(body: bytes, signatory: Signatory, now: datetime, reason: str, plac
 
 
 def check_pdf(file: bytes) -> SignedPdf:
-    """Verify the signature of a PDF; return the signer, trusted or not.
+    """Verify the signature of a PDF; return the signer, who need not be trusted.
 
     Raises `Unsigned` if there is no signature. Raises `NotIntact` if there are several, if the signature does not
     cover every byte except itself, if anything was appended after it, or if anything signed was changed.
@@ -361,7 +361,7 @@ def _written_anew(content: bytes) -> bytes:
 
 
 def _check_wrapping(data: Any, signer: Any) -> None:
-    """Raise `NotIntact` if an unsigned part of the CMS structure is not as this program writes it."""
+    """Raise `NotIntact` if unsigned parts of the CMS structure differ from those that this program writes."""
     from asn1crypto.algos import DigestAlgorithm
     from asn1crypto.core import Null
 

@@ -1,4 +1,4 @@
-"""Verification of a certificate: signatures, agreement of PDF and XML, and register and record if available."""
+"""Verification of a certificate: signatures, PDF against XML, and (if available) register and record."""
 
 from __future__ import annotations
 
@@ -67,11 +67,11 @@ UNKNOWN: Final = (
 class Verdict:
     """The findings on a certificate.
 
-    `wrong` lists the reasons why it is not intact, and `agreed` the comparisons that succeeded. `not_signed` lists
-    what the signature does not cover, `not_proved` what the verification cannot show. `why_not_trusted` is None
-    without a trust file and "" for a trusted signer. `shown` are the values in the certificate, even if it is
-    `unsigned`. `standing` is its status in the register, None if no register is available. `issued` is false for a
-    file that cannot be an issued certificate.
+    `wrong` lists the reasons why the certificate is not intact, `agreed` the comparisons that succeeded.
+    `not_signed` lists what the signature does not cover, `not_proved` what the verification cannot show.
+    `why_not_trusted` is None without a trust file and "" for a trusted signer. `shown` are the values in the
+    certificate, even if it is `unsigned`. `standing` is the status in the register, None if no register is
+    available. `issued` is false for a file that cannot be an issued certificate.
     """
 
     file: str
@@ -140,7 +140,7 @@ class Verdict:
 
 
 def verify_certificate(file: Path, trust: Path | None, runs: Path, register: Path | None = None) -> Verdict:
-    """Return the findings on a certificate (PDF or XML), and on its other form if that is in the same folder.
+    """Verify a certificate (PDF or XML), and its other form in the same folder; return the findings.
 
     `trust` contains the certificates (PEM) of trusted signers or authorities. `register` is the folder of the
     laboratory's register; if it is None, a register in the folder of `file` is used. Raises `Refused` for a file
@@ -214,7 +214,7 @@ def _verify_xml(verdict: Verdict, document: bytes, trusted: Sequence[Certificate
 
 
 def _signed_or_not(document: bytes) -> tuple[SignedXml | None, bytes]:
-    """Return the signature of an XML (None if it is unsigned) and the XML's content."""
+    """Return an XML's signature (None if it is unsigned) and its content."""
     try:
         signed = check_xml(document)
     except Unsigned:
@@ -252,7 +252,7 @@ def _verify_pdf(verdict: Verdict, file: bytes, trusted: Sequence[Certificate] | 
 
 
 def _agree_on_signer(paper: SignedPdf, digital: SignedXml) -> None:
-    """Raise `NotIntact` unless one signer signed both PDF and XML, and signed the XML first."""
+    """Raise `NotIntact` unless the same signer signed the XML first and then the PDF."""
     if fingerprint_of(paper.chain[0]) != fingerprint_of(digital.chain[0]):
         raise NotIntact(
             f"the PDF was signed by {name_of(paper.chain[0])}, its XML by {name_of(digital.chain[0])}"
@@ -348,9 +348,9 @@ def _agree_on_numbers(shown: ShownValues) -> None:
 def against_record(verdict: Verdict, shown: ShownValues, runs: Path) -> None:
     """Compare a certificate with the record of its run, if `runs` contains it.
 
-    A run of the same name with other inputs (`run.json`) is a different record. In the right record, the chain of
-    hashes must end as in the seal, and the readings must give the same result. On the same computer every digit
-    must agree; on another, whose libraries may round differently, a small fraction of u is tolerated.
+    A run of the same name with other inputs (`run.json`) is a different record. In the same record, the chain
+    of hashes must end as in the seal, and the readings must give the same result. On the same computer every
+    digit must agree; on another, whose libraries may round differently, a small fraction of u is tolerated.
     """
     try:
         seal = Seal.from_json(json.loads(shown.files["seal.json"]))
@@ -399,7 +399,7 @@ def _recorded(seal: Seal, runs: Path) -> Run | None:
 
 
 def _asked(shown: ShownValues) -> VerdictOptions:
-    """Return verdict options with the certificate's own decision rule, which may differ from the record's."""
+    """Return verdict options with the decision rule of the certificate; that of the record may differ."""
     try:
         told = json.loads(shown.files["result.json"])["verification"]
         rule = DecisionRule.of_json(told) if told else DecisionRule()
@@ -415,7 +415,7 @@ _SAME: Final = 1e-6
 
 
 def _as_good_as(found: RunFindings, shown: ShownValues) -> bool:
-    """Return whether the record's coefficients, covariance and verdict equal the certificate's, up to rounding."""
+    """Return whether coefficients, covariance and verdict of record and certificate agree up to rounding."""
     own = found.coefficients
     u = np.array([one.u for one in own.values])
     theirs = shown.says.coefficients.values()
@@ -435,8 +435,8 @@ def _as_good_as(found: RunFindings, shown: ShownValues) -> bool:
 def against_register(verdict: Verdict, number: str, file: Path, content: bytes, folder: Path | None) -> None:
     """Compare the content of a certificate file with the entry for its number in a register.
 
-    `folder` is the register's folder; if it is None, a register in the folder of `file` is used, if it has the
-    number. Raises `Refused` for a register that is damaged or cannot be read.
+    `folder` is the register's folder; None means a register in the folder of `file`, if it has the number.
+    Raises `Refused` for a register that is damaged or cannot be read.
     """
     place = file.absolute().parent if folder is None else folder
     if not (place / LINES).is_file():

@@ -23,7 +23,7 @@ DIGITS: Final = 3
 class Sensor:
     """The block as a sensor in m/s²: z = M a + b.
 
-    The signals U are converted by z = 9.80665 U / `nominal` (3,), scale factors in unit/g.
+    The signals U are converted by z = 9.80665 U / `nominal`; `nominal` (3,) are scale factors in unit/g.
     """
 
     nominal: Floats
@@ -50,7 +50,8 @@ class Sensor:
 def sensor_of(result: BlockResult, nominal: Floats | None = None) -> Sensor:
     """Return the block as a sensor in m/s^2.
 
-    `nominal` (3,) are its nominal scale factors, unit/g; None takes the block's own, rounded to `DIGITS` digits.
+    `nominal` (3,) are its nominal scale factors in unit/g; None takes the block's own, rounded to `DIGITS`
+    digits.
     """
     if result.unit == "m/s^2":
         own = np.full(3, STANDARD_GRAVITY)
@@ -69,8 +70,8 @@ def sensor_of(result: BlockResult, nominal: Floats | None = None) -> Sensor:
 class Diagonal:
     """The form of autopilots: a_i = (z_i - offset_i) scale_i, m/s^2; the cross-axis terms are left out.
 
-    `modulus_g` and `vector_g` are the largest errors of |a| and of the vector a, g, that this omission causes at 1
-    g in any direction.
+    `modulus_g` and `vector_g` are the largest errors (g) of |a| and of the vector a that the omission causes
+    at 1 g.
     """
 
     offset: Floats
@@ -79,7 +80,7 @@ class Diagonal:
     vector_g: float
 
     def comment_lines(self) -> list[str]:
-        """Return comment lines that say what this form omits, and the largest errors that this causes at 1 g."""
+        """Return comment lines on what this form omits, and on the largest errors that result at 1 g."""
         return [
             "the six cross-axis terms are left out, for this form has a scale and an offset per axis and no more:",
             f"at 1 g |a| is off by up to {_size(self.modulus_g)}, the vector a by up to {_size(self.vector_g)}, "
@@ -88,7 +89,7 @@ class Diagonal:
 
 
 def diagonal(sensor: Sensor) -> Diagonal:
-    """Return offset and scale of each axis, and the largest errors at 1 g without the cross-axis terms, exactly.
+    """Return offset and scale of each axis, and exactly the largest errors at 1 g without cross-axis terms.
 
     a' = diag(1/M_ii) M a: at |a| = 1, |a'| lies between the least and the largest singular value of
     diag(1/M_ii) M, and |a' - a| is at most the largest singular value of diag(1/M_ii) M - 1.
@@ -104,7 +105,7 @@ def diagonal(sensor: Sensor) -> Diagonal:
 class Triangular:
     """The form of Kalibr: z = M R a + b, with M lower triangular and R the rotation to the axes of M.
 
-    `turn_rad` is the angle of the rotation R, rad.
+    `turn_rad` is the angle (rad) of the rotation R.
     """
 
     M: Floats
@@ -123,12 +124,12 @@ def lower_triangular(sensor: Sensor) -> Triangular:
 
 
 def axis_rows(values: Floats) -> list[tuple[str, float]]:
-    """Return the three `values`, each with the name of its axis: (X, value), (Y, value), (Z, value)."""
+    """Return the three `values`, each with its axis: (X, value), (Y, value), (Z, value)."""
     return [(axis.upper(), float(value)) for axis, value in zip(CHANNELS, values, strict=True)]
 
 
 def _size(error_g: float) -> str:
-    """Return an error with its unit in ASCII, as autopilots' parameter files are written: "12 mg", "35 ug"."""
+    """Return an error with its unit in ASCII, for parameter files of autopilots: "12 mg", "35 ug"."""
     from bench.base.numbers import quantity
 
     return quantity(error_g, "g").replace("µ", "u")
@@ -138,10 +139,10 @@ def _size(error_g: float) -> str:
 class Autopilot:
     """The parameters of an autopilot's first accelerometer: names with `{}` for the axis, and allowed ranges.
 
-    `id` and `turn` are the names of its parameters for the sensor's id and for the rotation to the board's axes.
-    `head` and `before` are comments at the beginning of its files and before the values; `row` is the format of a
-    value's line. `read` is Python code that reads names and values from such a file. `sorted_by_name` puts the two
-    values of an axis together.
+    `id` and `turn` name the parameters for the sensor's id and for the rotation to the board's axes. `head`
+    is the comment at the beginning of a file, `before` that above the values; `row` is the format of a
+    value's line. `read` is Python code that reads names and values from such a file. With `sorted_by_name`,
+    the two values of an axis are adjacent.
     """
 
     name: str
@@ -214,9 +215,9 @@ ARDUPILOT: Final = Autopilot(
 
 
 def _tested(of: Autopilot, result: BlockResult, sensor: Sensor, values: dict[str, float]) -> list[str]:
-    """Return comment lines with the drawing of axes and signs, the check vectors, and the file's test of itself.
+    """Return comment lines: the drawing of axes and signs, the check vectors, and the test in the file.
 
-    The accelerations are computed in double precision from the values as written, without cross-axis terms.
+    The accelerations follow, in double precision, from the values as written, without cross-axis terms.
     """
     written = {name: float(f"{value:.9g}") for name, value in values.items()}
     off, by = (np.array([written[name.format(axis)] for axis in "XYZ"]) for name in (of.offset, of.scale))
@@ -254,7 +255,7 @@ def _head(result: BlockResult, sensor: Sensor, notes: list[str]) -> list[str]:
 def kalibr_yaml(result: BlockResult, nominal: Floats | None = None) -> str:
     """Return the Kalibr file: the chain `imu0` with the model and M.
 
-    It also has `bias` and `C_accel_block`, which Kalibr ignores.
+    The file also has `bias` and `C_accel_block`, which Kalibr ignores.
     """
     sensor = sensor_of(result, nominal)
     form = lower_triangular(sensor)

@@ -2,9 +2,9 @@
 
     $ python -c "$(sed -n 's/^# test: //p' unit-17.csv)" unit-17.csv
 
-A test is three lines of Python that need no packages other than a reader of the form. It computes the corrected
-accelerations of the file's check vectors from the file's own numbers. It fails if one is off by more than
-`TOLERANCE` of 1 g.
+A test is three lines of Python that need no package except a reader of the form. The test computes the
+corrected accelerations of the check vectors from the numbers in the file. The test fails if one acceleration
+is off by more than `TOLERANCE` of 1 g.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ POSITIONS: Final[Floats] = np.array(_CORNERS) / np.sqrt(3.0)
 
 
 def picture(unit: str) -> list[str]:
-    """Return lines that draw the axes, and state sign, order and units of `a` and `U`."""
+    """Return lines that draw the axes, and state signs, order and units of `a` and `U`."""
     return [
         "        +z    up     at rest the axis that points up reads +1 g:",
         "         |   ^       z up:     a = ( 0,  0, +1)   z down: a = ( 0,  0, -1)",
@@ -49,12 +49,12 @@ def picture(unit: str) -> list[str]:
 
 
 def how_to_test(name: str) -> str:
-    """Return a line that explains how to run the test in a file of this kind."""
+    """Return a line that explains how to run the test in an exported file `name`."""
     return f"""this file tests itself: python -c "$(sed -n 's/^# {MARK}//p' {name})" {name}"""
 
 
 def own_test(lines: tuple[str, str, str]) -> list[str]:
-    """Return the three marked lines of a file's own test."""
+    """Return the three `lines` of a file's own test, marked as such."""
     return [f"{MARK}{line}" for line in lines]
 
 
@@ -73,8 +73,8 @@ READ_CHECKS: Final = (
 def judged(g: str = "1.0", at: int = 3, count: int = COUNT) -> str:
     """Return the last line of a test.
 
-    The test has a function `a`, which maps the first `at` numbers of a check vector to an acceleration; 1 g is `g`
-    in its unit. `count` is the number of check vectors that the file must have.
+    The test has a function `a`, which maps the first `at` numbers of a check vector to an acceleration; `g`
+    is 1 g in the unit of that acceleration. `count` is the number of check vectors that the file must have.
     """
     worst = (
         f"max([abs(p - q) for r in c for p, q in zip(a(r[:{at}]), r[{at}:])] + [9e9] * (len(c) != {count}))"

@@ -26,7 +26,7 @@ from bench.exchange.checks import (
 
 
 def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[str]:
-    """Return the header lines of an exported file: what it compensates (`of`), valid range and errors."""
+    """Return the header lines of an exported file: the block compensated (`of`), valid range, errors."""
     error = table.error
     return [
         f"Compensation of {of}",
@@ -43,9 +43,9 @@ def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[st
 
 
 def table_checks(model: TemperatureModel, table: CompensationTable) -> Floats:
-    """Return the check vectors (n, 7): temperature, deg C, signals, and the table's accelerations, g.
+    """Return the check vectors (n, 7): temperature (deg C), signals, and the table's accelerations (g).
 
-    There are 20 vectors, or as many as the table has steps, so that the test uses each row of the table.
+    There are 20 vectors or, if that is more, one for each step of the table, so that each row is tested.
     """
     steps = table.nodes - 1
     even = np.linspace(model.minimum_c, model.maximum_c, len(POSITIONS))

@@ -34,8 +34,8 @@ def json_text(result: BlockResult) -> str:
 
 
 def csv_text(result: BlockResult) -> str:
-    """Return CSV text: a table of all numbers (name, value, u, U, unit), then the covariances, each with a title
-    line.
+    """Return CSV text: a table of all numbers (name, value, u, U, unit), then the covariances with title
+    lines.
 
     Comment lines begin with #; a covariance has its names in the first row and the first column. Each number has
     enough digits to be read back exactly.
@@ -236,8 +236,8 @@ def _write(sheet: Worksheet, rows: Sequence[Sequence[Any]]) -> None:
 def _conversion(sheet: Worksheet, result: BlockResult) -> None:
     """Fill in the sheet that computes a, |a| and the U of |a| from three signals that the user types.
 
-    It initially contains the signals that the model gives for +1 g on z. N is in B2:B10 of the sheet "inverse",
-    U0 in B11:B13. U of |a| is computed to first order from their covariance.
+    At first the sheet contains the signals that the model gives for +1 g on z. N is in B2:B10 of the sheet
+    "inverse", U0 in B11:B13. U of |a| is computed to first order from the covariance of N and U0.
     """
     upright = result.block.output(np.array([[0.0, 0.0, 1.0]]))[0]
     _write(sheet, [["", *AXES], [f"U / {result.unit}", *upright.tolist()]])
@@ -267,7 +267,7 @@ def _conversion(sheet: Worksheet, result: BlockResult) -> None:
 
 
 def _checks(sheet: Worksheet, result: BlockResult) -> None:
-    """Fill in the check vectors, formulas that compute them from the sheet "inverse", and the verdict in B1."""
+    """Fill in the check vectors, formulas for them with the sheet "inverse", and (B1) the verdict."""
     _write(
         sheet,
         [
@@ -303,7 +303,7 @@ def print_coefficients(result: BlockResult, on: Console) -> None:
 
 
 def _table(rows: Iterable[ReportedNumber], k: float, times: float = 1.0, unit: str = "") -> Table:
-    """Return a table of numbers with u and U, rounded to two digits of u."""
+    """Return a table of numbers with u and U, all times `times` (in `unit`), rounded to two digits of u."""
     shown = table("", ">value", ">u", f">U (k={k:g})", "")
     for row in rows:
         digits = places(times * row.u)
@@ -317,11 +317,11 @@ def _table(rows: Iterable[ReportedNumber], k: float, times: float = 1.0, unit: s
 
 @dataclass(frozen=True)
 class ExportForm:
-    """A form: its name in `words`, the suffix of its file's name, and the function that writes it.
+    """A form: its name in `words`, the suffix of file names, and the function that writes a file.
 
-    `loses` is a function that returns comment lines on the parts of a result that the form omits; it is None if the
-    form omits nothing. Both functions accept the scale factors (3,), unit/g, that convert signals to m/s²; None
-    means the block's own, rounded.
+    `loses` is a function that returns comment lines on the parts of a result that the form omits; it is None
+    if the form omits nothing. Both functions accept the scale factors (3,) in unit/g by which signals were
+    converted to m/s²; None means the block's own, rounded.
     """
 
     words: str

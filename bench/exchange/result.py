@@ -1,4 +1,4 @@
-"""The content of every form of a calibration: the coefficients, the numbers derived from them, and their origin."""
+"""The content of every form of a calibration: coefficients, numbers derived from them, and their origin."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class InversePart(DerivedPart):
 
 
 class MisalignmentsPart(DerivedPart):
-    """The angles α_ji of the input axes, rad."""
+    """The angles α_ji (rad) of the input axes."""
 
     convention: str
 
@@ -71,7 +71,7 @@ class IntrinsicNumbersPart(DerivedPart):
 
 
 class CheckPart(ResultModel):
-    """Check vectors (signals and the accelerations that must result), and the file's test with them."""
+    """Check vectors (signals, and the accelerations that must result), and the file's test that uses them."""
 
     signs: list[str] = Field(description="a picture of axes, signs, order and units")
     tolerance: float = Field(description="largest difference from `corrected`, g")
@@ -134,13 +134,13 @@ _JSON_TEST: Final = (
 class BlockResult:
     """The coefficients of one block: U = K a + U0, with a in local g of `g_m_s2` (m/s²) and U in `unit`.
 
-    `covariance` (12, 12) is in the order of `COEFFICIENTS`; `covariance_readings` is the part from the readings,
-    None if the result does not state it separately. `expanded` maps names of numbers to the expanded uncertainties
-    U in the result; for all other numbers U is `k` times u. `gravity_u` is the relative standard uncertainty of
-    `g_m_s2`, 0 if the result does not state it; numbers per g do not include it. `bench` is the result's
-    description of its bench file, `certificates` describe those of its instruments. `block_type`, `serial` and
-    `made_at` are empty if unknown. `temperature` names the temperature effects that the calibration removed from
-    these numbers; empty for none.
+    `covariance` (12, 12) is in the order of `COEFFICIENTS`; `covariance_readings` is the part from the
+    readings, None if the result does not state it separately. `expanded` maps names of numbers to the U that
+    the result states for them; for all other numbers U is `k` times u. `gravity_u` is the relative standard
+    uncertainty of `g_m_s2`, 0 if the result does not state it; numbers per g do not include it. `bench`
+    describes the bench file of the result, `certificates` those of the instruments. `block_type`, `serial`
+    and `made_at` are empty if unknown. `temperature` names the temperature effects for which these numbers
+    are corrected; empty for none.
     """
 
     block: Block
@@ -181,7 +181,7 @@ class BlockResult:
 
     @cached_property
     def misalignments(self) -> Derived:
-        """The six angles of the input axes, rad."""
+        """The six angles (rad) of the input axes."""
         return misalignments(self.block, self.covariance)
 
     @cached_property
@@ -228,7 +228,7 @@ class BlockResult:
         return f"{self.block_type} {self.serial}".strip()
 
     def facts(self) -> dict[str, str]:
-        """Return the header facts of every form, keyed by name, in their order; each text is one line."""
+        """Return the header facts of every form by name, in order; each is a text of one line."""
         told = {
             **({"mark": SIMULATED} if self.simulated else {}),
             "block": self.block_name or "not stated",

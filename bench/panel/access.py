@@ -54,7 +54,7 @@ class Settings:
 
     @property
     def loopback(self) -> bool:
-        """Whether only this computer can reach the panel, because it has a loopback address and no proxy."""
+        """Whether only this computer can reach the panel: its address is loopback, without a proxy."""
         return not self.address and is_loopback(self.host)
 
     @property
@@ -71,13 +71,13 @@ class Settings:
         )
 
     def allows_host(self, host: str) -> bool:
-        """Return whether a request may have this Host header; on loopback, only the computer's own names may."""
+        """Return whether the panel serves requests with this Host header; on loopback, only local names."""
         if self.loopback:
             return host in {f"{name}:{self.port}" for name in ("127.0.0.1", "localhost", "[::1]")}
         return bool(host)
 
     def allows_origin(self, origin: str, host: str) -> bool:
-        """Return whether a page of this origin may request changes: only the panel's own pages may."""
+        """Return whether a page of this origin may request changes; only a page of the panel may."""
         return origin == (self.address or f"http://{host}")
 
 
@@ -92,8 +92,8 @@ def is_loopback(host: str) -> bool:
 class Role(StrEnum):
     """The role of a person.
 
-    Each role has all rights of the roles before it. The rights are, in order: look and stop; move and answer; force
-    control.
+    Each role has all rights of the roles before it. A viewer may look at runs and stop them, an operator
+    carry them out, a supervisor also take control by force.
     """
 
     VIEWER = "viewer"
@@ -108,7 +108,7 @@ class Role(StrEnum):
 
 @dataclass(frozen=True)
 class Person:
-    """A signed-in person: name, role, and the secret of the session, which only the browser stores."""
+    """A signed-in person: name, role, and the secret of the session (only the browser stores it)."""
 
     name: str
     role: Role
@@ -116,7 +116,7 @@ class Person:
 
     @property
     def csrf(self) -> str:
-        """The CSRF token in every form of this session, by which a request proves that it comes from the panel."""
+        """The CSRF token in this session's forms; it proves that a request comes from the panel."""
         return hashlib.sha256(f"form:{self.secret}".encode()).hexdigest()[:32]
 
     def require(self, least: Role) -> None:
@@ -181,7 +181,7 @@ class Gate:
             await self._app(scope, taken, with_headers)
 
     def _refused(self, scope: Scope) -> Refusal | None:
-        """Return the refusal of a request by its headers; None if it may pass."""
+        """Return the refusal of a request, judged by its headers; None if it may pass."""
         headers = Headers(scope=scope)
         host = headers.get("host", "")
         if len(headers.getlist("host")) > 1 or not self._settings.allows_host(host):
@@ -207,7 +207,7 @@ LANGUAGE: Final = "bench-language"
 
 
 def _language_of(request: Request) -> str | None:
-    """Return the language in the cookie, else the first known one of Accept-Language; None for the default."""
+    """Return the language in the cookie, else the first known in Accept-Language; None means the default."""
     accepted = request.headers.get("accept-language", "")[:200].split(",")
     wanted = [request.cookies.get(LANGUAGE, ""), *(one.partition(";")[0] for one in accepted)]
     return next(filter(None, map(known_language, wanted)), None)
@@ -231,7 +231,7 @@ def counted(receive: Receive) -> Receive:
 def without_body(receive: Receive) -> Receive:
     """Return an ASGI `receive` that drops the body of a GET or HEAD request.
 
-    An event stream calls `receive` only after its response has begun, too late to refuse a large body.
+    An event stream calls `receive` only after its response has begun: too late to refuse a large body.
     """
 
     async def dropped() -> Message:
@@ -258,7 +258,7 @@ def private_folder(folder: Path) -> Path:
 
 
 def is_held(lock: FileLock) -> bool:
-    """Return whether a program holds a lock now; False for a lock that cannot be acquired at all."""
+    """Return whether a program holds a lock now; False for a lock that nobody can acquire."""
     try:
         with lock.acquire(timeout=0):
             return False
@@ -271,7 +271,7 @@ def is_held(lock: FileLock) -> bool:
 class KeptList:
     """A list of JSON objects in a file with a lock, so that several programs can change it.
 
-    `remedy` is the sentence that an error of a damaged file without a copy ends with.
+    `remedy` ends the error message on a damaged file: what to do if there is no copy of it.
     """
 
     def __init__(
@@ -301,7 +301,7 @@ class KeptList:
         return list(self._rows)
 
     def put_aside(self, now: datetime, check: Callable[[list[dict[str, Any]]], object]) -> None:
-        """Rename the file if it is damaged: if reading it or `check` raises `RecordError`. Raises `OSError`."""
+        """Rename a damaged file (reading it or `check` raises `RecordError`). Raises `OSError`."""
         with self._lock:
             try:
                 check(self.rows())
@@ -310,7 +310,7 @@ class KeptList:
 
     @contextmanager
     def changed(self) -> Iterator[list[dict[str, Any]]]:
-        """Yield the rows, to be changed in place; write them at the end of the context. Raises `RecordError`."""
+        """Yield the rows for changes in place, and write them when the context ends. Raises `RecordError`."""
         try:
             with self._lock:
                 rows = self.rows()
@@ -338,7 +338,7 @@ MOST_LINKS: Final = 50
 class Access:
     """The tokens, links and sessions of a panel, stored in a folder that only its owner can enter.
 
-    If the laboratory has a register of persons, its persons, rights and tokens replace those of the panel.
+    A laboratory's register of persons, with its rights and tokens, replaces the tokens of the panel.
     """
 
     def __init__(
@@ -395,7 +395,7 @@ class Access:
     def revoke(self, name: str) -> None:
         """Delete a person's token, which ends its sessions.
 
-        Raises `RecordError` if there is no token, and if the laboratory has a register of persons.
+        Raises `RecordError` if the person has no token, and if the laboratory has a register of persons.
         """
         self._refuse_own_tokens("end NAME")
         with self._tokens.changed() as rows:
@@ -465,7 +465,7 @@ class Access:
         return Person(name, role, secret)
 
     def person(self, secret: str) -> Person | None:
-        """Return the person of a session by the cookie's secret; None if unknown, expired, or its token revoked."""
+        """Return the person of the session with this secret; None if it is unknown, expired or revoked."""
         if not secret:
             return None
         digest = _hash(secret)
@@ -501,12 +501,12 @@ class Access:
 
 
 def role_of(person: laboratory.Person) -> Role:
-    """Return the role in the panel that follows from the rights of a person of the laboratory."""
+    """Return the role that a person of the laboratory has in the panel by the person's rights."""
     if Right.SUPERVISE in person.may:
         return Role.SUPERVISOR
     return Role.OPERATOR if Right.OPERATE in person.may else Role.VIEWER
 
 
 def _hash(secret: str) -> str:
-    """Return the SHA-256 of a secret; its 256 random bits need no slow password hash."""
+    """Return the SHA-256 of a secret, whose 256 random bits need no slow password hash."""
     return hashlib.sha256(secret.encode(errors="replace")).hexdigest()

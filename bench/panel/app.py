@@ -191,7 +191,7 @@ class Connection(H11Protocol):
     _late: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Wait for a request; above `MOST_CONNECTIONS`, abort the connection that has waited longest for one."""
+        """Wait for a request; above `MOST_CONNECTIONS`, abort the connection that has waited longest."""
         super().connection_made(transport)
         self._watch()
         living = [
@@ -213,7 +213,7 @@ class Connection(H11Protocol):
         self._watch()
 
     def send_400_response(self, msg: str) -> None:
-        """Respond to invalid HTTP, unless it follows a request that was answered before its body arrived."""
+        """Respond to invalid HTTP, unless it is the late body of a request that was already answered."""
         if self.cycle is not None:
             self.cycle.disconnected = True  # discards the rest of a page's response
             self.cycle.message_event.set()
@@ -232,7 +232,7 @@ class Connection(H11Protocol):
 class OncePerMinute(logging.Filter):
     """A log filter that passes each warning at most once a minute, and all errors.
 
-    Clients can thus not fill the disk with warnings.
+    Clients therefore cannot fill the disk with warnings.
     """
 
     def __init__(self) -> None:
@@ -265,7 +265,7 @@ OPEN_WIRE: Final = (
 
 
 def serve(settings: Settings, tell: Callable[[str], None]) -> None:
-    """Serve a panel until it is stopped; `tell` is called with its address, its link and notes on the network.
+    """Serve a panel until it is stopped; `tell` receives its address, a one-time link and network notes.
 
     Raises `RecordError` if another panel serves the folder, if nobody could sign in, or if it cannot listen.
     """
@@ -320,7 +320,7 @@ def config_of(app: ASGIApp) -> uvicorn.Config:
 
 
 def check(settings: Settings) -> None:
-    """Raise `RecordError` for an invalid address, and for a panel on the network if nobody has a token."""
+    """Raise `RecordError` for an invalid address, and for a panel on the network without any token."""
     address = urlsplit(settings.address)
     if settings.address and (address.scheme not in {"http", "https"} or not address.netloc or address.path):
         raise RecordError(
@@ -356,7 +356,7 @@ def _listening(settings: Settings) -> socket.socket:
 
 
 def url_of(runs: Path) -> str:
-    """Return the address stored by the panel that last served a folder, an empty string if there is none."""
+    """Return the address of the panel that last served a folder; an empty string if there was none."""
     try:
         told = from_text(read_regular(runs / STATE / SERVER))
         return str(told["url"])
@@ -372,7 +372,7 @@ def is_serving(runs: Path) -> bool:
 
 
 def link_of(runs: Path, name: str = "", laboratory: Path | None = None) -> str:
-    """Return a one-time link for a person to the panel that serves a folder. Raises `Refused` if none does."""
+    """Return a one-time link for a person to the panel of a folder. Raises `Refused` if there is no panel."""
     if not is_serving(runs):
         raise Refused(f"{runs}: no panel serves this folder; 'bench panel' starts one and prints its link")
     return new_link(runs, "/", name, laboratory)
@@ -391,7 +391,7 @@ def open_panel(runs: Path, after: str = "/", name: str = "", laboratory: Path | 
 
 
 def begin_panel(runs: Path, ports: Sequence[int] = (PORT, 0), laboratory: Path | None = None) -> Started:
-    """Start a panel that outlives this program, at the first of `ports` that is free, and wait until it serves.
+    """Start a panel that outlives this program, at the first free one of `ports`; wait until it serves.
 
     Raises `RecordError` if it does not start.
     """

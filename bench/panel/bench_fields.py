@@ -1,4 +1,4 @@
-"""The form of a bench file: groups of fields, from the models of its sections, and mistakes at their fields."""
+"""The form of a bench file: groups of fields, made from the models of its sections; mistakes at fields."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ Values = Mapping[str, str]
 class BenchField:
     """A field of the form: an input whose name is the dotted path of its value in the bench file.
 
-    `choices` are pairs (value, words), empty for a text field; `shows` says whether other fields depend on the
-    choice.
+    `choices` are pairs (value, words), empty for a text field; `shows` says whether the choice decides which
+    other fields exist.
     """
 
     name: str
@@ -108,7 +108,7 @@ def _gravity(values: Values) -> Group:
 
 
 def _forms_of_gravity() -> dict[str, tuple[Any, tuple[Any, ...]]]:
-    """Return, by tag of the model, the type and metadata of each way to state gravity."""
+    """Return type and metadata of each way to state gravity, keyed by its tag in the model."""
     found: dict[str, tuple[Any, tuple[Any, ...]]] = {}
 
     def look(annotation: Any) -> None:
@@ -176,11 +176,11 @@ def _driver_words(name: str, section: type[Any]) -> str:
 def fields_in(
     model: type[BaseModel], at: Place, skip: frozenset[str] = frozenset(), default: Any = None
 ) -> Iterator[tuple[str, BenchField]]:
-    """Yield the fields of a model, and of its required sections, with their names; `at` is the model's path in the
-    file.
+    """Yield name and field for each value of a model and of its required sections; `at` is the model's path
+    in the file.
 
-    Certificates, lists and optional sections have no field: the user writes them in the file. `default` is the
-    section that applies if the file omits it.
+    Certificates, lists and optional sections have no field: the user writes them in the file. `default` is
+    the section that applies if the file has none.
     """
     model.model_rebuild()
     for name, info in model.model_fields.items():
@@ -238,7 +238,7 @@ _PLAIN: Final[Mapping[Any, str]] = {
 
 
 def _words(annotation: Any, metadata: Iterable[Any]) -> str | None:
-    """Return in words what a field's value is; None for a list or section, which has no field."""
+    """Return in words what kind of value a field takes; None for a list or section, which has no field."""
     kind = quantity_of(annotation, tuple(metadata))
     if kind is not None:
         return f"{kind.called} such as {kind.example}"
@@ -287,7 +287,7 @@ def first_sentence(model: type[BaseModel]) -> str:
 
 
 def values_of(data: Any) -> dict[str, str]:
-    """Return the values of a parsed bench file as texts, by dotted path, with the choices of the form."""
+    """Return the values of a parsed bench file, and the choices of the form, as texts by dotted path."""
     values: dict[str, str] = {}
 
     def look(part: Any, at: Place) -> None:
@@ -313,7 +313,7 @@ def values_of(data: Any) -> dict[str, str]:
 
 
 def listed(values: Values, name: str) -> str:
-    """Return the members of a list with commas between them, as its field shows them."""
+    """Return the members of the list `name`, separated by commas, as its field shows them."""
     members: list[str] = []
     while (inside := f"{name}[{len(members) + 1}]") in values:
         members.append(values[inside])
@@ -339,8 +339,8 @@ def _form_of(written: Any) -> str:
 def completed(values: Values, before: Values) -> dict[str, str]:
     """Return the typed values, completed with examples for newly chosen drivers.
 
-    Fields that the form did not show yet get the examples, except resources. `before` are the values of the file.
-    If there is a single voltmeter, it becomes a scanning one; an added voltmeter is like the first, for the next
+    Fields that the form did not show yet get the examples, except resources. `before` are the values of the
+    file. A single voltmeter becomes a scanning one; an added voltmeter is a copy of the first for the next
     signal.
     """
     full = dict(values)
@@ -380,7 +380,7 @@ def _exemplify(values: dict[str, str], before: Values, name: str) -> None:
 
 @dataclass
 class Placed:
-    """The mistakes of a bench file: those of each field and group, by name, and all others."""
+    """The mistakes of a bench file: by field, by group, and those of neither."""
 
     at: dict[str, list[str]] = field(default_factory=dict)
     elsewhere: list[FileMistake] = field(default_factory=list)
@@ -397,7 +397,7 @@ _MISSING: Final = re.compile(r"'([^']+)' is missing")
 def placed(mistakes: Iterable[FileMistake], groups: Iterable[Group]) -> Placed:
     """Return the mistakes assigned to the fields of the form.
 
-    A mistake that belongs to no field is listed at its group, or else among the others.
+    A mistake of no field is listed at its group; a mistake of no group is among the others.
     """
     groups = list(groups)
     fields = {one.name for group in groups for one in group.fields}

@@ -1,4 +1,4 @@
-"""The folder of runs: safe access to runs and their files, the table of runs, the certificates of a run."""
+"""The folder of runs: safe access to runs and files, the table of runs, the certificates of a run."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def read_page(run: Run, name: str) -> bytes:
 
 @dataclass(frozen=True)
 class Issued:
-    """A certificate of a run: number, status (`state`) and its cause (`by`), whether it is signed, files."""
+    """A certificate of a run: number, status (`state`), cause of the status (`by`), signed or not, files."""
 
     number: str
     state: str
@@ -94,7 +94,7 @@ class Certificates:
         self._register: Register | None = None
 
     def of(self, run: Run) -> tuple[Issued, ...]:
-        """Return the certificates of a run in its present state. Raises `Refused` for a tampered register."""
+        """Return the certificates of a run's present record. Raises `Refused` for a tampered register."""
         head = _head_of(run) if self._folder is not None else ""
         register = self._read()
         if not head or register is None:
@@ -129,7 +129,7 @@ class Certificates:
 
 
 def _head_of(run: Run) -> str:
-    """Return the head hash of a run's record from its calibration result, an empty string if there is none."""
+    """Return the head of a run's record, as its calibration result states it; "" if there is none."""
     try:
         return str(read_json(read_page(run, "calibrate.json"))["record"]["head"])
     except (Refusal, ValueError, KeyError, TypeError):
@@ -168,7 +168,7 @@ class RunRow:
         return self.state in _GOES_ON
 
     def fits(self, words: tuple[str, ...], wanted: Mapping[str, str]) -> bool:
-        """Return whether the row contains all `words` and its columns have the non-empty values in `wanted`."""
+        """Return whether the row contains all `words` and has the non-empty values `wanted` by column."""
         if any(text and getattr(self, column) != text for column, text in wanted.items()):
             return False
         told = " ".join((self.name, self.unit, self.bench, self.operator, self.procedure, self.created))
@@ -186,7 +186,7 @@ class RunsTable:
         self._kept: dict[str, tuple[Stamp, RunRow]] = {}
 
     def rows(self) -> list[RunRow]:
-        """Return all rows; for runs that take too long to read, the rows contain only their manifests."""
+        """Return all rows; the row of a run that takes too long to read has only data of the manifest."""
         until_s = self._clock.now_s() + LONGEST_LOOK_S
         found = []
         for run in self._folder.runs():
@@ -216,8 +216,8 @@ class RunsTable:
     def _read(self, run: Run, stamp: Stamp, *, wait: bool) -> RunRow:
         """Return the row of a run, read from its record.
 
-        Without `wait`, return a row with only the manifest if another thread is reading. For a run in progress,
-        only the end of its record, which may be long, is read.
+        Without `wait`, return a row with only data of the manifest while another thread is reading. Of a run
+        in progress, only the end of the record is read, because records may be long.
         """
         if is_being_written(run.folder):
             return replace(_of_manifest(run), state=state_at_the_end(run.folder))
@@ -240,7 +240,7 @@ class RunsTable:
 
 
 def _now(folder: RunsFolder, row: RunRow) -> RunRow:
-    """Return a cached row with the run's current state, since a program may have resumed it without a new event."""
+    """Return a cached row with the current state: a program may have resumed the run without a new event."""
     if row.to_go_on and is_being_written(folder.path / row.name):
         return replace(row, state=state_at_the_end(folder.path / row.name), to_go_on="")
     return row

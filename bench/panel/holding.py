@@ -1,7 +1,7 @@
-"""Control of a run, held by one person or nobody. A journal in the run's folder records its changes.
+"""Control of a run, held by one person or nobody. A journal in the run's folder records each change.
 
-The journal is the only store of the state of control, which therefore survives a kill of the server. Control
-changes only by the action of a person; it never expires.
+The journal is the only store of the state of control; the state therefore survives a kill of the server.
+Control changes only by the action of a person; it never expires.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ WORDS: Final = {
 
 @dataclass(frozen=True)
 class Holding:
-    """The state of control of a run: the holder (empty for nobody), `since` when, and by which deed (`how`).
+    """Who controls a run: the holder (empty for nobody), `since` when, and by which deed (`how`).
 
     `asking` lists the persons who request control, in order; `denied` those whose last request was denied.
     """

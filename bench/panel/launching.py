@@ -1,4 +1,4 @@
-"""Processes that the panel starts to check, try, run, resume and diagnose; the files that a run may use."""
+"""Processes that the panel starts: check, dry run, run, resuming, diagnosis; the files that a run may use."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def start(arguments: Sequence[str], log: Path, *, program: Sequence[str] = BENCH
 def wait_until(begun: Callable[[], bool], started: Started, clock: Clock | None = None) -> bool:
     """Wait until `begun` returns True; return False after 30 s (`LONGEST_START_S`).
 
-    Raises `Refusal` with the end of the output if the process ends before.
+    Raises `Refusal`, with the end of the output, if the process ends before that.
     """
     clock = clock or SystemClock()
     until_s = clock.now_s() + LONGEST_START_S
@@ -96,7 +96,7 @@ def wait_until(begun: Callable[[], bool], started: Started, clock: Clock | None 
 
 
 def last_words(log: Path) -> str:
-    """Return the end of a process's output from its file, an empty string if it cannot be read."""
+    """Return the end of a process's output in the file `log`; an empty string if it cannot be read."""
     try:
         with open_regular(log) as file:
             file.seek(max(file.seek(0, 2) - LAST_WORDS, 0))
@@ -117,8 +117,8 @@ MOST_AT_ONCE: Final = 2
 class WantedRun:
     """A requested run: the fields of `RunRequest` from the form, and the hashes of its files at the check.
 
-    Procedure and bench are absolute paths; `sha256` has the hash of each. A dry run is for practice: a person
-    answers its prompts. `queued` is the id of the queue item for which it is requested, empty for none.
+    Procedure and bench are absolute paths; `sha256` has the hashes of these files. A dry run is for practice:
+    a person answers its prompts. `queued` is the id of its queue item, empty for none.
     """
 
     fields: Mapping[str, str | bool]
@@ -155,9 +155,9 @@ class WantedRun:
 class TrialResult:
     """The findings of the check and the dry run that precede a run. `stage` is "checking", "trying" or "done".
 
-    `check` is the output of `bench check --json`, `mistakes` are the errors if the files cannot be read. `tried` is
-    the exit status of the dry run (None without one), `said` the end of its output, `result` the output of `bench
-    run --json`.
+    `check` is the output of `bench check --json`; `mistakes` are the errors in files that cannot be read.
+    `tried` is the exit status of the dry run (None without one), `said` the end of its output, `result` the
+    output of `bench run --json`.
     """
 
     stage: str = "checking"
@@ -171,7 +171,7 @@ class TrialResult:
     def startable(self) -> bool:
         """Whether the run may be started.
 
-        A dry run that ended because a prompt has no default answer is no obstacle.
+        A dry run that ended at a prompt without a default answer does not prevent this.
         """
         if self.stage != "done" or self.check is None or self.check["problems"]:
             return False
@@ -185,11 +185,11 @@ class WorkFolder:
         self.path = path
 
     def tell(self, found: Any) -> None:
-        """Store `found`, a dataclass with the findings so far."""
+        """Store the findings so far: `found`, a dataclass."""
         write_whole(self.path / FOUND, to_text(asdict(found)))
 
     def lock(self) -> FileLock:
-        """Return the lock that the process holds while it is alive."""
+        """Return the lock that the folder's process holds while it is alive."""
         return FileLock(self.path / LOCK, mode=0o600)
 
     def at_work(self) -> bool:
@@ -222,11 +222,11 @@ class WishFolder(WorkFolder):
             raise Refusal(409, message(f"this run was already started; see {self.started()}")) from None
 
     def unmark_started(self) -> None:
-        """Delete the mark of `mark_started`, because the run did not begin."""
+        """Delete the record of `mark_started`, because the run did not begin."""
         (self.path / STARTED).unlink(missing_ok=True)
 
     def started(self) -> str:
-        """Return the name of the run started from this wish, an empty string if none was."""
+        """Return the name of the run started from this wish; "" if no run was started."""
         try:
             return read_regular(self.path / STARTED).decode()
         except OSError:
@@ -326,7 +326,8 @@ def start_run(wish: WishFolder, name: str, runs: RunsFolder) -> Run:
 
 
 def resume_run(run: Run, by: str = "") -> None:
-    """Resume a run in the name of `by`, or make its missing results, in a separate process; wait until it begins.
+    """Resume a run in the name of `by`, or make its missing results, in a separate process; wait until it
+    begins.
 
     Raises `Refusal` if a program is carrying out the run, or if the process ends before it has begun.
     """
@@ -387,7 +388,7 @@ def choices(kind: str, working: Path | None = None) -> dict[str, Path]:
 
 
 def chosen_procedure(name: str, runs: RunsFolder) -> Path:
-    """Return the procedure with this name, or the one that a run's diagnosis proposes (`next:RUN`).
+    """Return the procedure with this name or (`next:RUN`) the one that the diagnosis of a run proposes.
 
     Raises `Refusal` if there is none.
     """
@@ -403,7 +404,7 @@ def chosen_procedure(name: str, runs: RunsFolder) -> Path:
 
 
 def chosen_bench(name: str, runs: RunsFolder) -> Path:
-    """Return the bench file with this name, or (`next:RUN`) the bench file of a run. Raises `Refusal`."""
+    """Return the bench file with this name or (`next:RUN`) that of a run. Raises `Refusal`."""
     if name.startswith(OF_RUN):
         run = runs.run(name.removeprefix(OF_RUN))
         original = Path(str(run.manifest.get("bench", "")))
@@ -450,7 +451,7 @@ def main() -> None:
 
 
 def checked(wanted: WantedRun, folder: Path) -> TrialResult:
-    """Return the findings of `bench check`; their stage is "trying" if a dry run is possible, else "done"."""
+    """Return the findings of `bench check`, with stage "trying" if a dry run is possible, else "done"."""
     from bench.services.requests.planning import Check
     from bench.services.until import look_ahead
 

@@ -52,7 +52,7 @@ def block_axes(installation: Installation, angle_rad: float) -> Floats:
 
 @dataclass
 class Sheet:
-    """A drawing under construction: SVG elements in drawing order. `kind` arguments are CSS classes."""
+    """A drawing in progress: SVG elements in drawing order. Each argument `kind` is a CSS class."""
 
     shapes: list[str] = field(default_factory=list)
 
@@ -127,7 +127,7 @@ def turn(installation: Installation | None, from_rad: float | None, to_rad: floa
 
 
 def in_words(installation: Installation, angle_rad: float) -> str:
-    """Return where each axis of the block points: "x points right, y points away from you along the shaft, …"."""
+    """Return where the block's axes point, as "x points right, y points away from you along the shaft, …"."""
     said = [
         message(f"{channel} points {_where(axis)}")
         for channel, axis in zip(CHANNELS, block_axes(installation, angle_rad), strict=True)
@@ -194,7 +194,7 @@ def _block(sheet: Sheet, installation: Installation, angle_rad: float) -> None:
 def _aside(axis: Floats) -> Floats:
     """Return the offset of an axis's letter on the sheet.
 
-    An axis along the shaft is short there, so its letter must be moved aside.
+    On the sheet an axis along the shaft is short, so its letter must be moved aside.
     """
     return np.array([10.0, 0.0]) if abs(axis[1]) > 0.9 else np.zeros(2)
 
@@ -202,7 +202,7 @@ def _aside(axis: Floats) -> Floats:
 def _seen(normal: Floats) -> bool:
     """Return whether a face of the cube is visible, from its normal.
 
-    The line of sight is the direction in which a point does not move on the sheet.
+    The line of sight is the direction in space that the projection maps to a single point.
     """
     return float(normal @ np.array([-AWAY[0], 1.0, AWAY[1]])) < -1e-9
 
@@ -223,8 +223,8 @@ def _faces(frame: Floats) -> list[tuple[Floats, Floats]]:
 def _way(sheet: Sheet, from_rad: float | None, to_rad: float, direction: int) -> None:
     """Draw the turn to an angle: an arrow about the shaft that arrives in the requested direction.
 
-    The arrow covers the last 50° of the turn or less. It covers 24° if the head is close to the target or beyond
-    it, because the head then backs off first.
+    The arrow covers the last 50° of the turn or less. If the head is close to the target or beyond it, the
+    head first backs off, and the arrow covers 24°.
     """
     span = math.radians(50.0)
     if from_rad is not None:

@@ -1,4 +1,4 @@
-"""The end of a run on its live page: the verdict as a picture, what changed, and what to do next."""
+"""The end of a run on its live page: a picture of the verdict, what changed, and what to do next."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Whisker:
-    """A verification point in the picture: its label, and positions across and down in the drawing's units."""
+    """A verification point in the picture: its label, and its place (across, down) in the drawing's units."""
 
     label: str
     value: str
@@ -53,7 +53,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the live page shows of a run that has ended.
+    """The outcome of a run that has ended, as the live page shows it.
 
     `state` is "waiting" while the results are computed, "none" if there are none, else "ready". `misfit` says why a
     diagnosis is offered; it is empty if the readings fit the model and the verification passed.
@@ -84,7 +84,7 @@ def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool) -> Ou
 
 
 def _misfit(found: Results) -> str:
-    """Return the reason to diagnose a run: the model does not fit the readings, or the verdict is no pass."""
+    """Return why to diagnose a run: the model does not fit the readings, or the verdict is no pass."""
     if found.calibration is not None and not found.calibration.fits:
         return message("The model does not fit the readings. The diagnosis looks for the missing effect.")
     if found.verdict is not None and not found.verdict.passed:
@@ -93,7 +93,7 @@ def _misfit(found: Results) -> str:
 
 
 def _change(run: Run, runs: RunsFolder) -> Change | None:
-    """Compare a run with the unit's previous calibration; None if there is none."""
+    """Compare a run with the unit's previous calibration; None if there is no previous one."""
     previous = previous_calibration(run, runs)
     if previous is None:
         return None
@@ -135,7 +135,7 @@ def _row(name: str, difference: float, expanded: float, unit: str) -> str:
 def previous_calibration(run: Run, runs: RunsFolder) -> Run | None:
     """Return the run of the unit's last calibration before a run; None if there is none.
 
-    Both runs are on the same kind of instruments, real or simulated.
+    Both runs are on real instruments, or both on simulated ones.
     """
     mine = _identity(run)
     if mine is None:

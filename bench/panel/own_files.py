@@ -1,4 +1,4 @@
-"""Bench files and procedures of the working folder: their list, and writing one unless somebody else changed it."""
+"""Bench files and procedures of the working folder: listed, and written if nobody else changed them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ CALLED: Final = {CONFIG: message("bench file"), PROCEDURES: "procedure"}
 
 @dataclass(frozen=True)
 class FileText:
-    """The text of a file and its hash, empty for a file that does not exist yet."""
+    """The text of a file, and its hash, which is empty for a file that does not exist yet."""
 
     path: Path
     text: str
@@ -35,9 +35,9 @@ class FileText:
 
 @dataclass
 class EditedFile:
-    """A bench file or a procedure in its form: the file as it was read (`base`), and the messages of the page.
+    """A file being edited in the panel: the file as it was read (`base`), and the messages of the page.
 
-    `start` is the file that a new file copies, empty for a file that exists; `name` is the name of the file.
+    `name` is the name of the file; `start` is the file of which a new file is a copy, else empty.
     """
 
     name: str
@@ -49,8 +49,8 @@ class EditedFile:
     difference: str = ""
 
     def target(self, kind: str) -> Path | None:
-        """Return the path to write; None for a new name that cannot be used, which is noted as a mistake at its
-        field.
+        """Return the path to write; None for a new name that cannot be used (a mistake is then noted at its
+        field).
         """
         try:
             return new_path(kind, self.name) if self.start else self.base.path
@@ -59,7 +59,7 @@ class EditedFile:
             return None
 
     def write(self, path: Path, text: str, expected_sha256: str, state: Path) -> bool:
-        """Write the file as `write_file` does; if it has changed meanwhile, note the difference."""
+        """Write the file as `write_file` does; if it has changed on disk, note the difference."""
         if expected_sha256 == self.base.sha256 and write_file(path, text, expected_sha256, state):
             return True
         self.difference = difference(read_file(path).text, text, path.name)
@@ -150,8 +150,8 @@ def difference(before: str, after: str, name: str) -> str:
 def write_file(path: Path, text: str, expected_sha256: str, state: Path) -> bool:
     """Write a file atomically; return whether it was written.
 
-    It is not written if it has changed since its hash was `expected_sha256`, which is empty for a new file.
-    `state` is the panel's private folder, which holds the lock. Raises `OSError`.
+    A file whose hash is no longer `expected_sha256` (empty for a new file) is not written. `state` is the
+    panel's private folder, which holds the lock. Raises `OSError`.
     """
     with FileLock(private_folder(state) / LOCK, mode=0o600):
         before = read_regular(path) if path.exists() else None

@@ -37,7 +37,8 @@ Rows = list[list[Any]]
 def plots_of(run: Run, runs: RunsFolder) -> Numbers:
     """Return the numbers of all plots of a run as a JSON object, with null for a plot that the run lacks.
 
-    `previous` holds the same plots of the unit's previous calibration, `trouble` a sentence for each unusable file.
+    Member `previous` holds these plots for the unit's previous calibration, `trouble` a sentence on each
+    unusable file.
     """
     trouble: list[str] = []
     own = _measured(run, trouble)
@@ -81,7 +82,7 @@ def _measured(run: Run, trouble: list[str]) -> Numbers:
 
 @dataclass(frozen=True)
 class Fitted:
-    """The points of the residual plots, and the times of verification points by pass and point."""
+    """The points of the residual plots, and the time of each verification point by pass and point."""
 
     unit: str
     points: tuple[Numbers, ...]
@@ -138,7 +139,7 @@ def _delta_g(told: Mapping[str, Any], times: Mapping[tuple[int, int], float]) ->
 
 
 def _diagnosis(told: Mapping[str, Any]) -> Numbers:
-    """Return the numbers of the diagnosis's own figures, as far as the result file has them."""
+    """Return the numbers of those figures that only a diagnosis has, as far as the result file has them."""
     shown = told.get("simulation") or {}
     delta_g = {
         name: [_simulated(point) for point in shown[name]["delta_g"] if point["delta_g"] is not None]
@@ -161,7 +162,7 @@ def _diagnosis(told: Mapping[str, Any]) -> Numbers:
 
 
 def _effects_of(told: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the effects found, without the mistakes, which precede the effects and have no rivals."""
+    """Return the effects found, without mistakes (listed before the effects, and without rivals)."""
     effects = list(told.get("effects", ()))
     return effects[len(effects) - len(told.get("ranking", ())) :]
 
@@ -203,7 +204,7 @@ def table_of(plots: Numbers, name: str) -> Rows:
 
 
 def live_table(points: Iterable[Numbers]) -> Rows:
-    """Return the residuals from predictions of a run in progress as a table with a header row."""
+    """Return the readings of a run in progress minus their predictions, as a table with a header row."""
     head = [*_JUDGED, *_by_channel("residual"), *_by_channel("u"), "redone", "unit"]
     rows = [
         [*(one[key] for key in _JUDGED), *one["residual"], *one["u"], one["struck"], one["unit"]]
@@ -281,6 +282,6 @@ def _cell(value: Any) -> Any:
 
 
 def sections_of(run: Run) -> Sequence[str]:
-    """Return the names of the plots whose result file a run has."""
+    """Return the names of the plots for which the run has the result file."""
     files = {"residuals": CALIBRATE, "delta-g": VERIFY, "diagnosis": DIAGNOSE}
     return [name for name, file in files.items() if is_plain(run.folder / file)]

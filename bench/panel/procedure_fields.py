@@ -51,7 +51,7 @@ LISTS: Final = {
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the table: the fields of a step as a group, its nesting depth, and the part that has no fields."""
+    """A row of the table: a step's fields as a group, its nesting depth, and the part without fields."""
 
     group: Group
     depth: int
@@ -59,7 +59,7 @@ class Row:
 
 
 def sections_of(data: Any) -> list[Group]:
-    """Return the groups of the procedure itself: name and title, the reading, the operator's times."""
+    """Return the groups of fields above the steps: name and title, the reading, the operator's times."""
     reading = dict(fields_in(ReadingSection, READING))
     told = data.get("reading") if isinstance(data, dict) else None
     dwell = reading.pop("reading.settle")
@@ -97,7 +97,7 @@ def _rows(steps: Any, at: Place, depth: int) -> Iterator[Row]:
 
 
 def _in_line(body: Any) -> str:
-    """Return the part of a step that has no fields as text in one line."""
+    """Return as one line of text the part of a step for which there are no fields."""
     if isinstance(body, dict):
         return ", ".join(f"{key}: {_in_line(value)}" for key, value in body.items() if key != "steps")
     return ", ".join(map(_in_line, body)) if isinstance(body, list) else str(body or "")
@@ -128,7 +128,7 @@ def _angles(body: Any, at: Place) -> Iterator[BenchField]:
 
 
 def values_in(data: Any, fields: Iterable[BenchField]) -> dict[str, str]:
-    """Return the texts of the fields of a parsed procedure, lists with commas, and the choices of the form."""
+    """Return the texts of a procedure's fields (lists with commas) and the choices of the form, by name."""
     written = values_of(data)
     values: dict[str, str] = {}
     for one in fields:
@@ -144,7 +144,7 @@ def values_in(data: Any, fields: Iterable[BenchField]) -> dict[str, str]:
 def table_text(text: str, values: Values, fields: Sequence[BenchField]) -> str:
     """Return the text of a procedure with the values that were typed in its table.
 
-    The values of existing fields are set first, then the chosen forms of angles.
+    First the values of existing fields are set, then angles are rewritten in the chosen form.
     """
     text = edited_text(text, values, fields)
     return edited_text(text, {}, (), lambda tree, _: _arrange_angles(tree, values, fields))
@@ -225,7 +225,7 @@ def _block(text: str, at: Place) -> tuple[int, int, int]:
 
 
 def _compared(text: str, lines: list[str], at: Place, times: int) -> str:
-    """Return the changed lines as a text. Raises `Refusal` (409) if more than the step at the path `at` differs."""
+    """Return `lines` as text. Raises `Refusal` (409) if they change more than the copies of step `at`."""
     changed = "\n".join(lines) + "\n"
     wanted = copy.deepcopy(read_yaml(text).data)
     steps: Any = wanted
@@ -239,7 +239,7 @@ def _compared(text: str, lines: list[str], at: Place, times: int) -> str:
 
 
 def place_of(name: str, rows: Iterable[Row]) -> Place:
-    """Return the path in the procedure of the step with this row name. Raises `Refusal` (400) if there is none."""
+    """Return the path of the step whose row has this name. Raises `Refusal` (400) if there is none."""
     for row in rows:
         if row.group.place == name:
             return row.group.at[:-1]

@@ -23,7 +23,7 @@ MOST_OFFERED: Final = 500
 class OfferedProcedure:
     """A procedure as the form offers it: its title, expected time, number of readings, and a drawing.
 
-    `dots` are the angles of the test points on a circle of radius 1, x to the right and y down. For a file with
+    `dots` are the test points by angle, as (x to the right, y down) on a circle of radius 1. For a file with
     mistakes, `title` is the first mistake and all else is empty.
     """
 

@@ -1,4 +1,4 @@
-"""The queue of the day: units to be measured in order, who is on duty, since when a bench is switched on.
+"""The queue of the day: units to be measured, in order; who is on duty; when a bench was switched on.
 
 The queue starts nothing. A person begins each item; its state is read from its run.
 """
@@ -39,8 +39,8 @@ class _Row(BaseModel):
 class QueueItem(_Row):
     """A unit to be measured: serial number (empty: as in the bench file), names of procedure and bench file.
 
-    `wish` is the id of its latest check, `run` the name of its run, and `begun` the time when a person began it.
-    They are empty until then.
+    `wish` is the id of its latest check, `run` the name of its run, and `begun` the time when a person began
+    it. Each is empty until then.
     """
 
     id: Annotated[str, Field(pattern=r"^[0-9a-f]{12}$")]
@@ -114,7 +114,7 @@ class DayQueue:
             items[at] = items[at].model_copy(update=values)
 
     def claim(self, item_id: str, run: str, exists: Callable[[str], bool]) -> None:
-        """Note the run for an item before this run is started.
+        """Note the name of an item's run before this run is started.
 
         Raises `Refusal` (409) if the item was begun already: its run exists, or is being started.
         """
@@ -145,7 +145,7 @@ class DayQueue:
         return notes[-1] if notes and notes[-1].what == DUTY else None
 
     def switched_on(self) -> Mapping[str, DayNote]:
-        """Return the latest note that a bench was switched on, by bench. Raises `RecordError`."""
+        """Return, by bench, the latest note that the bench was switched on. Raises `RecordError`."""
         return {one.bench: one for one in self._notes_read() if one.what == SWITCHED_ON}
 
     def put_aside(self) -> None:

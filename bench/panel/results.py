@@ -48,7 +48,7 @@ Told = TypeVar("Told")
 
 @dataclass(frozen=True)
 class PointRow:
-    """Δg at a verification point in words, and whether the rule accepts it.
+    """Δg at a verification point in words, and whether the decision rule accepts it.
 
     `of_limit` and `u_of_limit` are Δg and its U as multiples of the limit.
     """
@@ -97,7 +97,7 @@ class CoefficientRow:
 
 @dataclass(frozen=True)
 class CalibrationTold:
-    """The calibration as shown on a page: the coefficients, the unobservable quantities (`hidden`), the fit."""
+    """The calibration as shown on a page: coefficients, quantities not observable (`hidden`), fit."""
 
     rows: tuple[CoefficientRow, ...]
     hidden: tuple[str, ...]
@@ -140,7 +140,7 @@ def results_of(run: Run) -> Results:
 def told_by(
     run: Run, name: str, words: Callable[[Mapping[str, Any]], Told], trouble: list[str]
 ) -> Told | None:
-    """Return the value of `words` for a result file of a run; None for a missing or damaged file.
+    """Return the value of `words` for the result file `name` of a run; None if it is missing or damaged.
 
     A sentence on a damaged file is added to `trouble`.
     """

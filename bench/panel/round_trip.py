@@ -60,7 +60,7 @@ def edited_text(
     fields: Iterable[BenchField],
     arrange: Callable[[Any, Values], None] = lambda tree, before: None,
 ) -> str:
-    """Return a text with the values of its fields; it is unchanged if no value changed.
+    """Return a text with the `values` of its fields; if none changed, the text is unchanged.
 
     An empty field removes its key. First, `arrange(tree, before)` adds and removes sections; `before` are the
     values in `text`. Raises as `changed_text`.
@@ -83,7 +83,7 @@ def edited_text(
 
 
 def with_certificate(text: str, instrument: str, section: str) -> str:
-    """Return the text of a bench file with `section`, a certificate in YAML, for an instrument; comments stay.
+    """Return a bench file with `section`, a certificate in YAML, for an instrument; its comments stay.
 
     Raises `KeyError` for an instrument that the text does not list, and as `changed_text`.
     """
@@ -101,9 +101,8 @@ def accept_certificate(request: ReadCertificate, section: Section) -> str:
     """Write the certificate of an instrument into a bench file; return a sentence on what was done.
 
     The file's first line names who accepted it and the SHA-256 of the document. Raises `Refused` for an
-    instrument that the bench file does not list, for a certificate that lacks corrections, and for a certificate
-    that the bench file has already. Raises `FileMistakes` if the bench file would have mistakes; the file then
-    stays unchanged.
+    instrument that the bench file does not list, for a certificate without corrections, and for one that the
+    bench file already has. Raises `FileMistakes`, and leaves the file unchanged, if it would have mistakes.
     """
     if request.into is None or not request.instrument or not request.by:
         raise Refused("accepting a certificate needs --into FILE, --instrument NAME and --by NAME")
@@ -128,13 +127,13 @@ def accept_certificate(request: ReadCertificate, section: Section) -> str:
 
 
 def signed(text: str, name: str, now: datetime) -> str:
-    """Return the text with a first line, a comment, that says who changed the file in the panel, and when."""
+    """Return `text` below a comment that says who changed the file in the panel, and when."""
     kept = re.sub(r"\A# changed in the panel by [^\n]*\n", "", text)
     return f"# changed in the panel by {name} on {now.astimezone():%Y-%m-%d}\n{kept}"
 
 
 def _yaml() -> YAML:
-    """Return a YAML reader and writer that treats every plain scalar as text, to write it unchanged."""
+    """Return a YAML reader and writer that keeps every plain scalar unchanged, as text."""
     from ruamel.yaml import YAML
     from ruamel.yaml.resolver import VersionedResolver
 
@@ -143,7 +142,7 @@ def _yaml() -> YAML:
 
         @property
         def versioned_resolver(self) -> Any:
-            """The patterns of types: only an empty scalar has one, and is null instead of an empty text."""
+            """The patterns by which scalars get a type: the only one makes an empty scalar null."""
             return {"": [("tag:yaml.org,2002:null", re.compile(r"^$"))]}
 
     yaml = YAML()
@@ -188,9 +187,9 @@ def _arrange(tree: Any, values: Values, before: Values, groups: list[Group]) -> 
 
 
 def _gravity(stated: str) -> Any:
-    """Return the section on gravity in the chosen form, before its fields are set.
+    """Return the section on gravity in the form `stated`, with empty values.
 
-    An empty value is reported as a mistake at its field.
+    A value that stays empty is reported as a mistake at its field.
     """
     empty = _scalar("", None)
     if stated == FORMS_OF_GRAVITY["value"]:
@@ -207,7 +206,7 @@ def _another_driver(group: Group, values: Values, before: Values) -> bool:
 
 
 def _emptied(tree: Any, before: Values) -> Mapping[str, str]:
-    """Return the texts in `tree` at the paths of `before`, empty for a path that is gone."""
+    """Return the texts in `tree` at the paths in `before`; "" for a path that no longer exists."""
     there = values_of(tree)
     return {name: there.get(name, "") for name in before}
 
@@ -216,7 +215,7 @@ def _emptied(tree: Any, before: Values) -> Mapping[str, str]:
 
 
 def _put(tree: Any, one: BenchField, text: str) -> None:
-    """Set the text of a field, and create the sections that contain it; an empty text removes its key."""
+    """Set the text of a field, and create the sections around it; an empty text removes the field's key."""
     if not text:
         _remove(tree, one.at)
         return
@@ -259,7 +258,7 @@ def _remove(tree: Any, at: Place) -> None:
 
 
 def _reach(tree: Any, at: Place) -> Any:
-    """Return the section at a path; missing sections on the way are created, each in one line."""
+    """Return the section at a path; missing sections on the way are created, each as a one-line mapping."""
     section = tree
     for step in at:
         if isinstance(section, dict) and not isinstance(section.get(step), dict | list):
@@ -296,9 +295,9 @@ def _sequence() -> Any:
 
 
 def with_comments(before: str, after: str) -> str:
-    """Return a changed text with every whole-line comment before the same key as in the original.
+    """Return `after`, a changed text, with each whole-line comment of `before` above the same key.
 
-    If that key is gone, the comment precedes the next remaining key.
+    If that key is gone, the comment is above the next remaining key.
     """
     blocks = _blocks(before)
     if _blocks(after) == blocks:
@@ -322,7 +321,7 @@ KeyPath = tuple[str, ...]
 
 
 def _blocks(text: str) -> list[tuple[list[str], list[KeyPath]]]:
-    """Return the blocks of comments and empty lines, each with the key paths of the next lines, nearest first."""
+    """Return the blocks of comments and empty lines, each with the key paths of the lines that follow it."""
     lines = text.splitlines()
     aside = [not line.strip() or line.lstrip().startswith("#") for line in lines]
     paths = _paths([line for line, is_aside in zip(lines, aside, strict=True) if not is_aside])
@@ -344,7 +343,7 @@ _ITEM: Final = re.compile(r"( *)(- +)?([^:{\[]*)")
 
 
 def _paths(lines: list[str]) -> list[KeyPath]:
-    """Return, for each line of block style, the keys and list positions that lead to it."""
+    """Return, for each line of a YAML text in block style, the keys and list positions that lead to it."""
     paths: list[KeyPath] = []
     open_ones: list[tuple[int, str]] = []
     counts: dict[KeyPath, int] = {}

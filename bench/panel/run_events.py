@@ -42,9 +42,9 @@ _STOPPED: Final = frozenset(
 class RunView:
     """The state of a run, derived from its events.
 
-    `step` is the event with which the current step began, and `begun` the event of the first step since the run was
-    begun or resumed. `turn` is the event of the last turn since the block was mounted; `set_c` is the set point of
-    the chamber, °C. Results of steps are computed from their events only on demand, as few are needed.
+    `step` is the event with which the current step began; `begun` is that of the first step since the run was
+    begun or resumed. `turn` is the event of the last turn since the block was mounted; `set_c` is the set
+    point (°C) of the chamber. Results of steps are computed from events on demand only, as few are needed.
     """
 
     plan: Plan
@@ -157,7 +157,7 @@ class RunView:
 
     @property
     def turned(self) -> tuple[Event, Turned] | None:
-        """The last turn since the block was mounted, with its event; the angle is as read back."""
+        """The last turn since the block was mounted, with its event and the angle read back."""
         event, mounted = self._brought.get(Turn), self._brought.get(Mount)
         if event is None or (mounted is not None and mounted.number > event.number):
             return None
@@ -174,14 +174,14 @@ class RunView:
 
     @property
     def mounted(self) -> Mount | None:
-        """The step that mounted the block last, None if it was not mounted."""
+        """The last step that mounted the block; None if the block was not mounted yet."""
         event = self._brought.get(Mount)
         step = None if event is None else self.plan.steps[event.step]
         return step if isinstance(step, Mount) else None
 
     @property
     def chamber(self) -> tuple[Event, float] | None:
-        """The latest known air temperature of the chamber, °C, after the event that reported it."""
+        """The event that last reported the chamber's air temperature, and this temperature (°C)."""
         known: list[tuple[Event, float]] = []
         if self.slow is not None:
             known.append((self.slow, float(self.slow.data["air_c"])))
@@ -204,7 +204,7 @@ _BEGUN: Final = f'"type": "{EventType.STEP_STARTED}"'.encode()
 
 
 class Tail:
-    """A reader of the events of a growing record, from the first on.
+    """A reader of all events of a growing record.
 
     An incomplete last line is read once it is complete.
     """
@@ -215,14 +215,14 @@ class Tail:
         self._count = 0
 
     def grown(self) -> bool:
-        """Return whether the record has unread content or was shortened."""
+        """Return whether the record has unread content, or has become shorter."""
         try:
             return self._path.stat().st_size != self._read
         except OSError:
             return False
 
     def new(self) -> Iterator[Event]:
-        """Yield the events written since the last call; in a long record, starts of old steps are skipped.
+        """Yield the events written since the last call; in a long record, skip those that begin old steps.
 
         Raises `RecordError` if anything but new lines changed in the record.
         """

@@ -34,9 +34,9 @@ def prompt_of(asked: AskedPrompt, seen: RunView, installations: Mapping[str, Ins
     """Return a question as a JSON object for pages and scripts.
 
     `id`, `kind`, `text`, `default`, `unit`, `choices`, `minimum`, `maximum` and `picture` are those of the
-    `Prompt`; `time` is when the question was asked; `do` is the operator's task. For a turn, `target` is the angle
-    in ° ′ ″ and `direction` +1 or -1. `drawing` is an SVG or empty. `buttons` are the possible answers, each with
-    its `text` and its `label`; if `enter` is true, the Enter key presses the first.
+    `Prompt`; `time` is when the question was asked; `do` is the operator's task. For a turn, `target` is the
+    angle in ° ′ ″ and `direction` +1 or -1. `drawing` is an SVG or empty. `buttons` are the possible answers,
+    each with its `text` and its `label`; if `enter` is true, the Enter key presses the first button.
     """
     prompt = asked.prompt
     action: Mapping[str, Any] = prompt.action  # from a record, so not validated
@@ -75,7 +75,7 @@ def prompt_of(asked: AskedPrompt, seen: RunView, installations: Mapping[str, Ins
 
 
 def _buttons(told: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Return the buttons of a question; the first has an empty answer if there is a default, as Enter does."""
+    """Return the buttons of a question; if it has a default, the first gives "" as answer, like Enter."""
     default = told["default"]
     buttons = [] if default is None else [{"text": "", "label": _label(told, str(default))}]
     match told["kind"]:
@@ -90,7 +90,7 @@ def _buttons(told: Mapping[str, Any]) -> list[dict[str, str]]:
 
 
 def _choice(choice: str) -> dict[str, str]:
-    """Return the button of a choice; if the choice takes a free reason, `begin` is how the answer begins."""
+    """Return the button of a choice; for a choice with a reason in free text, `begin` begins the answer."""
     if choice.endswith(f" {REASON}"):
         beginning = choice.removesuffix(REASON)
         return {"begin": beginning, "label": message(f"{beginning.strip()} because …")}
@@ -200,7 +200,7 @@ def _doing(seen: RunView, *, alive: bool) -> str:
 def alarm_of(seen: RunView, asked: AskedPrompt | None, *, alive: bool) -> dict[str, str] | None:
     """Return the alarm of a run: `cause` in one line, `action` to take, `details`; None if there is no alarm.
 
-    `do` is "resume" if the action is to resume the run, else empty. An open question is no alarm, but an early
+    `do` is "resume" if the action is to resume the run, else empty. An open question is no alarm; an early
     warning that stopped the run is one.
     """
     if seen.state is RunState.ABORTED or seen.state is RunState.FINISHED:
@@ -236,7 +236,7 @@ def _alarm(cause: str, action: str, details: str, do: str) -> dict[str, str]:
 
 
 def _first_sentence(text: str) -> tuple[str, str]:
-    """Return a text in two parts: up to its first semicolon or end of a sentence, and the rest."""
+    """Return a text in two parts: up to the first semicolon or end of a sentence, and the rest."""
     found = _SENTENCE.search(text)
     return (text, "") if found is None else (text[: found.start()] + ".", text[found.end() :])
 
@@ -282,13 +282,13 @@ def _where(seen: RunView, time_left: TimeLeft) -> dict[str, Any]:
 
 
 def _next_step(seen: RunView) -> int:
-    """Return the index of the first step that is neither done nor left out; the number of steps at the end."""
+    """Return the index of the first step neither done nor left out; the number of steps if there is none."""
     over = seen.progress.done | seen.progress.skipped | seen.progress.left_out
     return next((i for i in range(len(seen.plan.steps)) if i not in over), len(seen.plan.steps))
 
 
 def _step_at(seen: RunView) -> Step | None:
-    """Return the step whose position in the plan is shown; for a wait, this is the next mount, turn or reading."""
+    """Return the step whose position in the plan is shown (in a wait: the next mount, turn or reading)."""
     if seen.step is None:
         return None
     for step in seen.plan.steps[seen.step.step :]:
@@ -361,7 +361,7 @@ def _channel(reading: Reading, i: int) -> dict[str, Any]:
 
 
 def _rest(seen: RunView) -> str:
-    """Return a sentence on how long the last settling took, an empty string if there was none."""
+    """Return a sentence on how long the last settling took; "" if nothing has settled yet."""
     if seen.rest is None:
         return ""
     step, rest = seen.rest
@@ -387,7 +387,7 @@ def _chamber(seen: RunView) -> dict[str, Any]:
 
 
 def _soak(seen: RunView, about: About) -> dict[str, Any] | None:
-    """Return the countdown of the current wait, or of the timeout of the current settling; None if neither."""
+    """Return the countdown to the end of the current wait or timeout of settling; None if there is none."""
     if (waiting := seen.waiting) is None or seen.latest is None:
         return None
     event, step = waiting

@@ -29,7 +29,7 @@ BEGINS_WITHIN_S: Final = 20.0
 
 @dataclass(frozen=True)
 class Findings:
-    """What a search found: `resources` as `FoundResource`, or the `instruments` of the bench file `bench`.
+    """What a search found: `resources` (`FoundResource`), or the tested `instruments` of the file `bench`.
 
     `what` is the kind of request (`OFFERS`, `IDENTIFY` or `TEST`), `problem` the reason why it was not carried out.
     """
@@ -69,7 +69,7 @@ class Search(WorkFolder):
         return age_s < BEGINS_WITHIN_S or super().at_work()
 
     def begin(self, what: str, *, resources: Sequence[str] = (), bench: Path | None = None) -> None:
-        """Start a process that searches, asks these resources for their identity, or tests a bench's instruments.
+        """Start a process that searches, asks `resources` for their identity, or tests those of `bench`.
 
         Raises `Refusal` if a search is in progress, for too many resources, and for a text that is no resource.
         """
@@ -122,7 +122,7 @@ def main() -> None:
 
 
 def carried_out(asked: Findings) -> Findings:
-    """Return the findings for a request."""
+    """Carry out the request in `asked`; return the findings."""
     from bench.services.search import FoundResource, identified, offered
 
     told = asdict(asked) | {"done": True}
@@ -144,7 +144,7 @@ def carried_out(asked: Findings) -> Findings:
 
 
 def _tested(bench: Path) -> dict[str, Any]:
-    """Return the results of testing the instruments of a bench file, or the problem, as members of `Findings`."""
+    """Test the instruments of a bench file; return results, or the problem, as members of `Findings`."""
     from bench.config.bench_file.file import load_bench
     from bench.run.interrupts import Interrupts
     from bench.services.instruments import look_at

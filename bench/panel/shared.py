@@ -83,9 +83,9 @@ def operator(request: Request) -> Person:
 
 
 async def acting(request: Request, least: Role, most: int = MOST_FIELDS) -> tuple[Person, dict[str, str]]:
-    """Return the person who requests a change, and the fields of the form, at most `most`.
+    """Return the person who requests a change, and the fields of the form.
 
-    Raises `Refusal` for a person below the role `least`, a wrong CSRF token, or too many fields.
+    Raises `Refusal` for a person below the role `least`, a wrong CSRF token, or more than `most` fields.
     """
     person = looking(request)
     sent = await fields(request, most)
@@ -188,7 +188,7 @@ def load() -> None:
 
 
 def rendered(name: str, **content: Any) -> str:
-    """Return a template rendered with `content`: HTML-escaped, control and invisible characters as escapes.
+    """Return a template rendered with `content`: HTML-escaped, control and invisible characters visible.
 
     A variable missing from `content` is an error.
     """
@@ -199,7 +199,7 @@ KEPT = {"cache-control": "public, max-age=31536000, immutable"}
 
 
 async def send_asset(request: Request) -> Response:
-    """Send an asset, but only under its current address, which changes with its content."""
+    """Send an asset if the request has its current address, which changes with the content."""
     name = request.path_params["name"]
     if name not in ASSETS or request.scope["path"] != asset(name):
         raise Refusal(404, message("no such file; load the page again"))
@@ -217,7 +217,7 @@ APART: Final = {
 def page(request: Request, name: str, *, status: int = 200, **content: Any) -> HTMLResponse:
     """Return the response with a template rendered with `content`.
 
-    If a person is signed in, the template also gets `person`, `csrf`, and `catalogue`: whether the panel has one.
+    If a person is signed in, the template also gets `person`, `csrf`, and `catalogue` (whether there is one).
     """
     if (person := person_of(request)) is not None:
         shown = bool(panel_of(request).settings.catalogue)

@@ -1,4 +1,4 @@
-"""Followers of runs, shared by all viewers; they send snapshots and residuals as server-sent events."""
+"""Followers of runs, each shared by all viewers; they send snapshots and residuals as server-sent events."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ class PlottedPoints:
     points: tuple[dict[str, Any], ...] = ()
 
     def since(self, told: PlottedPoints) -> dict[str, Any]:
-        """Return the update for a viewer who has the points `told`: first changed index, new points, and k."""
+        """Return the update of the points `told`: first changed index, points from there on, and k."""
         begin = len(told.points) if told.version == self.version else 0
         return {"from": begin, "k": COVERAGE, "points": self.points[begin:]}
 
 
 class ResidualPlot:
-    """The residuals of a run's readings from their predictions, as `points` for viewers.
+    """The readings of a run minus their predictions, as `points` for viewers.
 
     A point has the keys `n` (event number), `step`, `installation`, `series`, `pass`, `point`, `angle_deg`,
     `time_s`; per channel the `residual`, its standard uncertainty `u` (both in `unit`) and `sigma`; and `struck` if
@@ -79,7 +79,7 @@ class ResidualPlot:
 
     @property
     def waiting(self) -> bool:
-        """Whether queued readings are still to be compared with their predictions."""
+        """Whether queued readings still await comparison with their predictions."""
         return self._readings > 0
 
     def judge_next(self) -> bool:
@@ -199,12 +199,12 @@ class Follower:
 
     @property
     def prompt(self) -> AskedPrompt | None:
-        """The open question, None if there is none or no program waits for the answer."""
+        """The open question; None if there is none, or if no program waits for the answer."""
         asked = self._seen.prompt
         return asked if self._alive and asked is not None and asked.event.number > self._unheard else None
 
     def live(self) -> bytes:
-        """Return the latest live value of an open question as JSON; empty where there is none."""
+        """Return the latest live value of an open question as JSON; empty if there is none."""
         if self.prompt is None:
             return b""
         try:
@@ -215,7 +215,7 @@ class Follower:
 
     @property
     def waiting(self) -> bool:
-        """Whether queued readings are still to be compared with their predictions."""
+        """Whether queued readings still await comparison with their predictions."""
         return self._residuals.waiting
 
     def state(self) -> dict[str, Any]:
@@ -228,15 +228,15 @@ class Follower:
 
     @property
     def points_version(self) -> tuple[int, int]:
-        """The version of the points: the number of changes to earlier points, and the number of points."""
+        """The version of the points: how often earlier points changed, and how many points there are."""
         return self._residuals.version, len(self._residuals.points)
 
     def points(self) -> PlottedPoints:
-        """Return the current points: readings compared with their predictions."""
+        """Return the present points: readings minus their predictions."""
         return PlottedPoints(self._residuals.version, tuple(self._residuals.points))
 
     def _look_for_writer(self, *, at_once: bool) -> bool:
-        """Check, at intervals or `at_once`, if a program carries out the run; return whether this has changed."""
+        """Check, at intervals or `at_once`, if a program carries out the run; return if that has changed."""
         now_s = self._clock.now_s()
         if not at_once and now_s - self._looked_s < ALIVE_LOOK_S:
             return False
@@ -282,7 +282,7 @@ def as_live(value: bytes) -> bytes:
 
 
 class SharedFollower:
-    """A `Follower` shared by viewers on an event loop: it reads in a thread and wakes the waiting viewers.
+    """A `Follower` shared by viewers on an event loop: it reads in a thread, and wakes viewers that wait.
 
     `state` is the latest snapshot, `trouble` the error that ended it, or an empty string.
     """
@@ -305,12 +305,12 @@ class SharedFollower:
 
     @property
     def prompt(self) -> AskedPrompt | None:
-        """The open question, None if there is none or no program waits for the answer."""
+        """The open question; None if there is none, or if no program waits for the answer."""
         return None if self._follower is None else self._follower.prompt
 
     @property
     def judging(self) -> bool:
-        """Whether readings are still to be compared with their predictions."""
+        """Whether readings still await comparison with their predictions."""
         return self._follower is not None and self._follower.waiting
 
     @property
@@ -328,7 +328,7 @@ class SharedFollower:
         self._live_task.cancel()
 
     async def wait(self, version: int) -> bool:
-        """Wait, at most 2 s (`BEAT_S`), for a version other than `version`; return whether there is one."""
+        """Wait, at most 2 s (`BEAT_S`), for any version but `version`; return whether there is one."""
         if self.version == version:
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._news.wait(), BEAT_S)
@@ -361,7 +361,7 @@ class SharedFollower:
             await asyncio.sleep(LIVE_LOOK_S)
 
     def _wake(self) -> None:
-        """Wake the streams to all viewers, which then send the changes."""
+        """Wake the streams of all viewers; each then sends the changes to its viewer."""
         self.version += 1
         awaited, self._news = self._news, asyncio.Event()
         awaited.set()
@@ -389,7 +389,7 @@ class SharedFollower:
 
 
 class Followers:
-    """The followers of the runs with viewers; all belong to one event loop."""
+    """The followers of all runs that have viewers; all followers belong to one event loop."""
 
     def __init__(self, add: Add = lambda folder: {}) -> None:
         self._add = add
@@ -445,7 +445,7 @@ class Followers:
 
     @asynccontextmanager
     async def _watched(self, folder: Path) -> AsyncIterator[SharedFollower]:
-        """Yield the follower of a run, begun if there is none. Raises `RecordError` if it cannot be read."""
+        """Yield the follower of a run, begun if need be. Raises `RecordError` if the run cannot be read."""
         shared = self._shared.get(folder)
         if shared is None or shared.over:
             shared = self._shared[folder] = SharedFollower(folder, self._add)

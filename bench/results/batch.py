@@ -24,7 +24,7 @@ class FileAsked(ResultModel):
 
 
 class ProgramPart(ResultModel):
-    """The versions of the program that computed the new results."""
+    """The versions of program, Python and packages that computed the new results."""
 
     version: str
     python: str
@@ -45,7 +45,7 @@ class RunsPart(ResultModel):
 
 
 class Counted(ResultModel):
-    """The numbers of runs whose new result differs from the stored one or equals it."""
+    """How many runs have a new result that differs from the stored one, and how many an equal one."""
 
     different: int = Field(description="number of runs whose new value differs from the stored one")
     same: int = Field(description="number of runs whose new value equals the stored one")
@@ -53,7 +53,7 @@ class Counted(ResultModel):
 
 
 class VerdictChange(ResultModel):
-    """Number of runs with a given stored verdict and a given new one."""
+    """The number of runs with the same stored verdict and the same new verdict."""
 
     stored: str
     now: str
@@ -62,13 +62,13 @@ class VerdictChange(ResultModel):
 
 
 class VerdictsPart(Counted):
-    """The numbers of runs whose new verdict differs from the stored verdict or equals it."""
+    """How many runs have a new verdict that differs from the stored one, and how many an equal one."""
 
     changes: list[VerdictChange] = Field(description="number of runs for each pair of stored and new verdict")
 
 
 class ChangeInU(ResultModel):
-    """Statistics over the runs of the largest change of a coefficient in a run, in units of its stored u."""
+    """The largest change of a coefficient in each run, in units of its stored u: statistics over all runs."""
 
     median: float
     of_95_percent: float
@@ -110,7 +110,7 @@ class DifferentVerdict(_Different):
 
 
 class DifferentNames(_Different):
-    """A run whose new diagnosis names other effects than the stored one."""
+    """A run in which the new diagnosis names other effects than the stored diagnosis."""
 
     names_stored: str
     names: str

@@ -39,7 +39,7 @@ BySource = Annotated[dict[str, float], Field(description="standard uncertainty f
 
 
 class ReadingCounts(ResultModel):
-    """The numbers of fitted readings and of verification points in the procedure."""
+    """How many fitted readings and how many verification points the procedure has."""
 
     fitted: int
     verification: int
@@ -86,7 +86,7 @@ class SourcePart(ResultModel):
 
 
 class AccelerationPart(ResultModel):
-    """The uncertainty of any measured acceleration."""
+    """The uncertainty of a measured acceleration, by its magnitude."""
 
     range_g: float
     same_voltmeters: bool = Field(description="whether it is read with the voltmeters of the calibration")
@@ -94,7 +94,7 @@ class AccelerationPart(ResultModel):
 
 
 class VerificationPart(ResultModel):
-    """The uncertainty of Δg at each verification point, and whether it is small enough for a decision."""
+    """The uncertainty of Δg at each verification point, and whether that is small enough for a decision."""
 
     limit_g: float
     rule: str
@@ -116,7 +116,7 @@ class VerificationPart(ResultModel):
 
 
 class OutputPart(ResultModel):
-    """A coefficient or a Δg by the Monte Carlo method, compared with the linear result."""
+    """The distribution of a coefficient or Δg by the Monte Carlo method, compared with the linear result."""
 
     mean: float
     u: float
@@ -168,7 +168,7 @@ class BudgetResult(ResultModel):
 
     @property
     def capable(self) -> bool | None:
-        """Whether every verification point can be passed with the coverage probability; None without points."""
+        """Whether U is small enough at every verification point for a decision; None without points."""
         return self.verification.capable
 
     def report(self, path: str | Path) -> None:
@@ -352,7 +352,7 @@ def _by_source(result: BudgetResult) -> Iterator[Row]:
 
 
 def _combined(result: BudgetResult) -> Iterator[Row]:
-    """Yield the rows below the sources: u of the stand, u per local g, combined u, degrees of freedom, U."""
+    """Yield the rows below the sources: u of the stand, combined u (exact or stated local g), dof, U."""
     coefficients = [result.coefficients[name] for name in result.order]
     if "stand" in result.groups:
         yield Row("stand, as calibrate states", _micro(result.groups["stand"].u))
@@ -538,7 +538,7 @@ def modulus(result: BudgetResult) -> BudgetFigure:
 
 
 def _gathered(shares: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Return the shares that reach `VISIBLE`, and under "others" the sum of all other shares."""
+    """Return the shares of at least `VISIBLE`, and the sum of all other shares as "others"."""
     seen = {source: share for source, share in shares.items() if np.max(share) >= VISIBLE}
     rest = sum((share for source, share in shares.items() if source not in seen), np.zeros(12))
     return {**seen, "others": rest} if np.any(rest > 0.0) else seen

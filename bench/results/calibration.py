@@ -56,7 +56,7 @@ class PerMs2Part(ResultModel):
 
 
 class WidenedFitPart(FitPart):
-    """A test for lack of fit against the repeats, and the factor by which it widens u."""
+    """A test for lack of fit against the repeats, and the factor by which a lack of fit widens u."""
 
     birge: float = Field(description="factor on u because the model does not fit; 1 if it does")
 
@@ -87,7 +87,7 @@ class ComponentPart(ResultModel):
 
 
 class DriftPart(ResultModel):
-    """The drift of the biases over the run, relative to their means."""
+    """The drift of the biases during the run, relative to the mean of each bias."""
 
     hours: float
     rms: dict[str, float]
@@ -95,7 +95,7 @@ class DriftPart(ResultModel):
 
 
 class NoisePart(ChannelsPart):
-    """The standard deviations of the noise of a reading, by channel, and of noise that several readings share."""
+    """Standard deviations of noise: of a single reading, by channel, and shared by several readings."""
 
     reading_v: float = Field(
         description="standard deviation of a reading, unit of the signal: root mean square of the three "
@@ -122,7 +122,7 @@ class NoisePart(ChannelsPart):
 
 
 class OutlierPart(ResultModel):
-    """A signal that disagrees with the model fitted to the other readings."""
+    """A signal that disagrees with the model as fitted to the other readings."""
 
     row: int = Field(description="row of the table, from 1")
     series: int
@@ -137,7 +137,7 @@ class OutlierPart(ResultModel):
 
 
 class FreePositionPart(ResultModel):
-    """A free position (unknown orientation) used in the fit through |a| = 1 g."""
+    """A free position (of unknown orientation) in the fit, with the condition |a| = 1 g."""
 
     installation: str
     pass_number: int = Field(alias="pass")
@@ -146,7 +146,7 @@ class FreePositionPart(ResultModel):
 
 
 class FreePositionsPart(ResultModel):
-    """The free positions used in the fit through |a| = 1 g."""
+    """The free positions in the fit, with the condition |a| = 1 g."""
 
     used: int
     rms_g: float = Field(description="root mean square of |a| − 1 g over all free positions")
@@ -162,7 +162,7 @@ class ArrayWithU(ResultModel):
 
 
 class TriangularPart(ResultModel):
-    """The nine coefficients, with a triangular K, that free positions determine without oriented readings."""
+    """The nine coefficients (K is triangular) that free positions alone determine."""
 
     convention: str
     bias: ArrayWithU
@@ -276,7 +276,7 @@ class CalibrateResult(ResultModel):
 
 
 def calibrate_result(found: Calibration, **made_from: Any) -> CalibrateResult:
-    """Return the result of a calibration; `made_from` has the members from `source` on."""
+    """Return the result of a calibration; `made_from` holds the member `source` and all members after it."""
     return CalibrateResult.from_object(
         found,
         per="g",
@@ -297,7 +297,7 @@ def calibrate_result(found: Calibration, **made_from: Any) -> CalibrateResult:
 
 
 def _per_ms2(found: Calibration) -> dict[str, Any]:
-    """Return K in unit/(m/s²), calculated from K per g and local g, with the uncertainty that both contribute."""
+    """Return K in unit/(m/s²), calculated from K per g and local g; its u includes those of both."""
     values = found.block.vector[:9]
     u = np.hypot(found.u[:9], values * found.gravity_u) / found.g_m_s2
     rows = by_name(COEFFICIENTS[:9], ValuePart, value=values / found.g_m_s2, u=u)
@@ -388,7 +388,7 @@ def coefficients_table(found: Calibration) -> Table:
 
 
 def sources_table(found: Calibration) -> Table:
-    """Return a table of the error sources that the readings do not show, with the largest contribution of each."""
+    """Return a table of the error sources that readings do not show, and the largest contribution of each."""
     shown = table("further contributions to u", ">u", "from", ">most", "in")
     for source in found.sources:
         u = u_of(source.covariance)
@@ -447,7 +447,7 @@ def _noise_in_words(found: Calibration) -> str:
 
 
 def fit_in_a_line(found: Calibration) -> str:
-    """Return a line that states whether the model fits the readings, with the figures of the test."""
+    """Return a line that states whether the model fits the readings, with the numbers of the test."""
     how = "; u is widened for this misfit" if found.shared else ""
     how = f"; u is {found.birge:.2g} times that of the noise" if found.birge > 1 else how
     return fit_in_words(found.lack_of_fit, f"THE MODEL DOES NOT FIT the readings{how}")

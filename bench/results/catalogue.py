@@ -75,7 +75,7 @@ class AskResult(ResultModel):
     rows: list[Row] = Field(description="rows as values by column; null if not recorded; times in UTC")
 
     def print_on(self, out: Console) -> None:
-        """Print the first rows with the columns that fit a terminal."""
+        """Print the first rows, with as many columns as the terminal has room for."""
         if self.rows:
             names = [name for name in _COLUMNS_ON_SCREEN.get(self.of, self.rows[0]) if name in self.rows[0]]
             shown = table(*(name.replace("_", " ") for name in names))
@@ -134,7 +134,7 @@ class DueResult(ResultModel):
     )
 
     def print_on(self, out: Console) -> None:
-        """Print the first units due, and why other units have no date."""
+        """Print the units that are due first, and why other units have no date."""
         shown = table("due", "unit", "by", ">calibrations", "last", "")
         for one in self.units[:ON_SCREEN]:
             simulated = "simulated" if one.simulated else ""
@@ -255,13 +255,13 @@ def unit_page(result: UnitResult) -> str:
 
 
 def _expected(due: DuePart | None) -> list[str]:
-    """Return the expected errors at the last calibration and on the due date, in µg, as text."""
+    """Return as text the errors, in µg, expected at the last calibration and on the due date."""
     sizes = [due.error_at_last_g, due.error_when_due_g] if due else []
     return ["–" if size is None else two_digits(size * 1e6) for size in sizes]
 
 
 def unit_figure(calibrations: Sequence[UnitCalibration]) -> str:
-    """Return an SVG element that plots each coefficient minus its last value over time, with bars U (k = 2)."""
+    """Return an SVG element: each coefficient minus its last value, against time, with bars U (k = 2)."""
     from bench.results.plots import svg_figure
 
     words = f"Each of the twelve coefficients in {len(calibrations)} calibrations, less its last value"
@@ -301,7 +301,7 @@ def _drawing(calibrations: Sequence[UnitCalibration]) -> Callable[[Figure], None
 
 
 def coefficient_rows(calibrations: Sequence[UnitCalibration]) -> list[tuple[str, ...]]:
-    """Return a row for each coefficient: name, last value, U, changes since the previous and first values, unit."""
+    """Return a row for each coefficient: name, last value, U, change since previous and first value, unit."""
     if not calibrations:
         return []
     values, sizes = _arrays(calibrations)

@@ -62,7 +62,7 @@ class RegisteredCertificate(ResultModel):
 
 
 class RegisterResult(ResultModel):
-    """The certificates in a register, and the problems with their files."""
+    """The certificates in a register, and the problems with the files of certificates."""
 
     register_: str = Field(alias="register", description="folder of the register")
     head: str = Field(description="SHA-256 of the last line, which depends on all lines before it")
@@ -76,7 +76,7 @@ class RegisterResult(ResultModel):
             out.print(f"{one.number}  {one.issued[:10]}  {one.unit}  {one.run}  {state}")
 
     def print_head(self, out: Console) -> None:
-        """Print the number of certificates, and the hash of the last line, which depends on all lines."""
+        """Print the number of certificates, and the hash of the last line, which covers all lines."""
         out.print(f"{len(self.certificates)} certificates, chain of hashes complete, head {self.head}")
 
 
@@ -154,7 +154,7 @@ class RegisterSays(ResultModel):
 
     @property
     def words(self) -> str:
-        """The state in the register, as a suffix to the verdict; "" for a valid certificate."""
+        """The state in the register, as text that is appended to the verdict; "" for a valid certificate."""
         if self.holds:
             return ""
         return f", {self.state.upper()} ({self.by})" if self.known else ", UNKNOWN TO THE REGISTER"

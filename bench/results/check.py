@@ -42,7 +42,7 @@ class OpenCoefficients(ResultModel):
 
 
 class DirectionPart(ResultModel):
-    """A linear combination of coefficients and stand errors that the readings leave undetermined."""
+    """A linear combination of coefficients and stand errors; the readings do not determine it."""
 
     kind: str = Field(description="kind of combination; `turn` is a common turn of the block's axes")
     text: str
@@ -50,7 +50,7 @@ class DirectionPart(ResultModel):
 
 
 class ObservabilityPart(ResultModel):
-    """The coefficients and stand errors that the readings determine, and those they do not."""
+    """The coefficients and stand errors that the readings determine, and those that remain open."""
 
     rank: int
     unknowns: int
@@ -105,7 +105,7 @@ class CheckResult(ResultModel):
 
 @dataclass(frozen=True)
 class Findings:
-    """The result of a check with the objects that its text needs: plan, bench and predictions."""
+    """The result of a check, and the objects from which its text is made: plan, bench and predictions."""
 
     result: CheckResult
     plan: Plan
@@ -194,7 +194,7 @@ def print_findings(found: Findings, out: Console, *, every_step: bool = False) -
 
 
 def _coefficients_in_words(not_determined: list[OpenCoefficients]) -> Iterator[str]:
-    """Yield sentences on the coefficients that a calibration determines, by temperature if there are several."""
+    """Yield sentences on the coefficients that a calibration determines, at each of several temperatures."""
     if not not_determined:
         yield "no calibration: the procedure has no reading in an installation of known orientation"
     temperatures: dict[tuple[str, ...], list[str]] = {}
@@ -216,7 +216,7 @@ def _coefficients_in_words(not_determined: list[OpenCoefficients]) -> Iterator[s
 
 
 def _open_in_words(found: Outlook | None) -> Iterator[str]:
-    """Yield sentences on the combinations that the readings do not determine, and on the cheapest remedies."""
+    """Yield sentences on combinations of coefficients that the readings leave open, and on remedies."""
     if found is None:
         return
     for sentence in found.open:
@@ -237,7 +237,7 @@ def _remedy_in_words(remedy: Remedy) -> str:
 
 
 def outlook_in_words(found: TimeOutlook) -> str:
-    """Return the predicted time and number of settings of a run: median, and the range of 90 % of all runs."""
+    """Return the predicted time and number of settings in words: median, and range of 90 % of all runs."""
     low_s, mid_s, high_s = found.quantiles(found.time_s)
     low, mid, high = (round(n) for n in found.quantiles(found.settings))
     reached = float(np.mean(found.reached))
@@ -279,10 +279,10 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """A group of steps that begins at index `start`: `period` steps, repeated `times` times at various points and
+    """A pattern of `period` steps from index `start` on, carried out `times` times at various points and
     angles.
 
-    Blocks with an equal `shape` differ only in point, angle and pass.
+    Blocks of equal `shape` differ only in point, angle and pass.
     """
 
     start: int
@@ -320,7 +320,7 @@ def _blocks(steps: Sequence[Step]) -> Iterator[_Block]:
 
 
 def _folded(shapes: Sequence[object], fewest: int) -> Iterator[tuple[int, int, int]]:
-    """Yield start index, period and number of repetitions of each pattern in a sequence.
+    """Yield start index, period and number of repetitions of each pattern in the sequence `shapes`.
 
     At each element, the pattern that covers most elements is chosen, if it repeats at least `fewest` times.
     Otherwise the element is yielded alone, with period and repetitions 1.
@@ -339,7 +339,7 @@ def _folded(shapes: Sequence[object], fewest: int) -> Iterator[tuple[int, int, i
 
 
 def _times(codes: Sequence[int], start: int, period: int) -> int:
-    """Return how many times in a row the `period` codes at `start` occur."""
+    """Return how many times in a row the `period` codes from index `start` on occur in `codes`."""
     end = start + period
     while end < len(codes) and codes[end] == codes[end - period]:
         end += 1
@@ -352,7 +352,7 @@ _FIELDS: Final = {kind: tuple(f.name for f in fields(kind)) for kind in KINDS}
 
 
 def _shape(step: Step, without: frozenset[str]) -> tuple[Any, ...]:
-    """Return the type of a step and its fields except those in `without`; similar steps have equal shapes."""
+    """Return the shape of a step: its type, and its fields not in `without`; equal for similar steps."""
     return (type(step), *(getattr(step, name) for name in _FIELDS[type(step)] if name not in without))
 
 
@@ -376,7 +376,7 @@ def _block_in_words(steps: Sequence[Step], block: _Block) -> str:
 
 
 def _where(step: Step) -> str:
-    """Return the point of a step; for a step without one, the description of the step."""
+    """Return in words the point of a step or, if it has none, the description of the step."""
     if not isinstance(step, Turn | Read):
         return step.describe()
     return step.where()
@@ -387,7 +387,7 @@ def _span(first: Turn, last: Turn) -> str:
 
 
 def _doing(step: Step) -> str:
-    """Return the action of a step without its point: "turn", "read 10 × 1 NPLC"."""
+    """Return in words what a step does, without the point: "turn", "read 10 × 1 NPLC"."""
     match step:
         case Turn():
             return "turn"

@@ -193,8 +193,8 @@ def print_compare(result: CompareResult, out: Console) -> None:
 
 
 def verdict_of(result: CompareResult) -> str:
-    """Return a clause that states whether the block changed, by the joint test of its nine intrinsic numbers, and
-    which.
+    """Return a clause that states whether the block changed, by the joint test of its nine intrinsic numbers,
+    and which numbers did.
     """
     nine = [name for one in result.compared for name, row in one.intrinsic.values.items() if row.changed]
     twelve = [name for one in result.compared for name, row in one.coefficients.items() if row.changed]
@@ -280,7 +280,7 @@ class DegreePart(ResultModel):
 
 
 class PairPart(ResultModel):
-    """The difference between two benches on the units that both measured."""
+    """The difference between two benches, from the units that both of them measured."""
 
     first: str
     second: str
@@ -291,7 +291,7 @@ class PairPart(ResultModel):
 
 
 class EquivalencePart(ResultModel):
-    """The comparison of the benches in one coefficient."""
+    """The comparison of the benches by the values of one coefficient."""
 
     method: Literal["weighted mean", "Mandel-Paule", "DerSimonian-Laird"]
     dark: Real = Field(description="standard deviation between benches beyond their stated u")
@@ -305,7 +305,7 @@ class EquivalencePart(ResultModel):
 
 
 class TogetherPart(ResultModel):
-    """A joint chi-square test of a difference in all twelve coefficients or all nine intrinsic numbers."""
+    """A joint chi-square test for a difference in the twelve coefficients or the nine intrinsic numbers."""
 
     chi2: float = Field(description="chi-square of the vector of differences")
     dof: int
@@ -329,7 +329,7 @@ class AllTogether(ResultModel):
 
 
 class BeyondPart(ResultModel):
-    """A degree of equivalence that exceeds its U (k = 2)."""
+    """A bench that deviates from the reference value of a coefficient by more than U (k = 2)."""
 
     bench: str
     coefficient: str
@@ -337,7 +337,7 @@ class BeyondPart(ResultModel):
 
 
 class NineOfBenches(ResultModel):
-    """The comparison of the benches in the nine intrinsic numbers, which do not depend on the mounting."""
+    """The comparison of the benches by the nine intrinsic numbers, which do not depend on the mounting."""
 
     values: dict[str, EquivalencePart] = Field(description="each of the nine, in unit/g, degrees or g")
     together: AllTogether = Field(description="comparison of all nine together, which decides")
@@ -415,8 +415,8 @@ def _beyond(of: BenchComparison, numbers: BenchesIn) -> list[BeyondPart]:
 
 
 def print_benches(result: BenchesResult, out: Console) -> None:
-    """Print each number's consistency and worst bench, and the verdict by the joint test of the nine intrinsic
-    numbers.
+    """Print for each number its consistency and the worst bench, then the verdict by the joint test of the
+    nine intrinsic numbers.
     """
     out.print(
         f"{len(result.benches)} benches on {len(result.units)} common units, {result.calibrations} calibrations; "
@@ -446,14 +446,14 @@ def print_benches(result: BenchesResult, out: Console) -> None:
 
 
 def unit_of_change(name: str, unit: str) -> tuple[float, str]:
-    """Return the factor and the unit for printing differences of the number `name`: arcsec for angles."""
+    """Return factor and unit to print differences of the number `name`, such as arcsec for an angle."""
     if name.startswith("theta"):
         return 3600.0, "″"
     return 1.0, "g" if name in INTRINSIC[6:] else unit
 
 
 def _print_together(found: AllTogether, count: str, out: Console) -> None:
-    """Print the benches and pairs of benches that differ significantly in the joint test of all `count` numbers."""
+    """Print the benches, and pairs of benches, that differ significantly by the joint test of all numbers."""
     benches: Iterable[tuple[str, TogetherPart]] = found.benches.items()
     pairs = ((f"{pair.first} and {pair.second}", pair) for pair in found.pairs)
     apart = [(name, one) for name, one in (*benches, *pairs) if one.apart]
@@ -490,8 +490,8 @@ def draw_degrees(
 ) -> None:
     """Draw the deviation of each bench or laboratory in each intrinsic number, with bars of ±U (k = 2).
 
-    `nine` has for each number the deviations (w,), their u (w,), and a dark uncertainty, which is drawn as a band.
-    Deviations beyond U are red. `who` (w,) are the names.
+    `nine` has for each number the deviations (w,), their u (w,), and a dark uncertainty, which is drawn as a
+    band. Deviations beyond U are red. `who` (w,) are their names, `signal` is the unit of signals.
     """
     rows = np.arange(len(who))
     grid = figure.subplots(3, 3, sharey=True)

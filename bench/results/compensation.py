@@ -87,7 +87,7 @@ class ThermalNoisePart(ResultModel):
 
 
 class ApproximationPart(ResultModel):
-    """The errors that arise because the table is used instead of the polynomials."""
+    """The errors of the table as an approximation of the polynomials."""
 
     interpolation_bias_g: float = Field(description="error of interpolation at 0 g, g")
     interpolation_per_g: float = Field(description="additional error for each g of acceleration, g")
@@ -97,7 +97,7 @@ class ApproximationPart(ResultModel):
 
 
 class TablePart(ResultModel):
-    """The compensation table: N and U0 at equally spaced temperatures."""
+    """The compensation table: N = K⁻¹ and U0 at equally spaced temperatures."""
 
     first_c: float
     step_k: float
@@ -160,9 +160,9 @@ def compensate_result(
 ) -> CompensateResult:
     """Return the result of a temperature model.
 
-    `of_readings` is the part of the covariance that comes from the readings. `hidden` are the error sources that
-    the readings do not show. `checks` holds pairs of a temperature (°C) and its verification. `made_from` has the
-    check vectors, their test, and the members from `sources` on.
+    `of_readings` is the part of the covariance that comes from the readings. `hidden` are the error sources
+    that the readings do not show. `checks` holds pairs of a temperature (°C) and its verification.
+    `made_from` holds the check vectors, their test, the member `sources` and all members after it.
     """
     u, count = u_of(model.covariance).reshape(model.values.shape), model.values.shape[1]
     return CompensateResult.from_object(

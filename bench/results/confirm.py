@@ -46,7 +46,7 @@ class EffectPart(ResultModel):
 
 
 class ConfirmResult(ResultModel):
-    """The test of a model on new readings: the misfit (gap) with and without it, and the verdict on each effect."""
+    """A model tested on new readings: the gap with and without the model, and the verdict on each effect."""
 
     closed: Real = Field(
         description="part of the gap that the model closes: (before - after)/(before - floor); null if "
@@ -80,7 +80,7 @@ class ConfirmResult(ResultModel):
 
 
 def effect_part(now: EffectNow) -> EffectPart:
-    """Return the part of the result on an effect: the verdict, and the values in the model and the new readings."""
+    """Return the part on an effect: its verdict, and its values by the model and by the new readings."""
     return EffectPart(
         name=now.applied.effect.name,
         either_of=list(now.applied.either_of),
@@ -114,7 +114,7 @@ def confirm_result(
     simulated: bool,
     notes: Sequence[str],
 ) -> ConfirmResult:
-    """Return the result of testing a model; the keyword arguments are members of the result."""
+    """Return the result of a model's test; all keyword arguments are members of the result."""
     return ConfirmResult(
         closed=found.closed,
         before=found.before.reduced,

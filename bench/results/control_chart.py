@@ -62,7 +62,7 @@ class ShortTermPart(ResultModel):
 
 
 class DeviationPart(ResultModel):
-    """The deviation of a coefficient from the centre line, its u, and their ratio; also for the EWMA."""
+    """Deviation of a coefficient from the centre line, its u, and their ratio `z`; the same for the EWMA."""
 
     deviation: float
     u: float
@@ -100,7 +100,7 @@ class VariabilityPart(ResultModel):
 
 
 class PooledPart(ResultModel):
-    """The short-term standard deviation of a reading, pooled over the baseline."""
+    """The short-term standard deviation of a reading, pooled over the baseline runs."""
 
     s: float
     dof: float
@@ -119,7 +119,7 @@ class ComponentsPart(ResultModel):
 
 
 class DriftPart(ResultModel):
-    """The drift rate of a coefficient in the accepted runs, from a straight line without the known drift."""
+    """The rate at which a coefficient drifts in the accepted runs, after subtraction of the known drift."""
 
     per_year: float
     u: float
@@ -127,7 +127,7 @@ class DriftPart(ResultModel):
 
 
 class NineRun(ResultModel):
-    """A run of the check block in its nine intrinsic numbers."""
+    """A run of the check block as charted by its nine intrinsic numbers."""
 
     t2: float = Field(description="T² of the nine intrinsic numbers")
     p: float = Field(description="p-value of T²")
@@ -137,7 +137,7 @@ class NineRun(ResultModel):
 
 
 class NineChart(ResultModel):
-    """The chart of the nine intrinsic numbers, which do not depend on the mounting; it decides."""
+    """The chart of the nine intrinsic numbers, which do not depend on the mounting; it gives the verdict."""
 
     centre: dict[str, ValuePart] = Field(description="centre lines, in unit/g, degrees and g")
     scale: float = Field(description="factor on the stated u")
@@ -180,10 +180,10 @@ class ChartResult(ResultModel):
 
 @dataclass(frozen=True)
 class CheckBlockChart:
-    """The control chart of a check block: `chart` in the nine intrinsic numbers, which decides, and `twelve`.
+    """The control charts of a check block: `chart`, which decides, shows its nine intrinsic numbers.
 
-    `twelve` is the chart of the coefficients. `unit` is the unit of the signals and `g_m_s2` the g to which scale
-    factors refer; `notes` names the runs left out.
+    `twelve` is the chart of the twelve coefficients. `unit` is the unit of the signals; `g_m_s2` is the local
+    g, m/s², to which scale factors refer. `notes` names the runs left out.
     """
 
     chart: ControlChart
@@ -274,7 +274,7 @@ class CheckBlockChart:
 
 
 def _members(chart: ControlChart) -> dict[str, Any]:
-    """Return the members that the charts of the nine intrinsic numbers and of the twelve coefficients share."""
+    """Return the members that both charts (nine intrinsic numbers, twelve coefficients) have."""
     centre = chart.centre
     u = np.sqrt(np.diag(centre.covariance) * centre.scale)
     return {
@@ -341,8 +341,8 @@ def _in_u(z: float | None) -> str:
 
 
 def _run_cells(result: ChartResult, run: ChartedRun) -> list[str]:
-    """Return the cells of a run: start time, T² of the nine intrinsic numbers, T² of their EWMA, and short-term s
-    relative to the baseline.
+    """Return the cells of a run: start time, T² of the nine numbers, T² of their EWMA, short-term s by that
+    of the baseline.
     """
     f, nine = run.short_term.f, result.intrinsic.runs[run.run]
     ewma_t2 = "–" if nine.ewma_t2 is None else f"{nine.ewma_t2:.1f}"
@@ -352,14 +352,14 @@ def _run_cells(result: ChartResult, run: ChartedRun) -> list[str]:
 
 
 def _deviation_cells(name: str, own: DeviationPart, signal: str) -> list[str]:
-    """Return the cells of a number: its deviation and u, then its deviation and EWMA in units of their u."""
+    """Return the cells of a number: its deviation d, u of d, d divided by its u, EWMA divided by its u."""
     size, unit = _scale_of(name, own.u, signal)
     off = f"{fixed(own.deviation / size, 1)} {unit}"
     return [off, f"{own.u / size:.1f} {unit}", _in_u(own.z), _in_u(own.ewma_z)]
 
 
 def _scale_of(name: str, largest: float, signal: str) -> tuple[float, str]:
-    """Return the factor and the unit in which deviations of an intrinsic number or a coefficient are printed."""
+    """Return factor and unit to print deviations of the intrinsic number or coefficient `name`."""
     if name in INTRINSIC:
         return small_unit(name, largest, signal)
     scale = scale_for(largest, signal)
@@ -384,8 +384,8 @@ def _numbers_table(
 ) -> Table:
     """Return a table with a row for each number of a run.
 
-    The columns are the deviation from the centre line, its u, the deviation in units of u, the EWMA in units of its
-    u, and the ratio of the baseline's scatter to the stated u, with the p-value if it is below 0.01.
+    The columns: deviation from the centre line; its u; deviation divided by its u; EWMA divided by its u;
+    scatter of the baseline divided by the stated u, with its p-value if below 0.01.
     """
     shown = table(
         run, ">off the centre", ">u", f">in u (≤ {limits.single:.1f})",
@@ -510,7 +510,7 @@ def _panel(axes: Axes, along: Floats, values: Floats, limits: Floats) -> None:
 
 
 def _level(axes: Axes, along: Floats, level: Floats, **style: Any) -> None:
-    """Draw a control limit as a step of width 1 around each run, so that it is visible even for a single run."""
+    """Draw a control limit as a step of width 1 around each run: visible even if there is only one run."""
     axes.plot(np.column_stack((along - 0.5, along + 0.5)).ravel(), np.repeat(level, 2), **style)
 
 

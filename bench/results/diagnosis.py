@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 
 class OrientationPart(ResultModel):
-    """The orientation of the block at the verification points, as the signals show it."""
+    """The orientation of the block at the verification points, inferred from the signals."""
 
     off_deg: float = Field(description="angle between the signals' orientation and the bench file's, deg")
     axis: Vector = Field(description="axis of this turn, in the axes of the block")
@@ -92,7 +92,7 @@ class SimulationPart(ResultModel):
 
 
 class SimulationsPart(ResultModel):
-    """Simulations with the given model, before and after the effects found are added to it."""
+    """Simulations by the given model, first without and then with the effects found."""
 
     before: SimulationPart
     after: SimulationPart | None
@@ -106,7 +106,7 @@ class ShiftPart(ResultModel):
 
 
 class RivalPart(ResultModel):
-    """A family of effects that may explain the readings instead of an effect found."""
+    """A family of effects that may explain the readings in place of an effect that was found."""
 
     name: str
     ln_odds: float = Field(description="ln of the odds that this family is present")
@@ -176,7 +176,7 @@ class FoundResult(ResultModel):
 
 
 class DiagnoseResult(FoundResult):
-    """A diagnosis: where model and readings disagree, which effect is missing, and how far it closes the gap.
+    """A diagnosis: where model and readings disagree, the missing effect, and how far it closes the gap.
 
     For several sources, the output of `bench diagnose --json` is a list of these; a source that could not be
     evaluated has a `source-failed` object in its place.
@@ -286,7 +286,7 @@ def mistakes_result(
     bench: BenchPart | None,
     corrections: Sequence[CorrectionPart],
 ) -> DiagnoseResult:
-    """Return the result of a diagnosis that ended after the search for mistakes: too few other readings remain."""
+    """Return the result of a diagnosis without search for effects, as mistakes leave too few readings."""
     nothing: dict[str, Any] = {
         **dict.fromkeys(("next_measurement", "verification_orientation", "gap", "model", "noise", "p_left")),
         **dict.fromkeys(("form", "registered", "simulation", "report")),
@@ -412,7 +412,7 @@ def _places(diagnosis: Diagnosis, out: Console) -> None:
 
 
 def print_mistakes(found: MistakesAlone, files: Files, out: Console) -> None:
-    """Print the mistakes of a diagnosis that ended after the search for them, and what must be measured again."""
+    """Print the mistakes of a diagnosis that searched for nothing else, and what must be measured again."""
     for mistake in found.mistakes:
         out.print(f"Mistake: {mistake.name}: {mistake.words}", style="bold")
     out.print(f"In the corrected copy {found.reason}")
@@ -523,7 +523,7 @@ SIDE_BY_SIDE: Final = 4
 
 
 def _blocks(full: FullDiagnosis, out: Console) -> None:
-    """Print the coefficients of each block with u, and the p-value of its comparison with the simulation."""
+    """Print the coefficients of each block with u, and the p-value of readings against simulation."""
     changed = any(block.after is not None for block in full.blocks)
     out.print(f"Coefficients of each block{', with the effects found' if changed else ''}; u in brackets:")
     numbered = list(enumerate(full.blocks, start=1))
@@ -565,7 +565,7 @@ def _limits_of_sight(full: FullDiagnosis, out: Console) -> None:
 
 
 def print_files(diagnosis: AnyDiagnosis, files: Files, out: Console) -> None:
-    """Print the files that were written, and why no model file was."""
+    """Print the files that were written and, if there is no model file, the reason."""
     report = () if files.report is None else (files.report,)
     told = {"corrected copy of the readings": files.copies, "model": files.models, "report": report}
     for what, paths in told.items():

@@ -129,7 +129,7 @@ def render_alone(
 ) -> str:
     """Return the page of a diagnosis of free positions or of a record.
 
-    `content` are the values for the template that only one of the two has.
+    `content` holds the template's values that exist for only one of these two.
     """
     lines = [(words.effect_title(one), one, list(words.parameters_in_words(one))) for one in found.effects]
     return page(
@@ -215,13 +215,13 @@ def _tests(shown: ModelComparison) -> list[Row]:
 
 
 def _drawn_of(shown: ModelComparison) -> int:
-    """Return the number of mountings that get figures; drawing each figure takes about a second."""
+    """Return the number of mountings for which figures are drawn; each takes about a second."""
     count = len(mounts_of(shown.before.calibration))
     return count if count <= MOST_DRAWN else DRAWN
 
 
 def _overlays(shown: ModelComparison) -> tuple[list[Markup], list[Markup]]:
-    """Return overlays of measured and simulated signals: a list with the clearest one, and a list of the others."""
+    """Return two lists of overlays of measured and simulated signals: the clearest one, and the others."""
     figures = [drawn(overlay_of_mount(shown, i)) for i in most_telling(shown)[: _drawn_of(shown)]]
     return figures[:1], figures[1:]
 
@@ -234,9 +234,9 @@ def _residuals(shown: ModelComparison) -> tuple[list[Markup], list[Markup]]:
 
 
 def _apart(diagnosis: Diagnosis) -> list[Effect]:
-    """Return the catalogue entries of all effects in ties.
+    """Return the catalogue entries of all effects that are tied with others.
 
-    Each entry states the measurement that would separate the effect from others.
+    Each entry states the measurement that would separate its effect from the others.
     """
     names = dict.fromkeys(
         name
@@ -253,7 +253,7 @@ def _apart(diagnosis: Diagnosis) -> list[Effect]:
 def columns_of(shown: ModelComparison) -> list[tuple[str, Calibration]]:
     """Return the title and calibration of each column of the figures.
 
-    The columns are before, after (if an effect was named), and simulated.
+    The columns are the fit before, the fit after (if an effect was named), and the simulation.
     """
     after = [] if shown.after is None else [(message("after"), shown.after.calibration)]
     return [
@@ -282,7 +282,7 @@ def residuals_of_mount(shown: ModelComparison, mount: int) -> str:
 
 
 def in_time(shown: ModelComparison) -> str:
-    """Return a plot of residuals, before and after, against time, or against order if times are missing."""
+    """Return a plot of the residuals before and after, against time (in order, if times are missing)."""
     columns = [
         (title, c, [rows for _, rows in mounts_of(c)])
         for title, c in columns_of(shown)[: 1 if shown.after is None else 2]
@@ -320,7 +320,7 @@ def gap_bars(gap: Gap) -> str:
 
 
 def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
-    """Return a bar chart of the ln odds of an effect and its rivals; a bracket joins the tied effects."""
+    """Return a bar chart of ln odds: of the effect `named` and its rivals; a bracket joins tied ones."""
     ordered = sorted(rows, key=lambda rival: rival.evidence)
     places = np.arange(len(ordered), dtype=float)
     alike = [i for i, rival in enumerate(ordered) if rival.family == named or rival.tied]
@@ -400,7 +400,7 @@ def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
 
 
 def most_telling(shown: ModelComparison) -> list[int]:
-    """Return the indices of the mountings, those whose signals the effects found change most first."""
+    """Return the mountings' indices; the one whose signals the effects found change most comes first."""
     before, last = shown.before.calibration, shown.last.calibration
     missing = before.residuals - last.residuals
     sizes = [float(np.mean(missing[rows] ** 2)) for _, rows in mounts_of(before)]
@@ -452,8 +452,9 @@ def overlay(
     """Return a plot of measured and simulated signals, a row per channel; `place` (such as a mounting) is in its
     title.
 
-    The left column has the signals. The right column has both minus the simulation with the given model; this shows
-    what that model lacks, and whether the effects found explain it. `draw_channel` draws a channel into its axes.
+    The left column has the signals. The right column has both minus the simulation by the given model: what
+    that model lacks, and how far the effects found explain this. `draw_channel` draws a channel into its
+    axes.
     """
     whose = (
         message("simulated with the effects found") if found else message("simulated with the given model")

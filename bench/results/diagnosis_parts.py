@@ -62,7 +62,7 @@ class MistakePlace(ResultModel):
 
 
 class FoundPart(ResultModel):
-    """The members that mistakes and effects share."""
+    """The members that a mistake and an effect have in common."""
 
     name: str = Field(description="name in the catalogue, or the kind of mistake or unnamed pattern")
     channels: list[str]
@@ -113,7 +113,7 @@ class EffectPart(FoundPart):
 
 
 class FormFoldPart(ResultModel):
-    """Readings that were held out together, and the misfit of their prediction from the other readings."""
+    """Readings held out together, and the misfit when they are predicted from all other readings."""
 
     what: str
     counted: bool = Field(description="whether it counts in `before` and `after` of the gap")
@@ -122,7 +122,7 @@ class FormFoldPart(ResultModel):
 
 
 class FoldPart(FormFoldPart):
-    """Readings that were held out together, the effects that the others showed, and how well these predict."""
+    """Readings held out together, and how well the effects named from all other readings predict them."""
 
     confirmable: bool = Field(description="whether the other readings determine the coefficients")
     left_out: str | None = Field(description="why it does not count; null if it does")
@@ -150,7 +150,7 @@ class FormGapPart(ResultModel):
 
 
 class GapPart(FormGapPart):
-    """The reduced chi-square of readings held out of the fit, and whether it confirms the effects found."""
+    """The reduced chi-square of readings held out of the fit; do these readings confirm the effects found?"""
 
     shrinks: bool | None = Field(
         description="whether the gap shrinks by the rule in `registered`, which a name requires; null if "
@@ -193,7 +193,7 @@ class PlacePart(ResultModel):
 
 
 class AloneResult(ResultModel):
-    """The members of a diagnosis whose readings are all free positions, or a record at a known input."""
+    """The members of a diagnosis of readings that are all free positions, or a record at a known input."""
 
     verdict: Verdict
     where: list[PlacePart] = Field(
@@ -222,9 +222,9 @@ class AloneResult(ResultModel):
 
     @classmethod
     def made(cls, found: object, files: Files, made_from: Mapping[str, Any], **others: Any) -> Self:
-        """Return the result on findings.
+        """Return the result with the findings `found`.
 
-        `made_from` are bench, certificates, and the members that describe the source.
+        `made_from` holds bench, certificates, and the members that describe the source.
         """
         of_source = {"bench": None, "corrections": [], "simulated": False, "skipped_rows": [], **made_from}
         written = {"next_measurement": None, "model": files.model, "report": files.report}
@@ -329,7 +329,7 @@ def mistake_part(mistake: Mistake) -> EffectPart:
 
 
 def gap_part(gap: Gap) -> GapPart:
-    """Return the part of the result on a gap; its numbers are null if no readings could be held out."""
+    """Return the part of the result on a gap; numbers are null if no readings could be held out."""
     return GapPart.from_object(
         gap,
         **_sizes(gap),

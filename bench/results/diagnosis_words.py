@@ -102,7 +102,7 @@ def effect_title(effect: NamedEffect | Mistake) -> str:
 
 
 def in_installations(names: Sequence[str]) -> str:
-    """Return the place of an effect: " in installations 1, 2", or of free positions " in sensor 2"."""
+    """Return the place of an effect: " in installations 1, 2" or, for free positions, " in sensor 2"."""
     listed = ", ".join(names)
     if listed.startswith("sensor"):
         return f" in {listed}"
@@ -160,7 +160,7 @@ def p_in_column(p: float, digits: int = 1) -> str:
 
 
 def significance_in_words(effect: NamedEffect) -> str:
-    """Return the corrected p-value of an effect, and its total size rho if that is known."""
+    """Return in words the corrected p-value of an effect and, if known, its total size rho."""
     p = message(f"{p_in_words(effect.p_all_looks)}, corrected for multiple tests")
     if effect.rho is None:
         return p
@@ -168,7 +168,7 @@ def significance_in_words(effect: NamedEffect) -> str:
 
 
 def absent_by_reason(absent: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:
-    """Yield each reason not to search for effects, with the names of these effects."""
+    """Yield each reason why effects were not searched for, with the names of the effects that it concerns."""
     for why in dict.fromkeys(absent.values()):
         yield why, [name for name, other in absent.items() if other == why]
 
@@ -190,10 +190,10 @@ def place_in_words(place: ResidualPattern) -> str:
 
 
 def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
-    """Return the name of each effect that the readings can show, and the size found in half of all runs.
+    """Return each effect that the readings can show, and the size at which half of all runs reveal it.
 
-    The size, in the effect's unit, is that of the form that is easiest to find. For several parameters, such as
-    the two phases of a wave, it is their norm in the direction that is hardest to find.
+    The size, in the effect's unit, is for the variant that is easiest to find. For several parameters, such
+    as the two phases of a wave, it is their norm in the direction that is hardest to find.
     """
     sizes = []
     for name, factor in diagnosis.detectable.items():
@@ -241,10 +241,10 @@ def lead(diagnosis: AnyDiagnosis) -> str:
 def closed_in_words(
     part: float | None, before_g: float, after_g: float, noise_g: float, unit: str = "g"
 ) -> str:
-    """Return the fraction of a gap that is closed, at most 100 %, with the gap's root mean squares.
+    """Return the closed fraction of a gap, at most 100 %, and the root mean squares before and after.
 
-    Example: "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)". `part` is the fraction, None if there
-    was no gap. The root mean squares of the residuals before, after and by noise alone are in `unit`.
+    Example: "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)". `part` is the fraction, None if
+    there was no gap. The root mean squares of the residuals before, after and by noise alone are in `unit`.
     """
     before, after, noise = (
         micro_g(v) if unit == "g" else quantity(v, unit) for v in (before_g, after_g, noise_g)
@@ -258,7 +258,7 @@ def closed_in_words(
 
 
 def micro_g(value_g: float) -> str:
-    """Return a size, given in g, in µg: "412 µg", "9.0 µg"."""
+    """Return a size `value_g`, which is in g, as text in µg: "412 µg", "9.0 µg"."""
     size = 1e6 * value_g
     return f"{size:.0f} µg" if abs(size) >= WHOLE_UG else f"{two_digits(size)} µg"
 
@@ -278,7 +278,7 @@ def verdict_in_words(diagnosis: Diagnosis) -> str:
 
 
 def surer_in_words(proposal: Proposal | None) -> str:
-    """Return how long the proposed procedure takes and its chance of resolving a tie; "" without a tie."""
+    """Return how long the proposed procedure takes and how likely it resolves a tie; "" without a tie."""
     one = None if proposal is None else proposal.surer
     if one is None:
         return ""
@@ -289,7 +289,7 @@ def surer_in_words(proposal: Proposal | None) -> str:
 
 
 def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
-    """Yield the warnings of the headline: the kinds of unusual noise, and readings far from the model."""
+    """Yield the warnings for the headline: each kind of unusual noise, and readings far from the model."""
     yield from (kind.headline for kind in diagnosis.noise_kinds)
     if diagnosis.far:
         listed = "; ".join(one.words for one in diagnosis.far[:LISTED_IN_SENTENCE])
@@ -321,7 +321,7 @@ def _percent(probability: float) -> str:
 
 
 def gap_of_verdict(diagnosis: AnyDiagnosis) -> str:
-    """Return how far the gap closes or, if this does not confirm the findings, why; "" if nothing was found."""
+    """Return how far the gap closes, or why held-out readings do not confirm the findings; may be ""."""
     gap = diagnosis.gap
     return gap.reason if diagnosis.of_copy == "confounded" and gap.reason else gap_in_words(gap)
 
@@ -370,7 +370,7 @@ def what_to_do(full: FullDiagnosis, files: Files) -> Iterator[str]:
 
 
 def _of_copy_in_words(diagnosis: Diagnosis) -> str:
-    """Return what the search found in the corrected copy of the readings."""
+    """Return in words what the search found in the corrected copy of the readings."""
     if diagnosis.of_copy == "agrees":
         return message("it agrees with the model within the noise")
     if diagnosis.of_copy == "unknown":
@@ -379,12 +379,12 @@ def _of_copy_in_words(diagnosis: Diagnosis) -> str:
 
 
 def alike_in_words(effects: Sequence[NamedEffect | Mistake]) -> str:
-    """Return the names of effects, each with those tied with it: "bias_drift of x or warm_up; ..."."""
+    """Return the names of effects, each with the effects tied with it: "bias_drift of x or warm_up; ..."."""
     return "; ".join(" or ".join([effect_title(one), *one.cannot_tell_from]) for one in effects)
 
 
 def named_in_words(effect: NamedEffect) -> str:
-    """Return the name of an effect with its probability; for a tie, the probabilities of all its names."""
+    """Return the name of an effect with its probability; for a tie, all names with their probabilities."""
     odds = odds_in_words(effect)
     if effect.cannot_tell_from:
         return odds
@@ -392,7 +392,7 @@ def named_in_words(effect: NamedEffect) -> str:
 
 
 def found_in_words(diagnosis: AnyDiagnosis, nothing: str) -> str:
-    """Return the findings in free positions or in a record as a sentence; without any, return `nothing`."""
+    """Return the findings in free positions or in a record as a sentence; `nothing` if there are none."""
     effects = diagnosis.effects
     return "; ".join(named_in_words(e) if e.in_catalogue else e.words for e in effects) or nothing
 
@@ -420,8 +420,8 @@ def mountings_of(block: ModelComparison) -> str:
 
 
 def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
-    """Return the coefficient that would change most if `other` were the cause, with its change; "" if it is no
-    rival.
+    """Return the coefficient that would change most if `other` were the cause, and its change; "" if `other`
+    is no rival.
     """
     for rival in ranking:
         if rival.family == other:
@@ -440,9 +440,9 @@ def why_no_model(diagnosis: AnyDiagnosis) -> str:
 
 
 def joined_in_words(shown: ModelComparison) -> Iterator[str]:
-    """Yield a sentence if some effects found show only at the verification points.
+    """Yield a sentence if some of the effects found are visible only at the verification points.
 
-    These points then joined the fit, so that they check nothing.
+    These points were then included in the fit, so that they no longer check the result.
     """
     if shown.after is None or not shown.after.joined:
         return
@@ -458,12 +458,12 @@ def joined_in_words(shown: ModelComparison) -> Iterator[str]:
 
 
 def still_missing(shown: ModelComparison) -> bool:
-    """Return whether the readings differ from the last model by more than the scatter of repeats explains."""
+    """Return whether the readings differ from the last model by more than the scatter of repeats."""
     return shown.last.tested and shown.last.test.shown
 
 
 def evidence_in_words(full: FullDiagnosis, file_of_copy: Path | None) -> dict[str, str]:
-    """Return the evidence for each effect and for the diagnosis, by title, for the model file."""
+    """Return the evidence for each effect and for the whole diagnosis, by title, for the model file."""
     diagnosis, gap = full.diagnosis, full.diagnosis.gap
     evidence = {"found in": full.source}
     if diagnosis.mistakes.mistakes:
@@ -510,7 +510,7 @@ def _evidence_for_form(form: FreeForm) -> dict[str, str]:
 
 
 def less_certain(coefficients: Mapping[str, CoefficientChange]) -> list[str]:
-    """Return the coefficients whose u grows much with the effects found, with the factor: "Kyz (u 249 times)"."""
+    """Return the coefficients whose u grows much through the effects found, as "Kyz (u 249 times)"."""
     grown = [(name, one.u_after / one.u_before) for name, one in coefficients.items() if one.u_before > 0]
     grown.sort(key=lambda pair: -pair[1])
     return [f"{name} (u {two_digits(times)} times)" for name, times in grown if times > MUCH_LESS_CERTAIN]
@@ -534,7 +534,7 @@ def term_in_words(term: FormTerm) -> str:
 
 
 def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
-    """Yield lines on the terms that describe an unnamed effect; none if they were not searched for."""
+    """Yield lines on the terms that describe an unnamed effect; none if terms were not searched for."""
     form = diagnosis.form
     if form is None:
         return

@@ -13,7 +13,7 @@ from bench.results.tables import page
 
 
 class NotedRemedy(ResultModel):
-    """The remedy that a person noted for a failure."""
+    """The remedy for a failure, as a person noted it."""
 
     time: str
     by: str
@@ -36,7 +36,7 @@ class Failure(ResultModel):
 
 
 class FailuresResult(ResultModel):
-    """The failures of a laboratory, of one year or all: `bench failures`."""
+    """The failures of a laboratory, of one year or of all years: `bench failures`."""
 
     register_: str = Field(alias="register", description="folder of the register")
     head: str = Field(description="SHA-256 of the last line, which depends on all lines before it")

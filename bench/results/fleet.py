@@ -48,7 +48,7 @@ def signed_size(value: float, unit: str) -> str:
 
 
 def limit_in_words(limit: float | None, unit: str) -> str:
-    """Return an upper limit with its unit; None stands for infinity."""
+    """Return an upper limit with its unit in words; `limit` None means infinity."""
     return quantity(math.inf if limit is None else limit, unit)
 
 
@@ -60,7 +60,7 @@ def _number(value: float | None) -> float:
 
 
 class SizePart(LimitedPart):
-    """A standard deviation between blocks, benches or calibrations: per g for a scale factor, else a signal."""
+    """A standard deviation between blocks, benches or calibrations, in the unit of the coefficient."""
 
     u: Real = Field(description="standard uncertainty of the value; null if the value is zero")
     p_all_looks: Real = Field(
@@ -71,7 +71,7 @@ class SizePart(LimitedPart):
 
 
 class AllotmentPart(ResultModel):
-    """The test whether units were assigned to benches at random."""
+    """A test of whether units were assigned to benches at random."""
 
     chi2: float
     dof: int
@@ -139,7 +139,7 @@ class EffectsResult(FleetResult):
 
 
 def effects_result(found: bench_or_block.BenchOrBlock, notes: Sequence[str]) -> EffectsResult:
-    """Return the result of an analysis of units and benches; `notes` are further notes."""
+    """Return the result of an analysis of units and benches, with `notes` added."""
     rows = zip(found.benches, found.effect, found.u, found.p_all_looks, strict=True)
     return EffectsResult.from_object(
         found,
@@ -231,7 +231,7 @@ class PriorResult(FleetResult):
 
 
 def prior_result(found: prior.Prior, notes: Sequence[str]) -> PriorResult:
-    """Return the result of estimating a prior; `notes` are further notes."""
+    """Return the result for a prior, with `notes` added."""
     return PriorResult.from_object(
         found,
         type=found.kind,
@@ -263,7 +263,7 @@ def print_prior(result: PriorResult, out: Console) -> None:
 
 
 class RatePart(ResultModel):
-    """The drift rate of a coefficient, with scatter and random walk."""
+    """The drift rate of a coefficient, its scatter and its random walk."""
 
     value: float = Field(description="rate per year")
     u: float
@@ -381,18 +381,18 @@ def _rates_table(rates: dict[str, RatePart], then: dict[str, ValuePart] | None, 
 
 
 class ScatterPart(LimitedPart):
-    """The scatter between a unit's calibrations in excess of their stated u, after drift is removed (1 σ)."""
+    """The standard deviation between a unit's calibrations, without drift, that exceeds their stated u."""
 
     value: float = Field(description="root mean square, allowing for the degrees of freedom")
     at_least: float = Field(description="lower 95 % limit of the scatter")
 
 
 class DriftOfUnits(ResultModel):
-    """The drift of the units for one coefficient, as a standard deviation over the units.
+    """The drift of one coefficient, as a standard deviation over the units.
 
-    `rate` and `walk` are in the unit of the coefficient per year and in one year; `p` is the probability of
-    such a drift by chance. `taken_out` says whether the drift was significant and therefore removed before
-    the scatter over time was computed.
+    `rate` is in the unit of the coefficient per year; `walk`, the random walk in one year, is in the unit of
+    the coefficient. `p` is the probability of such a drift by chance. `taken_out` says whether the drift was
+    significant and therefore removed before the scatter over time was computed.
     """
 
     rate: float = Field(description="standard deviation of the rates, per year; 0 if no drift was removed")
@@ -402,7 +402,7 @@ class DriftOfUnits(ResultModel):
 
 
 class CapabilityPart(ResultModel):
-    """The calibration and measurement capability for one coefficient."""
+    """The calibration and measurement capability (CMC) for one coefficient."""
 
     U: float = Field(description="expanded uncertainty, k = 2")
     u: float
@@ -432,7 +432,7 @@ class CapabilityResult(FleetResult):
 
 
 def capability_result(found: capability.Capability, notes: Sequence[str]) -> CapabilityResult:
-    """Return the result on the calibration and measurement capability; `notes` are further notes."""
+    """Return the result on the calibration and measurement capability, with `notes` added."""
     columns: dict[str, Iterable[Any]] = {
         "U": found.U,
         "u": found.u,

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 
 class FreeNoise(ResultModel):
-    """The scatter of |a| at a position that remains after the effects found are removed."""
+    """The scatter of |a| at a position after the effects found are removed."""
 
     reading: float
     unit: Literal["g"]
@@ -57,7 +57,7 @@ class FreeCopyPart(CopyPart):
 
 
 class FreeDiagnoseResult(AloneResult):
-    """A diagnosis of readings that are free positions alone.
+    """A diagnosis of readings that are all free positions.
 
     For several sources, the output of `bench diagnose --json` is a list of these; a source that could not be
     evaluated has a `source-failed` object in its place.
@@ -197,8 +197,8 @@ MARKS: Final = "osD^vP*X"
 def overlay_of_sensor(found: FreeDiagnosis, sensor: int) -> str:
     """Return a plot of a sensor's signals in order of measurement, measured over simulated, a row per channel.
 
-    The orientations are unknown: each position is simulated in the direction that its signals indicate, so that
-    only errors of the modulus are visible.
+    The orientations are unknown. Each position is therefore simulated in the direction that its signals
+    indicate, and only errors of the modulus are visible.
     """
     rows = found.rows
     mine = rows.sensor == sensor
@@ -226,7 +226,7 @@ def overlay_of_sensor(found: FreeDiagnosis, sensor: int) -> str:
 
 
 def modulus_in_time(found: FreeDiagnosis) -> str:
-    """Return a plot of |a| - 1 g against the time since the start of the record, before and after the effects
+    """Return a plot of |a| - 1 g against time since the start of a record, before and after the effects
     found.
     """
     rows = found.rows
@@ -264,9 +264,7 @@ def modulus_in_time(found: FreeDiagnosis) -> str:
 
 
 def modulus_by_record(found: FreeDiagnosis) -> str:
-    """Return a bar chart of the root mean square of |a| - 1 g by record and sensor, before and after the effects
-    found.
-    """
+    """Return a bar chart of the rms of |a| - 1 g by record and sensor, before and after the effects found."""
     rows = found.rows
     records = np.unique(rows.record)
     scale = scale_for(float(np.max(np.abs(found.before.left))), "g")
@@ -335,7 +333,7 @@ def render(
 
 
 def _coefficients(found: FreeDiagnosis, sensor: int) -> dict[str, CoefficientChange]:
-    """Return the nine coefficients of a sensor before and after, by name."""
+    """Return a sensor's nine coefficients before and after the effects found, by name."""
     fits = (found.before, found.after)
     each = np.stack([column for fit in fits for column in (fit.block[sensor].vector, fit.u[sensor])], axis=1)
     rows = zip(COEFFICIENTS, each.tolist(), strict=True)
@@ -343,7 +341,7 @@ def _coefficients(found: FreeDiagnosis, sensor: int) -> dict[str, CoefficientCha
 
 
 def _zeros(found: FreeDiagnosis) -> Iterator[Row]:
-    """Yield a row for each record and sensor: its zeros with u, mg, each record fitted alone."""
+    """Yield a row for each record and sensor: the zeros with u in mg, if each record is fitted alone."""
     between = found.between
     if between is None:
         return

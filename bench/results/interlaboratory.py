@@ -39,7 +39,7 @@ class DifferencePart(ValuePart):
 
 
 class LaboratoryPart(ResultModel):
-    """A laboratory compared with the consensus of all others; its u has no term between laboratories."""
+    """A laboratory compared with the consensus of all others; u contains no scatter between laboratories."""
 
     code: str
     chi2: float
@@ -50,7 +50,7 @@ class LaboratoryPart(ResultModel):
 
 
 class DriftPart(ResultModel):
-    """The change of the block between two stops at the pilot laboratory, or between monitors at one stop."""
+    """The change of the block between two stops at the pilot laboratory or two monitors at one stop."""
 
     first: str = Field(description="code of the first stop")
     last: str
@@ -62,7 +62,7 @@ class DriftPart(ResultModel):
 
 
 class KitResult(ResultModel):
-    """An interlaboratory comparison in the nine numbers that do not depend on the mounting."""
+    """An interlaboratory comparison by the nine numbers that do not depend on the mounting."""
 
     block: str
     unit: str
@@ -95,7 +95,7 @@ def laboratories_of(codes: Sequence[str], judged: Sequence[LaboratoryJudged]) ->
 
 
 def drifts_of(seen: Sequence[tuple[str, str, Literal["calibration", "monitor"], Drift]]) -> list[DriftPart]:
-    """Return the part of the result on each change: the codes of its first and last stop, and what measured it."""
+    """Return the part on each change of the block: codes of first and last stop, and what measured it."""
     p = [drift.p for *_, drift in seen]
     looks = holm(np.array(p)).tolist() if p else []
     return [
@@ -155,7 +155,7 @@ def print_kit(result: KitResult, on: Console) -> None:
 
 
 def render_kit(result: KitResult) -> str:
-    """Return the report as an HTML page with the degrees of equivalence as a picture."""
+    """Return the report as an HTML page, with a picture of the degrees of equivalence."""
 
     each = [[one.differences[name] for one in result.laboratories] for name in INTRINSIC]
     nine = [(np.array([d.value for d in row]), np.array([d.u for d in row]), 0.0) for row in each]

@@ -56,7 +56,7 @@ class IntrinsicPart(ResultModel):
 
 
 class JointPart(ResultModel):
-    """The joint coverage factor: the ellipsoid of this size covers all these numbers together with 95 %."""
+    """The joint coverage factor: the size of the ellipsoid that contains all numbers at once (95 %)."""
 
     count: int = Field(description="number of values with an uncertainty")
     k: float = Field(description="joint coverage factor: √(p F(p, dof)), or √χ²(p) for infinite dof")
@@ -72,13 +72,13 @@ def intrinsic_part(own: Intrinsic) -> IntrinsicPart:
 
 
 def joint_part(u: Floats, dof: Floats) -> JointPart:
-    """Return the joint coverage factor of numbers with `u` (m,) and `dof` (m,); numbers with u = 0 are left out."""
+    """Return the joint coverage factor of numbers with `u` (m,) > 0 and degrees of freedom `dof` (m,)."""
     found = joint_of(u, dof)
     return JointPart.from_object(found, dof=found.dof if np.isfinite(found.dof) else None)
 
 
 def joint_of(u: Floats, dof: Floats) -> JointFactor:
-    """Return the joint coverage factor of the numbers that have an uncertainty, for the smallest of their dof."""
+    """Return the joint coverage factor of the numbers with `u` (m,) > 0, for the smallest `dof` (m,)."""
     known = u > 0
     return joint_factor(int(np.sum(known)), float(np.min(dof[known], initial=np.inf)))
 
@@ -96,7 +96,7 @@ def joint_members(found: Calibration) -> dict[str, Any]:
 
 
 def shown_rows(own: Intrinsic) -> list[list[str]]:
-    """Return a row of text for each number: name, value, unit, u from the readings, u, U, unit of these three."""
+    """Return a row of text for each number: name, value, unit; u from the readings, u, U, their unit."""
     rows = []
     for name, value, *sizes in zip(own.names, own.values, own.u_readings, own.u, own.U, strict=True):
         unit = intrinsic_unit(name, own.unit)
@@ -107,9 +107,9 @@ def shown_rows(own: Intrinsic) -> list[list[str]]:
 
 
 def small_unit(name: str, u: float, unit: str) -> tuple[float, str]:
-    """Return a smaller unit for differences of size `u` in the intrinsic number `name`.
+    """Return a unit that suits differences of size `u` in the intrinsic number `name`.
 
-    The result is the size of the smaller unit, in `unit`, and its name.
+    The result is the size of this smaller unit, expressed in `unit`, and its name.
     """
     if name.startswith("theta"):
         return 1.0 / 3600.0, "″"

@@ -32,7 +32,7 @@ class ContradictionPart(ResultModel):
 
 
 class SizePart(ResultModel):
-    """An error of the bench that was learned from runs."""
+    """The size of an error of the bench, learned from runs."""
 
     value: float
     u: float = Field(description="standard uncertainty")
@@ -49,14 +49,14 @@ class MeansPart(ResultModel):
 
 
 class VariancesPart(ResultModel):
-    """The covariance of the variance components: of remounts (rad²) and of drift (unit²/h)."""
+    """The covariance of two variance components: remounts (rad²) and drift (unit²/h)."""
 
     order: list[str]
     covariance: Matrix
 
 
 class ContrastsPart(ResultModel):
-    """The differences between the voltmeters in gain or offset, SI."""
+    """The differences between the voltmeters in gain or in offset, in SI units."""
 
     value: Vector = Field(description="value of each meter relative to the mean of its group")
     covariance: Matrix
@@ -69,7 +69,7 @@ class ContrastsPart(ResultModel):
 
 
 class MetersPart(ResultModel):
-    """The differences between the voltmeters, from runs of one block with the voltmeters exchanged."""
+    """The differences between voltmeters, from runs of one block, with voltmeters exchanged in between."""
 
     meters: list[str]
     group: list[int] = Field(description="number of the group, whose meters were compared")
@@ -106,7 +106,7 @@ class LearnResult(ResultModel):
 def learn_result(found: Learned, **made_from: Any) -> LearnResult:
     """Return the errors learned from the runs of a bench, as `--json` writes them.
 
-    `made_from` are the members on its runs.
+    `made_from` holds the members that describe these runs.
     """
     return LearnResult(
         runs=list(found.runs),

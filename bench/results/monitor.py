@@ -33,7 +33,7 @@ class MonitoredRun(ResultModel):
 
 
 class MonitorResult(ResultModel):
-    """A series of monitors: `baseline` runs set the limits, the later ones are judged."""
+    """A series of monitors: the first `baseline` runs set the limits; the later runs are judged."""
 
     order: list[str] = Field(
         description="names of the values: bx (g) and Sx (V/g) for each axis that was turned; theta_xz (deg) "

@@ -23,7 +23,7 @@ from bench.results.verification import advice, global_risk_in_words, headline, r
 
 @dataclass(frozen=True)
 class ReportContent:
-    """The complete content of the page, which adds neither date nor version.
+    """The complete content of the page; rendering adds neither date nor version.
 
     `verification` is None if no verification point was measured. `compared` is a calibration of the same readings
     by another estimator, such as the closed form; it is ignored if the estimator is the same. `provenance` maps
@@ -42,7 +42,7 @@ class ReportContent:
 
     @property
     def other(self) -> Calibration | None:
-        """The calibration by another estimator to compare with; None if there is none."""
+        """The calibration by another estimator, for comparison; None if there is none."""
         if self.compared is None or self.compared.estimator == self.calibration.estimator:
             return None
         return self.compared
@@ -149,7 +149,7 @@ def verdict(verification: Verification | None) -> VerdictInWords:
 
 
 def _of_a_verification(words: str) -> str:
-    """Return the words of a verdict, to follow "verification": " passed", but ": conditional pass"."""
+    """Return the words of a verdict that follow "verification", such as " passed" or ": conditional pass"."""
     return f": {words}" if words.startswith("conditional") else f" {words}"
 
 

@@ -20,8 +20,8 @@ Part = TypeVar("Part", bound=ResultModel)
 def by_name(names: Sequence[str], part: type[Part], of: object = None, /, **columns: Any) -> dict[str, Part]:
     """Return a `part` (a model class) for each of m names.
 
-    A column has the values (m,) of one member of the part, or one number for all names. Members without a column
-    are attributes (m,) of the object `of`.
+    Each of the `columns` has the values (m,) of one member of the part, or one number for all names. Members
+    without a column are attributes (m,) of the object `of`.
     """
     columns |= {
         name: getattr(of, name) for name in part.model_fields if name not in columns and hasattr(of, name)
@@ -40,7 +40,7 @@ TOO_FEW: Final = "lack of fit: too few repeats to tell"
 
 
 def fit_in_words(fit: LackOfFit, contradicted: str, what: str = REPEATS, untold: str = TOO_FEW) -> str:
-    """Return a lack-of-fit test in words: `contradicted` if it fails, `untold` if there are too few repeats."""
+    """Return the outcome of a test: `contradicted` for a lack of fit, `untold` for too few repeats."""
     if not math.isfinite(fit.p):
         return untold
     verdict = contradicted if fit.shown else "none shown at 1 %"
@@ -51,7 +51,7 @@ def fit_in_words(fit: LackOfFit, contradicted: str, what: str = REPEATS, untold:
 
 
 class BenchPart(ResultModel):
-    """The bench file that was used, and why that one was chosen."""
+    """The bench file that was used, and the reason for its choice."""
 
     name: str = Field(description="name that the bench file states")
     file: str = Field(description="path of the bench file")
@@ -60,7 +60,7 @@ class BenchPart(ResultModel):
 
     @property
     def words(self) -> str:
-        """The name of the bench, and why its file was chosen."""
+        """The name of the bench, and the reason for the choice of its file."""
         return f"{self.name}, {self.why}"
 
 
@@ -90,14 +90,14 @@ class UnitPart(ResultModel):
 
 
 class RecordPart(ResultModel):
-    """The number of events and the hash of the last one, which identify a run's record."""
+    """What identifies a run's record: the number of events, and the hash of the last event."""
 
     events: int
     head: str = Field(description="SHA-256 of the last line, which depends on all lines before it")
 
 
 class FailedPart(ResultModel):
-    """A source that could not be evaluated; it takes the place of that source's result in a list of results."""
+    """A source that could not be evaluated; in a list of results, this takes the place of its result."""
 
     source: str = Field(description="source as named on the command line")
     problem: str = Field(description="why it could not be evaluated, a sentence")

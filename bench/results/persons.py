@@ -22,7 +22,7 @@ class PersonPart(ResultModel):
 
 
 class PersonChange(ResultModel):
-    """A line of the register."""
+    """A line of the register: a change of a person by an administrator."""
 
     time: str
     kind: str = Field(description="`added`, `changed` or `ended`")

@@ -50,7 +50,7 @@ class LimitPart(ResultModel):
 
     @classmethod
     def of_limit(cls, found: Limit, **part: float) -> LimitPart:
-        """Return the part of the result on a limit; `part=`, if given, is its fraction of the variance."""
+        """Return the part of the result on a limit; `part=` is the error's fraction of the variance."""
         source = found.source
         return cls.from_object(
             source,
@@ -65,12 +65,12 @@ class LimitPart(ResultModel):
 
     @property
     def words(self) -> str:
-        """The limit with its printed unit, or why there is none."""
+        """The limit with its printed unit, or the reason why there is no limit."""
         return self.verdict if self.limit is None else self.shown(self.limit, down=True)
 
     @property
     def now(self) -> str:
-        """The size in the bench file, with its printed unit."""
+        """The size that the bench file states, with the printed unit."""
         return self.shown(self.u_now * (math.sqrt(3.0) if self.distribution == "rectangular" else self.k))
 
     def shown(self, value: float, *, down: bool = False) -> str:
@@ -80,7 +80,7 @@ class LimitPart(ResultModel):
 
 
 class AlternativePart(ResultModel):
-    """Another estimator or procedure, and the uncertainty that it would give on the present bench."""
+    """Another estimator or procedure, and the uncertainty that this would give on the present bench."""
 
     estimator: str
     procedure: str
@@ -117,7 +117,7 @@ class RequireResult(ResultModel):
 class Requirements:
     """The result of `bench require`, with additional data for its text.
 
-    `up_to_g` is the largest acceleration asked about, None if none was; `left_out` names the errors not counted.
+    `up_to_g` is the largest acceleration requested, None if none; `left_out` names the errors not counted.
     """
 
     result: RequireResult
@@ -228,8 +228,8 @@ def plan_points_result(
 ) -> PlanPointsResult:
     """Return the result for the chosen test points.
 
-    `u_paper` maps the name of each goal to the u that the paper's points give. `asked` is whether the user stated
-    goals.
+    `u_paper` maps the name of each goal to the u that the paper's points give. `asked` says whether the user
+    stated goals.
     """
     return PlanPointsResult(
         bench=bench.name,
@@ -264,8 +264,8 @@ def plan_points_result(
 class PlannedPoints:
     """The result of `bench plan-points`, with additional data for its text.
 
-    `paper_settings` is the number of settings in the paper's procedure. `learned` is whether learned sizes of the
-    bench exist, which the plan does not use. `time` is the bench time allowed.
+    `paper_settings` is the number of settings in the paper's procedure. `learned` says whether learned sizes
+    of the bench exist; the plan does not use them. `time` is the bench time allowed.
     """
 
     result: PlanPointsResult

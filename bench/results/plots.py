@@ -287,8 +287,8 @@ def mounts_of(calibration: Calibration) -> list[tuple[Mounting, Mask]]:
 def sd_of_reading(calibration: Calibration, rows: Mask, angle_rad: Floats) -> Floats:
     """Return the standard deviation (m, 3) of a single reading at head angles (m,), in the signal's unit.
 
-    It combines reading noise with the setting error times du/dphi. The slope du/dphi comes from a sine and a cosine
-    of the angle, fitted to the readings `rows` of one mounting.
+    It combines reading noise with the setting error times the slope du/dphi. The slope comes from a sine and
+    a cosine of the angle, fitted to the readings `rows` of one mounting.
     """
     angle = calibration.fitted.angle_rad[rows]
     predicted = calibration.fitted.signal[rows] - calibration.residuals[rows]
@@ -315,7 +315,7 @@ def symbol(name: str) -> str:
 
 
 def dodged_deg(calibration: Calibration) -> Floats:
-    """Return head angles (n,) in degrees, shifted by pass so that passes lie side by side."""
+    """Return head angles (n,) in degrees, shifted slightly for each pass so that passes lie side by side."""
     number = calibration.fitted.pass_number
     middle = (number.min() + number.max()) / 2.0
     spread = max(float(np.ptp(number)), 1.0) / 2.0
@@ -333,7 +333,7 @@ def residual_points(
 ) -> None:
     """Draw the residuals of one channel in one mounting: colour and fill show the pass, shape the direction.
 
-    `name` distinguishes the identifiers of the marks from those of other calibrations in the same figure.
+    `name` keeps the marks' identifiers distinct from those of other calibrations in the same figure.
     """
     fitted = calibration.fitted
     for number in np.unique(fitted.pass_number[rows]):
@@ -360,7 +360,7 @@ def legend_of(grid: Iterator[Axes]) -> tuple[list[Any], list[str]]:
 
 
 def mark_changes(grid: Any, calibration: Calibration, along: Floats, word: str = "installation ") -> None:
-    """Draw a line at each change of mounting, and write `word` and the mounting's name above."""
+    """Draw a line at each change of mounting, and write `word` and the mounting's name above the line."""
     conditions = calibration.fitted.conditions()
     starts = [0, *(np.flatnonzero(np.diff(conditions.mount)) + 1)]
     for start in starts:
@@ -421,7 +421,7 @@ def by_line(text: str) -> str:
 
 
 class _Local:
-    """A tick formatter that replaces the decimal sign of another formatter's labels by that of the language."""
+    """A tick formatter: the labels of another formatter, with the decimal sign of the language."""
 
     def __init__(self, formatter: Any) -> None:
         self._formatter = formatter

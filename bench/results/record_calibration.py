@@ -79,7 +79,7 @@ class RecordCalibrateResult(ResultModel):
 def record_calibrate_result(
     found: RecordCalibration, model: str, skipped_rows: Sequence[str], made_from: Mapping[str, Any]
 ) -> RecordCalibrateResult:
-    """Return the result; `made_from` are source, bench, date and certificates."""
+    """Return the result; `made_from` holds the members source, bench, date and certificates."""
     names = ("source", "bench", "made_at", "simulated", "corrections")
     return RecordCalibrateResult(
         estimator="gls", unit="V", level_v=found.level_v, not_observable=list(found.not_observable), model=model,
@@ -110,7 +110,7 @@ def _value(of: Estimate | None) -> ValuePart | None:
 
 
 def headline(found: RecordCalibration) -> str:
-    """Return a line with the length of the record, its voltage, and the meaning of the values."""
+    """Return a line with the duration of the record, its voltage, and the meaning of the values."""
     record = found.record
     return (
         f"record at a known input: {len(record)} means over {record.time_h[-1]:.1f} h at {found.level_v:.6g} V, "
@@ -188,7 +188,7 @@ def render_record_calibration(
     *,
     simulated: bool,
 ) -> str:
-    """Return the report; `noise` is the stability analysis of the residuals, or a sentence why it is missing."""
+    """Return the report; `noise` is the stability of the residuals, or a sentence on why it is missing."""
     fits = [
         (one.channel, found.known_v[:, i] + one.residual_v, one.residual_v)
         for i, one in enumerate(found.channels)

@@ -75,7 +75,7 @@ def result_of(found: RecordDiagnosis, files: Files = NO_FILES, **made_from: Any)
 def _gap_part(gap: Gap) -> GapPart:
     """Return the part on the gap of held-out readings.
 
-    Its values in µg are null, because a record has no scale factor that would convert volts to g.
+    The members in µg are null, because a record has no scale factor to convert volts to g.
     """
     in_g = dict.fromkeys(("before_rms_ug", "after_rms_ug"))
     part = gap_part(gap)
@@ -98,7 +98,7 @@ def what_in_words(found: RecordDiagnosis) -> str:
 
 
 def gap_told(found: RecordDiagnosis) -> str:
-    """Return how much the misfit of held-out excursions decreases (the gap); "" if nothing was held out."""
+    """Return how far the gap (misfit of held-out excursions) closes; "" if nothing was held out."""
     gap = found.gap
     if not gap.folds:
         return ""
@@ -110,7 +110,7 @@ def gap_told(found: RecordDiagnosis) -> str:
 
 
 def rivals_told(found: RecordDiagnosis) -> str:
-    """Return which kind of shape predicts the excursions best; "" if there is only one kind."""
+    """Return in words which kind of response predicts the excursions best; "" if there is only one kind."""
     if not found.rivals:
         return ""
     ordered = sorted(found.rivals, key=lambda one: one.chi2)
@@ -169,9 +169,10 @@ def evidence_in_words(found: RecordDiagnosis) -> dict[str, str]:
 
 
 def course_figure(time_h: Floats, courses: Sequence[tuple[str, Floats, Floats]]) -> str:
-    """Return a plot of signal minus reference against time (n,), h: a row per channel.
+    """Return a plot of signal minus reference against time, with a row for each channel.
 
-    `courses` has for each channel its name, and the difference (n,) before and after the effects found, V.
+    `time_h` (n,) is in h. `courses` has for each channel its name, and the difference (n,) in V, before and
+    after.
     """
     scale = scale_for(max(float(abs(before).max()) for _, before, _ in courses), "V")
 

@@ -51,7 +51,7 @@ class RunsResult(ResultModel):
     runs: list[RunPart]
 
     def print_on(self, folder: Path, out: Console) -> None:
-        """Print a line of 80 characters for each run, followed by any damage and the command that resumes it."""
+        """Print a line of 80 characters for each run, then any damage, and the command to resume the run."""
         if not self.runs:
             out.print(f"{folder}: no runs there; name their folder with --runs")
             return
@@ -67,7 +67,7 @@ class RunsResult(ResultModel):
 
 
 def _line(name: str, facts: Sequence[object]) -> str:
-    """Return a line of 80 characters; a name too long for its column gets a line of its own."""
+    """Return `name` and `facts` in a line of 80 characters; a name that is too long gets its own line."""
     begun, instruments, state, readings, verdict = facts
     shown = f"{begun!s:16}  {instruments!s:11}  {state!s:10}  {readings!s:>8}  {verdict}"
     separate = "\n" if len(name) > _NAME else ""
@@ -102,7 +102,7 @@ class ManifestPart(ResultModel):
 
 
 class ProvenRecordPart(RecordPart):
-    """The fingerprint of a record, with the findings of `--verify`."""
+    """What identifies a record, with the findings of `--verify`."""
 
     told: list[str] = Field(description="evidence for and against the record; only with --verify")
 
@@ -115,7 +115,7 @@ class ShowResult(RunPart):
     problems: list[str] = Field(description="faults of the record; only with --verify")
 
     def print_on(self, run: Run, supply: str, out: Console, *, verified: bool) -> None:
-        """Print the manifest, and then the events or, if `verified`, what the record proves."""
+        """Print the manifest, and then the events or, with `verified`, what the record proves."""
         summary = {name: getattr(self, name) for name in RunPart.model_fields}
         for name, value in {**summary, **run.manifest}.items():
             if value not in ("", None):
@@ -141,7 +141,7 @@ class ShowResult(RunPart):
 
 
 def _text(value: object) -> str:
-    """Return a value of the manifest as text; a mapping as "name value, name value"."""
+    """Return a value of the manifest as text, and a mapping as "name value, name value"."""
     if isinstance(value, dict):
         return ", ".join(f"{name} {part}" for name, part in value.items())
     return str(value)
@@ -214,7 +214,7 @@ class ReadingPart(ResultModel):
 
 
 class NowPart(ResultModel):
-    """The goal that is furthest from being reached."""
+    """The goal that is still furthest away."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -227,7 +227,7 @@ class NowPart(ResultModel):
 class EventLine(ResultModel):
     """One event of a run's record, a line of events.jsonl; `prev` links the events to a chain of hashes.
 
-    Events of type step_done have further members by kind of step, such as `angle_deg` for a turn.
+    An event step_done has further members that depend on the kind of step, such as `angle_deg` for a turn.
     """
 
     model_config = ConfigDict(extra="allow")

@@ -21,7 +21,7 @@ MEANING: Final = {
 
 
 class RatioPart(ResultModel):
-    """The ratio of the scatter of repeats to the u of their prediction from the others, with its 95 % interval."""
+    """Scatter of repeats about their predictions, divided by u of the prediction; with 95 % interval."""
 
     value: float
     low: float
@@ -29,7 +29,7 @@ class RatioPart(ResultModel):
 
 
 class TermPart(ResultModel):
-    """The term that is added to u until it agrees with the scatter of repeats."""
+    """The term that is added to u so that u agrees with the scatter of repeats."""
 
     name: Literal["restart", "drift", "scale"]
     means: str
@@ -66,8 +66,8 @@ def _ratio(of: Ratio | None) -> RatioPart | None:
 
 
 def repeats_told(found: Repeats, where: str, sizes: Sequence[str]) -> str:
-    """Return a sentence on the scatter of repeats; `where` says of what, `sizes` are the sizes of the term in
-    words.
+    """Return a sentence on the scatter of repeats. `where` names the repeats; `sizes` are the sizes, in
+    words, of the term added to u.
     """
     text = f"repeats {where} scatter {found.scatter:.2g} × u"
     if found.term is None or found.held_before is None or found.held_after is None:
@@ -84,7 +84,7 @@ def repeats_told(found: Repeats, where: str, sizes: Sequence[str]) -> str:
 
 
 class HeldOutByRecord(ResultModel):
-    """Zeros of held-out records predicted from the other records: the ratio of their scatter to the stated u."""
+    """Zeros of held-out records, predicted from the other records: their scatter divided by the stated u."""
 
     by: Literal["record"]
     before: Real = Field(description="ratio for constant zeros")
@@ -92,7 +92,7 @@ class HeldOutByRecord(ResultModel):
 
 
 class BetweenRecordsPart(ResultModel):
-    """The changes of the zeros between records, with each record fitted alone."""
+    """The changes of the zeros from record to record, if each record is fitted alone."""
 
     ratio: Real = Field(description="scatter of the zeros divided by their stated u")
     repeats: RepeatsPart
@@ -113,7 +113,7 @@ class BetweenRecordsPart(ResultModel):
 
 
 def between_part(found: BetweenRecords) -> BetweenRecordsPart:
-    """Return the part of a result on zeros of free positions in several records."""
+    """Return the part of a result on the zeros in several records of free positions."""
     repeats = found.repeats
     before = np.nan if repeats.held_before is None else repeats.held_before.value
     return BetweenRecordsPart(
@@ -134,6 +134,6 @@ def between_part(found: BetweenRecords) -> BetweenRecordsPart:
 
 
 def repeats_between(between: BetweenRecords) -> str:
-    """Return how zeros scatter between records, with the term by which u must be widened."""
+    """Return in words how zeros scatter between records, and the term by which u must be widened."""
     sizes = [f"{c} {size}" for c, size in zip(CHANNELS, between.term_sizes(), strict=False)]
     return repeats_told(between.repeats, "between records", sizes)

@@ -17,7 +17,7 @@ DIGITS: Final = 6
 
 
 class ReadingPart(ResultModel):
-    """A reading: its place, time and conditions, and the standard deviation of a single reading there."""
+    """A reading: its place, time, conditions, and the standard deviation of its noise."""
 
     installation: str
     series: int
@@ -30,7 +30,7 @@ class ReadingPart(ResultModel):
 
 
 class ComparedReadingPart(ReadingPart):
-    """A reading with its residuals by the models of a diagnosis, by channel."""
+    """A reading with its residuals, by channel, from each model of a diagnosis."""
 
     signal: list[float] = Field(description="measured signal")
     before: list[float] = Field(description="residual from the given model")
@@ -65,12 +65,12 @@ def fitted_readings(calibration: Calibration) -> list[dict[str, Any]]:
 
 
 def residuals_of(calibration: Calibration) -> list[list[float]]:
-    """Return the residuals of the fitted readings, rounded, a list of three for each reading."""
+    """Return the residuals of the fitted readings, rounded: a list of three numbers for each reading."""
     return _rows(calibration.residuals)
 
 
 def compared_residuals(shown: ModelComparison) -> ResidualsPart:
-    """Return the residuals by the models before and after a diagnosis, and those of the simulated bench."""
+    """Return the residuals from the models before and after a diagnosis, and those of the simulated bench."""
     before = shown.before.calibration
     after = None if shown.after is None else residuals_of(shown.after.calibration)
     signal, given = _rows(before.fitted.signal, 9), residuals_of(before)

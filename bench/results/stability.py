@@ -154,7 +154,7 @@ def print_stability(found: Stability, out: Console) -> None:
 
 
 def averaging_lines(found: Stability) -> list[str]:
-    """Return a line on the averaging time of each channel."""
+    """Return a line for each channel on its averaging time."""
     pairs = zip(found.record.channels, found.averages, strict=True)
     return [f"channel {channel}: {average.tau_s:.3g} s: {average.why}" for channel, average in pairs]
 
@@ -184,9 +184,9 @@ def _term(terms: NoiseTerms, k: int, unit: str) -> str:
 
 
 def allan_figure(found: Stability, *, inline: bool = False) -> str:
-    """Return an SVG file of the Allan deviation with 95 % limits and fitted noise terms, and of the spectrum below.
+    """Return an SVG file: the Allan deviation with 95 % limits and fitted noise terms; the spectrum.
 
-    With `inline`, the SVG is an element of a page.
+    With `inline`, return an SVG element for a page.
     """
     curves, terms, tau_s = found.curves, found.terms, found.longest_s
     scale = scale_for(min(float(curve.deviation.min()) for curve in curves), found.record.unit)

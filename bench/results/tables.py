@@ -51,7 +51,7 @@ SHOWS: Final = 2.0
 
 @dataclass(frozen=True)
 class Row:
-    """A row of a table: its heading (may hold markup) and its cells; `bad` highlights it."""
+    """A row of a table: its heading (which may contain markup) and its cells; `bad` highlights the row."""
 
     head: str
     cells: tuple[str, ...]
@@ -82,8 +82,7 @@ def matrix(calibration: Calibration) -> list[list[str]]:
 def coefficient_groups(calibration: Calibration) -> list[tuple[str, list[Row]]]:
     """Return the rows of scale factors, cross-axis terms and biases, each with the title of the group.
 
-    Cells: value, unit, u from the readings alone, u, U, unit of these uncertainties, then the value in other terms
-    with its unit.
+    Cells: value, unit; u from the readings alone, u, U and their unit; the value in other terms and its unit.
     """
     vector, u = calibration.block.vector, calibration.u
     scale = scale_for(float(np.max(u)), calibration.unit)
@@ -123,7 +122,7 @@ def coefficient_groups(calibration: Calibration) -> list[tuple[str, list[Row]]]:
 
 
 def _in_other_terms(calibration: Calibration, j: int) -> tuple[str, str]:
-    """Return a scale factor's relative u (ppm), a cross-axis term as an angle (″) or a bias in g, with its unit."""
+    """Return relative u (ppm) for a scale factor `j`, an angle (″) for a cross-axis term, g for a bias."""
     vector, u = calibration.block.vector, calibration.u
     own = 4 * (j // 3 if j < 9 else j - 9)
     if j == own:
@@ -138,7 +137,7 @@ def _in_other_terms(calibration: Calibration, j: int) -> tuple[str, str]:
 
 
 def _ratio(calibration: Calibration, j: int, own: int) -> tuple[float, float]:
-    """Return the ratio of two coefficients and its u, including their covariance."""
+    """Return coefficient `j` divided by coefficient `own`, and the u of this ratio from their covariance."""
     vector, covariance = calibration.block.vector, calibration.covariance
     ratio = vector[j] / vector[own]
     variance = covariance[j, j] + ratio**2 * covariance[own, own] - 2.0 * ratio * covariance[j, own]
@@ -188,7 +187,7 @@ def comparison(calibration: Calibration, compared: Calibration) -> list[Row]:
 
 
 def stand(calibration: Calibration) -> list[Row]:
-    """Return a row for each stand angle: its meaning, estimate, u, deviation from zero in u, and a remark."""
+    """Return a row for each stand angle: meaning, estimate, u, estimate divided by u, and a remark."""
     estimates = list(calibration.stand.values())
     pulls = [e.value / e.u if e.u > 0 else float("nan") for e in estimates]
     columns = (
@@ -347,7 +346,7 @@ def readings(calibration: Calibration) -> tuple[str, list[Row]]:
 
 
 def _limits(noise: Noise) -> str:
-    """Return the limits of the setting error in words; "" if the data do not determine them."""
+    """Return the limits of the setting error in words; "" if the data determine no limits."""
     if noise.setting_limits_rad is None:
         return ""
     low, high = (limit / ARCSEC for limit in noise.setting_limits_rad)
@@ -359,7 +358,7 @@ def _each(sizes: tuple[float, float, float], unit: str) -> str:
 
 
 def sources(calibration: Calibration) -> dict[str, Any]:
-    """Return the table of error sources that the readings do not show, and the u of gravity; empty without sources.
+    """Return the table of error sources that readings do not show, and u of gravity; empty without any.
 
     Cells: u of the source, its largest contribution to scale factors, cross-axis terms and biases, and its origin.
     """
@@ -379,7 +378,7 @@ def sources(calibration: Calibration) -> dict[str, Any]:
 
 
 def noise(calibration: Calibration) -> dict[str, str]:
-    """Return the noise sizes with their origin, and the root mean square of the residuals, as text."""
+    """Return as text the sizes of noise, each with its origin, and the root mean square of the residuals."""
     of = calibration.noise
     return {
         "reading": quantity(of.reading, calibration.unit),

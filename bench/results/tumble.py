@@ -63,7 +63,7 @@ class TumbleNoisePart(ResultModel):
 
 
 class AbovePart(ResultModel):
-    """Points above 1 g that were included in the fit, and their chi-square against the fit at 1 g."""
+    """Points above 1 g in the fit, and their chi-square when compared with the fit at 1 g alone."""
 
     points: int
     largest_g: float
@@ -105,7 +105,7 @@ class TumbleResult(ResultModel):
 
 
 def tumble_result(view: TumbleView, **made_from: Any) -> TumbleResult:
-    """Return the result of a tumble; `made_from` are the members from `source` on."""
+    """Return the result of a tumble; `made_from` holds the member `source` and all members after it."""
     return TumbleResult.from_object(
         view,
         k=K,
@@ -175,12 +175,12 @@ def _table(view: TumbleView) -> Table:
 
 
 def _micro(unit: str) -> str:
-    """Return the millionth of a unit in g as printed: "g/g^2" -> "µg/g²"."""
+    """Return the printed form of a millionth of a unit in g: "g/g^2" -> "µg/g²"."""
     return unit.replace("g", "µg", 1).replace("^2", "²").replace("^3", "³")
 
 
 def _close(view: TumbleView) -> Iterator[tuple[str, str, float]]:
-    """Yield pairs of nonlinear terms of one channel that are hard to separate, with their correlation."""
+    """Yield each pair of nonlinear terms of a channel that are hard to separate, with their correlation."""
     for channel, own in view.axes.items():
         terms = [f"{channel}.{q.name}" for q in own if q.name in HOMES]
         for n, first in enumerate(terms):
@@ -191,7 +191,7 @@ def _close(view: TumbleView) -> Iterator[tuple[str, str, float]]:
 
 
 def _left_out(view: TumbleView) -> Iterator[str]:
-    """Yield a sentence on each term that was not fitted, with its effect on the other terms."""
+    """Yield a sentence on each term that was not fitted, and on how far it shifts the other terms."""
     for channel, by_term in view.left_out.items():
         for term, moved in by_term.items():
             if moved:

@@ -48,7 +48,7 @@ class PackagePart(ResultModel):
 
 
 class ProgramFingerprint(ResultModel):
-    """The program, packages and Python for which a validation holds; a change of any needs another validation."""
+    """The program, packages and Python for which a validation holds; a change of one needs another."""
 
     fingerprint: str = Field(description="SHA-256 of all other members")
     version: str
@@ -77,7 +77,7 @@ class ChangedRun(ResultModel):
 
 
 class AgainstPart(ResultModel):
-    """A comparison of past runs, computed again, with their stored results."""
+    """A comparison of past runs: computed again and as stored."""
 
     over: list[str]
     runs: int
@@ -109,7 +109,7 @@ class ValidationResult(ResultModel):
 
     @property
     def failed(self) -> list[ValidationCheck]:
-        """The failed checks, except those that report a change, which a person may still accept."""
+        """The failed checks, except those that report a change: a person may still accept it."""
         return [one for one in self.checks if not one.passed and not one.change]
 
     @property
@@ -171,7 +171,7 @@ def families(checks: Iterable[ValidationCheck]) -> list[tuple[str, list[Validati
 
 
 def acts(rows: Iterable[ValidationCheck]) -> list[tuple[str, list[ValidationCheck]]]:
-    """Return each check function's description with its rows, in order."""
+    """Return the description of each check function with its rows, in order."""
     return [(did, list(own)) for did, own in groupby(rows, key=lambda row: row.did)]
 
 

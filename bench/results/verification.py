@@ -43,7 +43,7 @@ class PointPart(ResultModel):
 
 
 class GlobalRiskPart(ResultModel):
-    """The global risks of the decision rule for a population of blocks, at the point with the largest U."""
+    """The global risks of a decision rule for a population of blocks, at the point with the largest U."""
 
     false_accept: float = Field(description="fraction of all blocks that are accepted but do not conform")
     false_reject: float = Field(description="fraction of all blocks that are not accepted but conform")
@@ -109,7 +109,7 @@ class ReportResult(ResultModel):
 
 
 def verdict_members(found: Verification) -> dict[str, Any]:
-    """Return the members of `VerdictPart` that a verification does not have as attributes."""
+    """Return those members of `VerdictPart` that are not attributes of a verification."""
     risk, population, accepted = found.global_risk, found.population, found.passed or found.left_open
     return {
         **found.decision.to_json(),
@@ -122,7 +122,7 @@ def verdict_members(found: Verification) -> dict[str, Any]:
 
 
 def verify_result(found: Verification, **made_from: Any) -> VerifyResult:
-    """Return the result of a verification; `made_from` are the members from `notes` on."""
+    """Return the result of a verification; `made_from` holds the member `notes` and all members after it."""
     return VerifyResult.from_object(found, **verdict_members(found), **made_from)
 
 
@@ -130,7 +130,7 @@ def verify_result(found: Verification, **made_from: Any) -> VerifyResult:
 
 
 def verification_table(found: Verification) -> Table:
-    """Return a table of Δg at each verification point, with the statement and the risks."""
+    """Return a table of the verification points: Δg, statement of conformity and risks."""
     guarded = found.rule != SIMPLE
     expanded = ">U (k=2)" if all(p.k == 2.0 for p in found.points) else ">U (95.45 %)"
     shown = table(
@@ -178,7 +178,7 @@ _MOST: Final = 2
 
 
 def headline(result: Verification, *, upper: bool = False) -> str:
-    """Return the verdict in a few words; for a conditional pass, also whether the decision rule accepts it."""
+    """Return the verdict in a few words and, for a conditional pass, whether the decision rule accepts it."""
     word = HEADLINES[result.statement]
     word = word.upper() if upper else word
     if result.statement is Statement.CONDITIONAL_PASS:
@@ -226,7 +226,7 @@ def optional_probability(p: float | None) -> str:
 
 
 def risk_in_words(result: Verification) -> str:
-    """Return the specific risk of the decision, overall and at the worst point; "" if nothing was decided."""
+    """Return the specific risk of the decision overall and at the worst point; "" without a decision."""
     if result.passed or result.left_open:
         of_all, worst = (probability_in_words(p) for p in (result.p_outside, result.p_outside_worst))
         both = of_all if of_all == worst else message(f"{of_all} ({worst} at the worst point)")
@@ -254,13 +254,13 @@ def outcome_in_words(name: str, result: Verification) -> str:
 
 
 def basis_in_words(result: Verification) -> str:
-    """Return the rule of a verdict, its test uncertainty ratio and the risk of the decision."""
+    """Return in words the rule of a verdict, its test uncertainty ratio and the risk of the decision."""
     facts = (f"rule: {result.decision.words}", f"TUR {result.tur:.2g}", risk_in_words(result))
     return ", ".join(filter(None, facts))
 
 
 def advice(result: Verification) -> tuple[str, ...]:
-    """Return sentences that explain each kind of statement given and name possible remedies."""
+    """Return sentences that explain each kind of statement in the result, and name possible remedies."""
     number = {s: sum(p.statement is s for p in result.points) for s in Statement}
     sentences = {
         Statement.FAIL: (
@@ -308,7 +308,7 @@ def advice(result: Verification) -> tuple[str, ...]:
 
 
 def _to_pass(result: Verification) -> Iterator[str]:
-    """Yield a sentence on what would make the verification pass, with the largest contributions to u."""
+    """Yield a sentence on how the verification could pass, with the largest contributions to u."""
     needed = result.to_pass
     if needed is None:
         return

@@ -1,4 +1,4 @@
-"""Checks of the arguments of the public functions: an argument of the wrong kind is refused in a sentence."""
+"""Checks of the arguments of public functions: a sentence refuses an argument of the wrong kind."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ KINDS: Final[Mapping[Any, Kind]] = {
 
 
 def kinds_of(request: type) -> dict[str, Kind]:
-    """Return the accepted kind of each parameter of a request's constructor, by name."""
+    """Return the accepted kind of each parameter of the constructor of `request`, by parameter name."""
     told, hints = {}, get_type_hints(request)
     for name in inspect.signature(request).parameters:
         hint = hints[name]
@@ -127,8 +127,8 @@ def kinds_of(request: type) -> dict[str, Kind]:
 def checked(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Return a decorator that checks the kinds of arguments.
 
-    `kinds` states a kind for each parameter. An argument of another kind raises `Refused`, but None is accepted
-    where it is the default. The decorated function also turns an `OSError` into `Refused`.
+    `kinds` states a kind for each parameter. An argument of another kind raises `Refused`; None is accepted
+    if it is the default. The decorated function also turns an `OSError` into `Refused`.
     """
 
     def decorated(function: Callable[P, R]) -> Callable[P, R]:
@@ -155,7 +155,7 @@ def checked(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
 def python_call(request: Callable[P, Asked], act: Callable[[Asked], R], name: str = "") -> Callable[P, R]:
     """Return the public Python function that carries out a request; its parameters are the fields of the request.
 
-    The function's name is `name`, by default the name of `act` without underscores; its docstring is that of `act`.
+    The function has the name `name` (default: that of `act` without underscores) and the docstring of `act`.
     """
 
     def call(*args: P.args, **kwargs: P.kwargs) -> R:

@@ -60,9 +60,9 @@ class BenchOrigin(_Part):
 class Origin(_Part):
     """The origin of readings: their run, block, bench file and instruments.
 
-    `unit_under_test` is None, and `procedure` empty, if nobody stated it. `serials` are the serial numbers that the
-    instruments reported; real runs keep them, and so does any run on a bench with certificates. `mended` are the
-    mistakes that were corrected in these readings, which are then a copy of the recorded readings.
+    `unit_under_test` is None, and `procedure` empty, if nobody stated it. `serials` are the serial numbers
+    that the instruments reported; runs that are real, or on a bench with certificates, keep them. `mended`
+    are the mistakes that were corrected, if the readings are a corrected copy.
     """
 
     simulated: bool
@@ -93,8 +93,8 @@ class Origin(_Part):
     def bench_file(self, readings: Path) -> Path | None:
         """Return the path of the run's bench file for a readings file; None if no unchanged copy is found.
 
-        The search covers the run's folder, also relative to the readings file in case both were moved, and the
-        original path of the bench file.
+        The search covers the copy in the run's folder, also by its path relative to the readings file (both
+        may have moved), and the original bench file.
         """
         places = [self.bench.copied_to, self.bench.copied_to_from_here, self.bench.file]
         for path in (readings.parent / place for place in places if place):
@@ -104,7 +104,7 @@ class Origin(_Part):
 
 
 def instrument_name(identity: str, serial: str, resource: str | None, bench: str) -> str:
-    """Return the name of an instrument: its model and serial number, else its identity, address and bench."""
+    """Return the name of an instrument: model and serial number, or else identity, address and bench."""
     serial = serial.strip()
     if serial in NO_SERIAL:
         place = f" at {resource}" if resource else ""
@@ -124,7 +124,7 @@ class OriginBeside:
 
 
 def origin_of_run(run: Run) -> OriginBeside:
-    """Return the origin of a run's readings; for an imported run, the origin stated by the imported file."""
+    """Return the origin of a run's readings; for an imported run, the origin in the imported file."""
     if run.imported:
         told = origin_beside(run.folder / IMPORTED)
         if told.origin is not None or told.notes:
@@ -156,7 +156,7 @@ def origin_of_run(run: Run) -> OriginBeside:
 def origin_beside(readings: Path) -> OriginBeside:
     """Return the content of the origin file of a readings file, with notes.
 
-    It is empty if the origin file is missing or invalid, or states the SHA-256 of other readings.
+    The content is empty if the origin file is missing or invalid, or states the SHA-256 of other readings.
     """
     file = readings.with_name(readings.name + SUFFIX)
     content = _read(file)
@@ -179,7 +179,7 @@ def origin_beside(readings: Path) -> OriginBeside:
 
 
 def is_told(file: Path) -> bool:
-    """Return whether a file is an origin file; the readings file to which it belongs is not checked."""
+    """Return whether a file is an origin file, of whatever readings file."""
     try:
         _About.model_validate_json(_read(file) or b"")
     except ValidationError:
@@ -207,7 +207,7 @@ def _mismatch(readings: str, file: str, about: Origin) -> str:
 
 
 def _read(path: Path) -> bytes | None:
-    """Return the content of a regular file of at most 1 MB; None for any other path."""
+    """Return the content of `path`, a regular file of at most 1 MB; None for anything else."""
     try:
         return read_regular(path, MEGABYTE)
     except OSError:
@@ -227,7 +227,7 @@ _NONE_NAMED: Final = "the shipped one, because no file was named"
 class BenchTaken:
     """The bench file that an analysis uses: its content, path and SHA-256, and the reason for the choice.
 
-    `why` is the reason for this choice; `chosen` is the reason why the run was begun with this file.
+    `why` is the reason for this choice; `chosen` is why the run itself was begun with this file.
     """
 
     file: BenchFile
@@ -238,12 +238,12 @@ class BenchTaken:
 
     @property
     def stated(self) -> bool:
-        """Whether somebody named this bench file for these readings; otherwise it is the shipped one."""
+        """Whether somebody named this bench file for these readings; if not, it is the shipped one."""
         return self.why != _NONE_NAMED
 
     @property
     def learned_path(self) -> Path | None:
-        """Path of the learned file that the bench file names, or of the run's copy; None without one."""
+        """Path of the learned file named in the bench file, or of the run's copy; None if none is named."""
         if self.file.learned is None:
             return None
         own = Path(self.where)
@@ -262,7 +262,7 @@ class BenchTaken:
 
     @property
     def reason(self) -> str:
-        """The reason for this bench file, followed by the reason why the run was begun with it."""
+        """The reason for this bench file, and the reason why the run was begun with this file."""
         return ": ".join(filter(None, (self.why, self.chosen)))
 
     def part(self) -> BenchPart:
@@ -276,14 +276,14 @@ def bench_path(given: str | Path | BenchFile | None) -> Path:
 
 
 def why_taken(given: str | Path | BenchFile | None) -> str:
-    """Return the reason why `bench_path` chooses this file."""
+    """Return why `bench_path(given)` chooses its file."""
     if given:
         return message("as asked for")
     return message("named by BENCH_FILE") if os.environ.get("BENCH_FILE") else _NONE_NAMED
 
 
 def find_bench_file(given: str | Path | BenchFile | BenchTaken | None) -> BenchTaken:
-    """Return the bench file: `given` (content, path, name), else that in BENCH_FILE, else the shipped one."""
+    """Return the bench file `given` (content, path, name), else that in BENCH_FILE, else the shipped one."""
     if isinstance(given, BenchTaken):
         return given
     if isinstance(given, BenchFile):
@@ -309,7 +309,7 @@ def recorded_sha256(run: Run) -> str:
 def bench_of(
     name: str, run: Run | None, told: OriginBeside, given: str | Path | BenchFile | None
 ) -> tuple[BenchTaken, tuple[str, ...]]:
-    """Return the bench file to use for readings, with notes: the requested file, else the one that the run
+    """Return the bench file to use for readings, and notes: the requested file, else the file that the run
     recorded.
 
     For readings without a run it is the first of these: the requested file, the file in BENCH_FILE, the file that
@@ -351,7 +351,7 @@ def _of_run(run: Run, given: str | Path | BenchFile | None) -> tuple[BenchTaken,
 def own_bench(run: Run) -> tuple[BenchFile, Path]:
     """Return the bench file that a run recorded, and the path to which its references are relative.
 
-    The path is that of the original file or, if this no longer exists, of the run's copy.
+    The path is that of the original bench file or, if that no longer exists, of the run's copy.
     """
     stated = Path(str(run.manifest.get("bench", "")))
     return load_recorded_bench(run.folder / BENCH), stated if stated.is_file() else run.folder / BENCH

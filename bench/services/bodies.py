@@ -1,4 +1,4 @@
-"""Bodies of readings: several sources that are diagnosed as one."""
+"""Bodies of readings: one or several sources that are diagnosed as one."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ TOGETHER: Final = "diagnose-together"
 class Body:
     """Readings that are diagnosed together: the `sources`, and all of them joined as one `source`.
 
-    `nominal` (blocks, 3) are the scale factors of the data sheets; it is None for a single kind of block. If all
-    readings are free positions, each source keeps a table of its own; `one_block` then says whether one sensor made
-    all of them.
+    `nominal` (blocks, 3) are scale factors from data sheets; None if all blocks are of one kind. If all
+    readings are free positions, each source keeps a table of its own; `one_block` then says whether one
+    sensor made all of them.
     """
 
     sources: tuple[Source, ...]
@@ -49,7 +49,7 @@ class Body:
         return tuple(data_sha256(source.as_read) for source in self.sources)
 
     def output(self, suffix: str, number: int | None = None) -> Path:
-        """Return the path of an output file for the body, or for the source with this number."""
+        """Return the path of an output file for the body or, with `number`, for the source of that number."""
         if len(self.sources) == 1:
             return self.source.output("diagnose", suffix)
         place = place_together(self.sources) if number is None else self.sources[number]
@@ -105,7 +105,7 @@ def body_of(sources: list[Source], one_block: bool | None = None) -> Body:
 
 
 def place_together(sources: Sequence[Source]) -> Source:
-    """Return the first of several sources with a name for all of them, from which names of output files follow."""
+    """Return the first source under a name that stands for all `sources`; output files are named after it."""
     first = sources[0]
     if len(sources) == 1:
         return first
@@ -115,7 +115,7 @@ def place_together(sources: Sequence[Source]) -> Source:
 
 
 def _blocks(sources: list[Source], one_block: bool | None) -> list[int | None]:
-    """Return the index of the block that each source measured; None for each if only the readings can decide."""
+    """Return the index of the block in each source; all are None if only the readings can decide."""
     if one_block is not None:
         return [0 if one_block else number for number in range(len(sources))]
     sheets = [tuple(source.bench.unit_under_test.scale_factors.values) for source in sources]
@@ -126,7 +126,7 @@ def _blocks(sources: list[Source], one_block: bool | None) -> list[int | None]:
 
 
 def _of_the_stand(source: Source) -> dict[str, float]:
-    """Return the standard uncertainties of the stand, rad; that of the voltmeter is left out."""
+    """Return the standard uncertainties (rad) of the stand's errors by name, without "voltmeter_error"."""
     return {name: u for name, u in source.stand_u.items() if name != "voltmeter_error"}
 
 
@@ -147,7 +147,7 @@ def _require_same_bench(first: Source, other: Source) -> None:
 
 
 def _began_s(source: Source) -> float | None:
-    """Return the start of a run in Unix time, s; None for a readings file, which does not state it."""
+    """Return the start of a run, s in Unix time; None for a readings file, which does not state it."""
     if source.run is None or source.run.imported:
         return None
     try:
@@ -169,14 +169,14 @@ MOST_TOLD: Final = 3
 
 @dataclass(frozen=True)
 class _Named:
-    """A row of the table of readings, and the sign of a mistake that the early warning found there."""
+    """A row of the table of readings, and the sign of a mistake that the early warning found in this row."""
 
     row: int
     sign: EarlySign
 
 
 def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
-    """Return the readings of a source, corrected for mistakes that the early warning found, and these mistakes.
+    """Return a source's readings, corrected for mistakes that the early warning found, and these mistakes.
 
     The readings are returned unchanged if the early warning found no sign of a mistake during the run.
     """
@@ -197,7 +197,7 @@ def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
 
 
 def told_in_words(run: Run) -> list[str]:
-    """Return sentences on the mistakes that the early warning found in a run, and on overruled warnings."""
+    """Return sentences on the mistakes that the early warning found in a run, and on warnings overruled."""
     if not run.history.progress.signs:
         return []
     named: Counter[str] = Counter()
@@ -251,7 +251,7 @@ class _Copy:
         self._skipped: list[str] = []
 
     def mount(self, row: int) -> tuple[int, str]:
-        """Return the mounting of a row as it was recorded: series and installation."""
+        """Return the mounting that was recorded for a row: series and installation."""
         return int(self._given.series[row]), str(self._given.installation[row])
 
     def readings(self) -> Readings:
@@ -282,7 +282,7 @@ class _Copy:
     def _move(self, mount: tuple[int, str], actual: str, told: Sequence[_Named]) -> Mistake:
         """Move the rows of a mounting to the installation `actual`; return the mistake.
 
-        The rows join the preceding mounting if that has the same installation.
+        The rows join the preceding mounting if that is in the installation `actual`.
         """
         rows = self._rows(mount)
         first = int(np.flatnonzero(rows)[0])

@@ -1,4 +1,4 @@
-"""Members that all results of diagnosing a body of readings share, and the files written from them."""
+"""The common part of all results of diagnosing a body of readings, and the files that they write."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class BodyResult(ABC):
 
     @property
     def verdict(self) -> str:
-        """One of agrees, mistake, named, confounded, unknown."""
+        """The verdict: agrees, mistake, named, confounded or unknown."""
         return "mistake"
 
     @property
@@ -63,7 +63,7 @@ class BodyResult(ABC):
 
     @property
     def next_measurement(self) -> Proposal | None:
-        """The measurement proposed next; None if nothing is proposed."""
+        """The measurement that is proposed next; None if none is proposed."""
         return None
 
     @abstractmethod
@@ -78,9 +78,9 @@ class BodyResult(ABC):
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
         """Write all files of `bench diagnose`; return the result with their paths.
 
-        With `accept_first`, a model is written even if the readings cannot decide between effects; it then has the
-        likeliest one. A file that cannot be written is noted in `not_written`, or raises `OSError` if an output
-        folder was requested.
+        With `accept_first`, a model is written even if the readings cannot decide between effects; it then
+        has the likeliest one. A file that cannot be written is noted in `not_written`; if an output folder
+        was requested, it raises `OSError`.
         """
 
     def __repr__(self) -> str:
@@ -88,9 +88,9 @@ class BodyResult(ABC):
         return f"{as_text(self.print_on)}\nbench: {self.bench}"
 
     def tried(self, what: str, write: Callable[[], T]) -> tuple[T | None, Self]:
-        """Call `write`, and return its value with the result.
+        """Call `write` to write `what`; return its value and this result.
 
-        If writing fails, return None with a copy of the result that notes the failure.
+        If writing fails, return None and a copy of this result that notes the failure.
         """
         try:
             return write(), self
@@ -101,7 +101,7 @@ class BodyResult(ABC):
             return None, replace(self, not_written=(*self.not_written, note))
 
     def with_copy(self, mistakes: Sequence[Mistake], corrected: Readings) -> Self:
-        """Write the copy of the readings in which mistakes are corrected, if there are any; return the result."""
+        """Write the readings with `mistakes`, if any, corrected; return the result with the path."""
         if not mistakes:
             return self
         place = self.body.output("-corrected.csv")
@@ -144,8 +144,8 @@ def write_content(path: Path, content: str) -> Path:
 def write_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings, path: Path) -> Path:
     """Write the readings with the mistakes corrected, and the origin file of this copy in the same folder.
 
-    The copy has the values that the instruments showed; reading it with the same bench file gives exactly
-    `corrected`.
+    The copy holds the values that the instruments showed; reading the copy with the same bench file gives
+    exactly `corrected`.
     """
     source = body.source
     content = format_csv(as_read(corrected, source.traced.by))

@@ -84,8 +84,8 @@ def with_prior(
     """Return a calibration combined with the prior for its unit's type, the prior's part of the result, and notes.
 
     If readings and prior contradict each other, the calibration is returned unchanged, with a note. Raises
-    `Refused` for a prior of another type or signal unit, for simulated readings with a real prior or the reverse,
-    for a prior computed from this very unit, and if all readings are free positions.
+    `Refused` for a prior of another type or signal unit, for simulated readings with a real prior or the
+    reverse, for a prior computed from this unit itself, and if all readings are free positions.
     """
     from bench.history.prior import CONFLICT_P, join
 
@@ -162,8 +162,8 @@ def _refuse_other(prior: Prior, found: Calibration, source: Source, path: Path) 
 class Coefficient:
     """A coefficient in `unit` (such as V/g; V for a bias) with its combined standard uncertainty `u`.
 
-    `u_readings` is the part of u from the readings and the stated limits of the stand. `dof` are the effective
-    degrees of freedom of u. u is already widened for few degrees of freedom, so that `U` is always `k` times u.
+    `u_readings` is the part of u from the readings and the stated limits of the stand. `dof` are the
+    effective degrees of freedom of u. u is already widened for a small `dof`, so that `U` is always `k` u.
     """
 
     value: float
@@ -183,9 +183,9 @@ class Coefficient:
 class CalibrationResult:
     """The twelve coefficients of U = K a + U0 with their covariance, and the data behind them.
 
-    a is the specific force in local g (+1 g on an axis that points upward). `calibration` is the complete estimate,
-    `source` the readings with bench and model. `prior` describes the prior file (None if none was given);
-    `of_prior` are notes on the prior.
+    a is the specific force in local g (+1 g on an axis that points upward). `calibration` is the complete
+    estimate, `source` the readings with bench and model. `prior` describes the prior file (None if none was
+    given); `of_prior` are notes on that file.
     """
 
     source: Source
@@ -219,7 +219,7 @@ class CalibrationResult:
         return self.calibration.covariance
 
     def as_coefficients(self) -> Coefficients:
-        """Return the coefficients as the same object that `read_coefficients` returns for a result file."""
+        """Return the coefficients in the form in which `read_coefficients` returns those of a result file."""
         from bench.services.coefficients import Coefficients
 
         own = self.calibration
@@ -241,7 +241,7 @@ class CalibrationResult:
 
     @cached_property
     def doubts(self) -> tuple[str, ...]:
-        """Warnings, a sentence each, that the estimated scale factors contradict the block's nominal ones."""
+        """Warnings, a sentence each, on scale factors that contradict the block's nominal ones."""
         return implausible(self.calibration, self.source.bench.unit_under_test.scale_factors.values)
 
     @property
@@ -302,10 +302,10 @@ class CalibrationResult:
     ) -> tuple[str, ...]:
         """Write the coefficients as `bench coefficients --as FORM` does; return what the form cannot hold.
 
-        `form` is "json", "csv", "c", "excel", "kalibr", "px4" or "ardupilot". The last three are for signals in
-        m/s^2; `nominal` are the scale factors (unit/g) by which the signals were converted. A calibration whose
-        model corrects for temperature is written only if `without_temperature` is true, because no form can hold
-        this. Raises `Refused` for any other form, and `OSError`.
+        `form` is "json", "csv", "c", "excel", "kalibr", "px4" or "ardupilot". The last three are for signals
+        in m/s^2; `nominal` are the scale factors (unit/g) by which the signals were converted. No form can
+        hold a correction for temperature; a calibration with one is written only if `without_temperature` is
+        true. Raises `Refused` for any other form, and `OSError`.
         """
         from bench.services.coefficients import write_form
 
@@ -343,7 +343,7 @@ def calibration_of(
     join_verification: bool = False,
     prior: Path | None = None,
 ) -> CalibrationResult:
-    """Calibrate a source with its own bench and model, and with the `prior` file of its unit's type if given.
+    """Calibrate a source with its own bench and model and, if given, the `prior` file for its unit's type.
 
     Raises `CalibrationError` if the readings allow no calibration, `Refused` for a prior that does not apply.
     """
@@ -397,7 +397,7 @@ def calibrated(request: Calibrate, source: Source) -> CalibrationResult | Record
 
 
 def _with_note_on_temperatures(source: Source) -> Source:
-    """Return the source with a note if its readings are at three or more temperatures, which one fit would mix."""
+    """Return the source, with a note if its readings are at three or more temperatures, which a fit mixes."""
     found = separate_temperatures(source.readings)
     if len(found) < SEVERAL_TEMPERATURES:
         return source
@@ -419,8 +419,8 @@ def verification_of(
 ) -> VerificationResult:
     """Verify a source with coefficients from a file, from a calibration, or (None) from its own readings.
 
-    The options `asked` replace those of the run and its bench file. If none of them names a decision rule, it is
-    `agreed`.
+    The options `asked` replace those of the run and its bench file. `agreed` is the decision rule if none of
+    these names one.
     """
     from bench.services.verification import NOTHING_ASKED, judged, own_judgement  # takes long to import
 

@@ -45,7 +45,7 @@ class Entry:
 
 
 def civil_now() -> str:
-    """Return the civil time of an entry, ISO 8601 with offset, to the second."""
+    """Return the present civil time for an entry: ISO 8601 with offset, to the second."""
     return utc_now().astimezone().isoformat(timespec="seconds")
 
 
@@ -58,7 +58,7 @@ def first_head(of: str) -> str:
 class Chain:
     """A register, open and locked against other writers; `folder` contains it and its files.
 
-    `head`, `length` and `count` are the hash of the last line, the bytes and the lines read so far.
+    `head` is the hash of the last line read, `length` and `count` the number of bytes and lines read.
     """
 
     FIRST: ClassVar[str]
@@ -69,7 +69,7 @@ class Chain:
     count: int = 0
 
     def __post_init__(self) -> None:
-        """Begin with the hash that precedes the first line."""
+        """Set `head`, unless it is given, to the hash that precedes the first line."""
         self.head = self.head or self.FIRST
 
     def _note(self, entry: Entry, where: str) -> None:
@@ -80,7 +80,7 @@ class Chain:
         raise NotImplementedError
 
     def keep(self, content: bytes) -> str:
-        """Store an input of an entry under its SHA-256, and return the SHA-256."""
+        """Store an input (such as a laboratory file) of an entry under its SHA-256; return the SHA-256."""
         digest = hashlib.sha256(content).hexdigest()
         place = self.folder / MADE_FROM / digest
         if not place.is_file():
@@ -89,7 +89,7 @@ class Chain:
         return digest
 
     def kept(self, digest: str) -> bytes:
-        """Return a stored input of an entry. Raises `Refused` if it is missing or changed."""
+        """Return the input with the SHA-256 `digest`. Raises `Refused` if it is missing or changed."""
         file = self.folder / MADE_FROM / digest
         with refusing("check name and permissions", file, verb="read"):
             content = read_regular(file)
@@ -98,7 +98,7 @@ class Chain:
         return content
 
     def append(self, entry: Entry) -> None:
-        """Append a line and flush it to the disk. Raises `OSError`."""
+        """Append `entry` as a line, and flush it to the disk. Raises `OSError`."""
         told = {
             "n": self.count + 1,
             "time": entry.time,

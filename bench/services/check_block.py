@@ -46,9 +46,9 @@ class CheckValues:
     """A calibration of the check block as the control chart uses it: coefficients in `unit` per local g.
 
     `value` (12,) are the coefficients. `readings` (12, 12) is the covariance from readings and stand, `noise`
-    (12,) the part from reading noise. `sources` are the covariances (12, 12) of the errors that no reading shows,
-    by name. `meters_limits` (12, 12) is the covariance of the meter errors that cancel if the same meters are
-    used again. `s` is the noise of a reading, with `s_dof` degrees of freedom.
+    (12,) the part from reading noise. `sources` are the covariances (12, 12) of the errors that no reading
+    shows, by name. `meters_limits` (12, 12) is the covariance of those meter errors that cancel if the same
+    meters are used again. `s` is the noise of a reading, with `s_dof` degrees of freedom.
     """
 
     name: str
@@ -68,7 +68,7 @@ class CheckValues:
     s_dof: float
 
     def per(self, g_m_s2: float) -> CheckValues:
-        """Return the values for another unit of acceleration, g = `g_m_s2` (m/s²); biases stay the same."""
+        """Return the values converted to a unit of acceleration g = `g_m_s2` (m/s²); biases stay the same."""
         factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / self.g_m_s2, 1.0)
         both = np.outer(factor, factor)
         return replace(
@@ -82,9 +82,10 @@ class CheckValues:
         )
 
     def check_run(self, between_runs: Sequence[str]) -> CheckRun:
-        """Return the values as a run of a control chart.
+        """Return the values in the form of a run of a control chart.
 
-        Errors of readings and stand, and the sources in `between_runs`, are independent from run to run."""
+        Errors of readings and stand, and of sources in `between_runs`, are independent from run to run.
+        """
         nothing = np.zeros_like(self.readings)
         own = [one for name, one in self.sources.items() if name.partition("[")[0] in between_runs]
         everything = sum(self.sources.values(), nothing)
@@ -105,7 +106,7 @@ class CheckValues:
 
 
 def check_values(run: Run) -> CheckValues:
-    """Return the calibration of a run of the check block, from the cache if the record has not changed since.
+    """Return the calibration of a run of the check block; from the cache, if the record is unchanged.
 
     Raises `CalibrationError` if the readings give no calibration, `RecordError` if the record is damaged.
     """
@@ -146,7 +147,7 @@ def _of(run: Run, result: CalibrationResult) -> CheckValues:
 
 
 def _to_json(value: Any) -> Any:
-    """Return an array or a datetime in a form that JSON can hold."""
+    """Return an array or a datetime as a value that JSON can hold."""
     return value.tolist() if isinstance(value, np.ndarray) else value.isoformat()
 
 
@@ -173,8 +174,8 @@ def is_check_block(bench: BenchFile, unit: UnitUnderTest) -> bool:
 def check_block_runs(bench: BenchFile, runs: Path, *, simulated: bool) -> list[Run]:
     """Return the finished runs of the check block of a bench, oldest first.
 
-    Simulated and real runs are never on one chart. A run is of this bench if its bench file has the same
-    name.
+    Only simulated or only real runs are returned (`simulated`). A run is of this bench if its bench file has
+    the same name.
     """
     found = []
     for run in all_runs(runs):
@@ -199,9 +200,9 @@ def chart_of(
 ) -> CheckBlockChart:
     """Return the control chart of the runs of a check block.
 
-    `of_bench` is the path of the bench file, to which the path of a reference is relative. `folder` holds the
-    runs that the section names. Raises `Refused` if no run gives a calibration, and for runs of different blocks
-    or units or of both real and simulated instruments.
+    `of_bench` is the path of the bench file; the path of a reference is relative to it. `folder` holds the
+    runs that the section names. Raises `Refused` if no run gives a calibration, and for runs of different
+    blocks or units or of both real and simulated instruments.
     """
     values, notes = _values(runs)
     if not values:
@@ -232,7 +233,7 @@ def _charted(
 ) -> tuple[ControlChart, tuple[str, ...]]:
     """Return the chart of the nine intrinsic numbers (`in_nine`) or of the twelve coefficients.
 
-    A note is added if the basis of its limits is not the requested one.
+    A note says so if the limits are not on the basis that the section requests.
     """
     drift = _drift(section)
     if in_nine:
@@ -282,7 +283,7 @@ def _basis(
 ) -> tuple[Basis, tuple[str, ...]]:
     """Return the basis of limits that `baseline` runs allow for a chart of `count` numbers.
 
-    Notes say so if it is not the basis `wanted`.
+    A note says so if this is not the basis `wanted`.
     """
     if reference is not None:
         return "stated", ()
@@ -334,7 +335,7 @@ def _begun(runs: Sequence[CheckRun], section: CheckBlockSection) -> tuple[list[C
     """Return the baseline and all other runs.
 
     The baseline consists of the first runs in control, each judged against the runs before it. The last of
-    several runs is never in the baseline, so that it is always judged.
+    several runs is never in the baseline, so that the chart judges it.
     """
     baseline: list[CheckRun] = [runs[0]]
     later: list[CheckRun] = []
@@ -385,7 +386,7 @@ def _restarted(section: CheckBlockSection) -> datetime | None:
 
 
 def _with_options(section: CheckBlockSection, request: Chart) -> CheckBlockSection:
-    """Return a section in which the options of a request replace the bench file's. Raises `Refused`."""
+    """Return `section` with the options of a request in place of its own. Raises `Refused`."""
     smoothing, arl, limits = request.smoothing, request.arl, request.limits
     if smoothing is not None and not LEAST_SMOOTHING <= smoothing <= 1.0:
         raise Refused(f"--smoothing {smoothing:g}: give a λ of the EWMA between {LEAST_SMOOTHING:g} and 1")
@@ -408,10 +409,10 @@ def _with_options(section: CheckBlockSection, request: Chart) -> CheckBlockSecti
 def charted(request: Chart) -> CheckBlockChart:
     """Return the control chart of a check block, as `bench chart` computes it.
 
-    `runs` are runs of the check block by name or path, or a folder of runs (default: BENCH_RUNS, else ./runs).
-    `bench` states the check block; without it, the bench file recorded by the latest of its runs does. `real`
-    selects the real (True) or the simulated (False) runs of a folder, by default the kind of the latest run.
-    Raises `Refused` if there are none.
+    `runs` are runs of the check block by name or path, or a folder of runs (default: BENCH_RUNS, else
+    ./runs). `bench` states the check block; without it, the bench file that the latest run recorded does.
+    `real` selects the real (True) or the simulated (False) runs of a folder, by default the kind of the
+    latest run. Raises `Refused` if there are no such runs.
     """
     folder = runs_folder(request.folder)
     named = [request.runs] if isinstance(request.runs, str | Path) else request.runs or [folder]
@@ -482,8 +483,8 @@ IN_CONTROL: Final = "in control"
 class CheckBefore:
     """The last check of a bench: `state` is "in control", "out of control", "too old" or "missing".
 
-    `sentence` states the reason. `run` is the name of the run of the check block, empty if there is none; `age_s`
-    is its age in s.
+    `sentence` states the reason. `run` is the name of the last run of the check block (empty if there is
+    none), `age_s` its age in s.
     """
 
     state: str
@@ -499,8 +500,8 @@ class CheckBefore:
     def recorded(self, rule: str, reason: str | None) -> CheckedBefore:
         """Return the check as a member of a manifest.
 
-        `rule` is the rule of the bench file, `reason` the operator's reason to begin in spite of the check, or
-        None.
+        `rule` is that of the bench file, `reason` the operator's reason to begin in spite of the check (or
+        None).
         """
         told: CheckedBefore = {"rule": rule, "state": self.state, "said": self.sentence}
         if self.run:
@@ -512,7 +513,7 @@ class CheckBefore:
 
 
 def check_before(bench: BenchFile, path: Path, runs: Path, now: datetime, *, simulated: bool) -> CheckBefore:
-    """Return the check by the last run of the check block, as of `now`.
+    """Return the check of the bench by the last run of its check block, as of `now`.
 
     Raises `Refused` if the bench file states no check block, or if its runs give no control chart.
     """
@@ -562,10 +563,10 @@ def _judged(
 def checked_before(
     manifest: Manifest, bench: BenchFile, path: Path, runs: Path, despite: str | None
 ) -> tuple[str, ...]:
-    """Check the bench before a run begins; note the check in the run's manifest and return it in sentences.
+    """Check the bench before a run begins; note the check in the run's manifest and return sentences on it.
 
-    `despite` is the reason to begin the run whatever the check says. Raises `Refused` if the rule of the bench
-    file forbids the run. A run of the check block itself is not checked.
+    `despite` is the operator's reason to begin the run whatever the check says. Raises `Refused` if the rule
+    of the bench file forbids the run. A run of the check block itself is not checked.
     """
     if bench.check_block is None:
         raise Refused(f"{path}: states no check_block; remove --check-block and --despite-check")
@@ -581,7 +582,7 @@ def checked_before(
 
 
 def refuse_or_tell(found: CheckBefore, rule: str, reason: str | None) -> tuple[str, ...]:
-    """Return the sentences on a check. Raises `Refused` if the rule forbids the run and `reason` is None."""
+    """Return sentences on a check. Raises `Refused` if the rule forbids the run and `reason` is None."""
     if found.fine:
         return (f"check block: {found.sentence}",)
     if reason is not None:

@@ -44,11 +44,11 @@ ROUNDING: Final = 1_000_000 * 2.0**-53
 class Coefficients:
     """The coefficients of a block with covariance (12, 12), noise of a reading, and local gravity (m/s²).
 
-    `simulated` says whether they were found on simulated instruments. `same_meters` (12, 12) is the covariance
-    without the errors that cancel if the same meters read the block again; `meters` are the identities of the
-    meters. Results of earlier versions have neither. Each column of `block_terms` (12, q) is the error of the
-    coefficients due to one standard uncertainty of a nonlinearity K2 or K3 of the block. `wander` (3,) is the rms
-    wander of each bias during a run.
+    `simulated` says whether the instruments were simulated. `same_meters` (12, 12) is the covariance without
+    the errors that cancel if the same meters read the block again; `meters` are the identities of the meters.
+    Results of earlier versions have neither. Each column of `block_terms` (12, q) is the error of the
+    coefficients due to one standard uncertainty of a nonlinearity K2 or K3 of the block. `wander` (3,) is the
+    rms wander of each bias during a run.
     """
 
     block: Block
@@ -131,7 +131,7 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
 
 
 def block_result(data: Any, where: str) -> BlockResult:
-    """Return a result of `calibrate --json` (parsed JSON, also of an earlier version) for writing other forms.
+    """Return a result of `calibrate --json` (parsed JSON, perhaps of an earlier version) as a `BlockResult`.
 
     Raises `Refused`, naming the file `where`, if the data are not such a result.
     """
@@ -182,7 +182,7 @@ def _temperature(data: Any) -> str:
 def require_temperature(results: Sequence[BlockResult], *, without: bool) -> None:
     """Raise `Refused` if a result was corrected for temperature, unless `without` accepts the loss.
 
-    The forms in which it would be written cannot state such a correction.
+    No form can state a correction for temperature.
     """
     for result in results:
         if result.temperature and not without:
@@ -206,7 +206,7 @@ def _text(value: object) -> str:
 
 
 def _positive(value: object) -> float:
-    """Return a number of a result, but 0 if it is negative or not a number."""
+    """Return a value of a result as a number; 0 if it is negative or not a number."""
     try:
         return max(_number(value), 0.0)
     except ValueError:
@@ -258,13 +258,13 @@ def _block_terms(data: Any, where: str) -> Floats | None:
 
 
 def _wander(data: Any) -> Floats | None:
-    """Return the limits of the bias wander during a run (3,); None if the result does not state them."""
+    """Return the limits (3,) of the wander of each bias during a run; None if the result states none."""
     stated = data["noise"].get("wander")
     return np.array([_positive(stated.get(c)) for c in CHANNELS]) if isinstance(stated, dict) else None
 
 
 def _covariance(data: Any, name: str) -> Floats:
-    """Return a covariance (12, 12) of a result in the order of `COEFFICIENTS`."""
+    """Return the covariance (12, 12) in member `name` of a result, in the order of `COEFFICIENTS`."""
     order = [list(data["order"]).index(coefficient) for coefficient in COEFFICIENTS]
     rows = _numbers(data[name])
     size = len(COEFFICIENTS)
@@ -282,7 +282,7 @@ def _refuse_impossible(covariance: Floats, where: str) -> None:
 
 
 def _numbers(rows: Any) -> list[list[float]]:
-    """Return rows of JSON numbers as floats; rows of floats alone are checked quickly. Raises `ValueError`."""
+    """Return rows of JSON numbers as floats; rows of only floats are checked fast. Raises `ValueError`."""
     if all(type(row) is list and set(map(type, row)) == {float} for row in rows):
         sums = [sum(row) for row in rows]  # a row with a non-finite entry has no finite sum
         if all(map(math.isfinite, sums)):
@@ -304,13 +304,14 @@ def _number(value: Any) -> float:
 
 
 def impossible(covariance: Floats) -> str:
-    """Return why a matrix (n, n) of finite numbers is no covariance; empty if it may be one.
+    """Return why a matrix (n, n) of finite numbers is no covariance; "" if it may be one.
 
-    A covariance is symmetric, with no negative variance, no |r| above 1 and no negative eigenvalue, each within
-    rounding. It was computed as a sum of m products b_ik b_jk, m being the number of readings and items of prior
-    knowledge. Each entry is then off by at most m u sqrt(c_ii c_jj), u = 2^-53 (Higham, Accuracy and Stability of
-    Numerical Algorithms, 2002, section 3.1, with the Cauchy-Schwarz inequality). A correlation is off by at most
-    `ROUNDING`, an eigenvalue of the n by n correlation matrix by at most n times that (Weyl).
+    A covariance is symmetric, with no negative variance, no correlation |r| above 1 and no negative
+    eigenvalue, within rounding. It is a sum of m products b_ik b_jk; m counts readings and items of prior
+    knowledge. Each entry is then off by at most m u sqrt(c_ii c_jj), u = 2^-53 (Higham, Accuracy and
+    Stability of Numerical Algorithms, 2002, section 3.1, with the Cauchy-Schwarz inequality). A correlation
+    is off by at most `ROUNDING`, an eigenvalue of the n by n correlation matrix by at most n times that
+    (Weyl).
     """
     variance = np.diag(covariance)
     if np.any(variance < 0):
@@ -337,12 +338,12 @@ def _read(path: Path) -> Any:
 
 
 def is_result(path: Path) -> bool:
-    """Return whether a path is that of a result file, and not of readings or a run."""
+    """Return whether `path` is a result file, and neither readings nor a run."""
     return path.is_file() and path.suffix.lower() == ".json" and path.name != MANIFEST
 
 
 def results_in(path: Path) -> list[tuple[Any, str]]:
-    """Return the results in a file of `calibrate --json`, each with its name. Raises `Refused` for another file."""
+    """Return the results in a file of `calibrate --json`, with names. Raises `Refused` for any other file."""
     data = _read(path)
     if not isinstance(data, list) or len(data) == 1:
         return [(data[0] if isinstance(data, list) else data, str(path))]
@@ -350,7 +351,7 @@ def results_in(path: Path) -> list[tuple[Any, str]]:
 
 
 def snapshots_in(path: Path) -> list[Snapshot]:
-    """Return the calibrations in a result of `calibrate --json`. Raises `Refused` for another file."""
+    """Return the calibrations in a file of `calibrate --json`. Raises `Refused` for any other file."""
     return [snapshot_of(data, name) for data, name in results_in(path)]
 
 
@@ -382,7 +383,7 @@ def snapshot_of(data: Any, name: str) -> Snapshot:
 def _least_dof(data: Any) -> float:
     """Return the smallest degrees of freedom in a result; infinite if it states none.
 
-    They are those of the nine intrinsic numbers or, without these, of the twelve coefficients.
+    The degrees of freedom are those of the nine intrinsic numbers or, without these, of the coefficients.
     """
     nine = data.get("intrinsic")
     stated = nine["values"] if isinstance(nine, dict) and isinstance(nine.get("values"), dict) else None
@@ -410,7 +411,7 @@ ALL: Final = "all"
 
 
 def forms_of(names: list[str]) -> list[ExportForm]:
-    """Return the requested forms, each once, in the requested order; "all" stands for all forms.
+    """Return the forms of these names in their order, each once; "all" stands for all forms.
 
     Raises `Refused` for an unknown form.
     """
@@ -424,7 +425,7 @@ def forms_of(names: list[str]) -> list[ExportForm]:
 
 
 def nominal_of(text: str | None, results: list[BlockResult]) -> Floats | None:
-    """Return the scale factors (3,) that `--nominal` states, unit/g. Raises `Refused` for an invalid text.
+    """Return the scale factors (3,) in unit/g stated by `--nominal`. Raises `Refused` for an invalid text.
 
     It also raises `Refused` for results whose signals are accelerations, or whose scale factors differ in sign.
     """

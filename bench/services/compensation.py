@@ -39,12 +39,12 @@ OVER_TEMPERATURE: Final = ("temperature", "thermometer")
 
 @dataclass(frozen=True)
 class SignedModel:
-    """A temperature model with its combined covariance, and the same model for use with the meters of the
+    """A temperature model with its combined covariance, and the same for use with the meters of the
     calibration.
 
-    The covariance of `same_meters` omits the errors that cancel if the same meters are used again. `sources` are
-    the errors that the readings cannot show. They are equal at all temperatures, so only the terms at the reference
-    temperature contain them.
+    The covariance of `same_meters` omits the errors that cancel if the same meters are used again. `sources`
+    are the errors that the readings cannot show. They are equal at all temperatures; so only the covariance
+    of the terms at the reference temperature contains them.
     """
 
     combined: TemperatureModel
@@ -53,9 +53,9 @@ class SignedModel:
 
 
 def sign_model(model: TemperatureModel, source: Source) -> SignedModel:
-    """Return a model whose covariance includes the bench errors that its readings do not show.
+    """Return the model; its covariance then includes the bench errors that no reading shows.
 
-    They are computed from one `source`, because they act equally at all temperatures.
+    These errors are computed from one `source`, because they are equal at all temperatures.
     """
     found = calibrate(
         source.readings,
@@ -82,9 +82,9 @@ def _with(model: TemperatureModel, sources: tuple[SourceOfError, ...]) -> Temper
 
 @dataclass(frozen=True)
 class Compensation:
-    """Coefficients over temperature: the model, its table, and the verdicts by temperature.
+    """Coefficients over temperature: the model, its table, and the verdict at each temperature.
 
-    `source` is the first of the sources with these `names`.
+    `names` are those of all sources; `source` is the first of them.
     """
 
     source: Source
@@ -100,7 +100,7 @@ class Compensation:
         return all(check.passed for _, check in self.checks) and all(t.accepted(strict=strict) for t in tests)
 
     def files(self) -> Iterator[tuple[str, Path, str]]:
-        """Yield the files to write: a description, the path and the text of each."""
+        """Yield description, path and text of each file to write."""
         unit = self.source.bench.unit_under_test
         of = f"{unit.type} {unit.serial}".strip() + f", from {self.source.name}"
         of += " (simulated instruments)" if self.source.simulated else ""
@@ -153,7 +153,7 @@ def _degree(text: str) -> int | None:
 
 
 def _checks(source: Source, model: TemperatureModel) -> Iterator[tuple[float, Verification]]:
-    """Yield each temperature (°C) of the verification points within the model's range, with its verification."""
+    """Yield each temperature (°C) in the model's range with verification points, and its verification."""
     rows = source.readings.verification()
     known = np.isfinite(rows.temperature_c) & ~model.outside(rows.temperature_c)
     by = own_judgement(source)
@@ -176,7 +176,7 @@ def tumble_of(
 ) -> TumbleView:
     """Return the tumble of each axis of a source with the nonlinear `terms` (such as "K2"), by IEEE 1293.
 
-    Points `above` 1 g join the fit. Raises `CalibrationError` if the readings do not determine them.
+    Points `above` 1 g join the fit. Raises `CalibrationError` if the readings do not determine the terms.
     """
     view = tumble_view(
         source.readings,
@@ -206,7 +206,7 @@ def terms_in(text: str) -> list[str]:
 
 
 def _tumble(request: Tumble) -> list[TumbleResult]:
-    """Return each source's accelerometers in the terms of IEEE 1293, as `bench tumble` computes them.
+    """Return the accelerometers of each source in terms of IEEE 1293, as `bench tumble` computes them.
 
     `terms` are nonlinear terms such as "K2,K3"; `centrifuge` is a file of points above 1 g that join the fit. The
     other parameters are those of `calibrate`.
@@ -224,7 +224,7 @@ tumble = python_call(Tumble, _tumble)
 
 @dataclass(frozen=True)
 class CalibrationToWrite:
-    """A calibration to be written in other forms, and the place of its files.
+    """A calibration that is to be written in other forms, and the place of these files.
 
     `source` is None for a `result` from a JSON file; `stem` is then the path of the files without suffix.
     """

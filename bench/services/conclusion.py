@@ -1,4 +1,4 @@
-"""Finished runs: their results, computed and kept in the run's folder; export and import of readings."""
+"""Results of finished runs, computed and stored in the run's folder; export and import of readings."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Conclusion:
 
     @property
     def accepted(self) -> bool:
-        """Whether the run reached its goal, and its fit, verdict and chart, if there are any, are accepted."""
+        """Whether the run reached its goal, and fit, verdict and chart (as far as present) are accepted."""
         judged = (
             self.calibration and self.calibration.accepted,
             self.verification and self.verification.passed,
@@ -146,7 +146,7 @@ def _evaluated(source: Source) -> dict[str, Any]:
 
 
 def charted(run: Run) -> dict[str, Any]:
-    """Return the chart of a run of the check block as members of a `Conclusion`; none for any other run."""
+    """Return the chart of a check block's run as members of a `Conclusion`; no members for another run."""
     bench, path = own_bench(run)
     unit = run.manifest.get("unit_under_test")
     if bench.check_block is None or unit is None:
@@ -174,7 +174,7 @@ def charted(run: Run) -> dict[str, Any]:
 
 
 class Exported(NamedTuple):
-    """An exported readings file: its text and number of readings; the file and its origin file, or None."""
+    """An exported readings file: text, number of readings, and the files written (None if not written)."""
 
     text: str
     readings: int
@@ -185,7 +185,7 @@ class Exported(NamedTuple):
 def export_readings(request: asked.ExportReadings) -> Exported:
     """Return the readings of a run as a readings file, and write it unless the file is "-".
 
-    Without a name, the file is RUN.csv in the working directory, which is only overwritten if it was exported.
+    Without a name, the file is RUN.csv in the working directory; only an earlier export is overwritten.
     Raises `Refused`.
     """
     (source,) = load_sources(Request([request.run], runs_folder(request.runs)))
@@ -212,7 +212,7 @@ COLUMNS: Final = "columns.yaml"
 
 
 def _given(file: Path) -> bytes:
-    """Return the content of a file, read once: a pipe cannot be read again. Raises `Refused`."""
+    """Return the content of a file, read only once because a pipe cannot be read again. Raises `Refused`."""
     with refusing("check the name", file, verb="read"):
         return read_given(file)
 
@@ -226,7 +226,7 @@ def _converted(request: asked.ImportReadings, content: bytes) -> ConvertedLog:
 
 
 def preview_log(request: asked.ImportReadings) -> ConvertedLog:
-    """Return a log converted to the readings file that an import would use. Raises as `import_readings`."""
+    """Return a log of another program converted as for an import. Raises as `import_readings`."""
     if request.columns is None:
         raise Refused(
             "--preview shows how a log is read; name the mapping of its columns with --columns FILE"
@@ -237,8 +237,8 @@ def preview_log(request: asked.ImportReadings) -> ConvertedLog:
 def import_readings(
     request: asked.ImportReadings, announce: Callable[[BenchTaken, Sequence[str]], None]
 ) -> Run:
-    """Create a run from a readings file that was measured elsewhere; `announce` first receives its bench file and
-    notes.
+    """Create a run from readings that were measured elsewhere; before that, `announce` receives bench file
+    and notes.
 
     Raises `Refused` for a file that cannot be read, `ReadingsError` for bad rows, `FileMistakes` for a mapping of
     columns with mistakes, `RecordError` for a name that is taken.

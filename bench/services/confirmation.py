@@ -1,4 +1,4 @@
-"""Test of a model file on new readings: whether its effects are confirmed, changed or gone."""
+"""Test of a model file on new readings: are its effects confirmed, changed or gone?"""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from bench.services.source import Source, data_sha256
 
 @dataclass(frozen=True)
 class ConfirmationResult:
-    """The result of `bench confirm`: how much a model reduces the misfit of new readings, and the state of its
-    effects.
+    """The result of `bench confirm`: how much a model reduces the misfit of new readings, and the state of
+    each effect.
 
-    `found` is the full confirmation, `known` are the mistakes that were corrected beforehand.
+    `found` is the confirmation, `known` are the mistakes that were corrected before it.
     """
 
     source: Source
@@ -42,7 +42,7 @@ class ConfirmationResult:
     def closed(self) -> float | None:
         """The fraction of the gap (excess reduced chi-square) that the model closes; None if there is no gap.
 
-        It is (before - after)/(before - 1).
+        The fraction is (before - after)/(before - 1).
         """
         return self.found.closed
 
@@ -53,7 +53,7 @@ class ConfirmationResult:
 
     @property
     def confirmed(self) -> bool:
-        """Whether the verdict is "confirmed": every effect that the readings show agrees with the model."""
+        """Whether every effect that the readings show agrees with the model (verdict "confirmed")."""
         return self.found.verdict == "confirmed"
 
     @property

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class MistakesResult(BodyResult):
-    """A diagnosis that ended with mistakes: the other readings do not determine the coefficients."""
+    """A diagnosis that ended with mistakes, as the readings without them do not determine coefficients."""
 
     found: MistakesAlone
 
@@ -64,7 +64,7 @@ class MistakesResult(BodyResult):
         ).to_dict()
 
     def print_on(self, out: Console) -> None:
-        """Print the mistakes, and the coefficients that the other readings do not determine."""
+        """Print the mistakes, and the coefficients that the readings without mistakes do not determine."""
         text.print_mistakes(self.found, self.files, out)
 
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
@@ -74,7 +74,7 @@ class MistakesResult(BodyResult):
 
 @dataclass(frozen=True, repr=False)
 class DiagnosisResult(ResultWithPage):
-    """Where readings and model disagree, what is missing, and how far it closes the gap.
+    """Where readings and model disagree, which effect is missing, and how far this effect closes the gap.
 
     result = bench.diagnose("unit-17")
     result.write_model("found.yaml")
@@ -90,12 +90,12 @@ class DiagnosisResult(ResultWithPage):
 
     @property
     def verdict(self) -> str:
-        """One of agrees, mistake, named, confounded, unknown."""
+        """The verdict: agrees, mistake, named, confounded or unknown."""
         return self.diagnosis.verdict
 
     @property
     def next_measurement(self) -> Proposal | None:
-        """The measurement proposed next; None if nothing is proposed."""
+        """The measurement that is proposed next; None if none is proposed."""
         return self.found.next_measurement
 
     def to_dict(self) -> dict[str, Any]:
@@ -149,7 +149,7 @@ class DiagnosisResult(ResultWithPage):
         return Path(path)
 
     def write_next(self, path: str | Path) -> Path:
-        """Write the procedure to carry out next; return its path. Raises `Refused` where nothing is proposed."""
+        """Write the proposed procedure; return its path. Raises `Refused` if nothing is proposed."""
         if self.next_measurement is None:
             raise Refused(f"{path}: no procedure would show more; repeat the same one with more passes")
         return self.next_measurement.write(Path(path)).procedure
@@ -193,7 +193,7 @@ class DiagnosisResult(ResultWithPage):
 class DiagnosisAlone(ResultWithPage):
     """A diagnosis of readings that are all free positions, or a record at a known input.
 
-    `view` is the module with the text, the JSON and the page of the findings.
+    `view` is the name of the module that makes text, JSON and page of the findings.
     """
 
     found: FreeDiagnosis | RecordDiagnosis
@@ -205,12 +205,12 @@ class DiagnosisAlone(ResultWithPage):
 
     @property
     def verdict(self) -> str:
-        """One of agrees, mistake, named, confounded, unknown."""
+        """The verdict: agrees, mistake, named, confounded or unknown."""
         return self.found.verdict
 
     def models_of(self, *, accept_first: bool = False) -> list[tuple[AppliedEffect, ...]]:
-        """Return the effects of each model file to write, one file for each differing sensor; empty for no
-        model.
+        """Return the effects of each model file to write (sensors with other effects get a file each); may be
+        empty.
         """
         if not _named(self.found, accept_first=accept_first):
             return []
@@ -248,7 +248,7 @@ class DiagnosisAlone(ResultWithPage):
             self._view.print_found(self.found, self.files, out)
 
     def write_models(self, path: str | Path, *, accept_first: bool = False) -> tuple[Path, ...]:
-        """Write the model file, or one for each sensor that differs (`-sensor-1` in the file name, …); return the
+        """Write one model file or, if sensors differ, one for each (`-sensor-1` in its name, …); return the
         paths.
 
         Raises `Refused` if there is no model to write, `FileMistakes` if a file exists.
@@ -298,7 +298,7 @@ class DiagnosisAlone(ResultWithPage):
 class RecordDiagnosisResult(DiagnosisAlone):
     """The diagnosis of a record at a known input.
 
-    It has the effects on meters and reference, and how well they predict held-out readings.
+    It states the effects on meters and reference, and how well these effects predict held-out readings.
     """
 
     found: RecordDiagnosis
@@ -330,7 +330,7 @@ class FreeDiagnosisResult(DiagnosisAlone):
 def _named(found: Diagnosis | FreeDiagnosis | RecordDiagnosis, *, accept_first: bool) -> bool:
     """Return whether to write a model file: an effect was named, or the first effect of a tie is accepted.
 
-    An accepted effect that does not narrow the gap gives no better model, and is not written.
+    An accepted effect that does not reduce the gap is not written, because it gives no better model.
     """
     accepted = accept_first and found.of_copy == "confounded" and found.gap.shrinks is not False
     return found.of_copy == "named" or accepted
@@ -342,8 +342,7 @@ Diagnosed: TypeAlias = DiagnosisResult | DiagnosisAlone | MistakesResult
 def print_diagnosed(results: Sequence[Diagnosed | Failed], out: Console) -> None:
     """Print a single diagnosis in full, or a line for each of several.
 
-    Diagnoses of free positions, and diagnoses that ended after the search for mistakes, are always printed in
-    full.
+    A diagnosis of free positions, or one that found only mistakes, is always printed in full.
     """
     listed = [one for one in results if isinstance(one, DiagnosisResult)] if len(results) > 1 else []
     if listed:

@@ -114,6 +114,6 @@ def _run_again(run: Run) -> str:
 
 
 def _typed(file: str, kind: str) -> str:
-    """Return a file as a user may type it on the command line: a shipped file by its name."""
+    """Return a file as a user may type it on the command line; a shipped file is typed by its name."""
     path = Path(file)
     return path.stem if path.parent == shipped_folder(kind) else file

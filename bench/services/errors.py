@@ -1,4 +1,4 @@
-"""Refused requests, error messages for the user, and options with units."""
+"""Refused requests, error messages for the user, and values of options with units."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def _in_python(option: re.Match[str]) -> str:
 
 
 def expected(error: BaseException) -> bool:
-    """Return whether an error is of a foreseen kind, with a message written for the user."""
+    """Return whether an error is of a foreseen kind, whose message is written for the user."""
     from bench.calibration import CalibrationError
     from bench.config.bench_file.file import FileMistakes
     from bench.model.effects import ExpressionError
@@ -59,7 +59,7 @@ def expected(error: BaseException) -> bool:
 
 
 def kind_and_words(error: BaseException) -> str:
-    """Return the name and the text of an unforeseen error, in one line."""
+    """Return the class name and the text of an unforeseen error in one line."""
     return ": ".join(filter(None, (type(error).__name__, " ".join(str(error).split()))))
 
 
@@ -77,7 +77,7 @@ def sentence(error: Exception) -> str:
 
 @contextmanager
 def refusing(remedy: str, place: Path | None = None, *, verb: str = "written") -> Iterator[None]:
-    """Turn an `OSError` within the context into a `Refused`, which names `place` (or the file) and the remedy."""
+    """Turn an `OSError` in the context into `Refused`, naming `place` (default: the file) and `remedy`."""
     try:
         yield
     except OSError as error:
@@ -85,7 +85,7 @@ def refusing(remedy: str, place: Path | None = None, *, verb: str = "written") -
 
 
 def quantity(option: str, text: str, kind: QuantityKind, *, plain: bool = True) -> float:
-    """Return the value of an option in the SI unit; with `plain`, a number without a unit is in SI already.
+    """Return the value of an option in SI; with `plain`, a number without a unit counts as SI.
 
     Raises `Refused`, naming the option, for any other text.
     """

@@ -1,4 +1,4 @@
-"""Carrying out runs on the bench or dry: begin, watch, resume and give up."""
+"""Carrying out runs, on the bench or dry: begin, watch, resume and give up a run."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ def new_run(request: RunRequest) -> NewRun:
 
 
 def _judged(request: RunRequest, bench: Path) -> VerdictAsked | None:
-    """Return the limit and rule that replace the bench file's; None without any. Raises `Refused`."""
+    """Return the limit and rule that replace those of the bench file; None for none. Raises `Refused`."""
     asked = VerdictOptions(request.limit, request.rule, request.guard_band)
     if asked == NOTHING_ASKED:
         return None
@@ -178,21 +178,21 @@ def _judged(request: RunRequest, bench: Path) -> VerdictAsked | None:
 
 
 def _other_unit(stated: str, serial: str, bench: str) -> tuple[str, ...]:
-    """Return a note if the block to be measured is not the one that the bench file names."""
+    """Return a note if the bench file names another block than the one to be measured."""
     if serial == stated:
         return ()
     return (f"this run is of unit {serial}, as --unit says; the bench file {bench} names unit {stated}",)
 
 
 def _included(procedure: Procedure) -> dict[str, bytes]:
-    """Return the files that a procedure includes, numbered because two may have the same name."""
+    """Return the files that a procedure includes, by numbered name, because two may have the same name."""
     return {
         f"include-{n}-{path.name}": path.read_bytes() for n, path in enumerate(procedure.files[1:], start=1)
     }
 
 
 def _free_name(procedure: str, runs: Path) -> str:
-    """Return an unused name for a run: the procedure and the time, with a number if that name is taken."""
+    """Return an unused name for a run: procedure and time, with a number if there is such a run already."""
     stem = re.sub(r"[^\w.+-]", "-", procedure)
     base = f"{stem}-{utc_now().astimezone():%Y%m%d-%H%M%S}"
     name, number = base, 2
@@ -206,8 +206,8 @@ def asker_of(
 ) -> Asker | None:
     """Return the object that puts the questions of a run to a person; None for a run without a person.
 
-    A run with a `history` is resumed, any other is new. `who` answers at the terminal; None asks no questions
-    there. A resumed dry run asks the person who resumes it.
+    A run with a `history` is resumed, any other is new. `who` answers at the terminal; with None, no question
+    is asked there. A resumed dry run asks the person who resumes it.
     """
     if not run.asks_somebody and history is None:
         return None
@@ -252,7 +252,7 @@ def resumed(
 ) -> Iterator[tuple[Run, Interrupts]]:
     """Resume a run and yield it when it is finished, while signals are still handled.
 
-    `announce` receives the run before it is resumed. A finished run that only lacks results is yielded as it is.
+    `announce` receives the run before it is resumed. A finished run without results is yielded unchanged.
     """
     away = is_away(request.answers, panel=request.panel)
     who = None if away else acting_at(TERMINAL, request.operator)
@@ -314,8 +314,9 @@ def carry_out(
 ) -> None:
     """Carry out a run to its end. If it stops early, raise `Refused` with the number of readings kept.
 
-    A resumed run has a `history`. `interrupts` handles signals during the run, `wishes` reads the requests (pause,
-    skip, …) left in its folder, `asker` puts questions to a person. `resumed_by` is who resumed it, if known.
+    A resumed run has a `history`. `interrupts` handles signals during the run, `wishes` reads the requests
+    (pause, skip, …) left in its folder, `asker` puts questions to a person. `resumed_by` is the person who
+    resumed it.
     """
     signals = interrupts or Interrupts()
     write_whole(run.folder / RESULTS, to_text({"made": None}))
@@ -375,7 +376,7 @@ def carry_out(
 
 
 def _live(run: Run, bench: BenchFile, watcher: EarlyWarning, asker: Asker | None) -> list[Observer]:
-    """Let questions to a person show the live signals; return the observers of the run that do so."""
+    """Return the observers that show a person the live signals with each question; none without a person."""
     if asker is None:
         return []
     shown = (lambda line: None) if asker.terminal is None else asker.terminal.show_live
@@ -387,10 +388,10 @@ def _live(run: Run, bench: BenchFile, watcher: EarlyWarning, asker: Asker | None
 def _on_certificates(
     bench: BenchFile, *, simulated: bool
 ) -> Callable[[Mapping[str, str]], Sequence[str]] | None:
-    """Return the function that turns serial numbers into remarks on certificates; None if none is needed.
+    """Return the function that maps serial numbers to remarks on certificates; None if it is not needed.
 
-    Simulated instruments without certificates need none. In any simulated run, serial numbers are not compared with
-    the certificates.
+    Simulated instruments without certificates need none. In a simulated run, serial numbers are never
+    compared with certificates.
     """
     if simulated and all(section.certificate is None for section in bench.instruments.all()):
         return None
@@ -398,7 +399,7 @@ def _on_certificates(
 
 
 def _chooser(run: Run, bench: BenchFile) -> Callable[[int, PlanProgress], dict[str, Any] | None]:
-    """Return the chooser of a run with goals; for any other run, a function that chooses nothing."""
+    """Return the chooser of settings of a run with goals; for any other run, it chooses nothing."""
     if not run.manifest.get("until"):
         return lambda index, progress: None
     from bench.services.until import Until  # takes long to import
@@ -460,7 +461,7 @@ def _assembly(
 
 
 def _elapsed_s(history: History) -> float:
-    """Return the present bench time of a real bench, s: that of the last event plus the civil time since then."""
+    """Return the present bench time (s) of a real bench: that of the last event plus civil time since."""
     if not history.events:
         return 0.0
     last = history.events[-1]
@@ -503,7 +504,7 @@ def _kept(record: Record) -> str:
 def unfinished_run(name: str | None, runs: Path, *, results_too: bool = False) -> Run:
     """Return the run `name`, or the latest run, that can be resumed. Raises `Refused` where there is none.
 
-    With `results_too` it may also be a finished run that lacks results, if no other run can be resumed.
+    With `results_too`, a finished run that lacks results is returned if no other run can be resumed.
     """
     if name is None:
         digests = Digests(runs)
@@ -567,7 +568,7 @@ def refuse_missing_devices(run: Run) -> None:
 
 
 def give_up(run: Run, who: WishAuthor = NOBODY_KNOWN) -> tuple[str, ...]:
-    """End an unfinished run for good; return a sentence on each thing left to do.
+    """End an unfinished run for good; return a sentence on each task that remains.
 
     Raises `Refused` for a run that has ended, `RecordError` if another program writes its record or the record
     was changed.

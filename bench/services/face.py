@@ -1,4 +1,4 @@
-"""The functions that `import bench` offers; each result names the bench file and the data behind it.
+"""The functions that `import bench` offers; each result names its bench file and data.
 
 Functions print nothing. They write files only if asked, except for thresholds of a diagnosis, which are cached in
 the user's cache folder. They raise `Refused`, `ReadingsError`, `FileMistakes`, `RecordError` or
@@ -56,8 +56,8 @@ def read_readings(
 ) -> Readings:
     """Read a readings file, or a pandas DataFrame with the same columns (`angle_deg`, `ux_v`, …).
 
-    The bench file states the installations. Raises `ReadingsError` with every bad row. With `skip_bad_rows`, bad
-    rows are instead left out and listed in `Readings.skipped`.
+    The bench file states the installations. Raises `ReadingsError` with every bad row. With `skip_bad_rows`,
+    bad rows are left out and listed in `Readings.skipped`.
     """
     if isinstance(readings, str | Path):
         path = Path(readings)
@@ -92,12 +92,12 @@ def _calibrate(request: Calibrate) -> CalibrationResult:
 def _verify(request: Verify) -> VerificationResult:
     """Return Δg (in g) at the verification points and the verdict against the limit (g), as `bench verify` does.
 
-    `coefficients` are the result of an earlier calibration, or its file (`bench calibrate --json`); without them
-    they are estimated from the same readings. `rule` is "simple" (|Δg| within the limit), "guarded" (|Δg| + w
-    within the limit, where w is U or `guard_band` times U) or "non-binary". `population` is the mean and the
-    standard deviation of Δg over many blocks, in g, which enter the risks. Options left out are as stated by the
-    run or its bench file; a rule that neither states is the non-binary one with at most 5 % false acceptance. The
-    other parameters are those of `calibrate`.
+    `coefficients` are the result of an earlier calibration, or its file (`bench calibrate --json`); without
+    them they are estimated from the same readings. `rule` is "simple" (|Δg| within the limit), "guarded"
+    (|Δg| + w within the limit, where w is U or `guard_band` times U) or "non-binary". `population` is the
+    mean and the standard deviation of Δg over many blocks, in g, which enter the risks. Options left out are
+    as stated by the run or its bench file; if neither states a rule, it is the non-binary one with at most 5
+    % false acceptance. The other parameters are those of `calibrate`.
     """
     VerdictOptions.of(request)
     with knowing_effects_in(request.effects):
@@ -122,7 +122,7 @@ def _diagnose(request: Diagnose) -> Diagnosed:
 
 
 def _diagnose_each(request: Diagnose) -> list[Diagnosed | Failed]:
-    """Return the diagnosis of each source separately, computed in parallel; a `Failed` for a source that fails.
+    """Return a diagnosis of each source by itself, computed in parallel; a `Failed` for a source that fails.
 
     If there is only one source, its error is raised. The other parameters are those of `diagnose`.
     """
@@ -147,7 +147,7 @@ confirm = python_call(Confirm, _confirm)
 
 @dataclass(frozen=True)
 class DryRun:
-    """A finished run on simulated instruments: `run` is its record, `source` the readings with the bench.
+    """A finished run on simulated instruments: `run` is its record, `source` its readings with the bench.
 
     The record is deleted with this object, unless it is kept in a folder of runs.
     """
@@ -163,7 +163,7 @@ class DryRun:
 
     @cached_property
     def calibration(self) -> CalibrationResult:
-        """The calibration from these readings. Raises `CalibrationError` if they do not determine it."""
+        """The calibration from these readings. Raises `CalibrationError` if there is none."""
         return calibration_of(self.source)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Checks before a run on real instruments: the program is validated, certificates are valid or expire soon."""
+"""Checks before a run on real instruments: is the program validated, are the certificates valid?"""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ REMINDED_DAYS: Final = 30
 
 
 def expired(bench: BenchFile) -> list[Standing]:
-    """Return the certificates of a bench that have expired today."""
+    """Return the certificates of a bench that are expired as of today."""
     return [one for one in standings(bench, utc_now().date()) if one.expired]
 
 
@@ -45,10 +45,10 @@ def reminders(bench: BenchFile) -> Iterator[str]:
 
 
 def is_away(answers: str | None, *, panel: bool) -> bool:
-    """Return whether all questions are answered in the run's folder, none at the terminal.
+    """Return whether questions are answered in the run's folder, and none at the terminal.
 
-    This applies if `answers` states it, or if there is a `panel` and no terminal. Raises `Refused` for an unknown
-    place in `answers`.
+    This is so if `answers` is "folder", or by default with a `panel` and no terminal. Raises `Refused` for an
+    unknown place in `answers`.
     """
     if answers not in (None, "terminal", "folder"):
         raise Refused(f"--answers {answers}: give 'terminal' or 'folder'")
@@ -71,9 +71,9 @@ def refuse_contradictions(request: RunRequest) -> None:
 def refuse_unfit(bench: BenchFile, path: Path, request: RunRequest, *, away: bool) -> None:
     """Raise `Refused` for a real run by a program that is not validated, or with expired certificates.
 
-    Expired certificates prevent the run if the bench file says `expired: refuse`. With `expired: ask`, they also
-    prevent it if nobody can be asked: there is no terminal, and questions are not answered in the run's folder
-    (`away`).
+    Expired certificates prevent the run if the bench file says `expired: refuse`. With `expired: ask`, they
+    also prevent it if nobody can be asked: there is no terminal, and no answers come from the run's folder
+    (not `away`).
     """
     refuse_unvalidated_run(bench, path, request.laboratory)
     late = expired(bench)
@@ -100,7 +100,7 @@ def in_words(late: list[Standing]) -> str:
 
 
 def agree_to_expired(run: Run, record: Record, asker: Asker | None) -> None:
-    """Ask whether to measure with expired certificates, if the bench file demands it; a no ends the run for good.
+    """If the bench file demands it, ask whether to use expired certificates; a no ends the run for good.
 
     Question and answer are in the record. Raises `BenchError` for a no.
     """

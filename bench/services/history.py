@@ -1,4 +1,4 @@
-"""Evaluations of many runs of one bench, of one block over time, and of noise at rest."""
+"""Evaluations of several runs: of one bench (learning), or of one block over time (comparison)."""
 
 from __future__ import annotations
 
@@ -63,10 +63,10 @@ OF_THE_REPEATS: Final = (
 
 @dataclass(frozen=True)
 class LearningResult:
-    """The result of `bench learn`: sizes of the bench's errors (`learned`), and all runs (`sources`).
+    """The result of `bench learn`: the sizes of a bench's errors (`learned`), and all runs (`sources`).
 
-    `sources` include the runs that contradict the others. `effects` are written to the learned file, which is
-    valid until `expires`.
+    `sources` include the runs that contradict the others. The learned file contains `effects` and is valid
+    until `expires`.
     """
 
     learned: Learned
@@ -126,7 +126,7 @@ class LearningResult:
     def write(self, path: str | Path) -> None:
         """Write the learned file.
 
-        Raises `Refused` if the file exists or more than a third of the runs contradict the others, `OSError`.
+        Raises `OSError`, and `Refused` if the file exists or over a third of the runs contradict the others.
         """
         path = Path(path)
         if path.exists():
@@ -189,7 +189,7 @@ class LearningResult:
 
 
 def learning_of(request: Learn, sources: Sequence[Source] | None = None) -> LearningResult:
-    """Return the sizes of the errors that the runs of one bench share, as `bench learn` estimates them.
+    """Return the sizes of the errors that all runs of a bench share, as `bench learn` estimates them.
 
     The method `write` of the result writes the learned file. `model` is a model file with effects of the bench,
     found in many runs together; the learned file contains them. `by_installation` gives each installation its own
@@ -218,10 +218,9 @@ learn = python_call(Learn, learning_of, "learn")
 
 
 def _until(expires: datetime.date | str | None, made: datetime.date) -> datetime.date:
-    """Return the last valid day of a learned file: the date `expires`, or `expires` days after `made` if it
-    is a number.
+    """Return the last valid day of a learned file: the date `expires`, or that many days after `made`.
 
-    Without `expires` it is `USUAL_DAYS` after `made`. Raises `Refused` for a day that is not after `made`.
+    With None, it is `USUAL_DAYS` after `made`. Raises `Refused` for a day that is not after `made`.
     """
     if expires is None:
         return made + datetime.timedelta(days=USUAL_DAYS)
@@ -240,7 +239,7 @@ def _until(expires: datetime.date | str | None, made: datetime.date) -> datetime
 
 
 def _certified(source: Source) -> Source:
-    """Return a source corrected by certificates alone; its model has no effects unless the request states a model
+    """Return a source corrected by certificates alone; its model has only the effects of a requested model
     file.
     """
     plain = source.model if source.request.model else ForwardModel(source.bench.installation_models())
@@ -250,7 +249,7 @@ def _certified(source: Source) -> Source:
 def _effects_of_model(sources: Sequence[Source]) -> tuple[AppliedEffect, ...]:
     """Return the effects of the model file of the request, with their u; none if the request has no model.
 
-    Raises `Refused` for an effect of a block or of a single mounting, which is not of the bench.
+    Raises `Refused` for an effect of a block or of a single mounting, which is no property of the bench.
     """
     if sources[0].request.model is None:
         return ()
@@ -325,10 +324,10 @@ NOT_VOLTS: Final = "differences between the voltmeters: the signals are in {unit
 
 
 def differences_of(sources: Sequence[Source]) -> MeterDifferences | str:
-    """Return the learned differences between the voltmeters of a bench, or why these runs do not determine them.
+    """Return the differences between the voltmeters of a bench, or why these runs do not determine them.
 
-    They are computed from calibrations with the stand's limits from the bench file. These limits hardly affect the
-    lengths of the rows of K.
+    The differences are computed from calibrations with the stand's limits from the bench file; these limits
+    hardly affect the lengths of the rows of K.
     """
     if sources[0].readings.unit != "V":
         return NOT_VOLTS.format(unit=sources[0].readings.unit)
@@ -354,7 +353,7 @@ def _by_channel(source: Source) -> tuple[str, str, str] | None:
 
 
 def _day(source: Source) -> float | None:
-    """Return the start of a record in days since 1970-01-01; None if it is not recorded."""
+    """Return the start of a run in days since 1970-01-01; None if it is not recorded."""
     try:
         return datetime.datetime.fromisoformat(source.made_at or "").timestamp() / 86400.0
     except ValueError:
@@ -403,7 +402,7 @@ Files = Iterator[tuple[str, Path, str]]
 
 @dataclass(frozen=True)
 class ComparisonResult:
-    """A comparison of calibrations, with the bench file that was used for each of its readings."""
+    """A comparison of calibrations, with the bench file used for each run or readings file."""
 
     found: Comparison
     taken: tuple[tuple[str, BenchTaken], ...]
@@ -444,7 +443,7 @@ compare = python_call(asked.Compare, compared, "compare")
 
 
 def _snapshots(name: str, request: asked.Compare, taken: list[tuple[str, BenchTaken]]) -> list[Snapshot]:
-    """Return the calibration of a run or readings file, or those in a result of `calibrate --json`.
+    """Return the calibration of the run or readings file `name`, or those in a result of `calibrate --json`.
 
     The bench file used for readings is appended to `taken`.
     """

@@ -61,7 +61,7 @@ _PASSED: Final = "passed"
 
 @runtime_checkable
 class _HasScale(Protocol):
-    """A head whose angle can be read back without moving it."""
+    """A head whose angle can be read back without a move."""
 
     def position_rad(self) -> float:
         """Return the angle read back."""
@@ -80,8 +80,8 @@ class Nobody:
 class InstrumentLook:
     """The findings on one instrument; `failure` is the first fault.
 
-    `samples` is the number of samples requested from a voltmeter; `to_do` is what a person must do if the
-    instrument was not left safe.
+    `samples` is the number of samples requested from a voltmeter; `to_do` is what a person must do about an
+    instrument that was not left safe.
     """
 
     name: str
@@ -127,7 +127,7 @@ class InstrumentLook:
 def look_at(file: BenchFile, wire: WireLog | None, haste: Haste | None = None) -> list[InstrumentLook]:
     """Open, test, read and close all instruments of a bench in parallel; return the findings on each.
 
-    `haste` ends the wait for instruments that do not answer.
+    `haste`, once requested, ends the wait for instruments that do not answer.
     """
     assembly = real_bench(file, Nobody(), wire, haste)
     instruments = assembly.instruments.all()
@@ -137,7 +137,7 @@ def look_at(file: BenchFile, wire: WireLog | None, haste: Haste | None = None) -
 
 
 def _row(file: BenchFile, instrument: Instrument) -> InstrumentLook:
-    """Return an empty `InstrumentLook` with the instrument's address and settings from the bench file."""
+    """Return an `InstrumentLook` with only the instrument's address and settings from the bench file."""
     section = next(section for section in file.instruments.all() if section.name == instrument.name)
     address = getattr(section, "resource", None)
     settings = ""
@@ -246,8 +246,8 @@ class CommissioningPlan:
     """The options of a commissioning: the bench, the person and the folder of the page.
 
     Without a `person`, the bench is simulated and a script answers; `seed` is the seed of its random numbers.
-    `tell` shows a line to the person. `course` is the function that carries out the checks; `what` is the name of
-    the checks on the page.
+    `tell` shows a line to the person. `course` is the function that carries out the checks; `what` is their
+    name on the page.
     """
 
     file: BenchFile
@@ -261,12 +261,12 @@ class CommissioningPlan:
 
 
 def free_folder(now: datetime, what: str = "commissioning") -> Path:
-    """Return the default folder, named after the time, for a commissioning or for the session of checks `what`."""
+    """Return the default folder, named after the time, for a session of checks called `what`."""
     return Path(f"{what}-{now.astimezone():%Y%m%d-%H%M%S}")
 
 
 def commission(setting: CommissioningPlan) -> dict[str, Any]:
-    """Carry out a commissioning; return its result, which is also written to the folder of its page and wire log.
+    """Carry out a commissioning; write result, page and wire log into its folder, and return the result.
 
     The bench is left safe and the page written whatever happens. Raises `Refused` for a folder that cannot be
     used, `BenchError` for a bench that cannot be simulated.
@@ -296,7 +296,7 @@ def commission(setting: CommissioningPlan) -> dict[str, Any]:
 def _take(folder: Path) -> None:
     """Create the folder of a commissioning.
 
-    Raises `Refused` if it cannot be created, or if it has another commissioning.
+    Raises `Refused` if it cannot be created, or already holds a commissioning.
     """
     if (folder / PAGE).exists() or (folder / WIRE_LOG).exists():
         raise Refused(f"{folder}: already holds a commissioning; name another folder with --out")
@@ -308,9 +308,9 @@ def _take(folder: Path) -> None:
 def _gone_through(
     course: Callable[[CommissioningSession], None], evening: CommissioningSession, interrupts: Interrupts
 ) -> str:
-    """Carry out a session of checks; return why it stopped early, or "" if it was completed.
+    """Carry out a session of checks; return why it stopped early, "" if it was completed.
 
-    After the session no signal raises an exception, so that the bench is left safe and the page is written.
+    Afterwards signals raise no exception, so that the bench is left safe and the page is written.
     """
     try:
         try:

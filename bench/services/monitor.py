@@ -23,7 +23,7 @@ from bench.services.source import Source, load_sources, reading
 
 @dataclass(frozen=True)
 class Monitored:
-    """The chart of a series of monitors, and the sources behind it."""
+    """The chart of a series of monitors, and the sources from which it was computed."""
 
     chart: ControlChart
     sources: tuple[Source, ...]
@@ -41,7 +41,7 @@ class Monitored:
 
 
 def monitored(request: Monitor) -> Monitored:
-    """Return the control chart of runs of `monitor-2` or `monitor-4`; the first `baseline` set its limits.
+    """Return the control chart of runs of `monitor-2` or `monitor-4`; the first `baseline` runs set limits.
 
     Raises `Refused` for a source without a date, `CalibrationError` for too few runs or runs of different axes.
     """
@@ -56,7 +56,7 @@ def _dated(source: Source) -> CheckRun:
 
 
 def check_run(source: Source) -> CheckRun:
-    """Return the numbers of one monitor; its day is 1970-01-01 if unknown. Raises `CalibrationError`."""
+    """Return a monitor as a run for a chart (day 1970-01-01 if unknown). Raises `CalibrationError`."""
     conditions = source.readings.conditions()
     stand = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))
     force = source.model.specific_force(conditions, stand, Block(np.eye(3), np.zeros(3)))

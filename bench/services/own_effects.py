@@ -1,4 +1,4 @@
-"""Effects that the user defined, in evaluations and runs; names for unnamed terms of a model file."""
+"""Effects that the user defined, for evaluations and runs; naming the unnamed terms of a model file."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def knowing_effects_in(files: str | Path | Sequence[str | Path] | None) -> Abstr
 
 
 def effects_for_record() -> dict[str, bytes]:
-    """Return the record's file of the user's own effects as {name: content}; empty if there are none."""
+    """Return the file by which a run records the user's own effects: {name: content}; empty if none."""
     if not CATALOGUE.own:
         return {}
     return {
@@ -60,7 +60,7 @@ def knowing_effects_on_record(run: Run) -> AbstractContextManager[None]:
 
 
 def accept_terms(request: Accept) -> tuple[Path, Path]:
-    """Write the effect file of the newly named terms and a model file that uses it; return both paths.
+    """Write an effect file with the newly named terms, and a model file that uses it; return both paths.
 
     Raises `Refused` for invalid terms or an invalid name and if a file exists, `FileMistakes` for an invalid
     model file.

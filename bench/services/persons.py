@@ -1,8 +1,8 @@
 """The persons of a laboratory: names, roles, rights and identities, in one register beside the laboratory file.
 
-The register is a chain: each line adds or changes a person or ends a person's rights, and names the administrator.
-It contains no secret, but only salted hashes of tokens and public keys. Operators, those who issue certificates,
-accept validations and close failures, and those who sign in to the panel are persons of this register. Without one,
+The register is a chain: each line adds or changes a person or ends a person's rights, and names the
+administrator. It contains no secrets, only public keys and salted hashes of tokens. With a register, only its
+persons operate, issue certificates, accept validations, close failures and sign in to the panel. Without one,
 operators are free text, and the laboratory file names those who may authorise.
 """
 
@@ -82,7 +82,7 @@ class Persons(Chain):
         self.entries.append(entry)
 
     def who_may(self, right: Right) -> list[Person]:
-        """Return the persons who have a right now."""
+        """Return the persons who have this right at present."""
         return [one for one in self.everyone.values() if not one.ended and right in one.may]
 
     def with_token(self, token: str) -> Person | None:
@@ -124,16 +124,16 @@ def persons_of(laboratory: Path | None) -> Persons | None:
 
 
 def authorised_by(laboratory: Path, name: str, right: Right, option: str) -> Person | None:
-    """Return the named person after a check of right and identity; None if there is no register.
+    """Check right and identity of the named person and return that person; None if there is no register.
 
-    Raises `Refused` for a person without the right, and for one whose token or key is not given.
+    Raises `Refused` for a person without the right, and if that person's token or key is not given.
     """
     register = persons_of(laboratory)
     return None if register is None else _proved(register.chosen(name, right, option))
 
 
 def _proved(person: Person) -> Person:
-    """Return the person, if the token or key was given or the person has neither. Raises `Refused` otherwise."""
+    """Return the person if the token or key was given or there is neither. Raises `Refused` otherwise."""
     if not person.token and not person.public_key:
         return person
     if person.has_token(os.environ.get(TOKEN, "")) or _holds_key(person, os.environ.get(KEY)):
@@ -162,10 +162,10 @@ def _holds_key(person: Person, file: str | None) -> bool:
 
 
 def operator_of(name: str, laboratory: Path | None, *, needed: bool) -> tuple[str, OperatorPerson | None]:
-    """Return the operator's name and, if there is a register, its data on that person for the run's record.
+    """Return the operator's name, and data on that person for the run's record (None without a register).
 
-    Raises `Refused` for a name that is not UTF-8. With a register, it also raises it for the name of a person who
-    may not operate and, if an operator is `needed`, for a missing name.
+    Raises `Refused` for a name that is not UTF-8. With a register, also for a person who may not operate and,
+    if `needed`, for a missing name.
     """
     if re.search("[\ud800-\udfff]", name):
         raise Refused("--operator: the name is not UTF-8 text; set the terminal to UTF-8 and type it again")
@@ -180,7 +180,7 @@ def operator_of(name: str, laboratory: Path | None, *, needed: bool) -> tuple[st
 
 
 def acting_at(where: str, name: str, laboratory: Path | None = None) -> WishAuthor:
-    """Return the author of an action at this computer: a person of the register, else the user of the computer.
+    """Return the author of an action at `where` here: a person of the register, else this computer's user.
 
     Raises `Refused` as `operator_of`.
     """
@@ -193,7 +193,7 @@ def acting_at(where: str, name: str, laboratory: Path | None = None) -> WishAuth
 
 
 def resumer(where: str, name: str) -> WishAuthor:
-    """Return the author to record for resuming a run; "nobody" if there is neither a `name` nor a register."""
+    """Return the author of a resumption for the record; nobody if there is neither `name` nor register."""
     by = acting_at(where, name)
     return by if name or persons_of(laboratory_known(None)) is not None else NOBODY_KNOWN
 

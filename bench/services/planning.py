@@ -143,8 +143,8 @@ def stand_of(
 ) -> Stand:
     """Return the stand for planning on a bench, with all errors that a calibration states.
 
-    `known` are learned sizes of stand and noise, `day` is the day of the readings, up to which certificates
-    drift. Raises `CalibrationError` for a bench file that states no noise.
+    `known` are learned sizes of stand and noise. `day` is the day of the readings; drift counts from the
+    certificates to that day. Raises `CalibrationError` for a bench file that states no noise.
     """
     sizes = {name: d.u for name, d in (bench.stand_distributions() | assumed_stand(bench)).items()}
     hidden = signed_sources(bench, model, day)
@@ -153,7 +153,7 @@ def stand_of(
 
 
 def _goals(request: PlanPoints, stand: Stand, bench: BenchFile) -> list[Goal]:
-    """Return the goals of a request: u of coefficients, of Δg, or of |a|; by default one u for all coefficients."""
+    """Return the goals of a request: u of coefficients, Δg or |a|; by default one for all coefficients."""
     goals = coefficient_goals(dict(_size(text) for text in request.u or ()))
     if request.delta_g is not None:
         goals += delta_g_of(stand, request.delta_g, "--delta-g")
@@ -182,13 +182,13 @@ def delta_g_of(stand: Stand, asked_g: float, option: str) -> list[Goal]:
 
 
 def _size(text: str) -> tuple[str, float]:
-    """Return name and SI value of "Kyx=20e-6" or "Kyx=20 uV/g"; a plain number is in V/g, for a bias in V."""
+    """Return name and SI value in a text such as "Kyx=20 uV/g"; a plain number is in V/g, for a bias in V."""
     name, size = named("--u", text, "Kyx=20e-6 (a standard uncertainty, V/g)")
     return name, quantity("--u", size, VOLTAGE if name.startswith("U0") else SCALE_FACTOR)
 
 
 def duration_s(option: str, text: str) -> float:
-    """Return the time that an option states, s. Raises `Refused` for an invalid time."""
+    """Return the time (s) in the `text` of an option. Raises `Refused` for an invalid time."""
     seconds = quantity(option, text, DURATION, plain=False)
     if seconds < 0:
         raise Refused(f"{option} {text}: give a time of 0 or more")
@@ -196,7 +196,7 @@ def duration_s(option: str, text: str) -> float:
 
 
 def _times(request: PlanPoints) -> Times:
-    """Return the durations of the steps of a procedure. Raises `Refused` for an invalid time."""
+    """Return how long each kind of step takes, by the request. Raises `Refused` for an invalid time."""
     times = Times(
         duration_s("--cost-setting", request.cost_setting),
         duration_s("--cost-remount", request.cost_remount),
@@ -209,7 +209,7 @@ def _times(request: PlanPoints) -> Times:
 
 
 def mountings(bench: BenchFile, installations: str | None, visits: int) -> list[Mounting]:
-    """Return the mountings to choose from: by default all installations of the bench."""
+    """Return the mountings to choose from: `visits` to each installation (default: all of the bench)."""
     known = [label for label in bench.installation_models() if label not in {VERIFICATION, *UNORIENTED}]
     labels = known
     if installations is not None:
@@ -224,7 +224,7 @@ def mountings(bench: BenchFile, installations: str | None, visits: int) -> list[
 
 
 def even_angles(bench: BenchFile, count: int) -> Floats:
-    """Return those of `count` even angles of a turn, rad, that the head can approach from both sides."""
+    """Return those of `count` even angles of a turn (rad) that the head can approach from both sides."""
     angles = 2 * np.pi * np.arange(count) / count
     if bench.head_limits_rad is None:
         return angles
@@ -237,7 +237,7 @@ def even_angles(bench: BenchFile, count: int) -> Floats:
 
 
 def _of_paper(stand: Stand, goals: Sequence[Goal]) -> tuple[int, dict[str, float]]:
-    """Return the number of settings in the paper's procedure, and the largest u that it reaches by goal name."""
+    """Return the number of settings in the paper's procedure, and the largest u for each goal name."""
     settings = fitted(settings_of(load_procedure(find_procedure("paper")).expand()))
     promise = stand.promise(settings, goals)
     u: dict[str, float] = {}
@@ -249,7 +249,7 @@ def _of_paper(stand: Stand, goals: Sequence[Goal]) -> tuple[int, dict[str, float
 def _write_procedure(
     file: Path, points: ChosenPoints, times: Times, bench: BenchFile, *, verified: bool, asked: bool
 ) -> None:
-    """Write the procedure, never over another file, and check it against the bench as `bench check` does."""
+    """Write the procedure to a new file, and check it against the bench as `bench check` does."""
     text = procedure_text(
         file.stem, _remarks(points, bench, asked=asked), points.visits, times, verified=verified
     )
@@ -368,7 +368,7 @@ ACCELERATIONS: Final = frozenset({ACCELERATION_OF, MODULUS_OF})
 
 
 def requirements(request: Require) -> Requirements:
-    """Return the largest size of each bench error for which k u of a quantity stays within the requested accuracy.
+    """Return how large each bench error may be so that k u of a quantity stays within the required accuracy.
 
     Raises `Refused` for invalid options, `FileMistakes`, `CalibrationError`.
     """
@@ -428,7 +428,7 @@ def requirements(request: Require) -> Requirements:
 
 
 def _target(request: Require, bench: BenchFile, *, reading: bool) -> tuple[Target, str, QuantityKind]:
-    """Return the quantity for which an accuracy is required, the unit of the accuracy, and its kind of quantity."""
+    """Return the quantity that must be accurate, then unit and kind of quantity of the stated accuracy."""
     of, up_to = request.of, request.up_to
     if up_to is not None and of not in ACCELERATIONS:
         raise Refused("--up-to needs --of acceleration or --of modulus; add one")
@@ -455,7 +455,7 @@ def _up_to_g(up_to: str | None, bench: BenchFile) -> float:
 
 
 def _costs(share: str, given: Sequence[str], names: Sequence[str]) -> dict[str, float] | None:
-    """Return the weight of each error's cost, by name; None for equal parts of the variance.
+    """Return the stated weight of the cost of each error, by name; None for equal parts of the variance.
 
     Raises `Refused` for invalid weights.
     """
@@ -480,7 +480,7 @@ def _costs(share: str, given: Sequence[str], names: Sequence[str]) -> dict[str, 
 
 
 def _alternatives(asked: Requirement, bench: BenchFile, plan: Plan) -> Iterator[AlternativePart]:
-    """Yield the results of other estimators with this procedure, then of other procedures for this bench."""
+    """Yield the results of other estimators with the procedure of `plan`, then those of other procedures."""
     shares = asked.shares()
     dominant = next(s for s in asked.sources if s.name == max(shares, key=shares.__getitem__))
     for estimator in tracked(ESTIMATORS, "other estimators"):
@@ -500,7 +500,7 @@ def _alternatives(asked: Requirement, bench: BenchFile, plan: Plan) -> Iterator[
 def _alternative(
     asked: Requirement, dominant: ErrorSource, plan: Plan, bench: BenchFile
 ) -> Iterator[AlternativePart]:
-    """Yield the result of an alternative, or nothing if its estimator cannot use the readings."""
+    """Yield the result of the alternative `asked`; nothing if its estimator cannot use the readings."""
     try:
         reached, limit = asked.reached(), asked.alone(dominant)
     except CalibrationError:

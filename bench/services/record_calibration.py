@@ -29,7 +29,7 @@ OF_METERS: Final = (
 
 @dataclass(frozen=True, repr=False)
 class RecordCalibrationResult:
-    """Gain and offset of each channel of a record at a known input, with u; `channels` has them by name."""
+    """Gain and offset, with u, of each channel of a record at a known input."""
 
     source: Source
     calibration: RecordCalibration
@@ -85,7 +85,7 @@ class RecordCalibrationResult:
 
 
 def record_calibration_of(source: Source) -> RecordCalibrationResult:
-    """Calibrate meters from readings at a known input, less the effects in the source's model.
+    """Calibrate meters from readings at a known input; effects in the source's model are subtracted first.
 
     Raises `CalibrationError`.
     """

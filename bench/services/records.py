@@ -1,4 +1,4 @@
-"""Run records: their list, their content, their seals, and the evidence for them."""
+"""Records of runs: their list, content and seals, and the evidence that they are unchanged."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def run_summary(run: Run, digest_of: Callable[[Run], Digest] = Digest.of) -> Run
 
 
 def show_run(run: Run, request: ShowRun) -> ShowResult:
-    """Return the content of a run and, if requested, the evidence for its record. Raises as `proof_of` does."""
+    """Return the content of a run and, if requested, the evidence for its record. Raises as `proof_of`."""
     told: list[str] = []
     problems = list(run.history.problems)
     if request.proved and not problems:
@@ -120,7 +120,7 @@ NOTHING_OUTSIDE = (
 
 @dataclass(frozen=True)
 class SealResult:
-    """A seal, its file and, if a requested time stamp is missing, the reason for this."""
+    """A seal, its file and, if a requested time stamp is missing, the reason."""
 
     seal: Seal
     file: Path
@@ -150,10 +150,10 @@ def seal_run(request: SealRun, passphrase: Callable[[], bytes]) -> SealResult:
 
 
 def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
-    """Return the evidence for a record and the problems with it, a sentence each.
+    """Return the evidence that a record is unchanged, and the problems with it, a sentence each.
 
-    The record is checked against its seal. It is also checked against a record head (hash of its last line), a
-    public key and a time-stamp authority, if the user states them. Raises `Refused` for an invalid head,
+    The record is checked against its seal and, as far as the user states them, against a record head (hash of
+    its last line), a public key and a time-stamp authority. Raises `Refused` for an invalid head,
     `RecordError` for a key that cannot be read.
     """
     head, key, authority = request.head, request.key, request.authority
@@ -190,7 +190,7 @@ def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
 
 
 def _signature(seal: Seal, given: Ed25519PublicKey | None, told: list[str], problems: list[str]) -> bool:
-    """Add sentences on the seal's signature to `told` or `problems`; return whether the given key signed it."""
+    """Add sentences on the seal's signature to `told` or `problems`; return whether key `given` made it."""
     if not seal.signature:
         told.append(
             f"sealed at {seal.events} events, not signed: anybody who can write the folder could have "

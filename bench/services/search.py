@@ -1,4 +1,4 @@
-"""The search for instruments: the resources that the interfaces offer, and the answer of an addressed resource."""
+"""The search for instruments: resources that the interfaces offer, and what an addressed resource answers."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ RANGE_V: Final = 10.0
 
 @dataclass(frozen=True)
 class FoundResource:
-    """A resource of this computer: its kind and, once it was addressed, its identity or the failure.
+    """A resource of this computer: its kind (`what`) and, once addressed, its identity or the failure.
 
-    `driver` is the driver for such an instrument, empty if none is known. `interface` is the interface of a
-    voltmeter, `shows` the reading that it returned.
+    `driver` is the driver for the instrument, empty if none is known. For a voltmeter, `interface` is its
+    interface and `shows` its reading.
     """
 
     resource: str
@@ -48,8 +48,8 @@ class FoundResource:
 
 
 def offered() -> tuple[list[FoundResource], list[str]]:
-    """Return the resources that the interfaces offer, and notes on interfaces not searched; no resource is
-    addressed.
+    """Return the resources that the interfaces offer, and notes on interfaces not searched. Addresses no
+    resource.
     """
     offer = discover()
     ports = [

@@ -80,7 +80,7 @@ class Request:
 
 
 def reading(asked: OnReadings, *sources: Given | Path, out: Path | None = None) -> Request:
-    """Return the `Request` to read `sources` with the options of a command; `out` replaces its output folder."""
+    """Return the `Request` to read `sources` with the options `asked`; derived files go to folder `out`."""
     model, place = getattr(asked, "model", None), out or getattr(asked, "out", None)
     return Request(
         [str(source) if isinstance(source, Path) else source for source in sources],
@@ -98,12 +98,12 @@ class Source:
     """The readings of one run, file or table, with bench and model. `run` is None for readings without a run.
 
     `taken` is the bench file with the reason for its choice; `bench` is its content, with the unit that was
-    measured. `origin` is the origin of the readings, None if it is not recorded. `readings` are corrected by the
-    certificates of the instruments (`traced`) and by learned differences of the voltmeters; `as_read` are the
-    uncorrected readings. `effects` are the user's own effects, known to the program or written as formulas in the
-    bench file or the model file. `known` are the sizes of stand and noise learned from other runs (None: nothing
-    was learned). `known_meters` are the learned differences of the voltmeters; `learned_of` identifies the file
-    that states them.
+    measured. `origin` is the origin of the readings, None if it is not recorded. `readings` are corrected by
+    the certificates of the instruments (`traced`) and by learned differences of the voltmeters; `as_read` are
+    the uncorrected readings. `effects` are the user's own effects, known to the program or written as
+    formulas in the bench file or the model file. `known` are the sizes of stand and noise learned from other
+    runs (None: nothing was learned). `known_meters` are the learned differences of the voltmeters;
+    `learned_of` identifies the file with these differences.
     """
 
     name: str
@@ -156,7 +156,7 @@ class Source:
 
     @property
     def what_if(self) -> bool:
-        """Whether a run is evaluated with options other than those it recorded; its results go to a separate
+        """Whether a run is evaluated with other options than it recorded; the results then go to a separate
         folder.
         """
         if self.run is None:
@@ -168,7 +168,7 @@ class Source:
 
     @property
     def stand_u(self) -> dict[str, float]:
-        """Standard uncertainties of the stand's errors by name, rad; "voltmeter_error" is in V.
+        """Standard uncertainties (rad) of the stand's errors by name; "voltmeter_error" is in V.
 
         For signals in other units, "voltmeter_error" is 0.
         """
@@ -177,7 +177,7 @@ class Source:
 
     @property
     def assumed_u(self) -> dict[str, float]:
-        """Standard uncertainties, rad, by name, of the stand's errors that a bench file may omit."""
+        """Standard uncertainties (rad), by name, of those errors of the stand that a bench file may omit."""
         from bench.calibration.budget.sources import assumed_stand  # a diagnosis does without the budget
 
         return {name: size.u for name, size in assumed_stand(self.bench).items()}
@@ -195,7 +195,7 @@ class Source:
         }
 
     def as_certified(self) -> Source:
-        """Return the source without learned values: corrected by certificates alone, with the stated limits."""
+        """Return the source without learned values: corrected by certificates, with limits as stated."""
         readings = corrected(self.as_read, self.traced.by_certificates)
         return replace(
             self, known=None, known_meters=None, readings=replace(readings, notes=self.readings.notes)
@@ -251,9 +251,9 @@ def _hash(readings: Readings, *, to_the_bit: bool = True) -> str:
 
 
 def _knows(stated: str | None, readings: Readings) -> bool:
-    """Return whether the hashes that a model file states include these readings.
+    """Return whether the hashes `stated` in a model file include that of these readings.
 
-    Earlier versions hashed the readings bit by bit.
+    Hashes of earlier versions, made in another way, also count.
     """
     hashes = (stated or "").split()
     return bool(hashes) and (data_sha256(readings) in hashes or _hash(readings) in hashes)
@@ -302,7 +302,7 @@ def _load(given: Given, request: Request) -> Source:
 
 
 def _on_power(own: Iterable[Effect], readings: Readings) -> tuple[str, ...]:
-    """Return a note if formulas use the time since power-on and the readings do not contain it."""
+    """Return a note if formulas use the time since power-on, which the readings do not contain."""
     names = [e.name for e in own if isinstance(e, FormulaEffect) and SINCE_POWER_ON in names_in(e.expression)]
     if not names or SINCE_POWER_ON_S in readings.extra:
         return ()
@@ -378,7 +378,7 @@ def _of_model_file(
 ) -> tuple[ForwardModel, tuple[str, ...]]:
     """Return the model of a model file, with notes.
 
-    If the model was found in these same readings, its values are estimated again, because as priors they would
+    If the model was found in these same readings, its values are estimated again; used as priors, they would
     count the readings twice.
     """
     model = replace(plain, effects=file.applied_effects(), name=file.name)
@@ -398,7 +398,7 @@ def _of_model_file(
 
 
 def _run_of(name: str, runs: Path) -> Run | None:
-    """Return the run of this name; None for a readings file. Raises `Refused` if that does not exist."""
+    """Return the run of this name; None for a readings file. Raises `Refused` if neither exists."""
     path = Path(name)
     if path.is_file() and path.name != MANIFEST:
         return None
@@ -424,7 +424,7 @@ class Failed:
     problem: str
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the dictionary that replaces the result of the source."""
+        """Return the JSON object that takes the place of the source's result."""
         return FailedPart(source=self.name, problem=self.problem).to_dict()
 
     def __str__(self) -> str:
@@ -513,7 +513,7 @@ def provenance(source: Source) -> dict[str, str]:
 
 
 def _measured(origin: Origin) -> dict[str, str]:
-    """Return the recorded date, operator, procedure and instruments of the run, by name, for a report."""
+    """Return date, operator, procedure and instruments, as recorded with the run, by label, for a report."""
     stated = {"begun": civil_minute(origin.begun), "operator": origin.operator or message("not stated")}
     if origin.procedure:
         stated["procedure"] = message(f"{shown_path(origin.procedure)} (plan SHA-256 {origin.plan_hash})")

@@ -37,7 +37,7 @@ Files = Iterator[tuple[str, Path, str]]
 
 @dataclass(frozen=True)
 class RecordAtRest:
-    """The noise and drift of a static record, with the bench file used, notes on its choice, and the run if any."""
+    """Noise and drift of a static record; the bench file, notes on its choice, and the run (or None)."""
 
     found: Stability
     taken: BenchTaken
@@ -109,7 +109,7 @@ stability = python_call(asked.Stability, at_rest, "stability")
 def _bench_of(record: str, runs: Path, bench: Bench) -> tuple[BenchTaken, tuple[str, ...]]:
     """Return the bench file to use, and notes on the choice.
 
-    It is the bench file `bench` of the request, else that of the run or of the origin file, else the default.
+    The file is `bench` (from the request), else that of the run or of the origin file, else the default.
     """
     if Path(record).is_file():
         return bench_of(record, None, origin_beside(Path(record)), bench)
@@ -118,7 +118,7 @@ def _bench_of(record: str, runs: Path, bench: Bench) -> tuple[BenchTaken, tuple[
 
 
 def _known_input(request: asked.Stability, runs: Path) -> Source | None:
-    """Return the source if it is a record at a known input; None for any other file or run."""
+    """Return the record as a source if its input is known; None for any other file or run."""
     path = Path(request.record)
     if path.is_file():
         if REFERENCE_V not in split_table(path, REFERENCE_V)[0]:
@@ -131,7 +131,7 @@ def _known_input(request: asked.Stability, runs: Path) -> Source | None:
 
 
 def _record_at_rest(name: str, runs: Path, bench: BenchFile) -> tuple[StaticRecord, Run | None, float | None]:
-    """Return the record; if it is a run, also the run and the integration time of a sample, s (else None, None)."""
+    """Return the record `name`; if it is a run, also the run and the integration time (s) of a sample."""
     path = Path(name)
     if path.is_file():
         return read_static(path), None, None

@@ -1,4 +1,4 @@
-"""Knowledge of the instruments of a bench: their certificates, and sizes learned from other runs."""
+"""What is known of the instruments of a bench: certificates, and sizes learned from other runs."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ _NOTHING: Final = "it states no correction"
 class Traced:
     """The certificates of a bench for readings of a day, and the corrections of the readings.
 
-    Each entry is a certificate with the reason why it does not correct the readings, "" if it does. `recorded`
-    says whether a run recorded the readings; other readings are assumed to be as the instruments showed them.
-    `by` are all corrections of the readings. `by_certificates` are those from certificates; the others were
-    learned.
+    Each of the `entries` is a certificate with the reason why it does not correct the readings, "" if it
+    does. `recorded` says whether a run recorded the readings; other readings are assumed to be as the
+    instruments showed them. `by` are all corrections of the readings, including learned ones;
+    `by_certificates` are those from certificates.
     """
 
     day: datetime.date
@@ -79,7 +79,7 @@ class Traced:
         return [standing.to_json(why_not=why_not) for standing, why_not in self.entries]
 
     def stated(self) -> dict[str, str]:
-        """Return a description of each certificate for the page, by its instrument."""
+        """Return a description of each certificate for the page, by instrument."""
         return {
             message(f"certificate of {s.instrument}"): _in_words(s, why_not) for s, why_not in self.entries
         }
@@ -105,7 +105,7 @@ def trace(
 ) -> tuple[BenchFile, Readings, Traced]:
     """Return the bench for readings, the corrected readings, and the certificates that corrected them.
 
-    The bench is without certificates that belong to other instruments.
+    The returned bench has no certificates that belong to other instruments.
     """
     day = _day(origin)
     found = standings(bench, day, _answered(bench, origin))
@@ -130,10 +130,9 @@ def _day(origin: Origin | None) -> datetime.date:
 
 
 def _answered(bench: BenchFile, origin: Origin | None) -> dict[str, str]:
-    """Return the serial numbers that the instruments reported, by name; none for a simulated run.
+    """Return the serial numbers that the instruments reported, by instrument name; empty for a simulated run.
 
-    If a serial number was not recorded, it is taken from the certificate, provided that the recorded identity
-    contains it.
+    A serial number that was not recorded is taken from the certificate if the recorded identity contains it.
     """
     if origin is None or origin.simulated:
         return {}
@@ -170,7 +169,7 @@ def _why_not(standing: Standing, taken: BenchTaken, readings: Readings, origin: 
 def voltmeter_names(
     bench: BenchFile, taken: BenchTaken, origin: Origin | None, readings: str
 ) -> dict[str, str]:
-    """Return the name of the voltmeter that read each channel; empty if record and bench file do not state it."""
+    """Return the name of the voltmeter that read each channel; empty if that is not recorded."""
     recorded = None if origin is None else _recorded(bench, taken, origin, readings)
     if origin is None or recorded is None:
         return {}
@@ -189,7 +188,7 @@ def voltmeter_names(
 def _recorded(bench: BenchFile, taken: BenchTaken, origin: Origin, readings: str) -> BenchFile | None:
     """Return the bench file with which readings were recorded; None if it is not found.
 
-    The bench file of the evaluation may differ from it and assign other voltmeters to the channels.
+    The bench file of the evaluation may differ: it may assign other voltmeters to the channels.
     """
     if taken.sha256 == origin.bench.sha256:
         return bench
@@ -214,8 +213,7 @@ SIMULATED: Final = "the sizes of learned file {bench} come from simulated runs"
 
 @dataclass(frozen=True)
 class LearnedTaken:
-    """The part of a learned file that an evaluation uses, with notes; empty if the file is not valid for this
-    evaluation.
+    """The part of a learned file that is valid for an evaluation, with notes; may be empty.
 
     `name` identifies the learned differences of voltmeters in `meters`.
     """
@@ -240,7 +238,7 @@ def take_learned(
     hashes: tuple[str, ...] = (),
     simulated: bool | None = None,
 ) -> LearnedTaken:
-    """Return the part of a learned file that is valid for readings of a day in a unit.
+    """Return the part of a learned file that is valid for readings made on `day` with signals in `unit`.
 
     `head` and `hashes` identify the record of the readings. `simulated` says whether the readings are simulated; it
     is None if this is not stated or there are no readings.
@@ -289,7 +287,7 @@ def with_effects(model: ForwardModel, effects: tuple[AppliedEffect, ...]) -> For
 def with_meters(
     found: LearnedTaken, file: LearnedFile, bench: BenchFile, day: datetime.date, meters: Mapping[str, str]
 ) -> LearnedTaken:
-    """Return `found` with learned differences of the voltmeters; `meters` names each channel's voltmeter."""
+    """Return `found` with learned differences of voltmeters added; `meters` names that of each channel."""
     if file.meters is None:
         return found
     if not meters:

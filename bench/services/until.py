@@ -1,4 +1,4 @@
-"""Runs that continue until goals for the uncertainty are reached; the expected outcome of any plan."""
+"""Runs that continue until goals for the uncertainty are reached; what to expect of any plan."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ _PARTS_TOLD: Final = 3
 
 
 def stated_aim(texts: Sequence[str], stand: Stand, bench: BenchFile) -> Aim:
-    """Return the goals that `--until` states; a text may hold several, separated by commas.
+    """Return the goals in the `texts` of `--until`; a text may hold several goals, separated by commas.
 
     Raises `Refused` with all mistakes.
     """
@@ -168,8 +168,8 @@ def chooser_of(
 ) -> Chooser:
     """Return the object that chooses the next settings for these goals (`texts`).
 
-    It uses the `learned` sizes as a calibration does. Raises `Refused` for invalid goals, and for a goal that no
-    readings can reach.
+    The object uses the `learned` sizes as a calibration does. Raises `Refused` for invalid goals, and for a
+    goal that no readings can reach.
     """
     model = with_effects(ForwardModel(bench.installation_models()), learned.effects)
     try:
@@ -192,7 +192,7 @@ def chooser_of(
 
 
 def _refuse_below_floor(found: Sequence[Floor]) -> None:
-    """Raise `Refused` for goals that no number of readings reaches, stating the floor of u and its main causes."""
+    """Raise `Refused` for goals below the floor of u for any number of readings; name its main causes."""
     if not found:
         return
     worst = max(found, key=lambda floor: floor.u / floor.wanted.goal.asked)
@@ -224,7 +224,7 @@ def _refuse_too_short(aim: Aim, pool: Pool) -> None:
 class Until:
     """The chooser of a run's next settings.
 
-    Its choices depend on the run's record alone, so that a resumed run makes the same choices.
+    The choices depend on the run's record alone, so that a resumed run makes the same ones.
     """
 
     def __init__(self, run: Run, bench: BenchFile) -> None:
@@ -255,7 +255,7 @@ class Until:
         return replace(choice, left_out=choice.left_out | needless).to_json()
 
     def _standing(self, visit: int, refused: frozenset[Mounting], progress: PlanProgress) -> Standing:
-        """Return the state of the run that the choice depends on, read from its record on disk."""
+        """Return the state of the run on which the choice depends, read from its record on disk."""
         history = Run(self._run.folder).trusted_history()
         taken = {step: r for step, r in history.readings.items() if step in self._point_of}
         done: Counter[Site] = Counter()
@@ -279,7 +279,7 @@ class Until:
         return self._with_noise(standing, history) if taken else standing
 
     def _with_noise(self, standing: Standing, history: History) -> Standing:
-        """Return the state with the noise of the readings and the uncertainties of a calibration from them."""
+        """Return the state with the noise of the readings, and the u that a calibration of them gives."""
         (source,) = load_sources(Request([str(self._run.folder)], self._run.folder.parent))
         readings = source.readings.select(source.readings.installation != VERIFICATION)
         standing = replace(standing, scale=scale_of(self._chooser.stand, readings))
@@ -291,7 +291,7 @@ class Until:
         return replace(standing, reached=self._reached(result), apart=apart)
 
     def _telling_apart(self, standing: Standing) -> frozenset[Site]:
-        """Return the unread sites of this mounting that best distinguish possible causes of a lack of fit."""
+        """Return those unread sites of this mounting that best separate possible causes of a lack of fit."""
         open_sites = {standing.site_of(p) for p in self._chooser.open_points(standing.visit, standing)}
         sites = sorted(open_sites - set(standing.done))
         if not sites:
@@ -327,7 +327,7 @@ def outlook_until(
 ) -> TimeOutlook:
     """Return the expected duration of a run with these goals.
 
-    It is computed with the learned noise, else with the noise that the bench file states.
+    It follows from the learned noise or, without that, from the noise that the bench file states.
     """
     found = time_outlook(chooser_of(plan, bench, texts, learned))
     return replace(found, learned=learned.known is not None and learned.known.noise is not None)
@@ -405,7 +405,7 @@ def findings_of(plan: Plan, bench: BenchFile, runs: Path) -> Findings:
 
 
 def _hints(bench: BenchFile) -> Iterator[str]:
-    """Yield remarks on certificates, and hints on likely mistakes that only a real bench would reveal."""
+    """Yield remarks on certificates, and hints on likely mistakes that only show on a real bench."""
     yield from remarks(bench)
     yield from reminders(bench)
     for meter in bench.instruments.voltmeters:
@@ -417,7 +417,7 @@ def _hints(bench: BenchFile) -> Iterator[str]:
 
 
 def _outlook(plan: Plan, bench: BenchFile) -> Outlook | None:
-    """Return what the readings of a plan leave undetermined, with remedies; None for an unknown installation."""
+    """Return what the readings of a plan leave open, and remedies; None for an unknown installation."""
     settings = settings_of(plan)
     installations = bench.installation_models()
     if not {s.mount.installation for s in settings} <= set(installations):
@@ -427,7 +427,7 @@ def _outlook(plan: Plan, bench: BenchFile) -> Outlook | None:
 
 
 def _free_bytes(folder: Path) -> int:
-    """Return the free bytes on the disk of a folder, or of its nearest existing parent."""
+    """Return the free bytes on the disk of `folder` or, if it is missing, of its nearest parent."""
     path = folder.resolve()
     while not path.exists():
         path = path.parent

@@ -1,4 +1,4 @@
-"""The fingerprint of the program, the register of validations, and the refusal that a laboratory demands.
+"""The fingerprint of the program, the register of validations, and the refusal of what is not validated.
 
 The register is the folder `validations` beside the laboratory file. An entry says that a named person accepted the
 result of `bench validate` for a program (its fingerprint) and a bench file (its SHA-256).
@@ -70,7 +70,7 @@ def packages() -> Iterator[metadata.Distribution]:
 def _needed(one: metadata.Distribution, *, of_program: bool) -> list[str]:
     """Return the requirements of a distribution.
 
-    For the program they include its extras needed in use; for other distributions, no extras.
+    They include extras only for the program itself, and of these only the ones needed in use.
     """
     ours = re.compile(r"extra == ['\"](?:test|browser|docs|mutation|release|dev)['\"]")
     other = ours if of_program else re.compile(r"extra\s*==")
@@ -78,7 +78,7 @@ def _needed(one: metadata.Distribution, *, of_program: bool) -> list[str]:
 
 
 def fingerprint() -> ProgramFingerprint:
-    """Return what a validation is valid for: files of the program, packages, Python and platform."""
+    """Return the fingerprint of an installation: files of the program, packages, Python and platform."""
     named = {}
     for one in packages():
         record = one.read_text("RECORD") or ""
@@ -99,7 +99,7 @@ def fingerprint() -> ProgramFingerprint:
 
 @dataclass
 class Validations(Chain):
-    """The register of validations: `entries` in order, and the numbers of the entries `withdrawn`."""
+    """The register of validations: `entries` in order, and the numbers of those `withdrawn`."""
 
     FIRST: ClassVar[str] = first_head("triaxial-bench validations 1\n")
 
@@ -128,7 +128,7 @@ class Validations(Chain):
         return next((one for one in reversed(self.standing()) if one.data["bench"] == name), None)
 
     def accepts(self, program: str, bench_sha256: str | None) -> bool:
-        """Return whether a valid validation covers this program and bench file (any bench file, if None)."""
+        """Return whether a valid validation covers this program and bench file (None: any bench file)."""
         return any(
             one.data["fingerprint"] == program and bench_sha256 in (None, one.data["bench_sha256"])
             for one in self.standing()

@@ -1,4 +1,4 @@
-"""The verdict on verification points, and the limit and rule behind it."""
+"""The verdict on verification points, and the limit and rule on which it is based."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class VerdictOptions:
 
     @classmethod
     def of_run(cls, run: Run | None) -> VerdictOptions:
-        """Return the verdict options with which a run was begun; for None, no options."""
+        """Return the verdict options with which a run was begun; no options without a run."""
         recorded = {} if run is None else run.manifest.get("verdict", {})
         return cls(recorded.get("limit_g"), recorded.get("rule"), recorded.get("guard_band"))
 
@@ -106,9 +106,7 @@ class Judgement:
     population: Population | None
 
     def but(self, asked: VerdictOptions) -> Judgement:
-        """Return the basis of a verdict with the options `asked` applied; naming another rule discards the guard
-        band.
-        """
+        """Return this basis with the options `asked` applied; another rule discards the guard band."""
         rule = self.rule
         if asked.guard_band is not None:
             rule = DecisionRule.of(asked.rule or rule.name, asked.guard_band)
@@ -125,7 +123,7 @@ class Judgement:
 def judgement_of(
     bench: BenchFile, *asked: VerdictOptions, default: DecisionRule = NOBODY_STATED_ONE
 ) -> Judgement:
-    """Return the basis of a verdict: the values of the bench file, or the options `asked` that replace them.
+    """Return the basis of a verdict: values of the bench file, replaced by the options `asked`.
 
     Later options override earlier ones. `default` is the rule if none is named. Raises `Refused` for invalid
     options, and `CalibrationError` for a guard band with a rule that has none.
@@ -143,8 +141,7 @@ def judgement_of(
 
 
 def own_judgement(source: Source, *asked: VerdictOptions, agreed: DecisionRule | None = None) -> Judgement:
-    """Return the basis of the verdict on a source: the options `asked`, else those of its run, else of its bench
-    file.
+    """Return the basis of the verdict on a source: the options `asked`, else those of its run or bench file.
 
     `agreed` is the decision rule if none of these names a rule.
     """
@@ -154,7 +151,7 @@ def own_judgement(source: Source, *asked: VerdictOptions, agreed: DecisionRule |
 
 
 def _default_of(run: Run | None) -> DecisionRule:
-    """Return the default rule when a run was begun; without a run, the present default rule."""
+    """Return the rule that was the default when a run was begun; without a run, the present default."""
     if run is None:
         return NOBODY_STATED_ONE
     recorded = run.manifest.get("default_rule")
@@ -165,8 +162,8 @@ def _default_of(run: Run | None) -> DecisionRule:
 class VerificationResult:
     """Δg at the verification points of a source against the limit.
 
-    `warnings` are sentences on the coefficients used, `said` on their uncertainty. `fit` is the lack-of-fit test
-    of coefficients from the same readings, None for coefficients of an earlier calibration.
+    `warnings` are sentences on the coefficients used, `said` sentences on their uncertainty. `fit` is the
+    lack-of-fit test of coefficients from the same readings, None for coefficients of an earlier calibration.
     """
 
     source: Source
@@ -177,7 +174,7 @@ class VerificationResult:
 
     @property
     def accepted(self) -> bool:
-        """Whether the verification passed, and the coefficients fit the readings they come from (if known)."""
+        """Whether the verification passed, and the coefficients (if known) fit their own readings."""
         return self.passed and (self.fit is None or self.fit.accepted())
 
     @property
@@ -211,7 +208,7 @@ class VerificationResult:
 
     @property
     def _against(self) -> tuple[str, ...]:
-        """Sentences on the lack of fit of coefficients, if they were estimated from the same readings."""
+        """Sentences on the lack of fit, if the coefficients were estimated from the same readings."""
         return () if self.fit is None else self.fit.diagnose(self.source.name)
 
     @property
@@ -267,8 +264,8 @@ def judged(
 ) -> VerificationResult:
     """Return the verification of a source with the coefficients `taken`.
 
-    `own` is the calibration behind them if they are from the source's own readings. Raises `CalibrationError` if
-    there is no verification point.
+    `own` is the calibration that gave them, if it is from the source's own readings. Raises
+    `CalibrationError` if there is no verification point.
     """
     said: tuple[str, ...] = ()
     if own is None:
@@ -293,10 +290,10 @@ def judged(
 
 
 def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[str, ...]]:
-    """Return the covariance of |a| at the points, for coefficients of an earlier calibration, and a sentence on it.
+    """Return the covariance of |a| at the points by coefficients of an earlier day, and a sentence on it.
 
-    Errors of the same meters cancel within a day. The longer the time since the calibration, the less of them
-    cancels, because meters drift.
+    If the same meters are used, their errors cancel; the longer since the calibration, the less, because
+    meters drift.
     """
     known = taken.covariance if taken.same_meters is None else taken.same_meters
     part = drifted((taken.meters, _when(taken.made_at)), (source.meters, _when(source.made_at)))

@@ -1,4 +1,4 @@
-"""Acceptance of a validation by a named, authorised person, and withdrawal: entries of the register."""
+"""Acceptance of a validation by an authorised person, and withdrawal: both are entries of the register."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def _authority(request: Validate) -> tuple[Path, Person, str]:
 
 
 def _sealed(folder: Path) -> tuple[bytes, ValidationResult]:
-    """Return the result in a folder, as bytes and read. Raises `Refused` if it differs from the sealed file."""
+    """Return the result in a folder, as bytes and parsed. Raises `Refused` if it is not as sealed."""
     try:
         with refusing("name the folder of a validation", folder / RESULT, verb="read"):
             content, seal = read_regular(folder / RESULT), read_seal(folder)

@@ -1,4 +1,4 @@
-"""Past runs computed again, each with the estimator of its stored result; changes of more than 0.1 u."""
+"""Past runs computed again, each with the estimator of its stored result, to find changes above 0.1 u."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def past_runs(request: Validate, over: str) -> list[str]:
 def against(request: Validate, over: str, folder: Path) -> AgainstPart:
     """Recompute the runs that `over` names (see `past_runs`) into a folder.
 
-    A run without a stored result is computed by the default estimator and not compared. Raises `Refused` if no run
-    is found.
+    A run without a stored result is computed with the default estimator, and not compared. Raises `Refused`
+    if no run is found.
     """
     by_estimator: dict[str, list[str]] = {}
     for run in past_runs(request, over):

@@ -50,7 +50,7 @@ DEFAULT_BENCH: Final = "paper-stand"
 
 
 def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationResult:
-    """Carry out a validation; return its result, which is written into a folder with its page, PDF and seal.
+    """Carry out a validation; write result, page, PDF and seal into a folder; return the result.
 
     Raises `Refused` for a folder that already holds a validation or cannot be written, and for an unusable key.
     """
@@ -101,7 +101,7 @@ def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationR
 
 
 def _check_release(request: Validate) -> None:
-    """Refuse an unusable manifest or key before the checks begin, which take minutes."""
+    """Refuse an unusable manifest or key at once, before checks that take minutes."""
     for file in (request.release, request.release_key):
         if file is not None:
             with refusing("check its name", file, verb="read"):
@@ -123,7 +123,7 @@ def _bench_name(context: Context) -> str:
 
 
 def _cpu_s() -> float:
-    """Return the processor time of this program and those that it waited for, s."""
+    """Return the processor time (s) of this program and of the processes that it waited for."""
     return sum(os.times()[:4])
 
 
@@ -137,9 +137,9 @@ def _take(folder: Path) -> None:
 
 
 def _accepted(laboratory: Path | None, bench: Path) -> tuple[str, dict[str, Any] | None]:
-    """Return number and result of the accepted validation to compare with.
+    """Return number and result of the accepted validation to compare with; "" and None without one.
 
-    It is the accepted validation for the bench file or, without one, the latest accepted validation.
+    It is the latest valid one for a bench file with the name of `bench`.
     """
     if laboratory is None:
         return "", None
@@ -152,7 +152,7 @@ def _accepted(laboratory: Path | None, bench: Path) -> tuple[str, dict[str, Any]
 
 
 def _of_past_runs(part: AgainstPart) -> ValidationCheck:
-    """Return the finding on past runs as a check; a changed result is a change that a person may accept."""
+    """Return the finding on past runs as a check; a person may accept a changed result."""
     runs = [one.run for one in part.changed]
     words = f"{len(runs)} of {part.compared} changed" + (
         f", {len(part.failed)} failed" if part.failed else ""
@@ -173,7 +173,7 @@ def _of_past_runs(part: AgainstPart) -> ValidationCheck:
 
 
 def _write(result: ValidationResult, folder: Path, began: datetime) -> tuple[list[str], Seal]:
-    """Write result, page and PDF; return their paths and the unsigned seal of them."""
+    """Write result, page and PDF; return their paths and an unsigned seal of these files."""
     contents = {RESULT: to_text(result.to_dict()).encode(), PAGE: render_validation(result).encode()}
     try:
         contents[PDF] = pdf_of(result, int(began.timestamp()))
@@ -229,7 +229,7 @@ def pdf_of(result: ValidationResult, moment: int) -> bytes:
 
 
 def _shown(told: Any, *, plain: bool = False) -> Any:
-    """Return data whose texts show control characters (with `plain`, all characters beyond ASCII) as escapes."""
+    """Return data with control characters (with `plain`, all characters beyond ASCII) shown as escapes."""
     if isinstance(told, str):
         return visible(told.encode("ascii", "backslashreplace").decode() if plain else told)
     if isinstance(told, dict):

@@ -39,7 +39,7 @@ A "fault" of the power supply also counts.
 
 @dataclass
 class FailureRegister(Chain):
-    """The register of failures: `seen` maps numbers to failures, `noted` to the notes on each failure."""
+    """The register of failures: `seen` maps numbers to failures, `noted` maps numbers to notes on them."""
 
     FIRST: ClassVar[str] = first_head("triaxial-bench failures 1\n")
 
@@ -116,7 +116,7 @@ def _in_record(run: Run) -> Iterator[dict[str, Any]]:
 
 
 def _note(register: FailureRegister, request: Failures, laboratory: Path) -> None:
-    """Append to the register what a person states about a failure."""
+    """Append to the register what the request states about a failure."""
     number, by = str(request.number), request.by
     lacking = [
         option

@@ -51,7 +51,7 @@ def independent(value: ArrayLike, rows: ArrayLike, u: Floats, dof: ArrayLike = n
 
 
 def together(value: Floats, rows: Floats, covariance: Floats, dof: float) -> Propagated:
-    """Return the m outputs of n inputs that were estimated jointly, and therefore form one source.
+    """Return the m outputs of n inputs that were estimated jointly and therefore are one source of error.
 
     `rows` (m, n) are the sensitivities, `covariance` (n, n) is that of the inputs.
     """
@@ -60,7 +60,7 @@ def together(value: Floats, rows: Floats, covariance: Floats, dof: float) -> Pro
 
 
 def sampled(function: Callable[[Floats], Floats], draws: Floats, probability: float = 0.95) -> Distributed:
-    """Return the Monte Carlo statistics of a function of draws (trials, n) of its n inputs."""
+    """Return the Monte Carlo statistics of a `function` of n inputs from `draws` (trials, n)."""
     return summary(np.asarray(function(draws)).reshape(len(draws), -1), probability)
 
 
@@ -92,13 +92,13 @@ PHASE: Final = np.array([1.0456, 1.0438, 1.0468, 1.0428, 1.0433])
 
 
 def impedance(x: Floats) -> Floats:
-    """Return R, X and Z computed from V, I and phi, which are along the last axis."""
+    """Return R, X and Z from V, I and phi; the last axis of `x` has these three."""
     ratio = x[..., 0] / x[..., 1]
     return np.stack([ratio * np.cos(x[..., 2]), ratio * np.sin(x[..., 2]), ratio], axis=-1)
 
 
 def linear_impedance() -> tuple[Propagated, Floats, Floats]:
-    """Return the linear propagation of GUM example H.2, and mean (3,) and covariance (3, 3) of its inputs."""
+    """Return GUM example H.2 by linear propagation, and mean (3,) and covariance (3, 3) of the inputs."""
     samples = np.stack([VOLTS, AMPERES, PHASE])
     mean, covariance = samples.mean(axis=1), np.cov(samples) / 5
     v, i, phi = mean
@@ -171,8 +171,8 @@ def sum_of_four(name: str) -> tuple[Propagated, Distributed]:
 def sums(context: Context) -> Iterator[Finding]:
     """Propagate sums of four inputs by 400,000 trials; the ends of the 95 % interval must lie within the tolerance.
 
-    An end scatters by 0.009 in all three cases; the tolerance is 0.05, in the third 0.5, which leaves 5.5 standard
-    errors: p < 4e-8 for each of two ends.
+    The standard error of an end is 0.009 in all three cases. The tolerance is 0.05 (in the third 0.5), at
+    least 5.5 standard errors: p < 4e-8 for each of two ends.
     """
     for name, (_, u, end, linear_end, valid) in FOUR.items():
         linear, found = sum_of_four(name)
@@ -187,9 +187,9 @@ def sums(context: Context) -> Iterator[Finding]:
 
 
 def mass_deviation(x: Floats) -> Floats:
-    """Return the deviation of a weight from its nominal mass, mg.
+    """Return the deviation (mg) of a weight from its nominal mass.
 
-    The density terms vanish in a linear propagation, but not in second order.
+    The density terms vanish in linear propagation, but not in second order.
     """
     mass, difference, air, weight, reference = np.moveaxis(x, -1, 0)
     return np.asarray((mass + difference) * (1 + (air - 1.2) * (1 / weight - 1 / reference)) - 100_000.0)
@@ -214,8 +214,8 @@ def mass_calibration() -> tuple[Propagated, Distributed]:
 def mass(context: Context) -> Iterator[Finding]:
     """Propagate a mass calibration by 400,000 trials; check that linear propagation is found invalid.
 
-    The estimate scatters by 0.00012 mg, u by 0.00008 mg, an end of the interval by 0.0005 mg: the tolerance of one
-    digit is 0.005 mg, ten times that.
+    The standard error is 0.00012 mg for the estimate, 0.00008 mg for u, and 0.0005 mg for an end of the
+    interval. The tolerance of one digit, 0.005 mg, is at least ten times as large.
     """
     linear, found = mass_calibration()
     delta = numerical_tolerance(0.0754, 1)
@@ -233,7 +233,8 @@ def mass(context: Context) -> Iterator[Finding]:
 def scaled_t(context: Context) -> Finding:
     """Draw from a t distribution with ten degrees of freedom, and compare its spread.
 
-    The relative standard error of the spread of 200,000 draws is sqrt((kurtosis - 1)/4N), 0.0019: 1 % is 5.2 of it.
+    The relative standard error of the spread of 200,000 draws is sqrt((kurtosis - 1)/4N) = 0.0019. The
+    tolerance of 1 % is 5.2 standard errors.
     """
     draws = drawn(Distribution(0.5), (200_000,), np.random.default_rng(2), 10.0)
     return agreement("", draws.std(), 0.5 * math.sqrt(10 / 8), 0.0056)

@@ -80,7 +80,7 @@ def _put_stranger(bench: SimulatedBench, name: str) -> None:
 def _refused(
     context: Context, name: str, driver: str, words: str, spoil: Callable[[SimulatedBench], None]
 ) -> Finding:
-    """Return the finding on opening an instrument on a spoiled wire: a refusal with name and remedy."""
+    """Open an instrument on a spoiled wire; the finding demands a refusal with name and remedy."""
     of, where = f"{name}, {words}", f"{name}, driver {driver}"
     with dry_bench(context.bench, simulated_truth(context.bench, None), 1) as assembly:
         if assembly.simulated is None:

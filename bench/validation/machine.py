@@ -162,7 +162,7 @@ def clock(context: Context) -> Iterator[Finding]:
 
 
 def _newest(context: Context) -> tuple[float, str]:
-    """Return time (s) and path of the newest record in the folders, or of a file created now."""
+    """Return time (s) and path of the newest record in the folders, or (without one) of a new file."""
     probe = context.scratch / "now"
     probe.write_bytes(b"")
     found = [(probe.stat().st_mtime, str(probe))]
@@ -263,7 +263,7 @@ except Timeout:
 
 
 def _unwritable(folder: Path) -> str:
-    """Return why a folder cannot keep a record safely; "" if it can."""
+    """Return why a record would not be safe in a folder; "" if it would be."""
     from filelock import FileLock
 
     try:

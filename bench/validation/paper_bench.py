@@ -1,7 +1,7 @@
 """The paper's bench for tests: its numbers (11), its 54 readings, and an independent simulation.
 
-Nothing of `bench.model` is used here. The geometry turns the axes of the block as vectors with scipy's rotations,
-and computes how far each points upwards. An error in the application's own geometry can therefore not cancel out.
+Nothing of `bench.model` is used here. The geometry turns the block's axes as vectors, with scipy's rotations,
+and computes the upward component of each. An error in the application's geometry can therefore not cancel.
 """
 
 import numpy as np
@@ -41,9 +41,9 @@ def specific_force(
     alpha5: np.ndarray | float = 0.0,
     psi: float = 0.0,
 ) -> np.ndarray:
-    """Return the specific force on the block's axes, g, shape (n, 3): the upward component of each axis.
+    """Return the specific force (n, 3) on the block's axes in g: the upward component of each axis.
 
-    The shaft is y. Angles in rad, (n,) or one for all. A right-hand turn about a vector along the shaft would carry
+    The shaft is y. Angles are in rad, (n,) or one for all. A right-hand turn about y (the shaft) would carry
     x downwards; the head counts the other way.
     """
 

@@ -143,7 +143,7 @@ def _program(*arguments: object) -> subprocess.Popen[bytes]:
 
 
 def _killed_after(process: subprocess.Popen[bytes], events: Path, count: int) -> int:
-    """Kill a program when its record has `count` lines, wait for its end, and return the number of lines then."""
+    """Kill a program when its record has `count` lines; return the number of lines after its end."""
     clock = SystemClock()
     deadline_s, lines = clock.now_s() + _WAIT_S, 0
     while process.poll() is None and clock.now_s() < deadline_s:
@@ -170,14 +170,14 @@ def changed(context: Context) -> Iterator[Finding]:
 
 
 def _with_another_digit(run: Run) -> tuple[list[bytes], int, bytes]:
-    """Return the lines of a record, the index of one with a reading, and this line with one digit changed."""
+    """Return the lines of a record, the index of a reading, and that line with one digit changed."""
     lines = (run.folder / EVENTS).read_bytes().splitlines(keepends=True)
     at = next(n for n, line in enumerate(lines) if b'"mean": [' in line)
     return lines, at, lines[at].replace(b'"mean": [', b'"mean": [1', 1)
 
 
 def changed_copy(run: Run) -> Run:
-    """Return a copy of a run, made in the same folder of runs, with one digit of a reading changed."""
+    """Copy a run within its folder of runs, change one digit of a reading, and return the copy."""
     lines, at, digit = _with_another_digit(run)
     return _copy(run, f"{run.name}-changed", {EVENTS: b"".join([*lines[:at], digit, *lines[at + 1 :]])})
 

@@ -30,7 +30,7 @@ MODEL: Final = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
 
 
 def agreement(of: str, found: ArrayLike, expected: ArrayLike, tolerance: ArrayLike) -> Finding:
-    """Return the finding on numbers that must agree with `expected`, of the same shape, within a tolerance."""
+    """Return the finding on numbers that must equal `expected` (same shape) within a tolerance."""
     mine, theirs = np.atleast_1d(np.asarray(found, float)), np.atleast_1d(np.asarray(expected, float))
     share = np.abs(mine - theirs) / np.asarray(tolerance, float)
     worst = int(np.argmax(share))
@@ -84,7 +84,7 @@ def columns_of(one: dict[str, Any]) -> Floats:
 
 
 def correct_digits(found: Floats, certified: Sequence[str]) -> float:
-    """Return the log relative error: the smallest number of correct digits among the estimates, at most 15."""
+    """Return the smallest number of correct digits (log relative error) among the estimates, at most 15."""
     true = np.array(certified, float)
     error = np.abs(found - true) / np.where(true == 0.0, 1.0, np.abs(true))
     return float(np.min(-np.log10(np.maximum(error, 1e-15))))

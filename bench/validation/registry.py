@@ -5,8 +5,8 @@
         \"\"\"Fit certified regressions with the estimator's solver.\"\"\"
         yield Finding(digits >= 9, f"{digits:.1f} digits", of="Norris")
 
-A check returns one finding, or yields several. The first line of its docstring says what it does. An exception is a
-failed finding, which names the line of the program's own code where it was raised.
+A check returns one finding, or yields several. The first line of its docstring says what it does. An
+exception gives a failed finding, with the line of the program's own code that raised it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _OURS: Final = ("bench", "drivers", "sim")
 class Finding:
     """The outcome of a check for one part: whether it passed, what was found, and the name of the part (`of`).
 
-    For a failure, `where` is its place. `expected` replaces the check's own expectation for this part.
+    `where` is the place of a failure. `expected` replaces, for this part, the expectation of the check.
     """
 
     passed: bool
@@ -50,7 +50,7 @@ class Context:
     """The context of checks: the bench file, a scratch folder, and the folders that the installation writes.
 
     `accepted` is the result of the last accepted validation as JSON, None if there is none. `release` is the
-    manifest of a release, None if none was given, and `release_key` the public key of who signed it.
+    manifest of a release (None if none was given), `release_key` the public key of its signer.
     """
 
     bench_path: Path
@@ -78,8 +78,8 @@ Act = Callable[[Context], Finding | Iterable[Finding]]
 class Check:
     """A check: its family, clause of ISO/IEC 17025:2017, expectation, and the function that carries it out.
 
-    `place` is the code that the check tests. `p_false` is an upper bound of the probability that it fails on a
-    correct program with other random numbers. With `change`, a failure is a change that a person may accept.
+    `place` is the code that the check tests. `p_false` is an upper bound of the probability that a correct
+    program fails with other random numbers. With `change`, a failure is a change that a person may accept.
     """
 
     name: str
@@ -163,7 +163,7 @@ def raised_at(error: BaseException) -> str:
 
 
 def carry_out(context: Context, checks: Iterable[Check]) -> list[ValidationCheck]:
-    """Carry out checks; return a row for each finding. Progress is reported to the listener."""
+    """Carry out checks, with reports of progress; return a row for each finding."""
     rows: list[ValidationCheck] = []
     for one in tracked(list(checks), "checks"):
         rows += one.carried_out(context)

@@ -1,4 +1,4 @@
-"""Statistics of the program's results: are errors of known size as large as the stated uncertainties say?"""
+"""Statistics of the program's results: are the errors in simulated files as large as the stated u?"""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FALSE_ALARM: Final = 1e-5
 
 
 def errors(count: int) -> tuple[Floats, Floats, Floats]:
-    """Simulate readings files; return the errors and u of their coefficients, and the p-values of lack of fit.
+    """Simulate `count` readings files; return errors and u of the coefficients, and p-values of lack of fit.
 
     The shapes are (count, 12), (count, 12) and (count,). Stand angles and noise are drawn again for each file, from
     [SEED, number].

@@ -68,7 +68,7 @@ def software() -> Node:
 
 
 def contact(name: str, of: Contact) -> Node:
-    """Return the element `name` for a company: its name, e-mail, telephone and address."""
+    """Return the element `name` with the contact data of a company: its name, e-mail, telephone, address."""
     address = of.address
     return node(
         name,

@@ -94,7 +94,7 @@ def read_unit(text: str) -> tuple[float, dict[str, int]]:
 
 
 def _parts(text: str) -> list[tuple[int, str, int]]:
-    """Return the power of ten, name and exponent of each unit in a D-SI text. Raises `ValueError`."""
+    """Return power of ten (prefix), name and exponent of each unit in a D-SI text. Raises `ValueError`."""
     parts: list[tuple[int, str, int]] = []
     scale, sign = 0, 1
     for word, power in _WORD.findall(text):
@@ -154,7 +154,7 @@ def said(texts: Iterable[Texts], key: str, **values: object) -> tuple[Node, ...]
 
 
 def plain(text: str) -> Node:
-    """Return a text as a `dcc:content` element without a language, for names, numbers and customers' wordings."""
+    """Return a text as a `dcc:content` element without a language, for names, numbers, customers' words."""
     return node("dcc:content", text)
 
 
@@ -221,7 +221,7 @@ def real_list(
 def ellipsoidal(
     covariance: Sequence[Sequence[float]], units: Sequence[str], k: float, probability: float
 ) -> Node:
-    """Return the element of a `covariance` (n, n) of quantities in `units` (n), column by column.
+    """Return the element of a `covariance` (n, n), written by columns, of quantities in `units` (n).
 
     `k` and `probability` describe the coverage ellipsoid (x - m)ᵀ V⁻¹ (x - m) ≤ k².
     """
@@ -312,7 +312,7 @@ def _lists(root: Node) -> Iterator[str]:
 
 
 def _covariances(root: Node) -> Iterator[str]:
-    """Yield a fault for each covariance that is not square, not positive semidefinite, or contradicts U / k."""
+    """Yield a fault for each covariance not square, not positive semidefinite, or contradicting U / k."""
     for element in root.iter(f"{{{SI}}}realListXMLList"):
         columns = element.findall(".//si:covarianceXMLList/si:valueXMLList", NAMESPACES)
         if not columns:
@@ -338,7 +338,7 @@ def _covariances(root: Node) -> Iterator[str]:
 
 
 def _days(root: Node) -> Iterator[str]:
-    """Yield a fault unless receipt, calibration and issue are in chronological order."""
+    """Yield a fault unless the days of receipt, calibration and issue are in chronological order."""
     core = root.find("dcc:administrativeData/dcc:coreData", NAMESPACES)
     names = ("receiptDate", "beginPerformanceDate", "endPerformanceDate", "issueDate")
     days = [] if core is None else [core.findtext(f"dcc:{name}", "", NAMESPACES) for name in names]
@@ -347,7 +347,7 @@ def _days(root: Node) -> Iterator[str]:
 
 
 def _simulation(root: Node) -> Iterator[str]:
-    """Yield a fault unless certificate number and statements agree on whether the run was simulated."""
+    """Yield a fault if certificate number and statements disagree on whether the run was simulated."""
     number = root.findtext("dcc:administrativeData/dcc:coreData/dcc:uniqueIdentifier", "", NAMESPACES)
     said = root.find(".//dcc:statement[@refType='bench_simulated']", NAMESPACES) is not None
     if said != number.startswith(SIMULATED_SERIES):
@@ -355,7 +355,7 @@ def _simulation(root: Node) -> Iterator[str]:
 
 
 def _statements(root: Node) -> Iterator[str]:
-    """Yield a fault for each list of conformity statements that does not have one statement per value."""
+    """Yield a fault for each list with unequal numbers of conformity statements and values."""
     for element in root.iter(f"{{{DCC}}}conformityXMLList"):
         quantity = next(element.iterancestors(f"{{{DCC}}}quantity"), None)
         values = "" if quantity is None else quantity.findtext(".//si:valueXMLList", "", NAMESPACES)
@@ -399,7 +399,7 @@ _STAND_INS: Final = {
 class Schemas:
     """The compiled schemas of a folder.
 
-    `stood_in` names imported schemas that are missing and were replaced by empty ones.
+    `stood_in` names the imported schemas that are missing; empty ones replace them.
     """
 
     folder: Path
@@ -416,7 +416,7 @@ class Schemas:
 
 
 def read_schemas(folder: Path) -> Schemas:
-    """Compile dcc.xsd, SI_Format.xsd and the schemas that they import, from anywhere below a folder.
+    """Compile dcc.xsd, SI_Format.xsd and the schemas that these two import, found anywhere below a folder.
 
     Nothing is fetched from a network. Raises `Refused` if one of the two is missing or has another version, or if
     a schema cannot be read.

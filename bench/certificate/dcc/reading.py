@@ -37,7 +37,7 @@ _VOLT_PER_MS2: Final[Dimension] = (("V", 1), ("m", -1), ("s", 2))
 
 @dataclass(frozen=True)
 class DocumentReading:
-    """The result for a block in a DCC, with the members of `bench calibrate --json`, and notes for the user."""
+    """The result in a block's DCC, with the members of `bench calibrate --json`, and notes for the user."""
 
     result: dict[str, Any]
     notes: tuple[str, ...]
@@ -103,9 +103,9 @@ def has_coefficients(root: Node) -> bool:
 def coefficients_in(path: Path, g_m_s2: float | None = None, noise: str | None = None) -> DocumentReading:
     """Return the twelve coefficients in a DCC with their covariance.
 
-    `g_m_s2` is the local gravity (m/s²) to which K shall refer, and `noise` the noise of a reading, such as "50
-    uV". Both are needed only for certificates by other programs. Raises `Refused` if the DCC has no list of the
-    coefficients, or several.
+    `g_m_s2` is the local gravity (m/s²) to which K shall refer, and `noise` the noise of a reading, such as
+    "50 uV". Both are needed only if another program made the certificate. Raises `Refused` if the DCC has no
+    list of the coefficients, or several.
     """
     try:
         noise_v = None if noise is None else parse_quantity(noise, VOLTAGE)
@@ -138,7 +138,7 @@ def coefficients_in(path: Path, g_m_s2: float | None = None, noise: str | None =
 
 
 def _ours(path: Path, root: Node, listed: RealList) -> dict[str, Any]:
-    """Return the result in a certificate by this program. Raises `Refused` if its list has other numbers."""
+    """Return the result in this program's certificate. Raises `Refused` if `listed` has other numbers."""
     data = from_text(_file(path, root))
     taken = coefficients_of(data, str(path))
     if listed.covariance is None or not (
@@ -173,12 +173,12 @@ def _about(root: Node) -> dict[str, str]:
 
 
 def said(root: Node, path: str) -> str:
-    """Return a text of a document in one line with control characters made visible; "" if there is none."""
+    """Return the text at `path` in a document as one line with control characters visible; "" without one."""
     return " ".join(visible(root.findtext(path, "", NAMESPACES)).split())
 
 
 def _order(labels: tuple[str, ...]) -> tuple[int, ...] | None:
-    """Return the index of each coefficient among `labels`; None unless the labels are the twelve names."""
+    """Return the index in `labels` of each coefficient; None unless the labels are the twelve names."""
     plain = [label.replace("_", "").replace("{", "").replace("}", "").casefold() for label in labels]
     wanted = [name.casefold() for name in COEFFICIENTS]
     if sorted(plain) != sorted(wanted):
@@ -195,7 +195,7 @@ def _others(
     g_m_s2: float | None,
     noise_v: float | None,
 ) -> DocumentReading:
-    """Return the coefficients in another program's list as a result with K in V/g.
+    """Return the coefficients that another program `listed` as a result with K in V/g.
 
     Raises `Refused` if gravity or noise are not given, or if the units or uncertainties in the list do not suffice.
     """
@@ -264,7 +264,7 @@ _AXIS: Final = ("basic_nominalValue", "basic_referenceValue", "basic_measuredVal
 
 @dataclass(frozen=True)
 class Section:
-    """The section `certificate` for a bench file as text, and notes for the user."""
+    """The section `certificate` of a bench file, as text, and notes for the user."""
 
     text: str
     notes: tuple[str, ...]
@@ -299,7 +299,7 @@ def _serial(root: Node) -> str:
 
 
 def _values(path: Path, root: Node) -> tuple[list[dict[str, str]], list[str]]:
-    """Return the rows of corrections, and notes on tables that must be copied by hand.
+    """Return rows of corrections for a bench file, and notes on tables that must be copied by hand.
 
     The rows are corrections of the head's angles (deg, arcsec) or of temperatures (degC, K).
     """
@@ -328,7 +328,7 @@ def _values(path: Path, root: Node) -> tuple[list[dict[str, str]], list[str]]:
 
 
 def _tables(root: Node) -> Iterator[tuple[RealList, RealList]]:
-    """Yield pairs of lists: the values of a table's axis, and the errors at these values."""
+    """Yield two lists for each table: the values on its axis, and the errors at these values."""
     for table in root.iter(f"{{{DCC}}}list"):
         columns = [
             one for quantity in table.findall("dcc:quantity", NAMESPACES) for one in real_lists(quantity)
@@ -344,9 +344,9 @@ def _tables(root: Node) -> Iterator[tuple[RealList, RealList]]:
 def _rows(
     key: str, unit: str, small: str, axis: RealList, error: RealList, per: float, per_small: float
 ) -> Iterator[dict[str, str]]:
-    """Yield a row for each error in a table: the correction is the negative error, and U is for k = 2.
+    """Yield a row for each error in a table: the correction (the error, negative) with U for k = 2.
 
-    `per` and `per_small` convert SI values to `unit` (axis) and `small` (error).
+    `per` converts values on the axis from SI to `unit`; `per_small` converts errors from SI to `small`.
     """
     u = error.u
     if u is None:
@@ -361,7 +361,7 @@ def _rows(
 
 
 def _checked(stated: dict[str, Any], values: list[dict[str, str]]) -> Iterator[str]:
-    """Yield a sentence for each mistake that a bench file would have with these values."""
+    """Yield a sentence for each mistake that these values would be in a bench file."""
     if not values:
         return
     form = HeadCertificate if "angle" in values[0] else ChamberCertificate
@@ -385,8 +385,8 @@ class NotRead(ValueError):
 class RealList:
     """A list of quantities in a document, with values (n,) converted to SI units.
 
-    `dimensions` (n) maps SI bases to exponents. `covariance` (n, n) and `u` (n,) are None if the document does not
-    state them. `roles` are the words in the attribute refType of the list and of its enclosing elements.
+    `dimensions` (n) maps SI bases to exponents. `covariance` (n, n) and `u` (n,) are None if the document
+    does not state them. `roles` are the words in refType of the list and of its enclosing elements.
     """
 
     line: int
@@ -424,7 +424,7 @@ def real_lists(root: Node) -> Iterator[RealList]:
 
 
 def _made(element: Node, labels: list[str], values: Floats, units: list[str], u: Floats | None) -> RealList:
-    """Return the list of an element with values and u (n,) converted from `units` to SI."""
+    """Return the list of quantities in an element; converts `values` and `u` (n,) from `units` to SI."""
     factors, dimensions = _units(element, units, len(values))
     if u is not None and len(u) not in {1, len(values)}:
         raise NotRead(f"line {element.sourceline}: {len(values)} values, but {len(u)} uncertainties")
@@ -459,7 +459,7 @@ _UNCERTAINTIES: Final = (
 
 
 def _sizes(element: Node) -> Floats | None:
-    """Return the standard uncertainties in a list: one for each value, or one for all; None if it states none."""
+    """Return the standard uncertainties in a list: one per value, or one for all; None if there is none."""
     for name, factor in _UNCERTAINTIES:
         text = element.findtext(f"si:*//si:{name}XMLList", None, NAMESPACES)
         if text is not None:
@@ -491,7 +491,7 @@ def _units(element: Node, units: list[str], count: int) -> tuple[Floats, tuple[D
 def _covariance(
     element: Node, columns: list[tuple[Floats, list[str]]], dimensions: tuple[Dimension, ...]
 ) -> Floats:
-    """Return the covariance (n, n) in SI units. Raises `NotRead` for a matrix of the wrong size or unit."""
+    """Return the covariance (n, n) in SI units. Raises `NotRead` for columns of the wrong size or unit."""
     count = len(dimensions)
     if len(columns) != count or any(len(values) != count for values, _ in columns):
         raise NotRead(f"line {element.sourceline}: {count} values, but a covariance of another size")

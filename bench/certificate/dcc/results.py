@@ -190,7 +190,7 @@ def _result(texts: Sequence[Texts], name: str, ref: str, prefix: str, data: Node
 
 
 def _per_ms2(found: RunFindings) -> Values:
-    """Return the coefficients with K per m/s² instead of per g; their covariance includes the u of local g."""
+    """Return the coefficients with K per m/s² instead of per g; the covariance includes the u of local g."""
     own = found.result.calibration
     scale = np.concatenate([np.full(9, 1.0 / own.g_m_s2), np.ones(3)])
     values = own.block.vector * scale
@@ -205,7 +205,7 @@ def _per_ms2(found: RunFindings) -> Values:
 
 
 def _listed(values: Values, certificate: Certificate) -> Node:
-    """Return results as one D-SI list of names, values, U with k, and the covariance matrix."""
+    """Return results as one D-SI list: names, values, U with k, and covariance matrix."""
     members = values.values
     spelt = [one.unit if "\\" in one.unit else si_unit(one.unit) for one in members]
     coverage = certificate.coverage
@@ -320,7 +320,7 @@ def _uncertainty(certificate: Certificate) -> Node:
 
 
 def _table(texts: Sequence[Texts], readings: Readings) -> Node:
-    """Return the readings as they were read, with a list for each column."""
+    """Return the uncorrected readings, with a list for each column."""
     unit = si_unit(readings.unit)
     columns: dict[str, tuple[Floats, str]] = {
         "series": (readings.series.astype(float), nodes.ONE),
@@ -356,9 +356,9 @@ _LIST: Final = ".//si:realListXMLList"
 class ShownValues:
     """The values in a certificate.
 
-    `covariance` is the covariance of the coefficients, `files` maps names to attachments. `release` is the version
-    of the program that wrote it. `says_signed` is what the certificate states on itself: signed (True), unsigned
-    (False) or nothing (None).
+    `covariance` is the covariance of the coefficients, `files` maps names to attachments. `release` is the
+    version of the program that wrote it. `says_signed` is what the certificate says of itself: signed (True),
+    unsigned (False) or nothing (None).
     """
 
     says: CertificateSays
@@ -429,7 +429,7 @@ def _file(node: Any) -> tuple[str, bytes]:
 
 
 def _coefficients(root: Any) -> tuple[tuple[tuple[float, ...], ...], dict[str, CertifiedCoefficient]]:
-    """Return covariance and coefficients of the last result (the unit as left); empty if there is none."""
+    """Return covariance and coefficients of the last result (unit as left), both empty without a result."""
     results = root.findall(_COEFFICIENTS, nodes.NAMESPACES)
     found = None if not results else results[-1].find(_LIST, nodes.NAMESPACES)
     if found is None:

@@ -55,7 +55,7 @@ They are the voltmeter of a signal, the scanning voltmeter, the head and the cha
 
 @dataclass
 class FormState(EditedFile):
-    """The state of the form: its file, the typed values, the findings; `written` is the text that they give."""
+    """The state of the form: its file, the typed values, the findings; `written` is the file's new text."""
 
     values: dict[str, str] = field(default_factory=dict)
     groups: list[Group] = field(default_factory=list)
@@ -149,7 +149,7 @@ def _values(text: str) -> dict[str, str]:
 
 
 def _judge(state: FormState) -> None:
-    """Make the text to be written from the typed values, and assign its mistakes to their fields."""
+    """Make the file's new text from the typed values, and assign the mistakes in it to their fields."""
     state.groups = groups_of(state.values)
     try:
         state.written = changed_text(state.base.text, state.values, state.groups)
@@ -218,9 +218,9 @@ def _assign(state: FormState, given: Mapping[str, str], found: Findings) -> None
 
 
 def _place_of(target: str, values: dict[str, str]) -> str:
-    """Return the path in the bench file of the instrument that a found resource is given to.
+    """Return the path in the bench file of the instrument `target`, to which a found resource is assigned.
 
-    The choices of the form in `values` are changed to suit.
+    The number of voltmeters chosen in `values` is changed if `target` demands it.
     """
     if target in {"head", "chamber"}:
         return f"instruments.{target}"
@@ -237,7 +237,7 @@ def _place_of(target: str, values: dict[str, str]) -> str:
 
 
 def _addressed(given: Mapping[str, str]) -> list[str]:
-    """Return the resources to be addressed: those ticked, and those typed, one in a line."""
+    """Return the resources to be addressed: those ticked and those typed, one per line."""
     ticked = [given.get(f"resource:{key[4:]}", "") for key in given if key.startswith("ask:")]
     return [one for one in (*ticked, *given.get("further", "").split()) if one]
 
@@ -280,7 +280,7 @@ def _form_page(request: Request, state: FormState) -> Response:
 
 
 def _known_certificates(file: BenchFile | None) -> dict[str, str]:
-    """Return, by resource, the date of the certificate that the bench file states."""
+    """Return the date of the certificate that the bench file states for each resource."""
     found = {}
     for section in file.instruments.all() if file else ():
         resource, certificate = getattr(section, "resource", None), section.certificate
@@ -290,7 +290,7 @@ def _known_certificates(file: BenchFile | None) -> dict[str, str]:
 
 
 def _by_place(file: BenchFile | None, results: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the results of a test by the path of their instrument in the form."""
+    """Return the results of a test, by the path of the instrument in the form."""
     if file is None:
         return {}
     meters = enumerate(file.instruments.voltmeters)
@@ -310,7 +310,7 @@ def search_of(panel: Panel) -> Search:
 
 
 def searched(request: Request) -> Response:
-    """Respond to the script of the form whether a search is in progress."""
+    """Tell the script of the form whether a search is in progress."""
     operator(request)
     return JSONResponse({"at_work": search_of(panel_of(request)).at_work()})
 

@@ -1,4 +1,4 @@
-"""The pages on the catalogue, if the panel has one: a search for units, and the page of a unit. They only read."""
+"""The read-only pages on the catalogue, if the panel has one: a search for units, and the page of a unit."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ON_A_PAGE: Final = 100
 
 
 async def units(request: Request) -> Response:
-    """Show the units whose runs match the search."""
+    """Show the units with runs that match the search."""
     asked = request.query_params.get("ask", "")[:LONGEST]
     found = await _asked(request, _units, asked)
     rows = [
@@ -58,7 +58,7 @@ async def figure(request: Request) -> Response:
 
 
 async def _asked(request: Request, question: Callable[[Catalogue, str], Told], asked: str) -> Told:
-    """Return the answer to a question to the panel's catalogue. Raises `Refusal` (404) if it has none."""
+    """Ask the panel's catalogue a question; return the answer. Raises `Refusal` (404) without a catalogue."""
     looking(request)
     where = panel_of(request).settings.catalogue
     if not where:

@@ -32,7 +32,7 @@ async def data(request: Request) -> Response:
 
 
 async def previous(request: Request) -> Response:
-    """Send the residuals of the readings from predictions by the unit's previous calibration, for the live page."""
+    """Send the readings minus their predictions by the unit's previous calibration, for the live page."""
     found, panel = run_of(request), panel_of(request)
     earlier = await run_in_threadpool(previous_calibration, found, panel.runs)
     points = () if earlier is None else await panel.followers.points(earlier.folder)

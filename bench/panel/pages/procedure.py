@@ -59,7 +59,7 @@ class CheckBeside:
 
 @dataclass
 class TableState(EditedFile):
-    """The state of the table: its file, the text that the table edits, its groups and rows, and the check.
+    """The state of the table: its file, the text being edited, the groups and rows, and the check.
 
     `typed` is the content of the text field, `bench` the bench file for the check.
     """
@@ -80,12 +80,12 @@ class TableState(EditedFile):
 
     @property
     def short(self) -> dict[str, str]:
-        """The name of each field in the form, which is shorter than its path in the file."""
+        """The short name of each field in the form, by its path in the file."""
         return {one.name: f"f{number}" for number, one in enumerate(self.fields)}
 
     @property
     def path(self) -> Path:
-        """The path of the written file; a new file without a name has a placeholder."""
+        """The path of the file to write; a placeholder for a new file without a name."""
         return self.base.path if not self.start else Path(PROCEDURES) / "new.yaml"
 
 
@@ -161,7 +161,7 @@ CHANGES: Final = {"copy": with_copy, "remove": without_step}
 
 
 def _text_of(given: Mapping[str, str], name: str) -> str:
-    """Return a text of several lines. Raises `Refusal` (400) for characters that no file of the panel has."""
+    """Return the text of several lines in field `name`. Raises `Refusal` (400) for impossible characters."""
     lines = re.split(r"\r\n|\r|\n", given.get(name, "").rstrip())
     text = "\n".join(line.rstrip(" \t") for line in lines) + "\n"
     if visible(text) != text:
@@ -180,7 +180,7 @@ def _data(text: str) -> Any:
 
 
 def _from_table(text: str, given: Mapping[str, str]) -> str:
-    """Return a text with the values typed in the table's fields; the text itself if it is no YAML."""
+    """Return `text` with the values typed in the table's fields; unchanged if it is no YAML."""
     data = _data(text)
     if not isinstance(data, dict):
         return text
@@ -217,7 +217,7 @@ def _write(panel: Panel, person: Person, state: TableState, expected: str) -> bo
 
 
 def _named(state: TableState) -> str:
-    """Return the text of a new procedure with its file's name in it, unless the person typed another name."""
+    """Return the text of a new procedure, named after its file unless the person typed another name."""
     data = _data(state.text)
     name = sections_of(data)[0].fields[:1]
     if not isinstance(data, dict) or data.get("procedure") != (_data(state.base.text) or {}).get("procedure"):

@@ -1,4 +1,4 @@
-"""The queue of the day: its units, each begun by a person; the state of their benches; who is on duty."""
+"""The queue of the day: the units, each begun by a person; the state of the benches; who is on duty."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ MOVES: Final = {"up": -1, "down": 1}
 class QueueRow:
     """An item with its state in words: "to do", a stage of its check, or the state of its run.
 
-    `run` is the row of the item's run. `beginnable` and `returnable` say whether a person may begin the item or put
-    it back into the queue.
+    `run` is the row of the item's run. `beginnable` says whether a person may begin the item, `returnable`
+    whether a person may put it back into the queue.
     """
 
     item: QueueItem
@@ -55,7 +55,7 @@ class QueueRow:
 class BenchToday:
     """A bench of the queue today: certificates that need attention, warm-up, check block, the run in progress.
 
-    `certificates` and `notes` are sentences; `well` is a sentence that all certificates are valid.
+    `certificates` and `notes` are sentences; `well` is the sentence shown if all certificates are valid.
     """
 
     name: str
@@ -157,7 +157,7 @@ def next_unit(panel: Panel) -> QueueItem | None:
 
 
 def bench_today(name: str, runs: Sequence[RunRow], on: DayNote | None) -> BenchToday:
-    """Return today's notes on a bench for its operator; the note `on` says when the bench was switched on."""
+    """Return what an operator must know today of a bench; the note `on` says when it was switched on."""
     busy = next((row.name for row in runs if row.alive and row.bench == Path(name).stem), "")
     try:
         path = chosen_bench_file(name)
@@ -198,7 +198,7 @@ def _bench(path: Path, _changed_ns: int) -> BenchFile:
 
 
 def _attention(standing: Standing, today: date) -> str:
-    """Return a sentence on a certificate that has expired or will soon; empty for any other."""
+    """Return a sentence on a certificate that has expired or soon will; "" for any other."""
     until = standing.certificate.valid_until
     if until is None or (until - today).days > REMINDED_DAYS:
         return ""
@@ -251,8 +251,8 @@ def _check_block(bench: BenchFile, runs: Sequence[RunRow]) -> list[str]:
 async def changed(request: Request) -> Response:
     """Carry out an action on the queue.
 
-    It adds units, removes finished ones, notes who is on duty or that a bench is switched on, or puts damaged files
-    aside.
+    The action adds units, removes finished ones, notes who is on duty or that a bench is on, or puts damaged
+    files aside.
     """
     person, sent = await acting(request, Role.OPERATOR)
     await run_in_threadpool(_changed, panel_of(request), person, sent)
@@ -295,9 +295,9 @@ def _asked(panel: Panel, person: Person, sent: dict[str, str]) -> list[QueueItem
 
 
 async def item_changed(request: Request) -> Response:
-    """Begin, move, remove or put back an item. "Begin" only starts the check of the item.
+    """Begin, move, remove or put back an item. "Begin" starts only the check of the item.
 
-    Another button starts the run.
+    Another button, shown after the check, starts the run.
     """
     person, sent = await acting(request, Role.OPERATOR)
     to = await run_in_threadpool(

@@ -66,7 +66,7 @@ async def run(request: Request) -> Response:
 
 
 async def outcome(request: Request) -> Response:
-    """Send the part of the live page that shows the outcome of a run that has ended."""
+    """Send the outcome of a run that has ended, as a part of the live page."""
     found = run_of(request)
     state = await panel_of(request).followers.state(found.folder)
     told = await run_in_threadpool(_outcome, request, found, state)
@@ -108,9 +108,9 @@ async def stream(request: Request) -> Response:
 async def _as_long_as_signed_in(
     request: Request, events: AsyncIterator[bytes], name: str
 ) -> AsyncIterator[bytes]:
-    """Yield the events until the person signs out or the token is revoked; count the person's streams.
+    """Yield `events` until the person signs out or the token is revoked; count the person's streams.
 
-    An unreadable run is reported as an event, as the response has begun and can no longer be a refusal.
+    An unreadable run is reported as an event, because the response has begun: it can no longer be a refusal.
     """
     streams = panel_of(request).streams
     streams[name] += 1
@@ -126,7 +126,7 @@ async def _as_long_as_signed_in(
 
 
 async def check_answer(request: Request) -> Response:
-    """Send what is wrong with the answer typed so far, and how the program understands it; nothing is stored."""
+    """Send what is wrong with the answer typed so far, and how the program reads it; store nothing."""
     found = run_of(request)
     asked = await panel_of(request).followers.prompt(found.folder)
     text = request.query_params.get("text", "")
@@ -134,7 +134,7 @@ async def check_answer(request: Request) -> Response:
 
 
 def checked(asked: AskedPrompt | None, prompt_id: str, text: str) -> dict[str, str]:
-    """Return what is wrong with an answer, `problem` (empty if acceptable), and how it is `understood`.
+    """Return the `problem` with an answer ("" if acceptable), and how the answer is `understood`.
 
     Raises `Refusal` (409) if the question is no longer open.
     """
@@ -206,7 +206,7 @@ async def control(request: Request) -> Response:
 async def resume(request: Request) -> Response:
     """Resume a run that no program carries out.
 
-    The person must have control of the run, and gets it if nobody has it.
+    The person must have control of the run, and gets control if nobody has it.
     """
     person, _ = await acting(request, Role.OPERATOR)
     run = panel_of(request).runs.run(request.path_params["name"])
@@ -242,7 +242,7 @@ def _who(person: Person) -> WishAuthor:
 
 
 async def _doing(work: Callable[..., Told], *given: object) -> Told:
-    """Return the result of disk work, done in a thread outside the event loop. Raises `Refusal` for `OSError`."""
+    """Return the result of disk `work`, done in a thread of its own. Turns `OSError` into `Refusal`."""
     try:
         return await run_in_threadpool(work, *given)
     except OSError as error:
@@ -250,7 +250,7 @@ async def _doing(work: Callable[..., Told], *given: object) -> Told:
 
 
 def _done(request: Request, run: Run, what: str) -> Response:
-    """Return the response to a successful request: a script gets a sentence, a form gets the page of the run."""
+    """Return the response to a successful request: a script gets a sentence, a form the page of the run."""
     if wants_json(request):
         return JSONResponse({"done": what})
     from urllib.parse import quote

@@ -1,4 +1,4 @@
-"""The table of the runs in the folder, with filters and search; the control charts of its check block."""
+"""The table of the runs in the folder, with filters and search; the control charts of the check block."""
 
 from __future__ import annotations
 

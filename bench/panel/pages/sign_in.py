@@ -62,7 +62,7 @@ async def sign_out(request: Request) -> Response:
 
 
 def choose_language(request: Request) -> Response:
-    """Keep the chosen language in a cookie, and show again the page on which it was chosen."""
+    """Store the chosen language in a cookie, and show the page again on which it was chosen."""
     response = RedirectResponse(
         _here(urlsplit(request.headers.get("referer", "/")).path or "/"), status_code=303
     )
@@ -83,5 +83,5 @@ def _form(request: Request, after: str, *, link: str = "", wrong: str = "", stat
 
 
 def _here(path: str) -> str:
-    """Return a path if it is on this panel, otherwise "/", so that a link cannot redirect to another site."""
+    """Return `path` if it is on this panel, else "/", so that no link redirects to another site."""
     return quote(path, errors="replace") if _HERE.fullmatch(path) else "/"

@@ -53,8 +53,8 @@ BEGINS_WITHIN: Final = timedelta(seconds=30)
 def form(request: Request) -> Response:
     """Show the form with its choices.
 
-    Query parameters: `after` is a run whose diagnosis proposes measurements, `like` a run whose procedure and bench
-    are preset for the next unit.
+    Query parameters: `after` names a run whose diagnosis proposes measurements, `like` a run from which
+    procedure and bench are preset.
     """
     person = operator(request)
     given = {name: request.query_params.get(name, "")[:LONGEST] for name in (*FORM, "after", "like")}
@@ -102,7 +102,7 @@ def form_field(name: str) -> FormField:
 
 
 async def check(request: Request) -> Response:
-    """Start a separate process that checks the chosen run and carries it out dry."""
+    """Start a separate process that checks the requested run and carries out a dry run of it."""
     person, sent = await acting(request, Role.OPERATOR)
     panel = panel_of(request)
     wish = await run_in_threadpool(wished, panel, person, sent)
@@ -110,7 +110,7 @@ async def check(request: Request) -> Response:
 
 
 def wished(panel: Panel, person: Person, sent: Mapping[str, str], queued: str = "") -> WishFolder:
-    """Start the check of the run that a form asks for, for the item `queued` of the queue. Raises `Refusal`."""
+    """Start the check of the run requested by a form; `queued` is its item in the queue. Raises `Refusal`."""
     given: dict[str, str | bool] = {
         "procedure": str(chosen_procedure(sent.get("procedure", ""), panel.runs).absolute()),
         "bench": str(chosen_bench(sent.get("bench", ""), panel.runs).absolute()),
@@ -181,7 +181,7 @@ def _text(sent: Mapping[str, str], name: str) -> str:
 
 
 def printable(text: str, name: str) -> str:
-    """Return what was typed in a field without outer blanks. Raises `Refusal` (400) if it cannot be printed."""
+    """Return the `text` of a field without outer blanks. Raises `Refusal` (400) if it is not printable."""
     text = text.strip()
     if len(text) > LONGEST or (text and not text.isprintable()) or visible(text) != text:
         raise Refusal(400, message(f"{name}: give at most {LONGEST} printable characters"))
@@ -213,6 +213,6 @@ def _times(told: TrialResult) -> dict[str, str]:
 
 
 def _just_begun(wish: WishFolder) -> bool:
-    """Return whether the wish is so new that its checking process may not have begun yet."""
+    """Return whether the wish is so recent that the process of its check may not have begun yet."""
     age_s = utc_now().timestamp() - (wish.path / WISH).stat().st_mtime
     return age_s < BEGINS_WITHIN.total_seconds()

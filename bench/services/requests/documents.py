@@ -280,7 +280,7 @@ class PlanKit:
 
 @dataclass(frozen=True)
 class SealKit:
-    """Options of `bench kit seal`: note the seals of the laboratories' results, before any is opened."""
+    """Options of `bench kit seal`: note the seals of all results before any result is opened."""
 
     plan: Annotated[str | Path, Option("Plan of the comparison.", argument=True, typed=Path)]
     results: Annotated[

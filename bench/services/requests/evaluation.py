@@ -70,8 +70,8 @@ class Calibrate(OnReadings):
     def otherwise(self) -> bool:
         """Whether any option that affects the coefficients differs from its default.
 
-        A run's stored result is computed with the defaults, so it cannot be reused if this is true. The model
-        is not considered.
+        If it is true, a run's stored result, computed with the defaults, cannot be reused. The model is not
+        considered.
         """
         usual = (self.estimator, self.nominal_angles, self.join_free, self.join_verification, self.prior)
         return usual != ("gls", False, True, False, None)
@@ -179,7 +179,7 @@ class Tumble(OnReadings):
 
 @dataclass(frozen=True)
 class Confirm(OnReadings):
-    """Options of `bench confirm`: test on new readings a model that was found in others."""
+    """Options of `bench confirm`: test on new readings a model that was found in other readings."""
 
     source: Annotated[
         Data,

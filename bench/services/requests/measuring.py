@@ -103,7 +103,7 @@ class RunRequest(DryRunRequest):
 
     @property
     def living(self) -> bool:
-        """Whether a person answers the questions of a dry run."""
+        """Whether a person, and no script, answers the questions of a dry run."""
         return self.dry_run and (self.panel or self.answers is not None)
 
 

@@ -86,7 +86,7 @@ class Budget:
 
 @dataclass(frozen=True, kw_only=True)
 class Require:
-    """Options of `bench require`: compute how large the errors of a bench may be for an accuracy."""
+    """Options of `bench require`: compute how large the errors of a bench may be for a required accuracy."""
 
     accuracy: Annotated[
         str, Option("Required accuracy k u, in g (of a coefficient in V/g or V).", common=True)
@@ -113,7 +113,7 @@ class Require:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanPoints:
-    """Options of `bench plan-points`: find the test points that reach an uncertainty."""
+    """Options of `bench plan-points`: find the test points that give a required uncertainty."""
 
     bench: BenchField = None
     u: list[str] | None = option(
@@ -145,5 +145,5 @@ class PlanPoints:
 
     @property
     def has_goals(self) -> bool:
-        """Whether a goal for an uncertainty is stated, and not only a time."""
+        """Whether the options state a goal for an uncertainty, and not only a time."""
         return bool(self.u) or self.delta_g is not None or self.modulus is not None

@@ -115,7 +115,7 @@ def runs_folder(runs: str | Path | None) -> Path:
 
 
 def name_to_type(run: Path) -> str:
-    """Return the shortest name by which commands find a run.
+    """Return the shortest text by which commands find a run.
 
     It is the run's name if the run is in the default folder of runs, else its path.
     """
