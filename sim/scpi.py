@@ -130,7 +130,7 @@ class ScpiInstrument:
         return 0
 
     def number(self, value: float) -> str:
-        """Return a whole number in the instrument's format: `+0`."""
+        """Format `value`, rounded, as the instrument does: `+20`."""
         return integer(value)
 
     def device_clear_pending(self) -> bool:

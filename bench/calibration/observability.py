@@ -445,7 +445,7 @@ _ASSUMED: Final = ("mounting_roll",)
 def unseen_coefficients(problem: Problem, block: Block) -> Floats:
     """Return d changes (12, d) of the coefficients that readings cannot distinguish from angles of the stand.
 
-    The third mounting angle counts as unknown, too. The norm of each change is the largest element of K.
+    The third mounting angle counts as unknown, too. Scaled: max |change| equals max |K|.
     """
     if problem.upper:
         return np.zeros((FIXED, 0))

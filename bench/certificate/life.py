@@ -401,7 +401,7 @@ def register_result(register: Register, number: str | None, runs: Path | None) -
 
 
 def _same(register: Register, number: str, runs: Path, problems: list[str]) -> bool:
-    """Reproduce a certificate; return whether its unsigned forms are as issued, else add to `problems`."""
+    """Return whether the unsigned forms, made again, are as issued; add any failure to `problems`."""
     stated = register.standings[number].entry.data["bodies"]
     try:
         again = made_again(register, number, runs).sha256()

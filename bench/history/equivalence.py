@@ -349,7 +349,7 @@ def _compared(
 def _benches_together(
     taking: Sequence[Participants], found: Sequence[Equivalence], joint: Joint
 ) -> tuple[JointDifference, ...]:
-    """Return the joint test of the degrees of equivalence of each bench over all coefficients."""
+    """Return, for each bench, a joint test of its degrees of equivalence over all coefficients."""
     degrees = np.stack([one.degree for one in found], axis=1)
     u = np.stack([one.u_degree for one in found], axis=1)
     maps = np.stack([one.map for one in found], axis=1)
@@ -360,7 +360,7 @@ def _benches_together(
 
 
 def _pairs_together(by_coefficient: Sequence[Sequence[Pair]], joint: Joint) -> tuple[JointDifference, ...]:
-    """Return the joint test of the difference of each pair of benches over all coefficients."""
+    """Return, for each pair of benches, a joint test of its differences over all coefficients."""
     each = list(zip(*by_coefficient, strict=True))
     u = np.array([[pair.u for pair in one] for one in each])
     errors = np.array([joint.of_sums(np.array([pair.map for pair in one])) for one in each])

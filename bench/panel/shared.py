@@ -199,7 +199,7 @@ KEPT = {"cache-control": "public, max-age=31536000, immutable"}
 
 
 async def send_asset(request: Request) -> Response:
-    """Send an asset if the request has its current address, which changes with the content."""
+    """Send an asset if the path is its current address, which changes with its content."""
     name = request.path_params["name"]
     if name not in ASSETS or request.scope["path"] != asset(name):
         raise Refusal(404, message("no such file; load the page again"))

@@ -580,7 +580,7 @@ class Member:
         return self.pose if i >= self.since and self.reading in (None, i) else 0
 
     def shift_at(self, i: int) -> int:
-        """Return the number of the shift that applies at reading `i`."""
+        """Return `shift` if `i` is `reading`, otherwise `AS_IT_IS`."""
         return self.shift if self.reading == i else AS_IT_IS
 
 

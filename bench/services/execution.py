@@ -390,8 +390,7 @@ def _on_certificates(
 ) -> Callable[[Mapping[str, str]], Sequence[str]] | None:
     """Return the function that maps serial numbers to remarks on certificates; None if it is not needed.
 
-    Simulated instruments without certificates need none. In a simulated run, serial numbers are never
-    compared with certificates.
+    It is None if a simulated run has no certificates. With certificates, such a run compares no serial numbers.
     """
     if simulated and all(section.certificate is None for section in bench.instruments.all()):
         return None

@@ -310,7 +310,7 @@ def _gone_through(
 ) -> str:
     """Carry out a session of checks; return why it stopped early, "" if it was completed.
 
-    Afterwards signals raise no exception, so that the bench is left safe and the page is written.
+    Afterwards SIGINT and the like raise no exception, so that the bench is left safe and the page is written.
     """
     try:
         try:

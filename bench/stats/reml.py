@@ -232,11 +232,10 @@ LIMIT_AT_REST: Final = 0.01
 
 @dataclass(frozen=True)
 class Profile:
-    """The profile of the restricted likelihood over one size (1 sigma), with other variances linear in its
-    square.
+    """The profile of the restricted likelihood over size s (1 sigma); other variances are linear in s².
 
-    The linear relation is exact near the maximum, which is at `variances` (k,). `follow` (k,) is the change of
-    each variance per change of the variance of size `which`; `scale` is a start value.
+    The linear relation is exact near the maximum, which is at `variances` (k,). `follow` (k,) is each variance's
+    change per change of s²; `which` is the index of s; `scale` is a start value.
     """
 
     likelihood: Callable[[Floats], float]

@@ -2,7 +2,7 @@
 
 As of pyvisa-py 0.8.1: a refused connection counts as open until the first write; VI_ATTR_TCPIP_NODELAY cannot be
 set; a read from a socket whose peer has closed busy-waits for the whole timeout; opening may block as long as a
-name server does; a closed session is never freed. Foreign exceptions pass through.
+name server does; a closed session is never freed. Library exceptions pass through.
 """
 
 from __future__ import annotations
