@@ -182,7 +182,7 @@ def test_one_installation_only_names_what_it_cannot_give(label, lost, axis):
 
 def test_a_single_reading_is_refused():
     readings = simulate(None, 0.0)
-    with pytest.raises(CalibrationError, match="1 readings do not determine"):
+    with pytest.raises(CalibrationError, match="1 reading does not determine"):
         calibrate(readings.select(np.arange(54) == 0), MODEL, STAND_U, 9.81)
 
 

@@ -92,7 +92,7 @@ def test_when_the_answers_end_the_run_stops_and_goes_on_later(served, bench):
     status, _, err = start(bench, answers="yes\n23\n0 0 2\n")
     assert status == 2
     assert "the input ended before an answer to" in err
-    assert "1 readings are kept" in err
+    assert "1 reading is kept" in err
     assert len(Run(Path("runs/run")).readings()) == 1
     assert "interrupted" not in bench("runs")[1]
     assert bench("resume", "run", stdin="untouched\n89 59 58\n")[0] == 0
