@@ -14,15 +14,11 @@ from bench.calibration.noise import KnownNoise, KnownStand
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect, Parameter, Stage
 from bench.model.effects.base import InPart
-from bench.model.effects.formula import ExpressionError
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block
 
 FIXED = 12
 """Number of coefficients: they come first among the unknowns and have no prior."""
-
-DIAGONAL: Final = (0, 4, 8)
-"""Indices of the coefficients Kxx, Kyy and Kzz."""
 
 UPPER = np.array([0, 1, 2, 4, 5, 8, 9, 10, 11])
 """Indices of the coefficients that remain unknown if K is upper triangular by convention."""
@@ -46,9 +42,6 @@ SYMBOLS: Mapping[str, str] = {
 AFTER_FORCE: Final = (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
 """Stages whose effects do not change the specific force."""
 MOST_KEPT: Final = 3
-PROBE: Final = 1e-3
-"""Step of a signal (rad, g or V) that shows whether an addition depends on it."""
-NO_EFFECTS: Final[Mapping[int, AppliedEffect]] = {}
 
 
 @dataclass(frozen=True)
@@ -295,25 +288,28 @@ class Problem:
         return self._last[point]
 
     def _linear_with_effects(self, block: Block, others: Floats) -> Linearisation:
-        chain = _Chain(self._model_at(others), self.conditions, block, self.stand_matrix(others))
+        here, stand = self._model_at(others), self.stand_matrix(others)
+        chain = _Chain(here, self.conditions, block, stand)
+        early = any(applied.effect.stage not in AFTER_FORCE for applied in here.effects)
         columns = np.empty((len(self.conditions), 3, FIXED + len(others)))
         shift = 1e-3 * float(np.max(np.abs(block.K)))
         for j in range(FIXED):
             step = np.zeros(FIXED)
             step[j] = shift
-            up, down = (chain.read(Block.from_vector(block.vector + way)) for way in (step, -step))
+            blocks = [Block.from_vector(block.vector + way) for way in (step, -step)]
+            up, down = (here.readings(of, self.conditions, stand) if early else chain.of(of) for of in blocks)
             columns[:, :, j] = (up - down) / (2 * shift)
         for j in range(len(others)):
             step = self.other_step(j)
             ways = (others + step, others - step)
             if j < len(self.stand):
-                up, down = (chain.read(block, stand_rad=self.stand_matrix(at)) for at in ways)
+                stands = [self.stand_matrix(at) for at in ways]
+                up, down = (here.readings(block, self.conditions, at) for at in stands)
             else:
-                effect = self.effects[j - len(self.stand)].effect
-                up, down = (chain.read(block, instead={effect: self.effect_at(effect, at)}) for at in ways)
+                i = self.effects[j - len(self.stand)].effect
+                up, down = (chain.instead(here.effects[i], self.effect_at(i, at)) for at in ways)
             columns[:, :, FIXED + j] = (up - down) / (2 * step[j])
-        forward, back = (chain.read(block, setting_rad=step) for step in (STEP_RAD, -STEP_RAD))
-        return Linearisation(chain.readings, columns, (forward - back) / (2 * STEP_RAD))
+        return Linearisation(chain.readings, columns, self.slope(block, others))
 
     def _model_at(self, others: Floats) -> ForwardModel:
         """Return the model with the values `others` (q,) of the unknowns after the coefficients."""
@@ -327,112 +323,45 @@ class Problem:
 
 
 class _Chain:
-    """The chain from the stand to the readings, evaluated at one point and for steps of single unknowns.
-
-    A step evaluates only the additions of effects that it changes. Trials at the point show which these are:
-    a step of the signal at the stage of the effect (in both directions), of Kxx, Kyy and Kzz, and of all
-    other coefficients.
-    """
+    """The chain from the stand to the readings at one point; a step from there evaluates only what follows it."""
 
     def __init__(self, model: ForwardModel, conditions: Conditions, block: Block, stand_rad: Floats) -> None:
         self._model, self._conditions, self._block = model, conditions, block
-        self._of: dict[Stage, list[int]] = {stage: [] for stage in Stage}
-        for i, applied in enumerate(model.effects):
-            self._of[applied.effect.stage].append(i)
-        self._own: dict[int, Floats] = {}
-        self._signal: dict[Stage, Floats] = {}
-        self._after: dict[Stage, Floats] = {}
-        size = 1e-3 * float(np.max(np.abs(block.K)))
-        diagonal = np.isin(np.arange(FIXED), DIAGONAL)
-        self._moved = [Block.from_vector(block.vector + size * which) for which in (diagonal, ~diagonal)]
-        self._varies: dict[int, tuple[bool, bool, bool]] = {}
-        self._pass(Stage.STAND, stand_rad[conditions.mount])
-        self._pass(Stage.HEAD_ANGLE, conditions.angle_rad)
-        stand, angle = self._after[Stage.STAND], self._after[Stage.HEAD_ANGLE]
-        self._pass(Stage.SPECIFIC_FORCE, model.static_force(conditions, stand, angle))
-        self._pass(Stage.BLOCK_OUTPUT, self._after[Stage.SPECIFIC_FORCE])
-        self._pass(Stage.VOLTMETER_READING, self._after[Stage.BLOCK_OUTPUT])
-        early = [i for stage in Stage if stage not in AFTER_FORCE for i in self._of[stage]]
-        self._block_moves_force = any(any(self._varies[i][1:]) for i in early)
+        rows = stand_rad[conditions.mount]
+        self._stand, self._angle = model.angles(conditions, rows, conditions.angle_rad, block)
+        static = model.static_force(conditions, self._stand, self._angle)
+        self._force = model.force(static, conditions, block)
+        self._voltage_v = model.output(self._force, conditions, block)
+        self.readings = model.voltmeter_readings(self._voltage_v, conditions, block)
+        self._signals = {
+            Stage.STAND: rows,
+            Stage.HEAD_ANGLE: conditions.angle_rad,
+            Stage.SPECIFIC_FORCE: static,
+            Stage.BLOCK_OUTPUT: self._force,
+            Stage.VOLTMETER_READING: self._voltage_v,
+        }
 
-    @property
-    def readings(self) -> Floats:
-        """The readings (n, 3) at the point."""
-        return self._after[Stage.VOLTMETER_READING]
+    def of(self, block: Block) -> Floats:
+        """Return the readings (n, 3) of another block in a model whose effects leave the force as it is."""
+        voltage_v = self._model.output(self._force, self._conditions, block)
+        return self._model.voltmeter_readings(voltage_v, self._conditions, block)
 
-    def _pass(self, stage: Stage, signal: Floats) -> None:
-        """Store, for a stage at the point, its `signal`, each effect's addition, and what changes this
-        addition.
-        """
-        self._signal[stage] = signal
-        for i in self._of[stage]:
-            self._own[i] = self._addition(i, signal, self._block)
-            inputs = [(signal + way * PROBE, self._block) for way in (1, -1)]
-            inputs += [(signal, block) for block in self._moved]
-            up, down, scale, rest = (self._differs(i, *one) for one in inputs)
-            self._varies[i] = up or down, scale, rest
-        own = sum((self._own[i] for i in self._of[stage]), np.zeros(()))
-        self._after[stage] = self._base(stage, signal, self._block) + own
-
-    def _differs(self, index: int, signal: Floats, block: Block) -> bool:
-        """Whether an effect's addition to `signal` differs from its addition at the point, or cannot be
-        computed.
-        """
-        try:
-            return not np.array_equal(self._addition(index, signal, block), self._own[index])
-        except ExpressionError:
-            return True
-
-    def _base(self, stage: Stage, signal: Floats, block: Block) -> Floats:
-        return block.output(signal) if stage is Stage.BLOCK_OUTPUT else signal
-
-    def _addition(self, index: int, signal: Floats, block: Block) -> Floats:
-        return self._model.addition(self._model.effects[index], signal, self._conditions, block)
-
-    def read(
-        self,
-        block: Block,
-        *,
-        stand_rad: Floats | None = None,
-        setting_rad: float = 0.0,
-        instead: Mapping[int, AppliedEffect] = NO_EFFECTS,
-    ) -> Floats:
-        """Return the readings (n, 3) after a step of one unknown.
-
-        It is a step of the `block`, of the stand angles (mounts, 5), of the setting of the head, or of an
-        effect, which `instead` maps from its index.
-        """
-        stages = [self._model.effects[i].effect.stage for i in instead]
-        changed = [block.vector[j] != self._block.vector[j] for j in range(FIXED)]
-        scale, rest = any(changed[j] for j in DIAGONAL), any(np.delete(changed, DIAGONAL))
-
-        def passed(stage: Stage, signal: Floats) -> Floats:
-            other = signal is not self._signal[stage]
-            if not other and stage not in stages and block is self._block:
-                return self._after[stage]
-            after = self._base(stage, signal, block)
-            for i in self._of[stage]:
-                with_signal, with_scale, with_rest = self._varies[i]
-                if i in instead:
-                    own = self._model.addition(instead[i], signal, self._conditions, block)
-                elif (other and with_signal) or (scale and with_scale) or (rest and with_rest):
-                    own = self._addition(i, signal, block)
-                else:
-                    own = self._own[i]
-                after = after + own
-            return after
-
-        force = self._after[Stage.SPECIFIC_FORCE]
-        touched = stand_rad is not None or setting_rad or any(stage not in AFTER_FORCE for stage in stages)
-        if touched or (block is not self._block and self._block_moves_force):
-            stand, angle = self._signal[Stage.STAND], self._signal[Stage.HEAD_ANGLE]
-            stand = passed(Stage.STAND, stand if stand_rad is None else stand_rad[self._conditions.mount])
-            angle = passed(Stage.HEAD_ANGLE, angle + setting_rad if setting_rad else angle)
-            static = self._signal[Stage.SPECIFIC_FORCE]
-            if stand is not self._after[Stage.STAND] or angle is not self._after[Stage.HEAD_ANGLE]:
-                static = self._model.static_force(self._conditions, stand, angle)
-            force = passed(Stage.SPECIFIC_FORCE, static)
-        return passed(Stage.VOLTMETER_READING, passed(Stage.BLOCK_OUTPUT, force))
+    def instead(self, old: AppliedEffect, new: AppliedEffect) -> Floats:
+        """Return the readings (n, 3) with the effect `new` in place of `old`, which is in the model."""
+        model, given, stage = self._model, (self._conditions, self._block), old.effect.stage
+        signal = self._signals[stage]
+        change = model.addition(new, signal, *given) - model.addition(old, signal, *given)
+        if stage is Stage.VOLTMETER_READING:
+            return self.readings + change
+        if stage is Stage.BLOCK_OUTPUT:
+            return model.voltmeter_readings(self._voltage_v + change, *given)
+        if stage is Stage.SPECIFIC_FORCE:
+            force = self._force + change
+        else:
+            stand = self._stand + change if stage is Stage.STAND else self._stand
+            angle = self._angle + change if stage is Stage.HEAD_ANGLE else self._angle
+            force = model.force(model.static_force(self._conditions, stand, angle), *given)
+        return model.voltmeter_readings(model.output(force, *given), *given)
 
 
 def coefficient_columns(force: Floats) -> Floats:

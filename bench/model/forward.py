@@ -43,8 +43,8 @@ class ForwardModel:
         unknown = {mount.installation for mount in conditions.mounts} - set(self.installations)
         if unknown:
             raise KeyError(", ".join(sorted(unknown)))
-        force = self._force_of_stand(conditions, stand_rad, block, setting_error_rad)
-        return force + self._additions(Stage.SPECIFIC_FORCE, force, conditions, block)
+        static = self._force_of_stand(conditions, stand_rad, block, setting_error_rad)
+        return self.force(static, conditions, block)
 
     def readings(
         self, block: Block, conditions: Conditions, stand_rad: Floats, setting_error_rad: Floats | float = 0.0
@@ -73,7 +73,7 @@ class ForwardModel:
         acting = self._force_of_stand(conditions, stand_rad, block, setting_error_rad)
         if force is not None:
             acting = np.where(np.isnan(force), acting, force)
-        acting = acting + self._additions(Stage.SPECIFIC_FORCE, acting, conditions, block)
+        acting = self.force(acting, conditions, block)
         at_inputs = self.output(acting, conditions, block)
         if voltage_v is not None:
             at_inputs = np.where(np.isnan(voltage_v), at_inputs, voltage_v)
@@ -84,7 +84,7 @@ class ForwardModel:
 
         `force` (n, 3) is on block axes, in g of the bench's stated local gravity.
         """
-        force = force + self._additions(Stage.SPECIFIC_FORCE, force, conditions, block)
+        force = self.force(force, conditions, block)
         return self.voltmeter_readings(self.output(force, conditions, block), conditions, block)
 
     def output(self, force: Floats, conditions: Conditions, block: Block) -> Floats:
@@ -102,11 +102,20 @@ class ForwardModel:
         self, conditions: Conditions, stand_rad: Floats, block: Block, setting_error_rad: Floats | float
     ) -> Floats:
         """Return the static specific force on block axes, g, shape (n, 3), including effects of stand and head."""
-        stand = stand_rad[conditions.mount]
-        stand = stand + self._additions(Stage.STAND, stand, conditions, block)
-        angle = conditions.angle_rad + setting_error_rad
-        angle = angle + self._additions(Stage.HEAD_ANGLE, angle, conditions, block)
+        rows, angle_rad = stand_rad[conditions.mount], conditions.angle_rad + setting_error_rad
+        stand, angle = self.angles(conditions, rows, angle_rad, block)
         return self.static_force(conditions, stand, angle)
+
+    def angles(
+        self, conditions: Conditions, stand_rad: Floats, angle_rad: Floats, block: Block
+    ) -> tuple[Floats, Floats]:
+        """Return the stand angles (n, 5) and head angles (n,) of each reading with the additions of all effects."""
+        stand = stand_rad + self._additions(Stage.STAND, stand_rad, conditions, block)
+        return stand, angle_rad + self._additions(Stage.HEAD_ANGLE, angle_rad, conditions, block)
+
+    def force(self, static: Floats, conditions: Conditions, block: Block) -> Floats:
+        """Return the acting force (n, 3), g: the `static` force (n, 3) with the additions of all effects."""
+        return static + self._additions(Stage.SPECIFIC_FORCE, static, conditions, block)
 
     def static_force(self, conditions: Conditions, stand_rad: Floats, angle_rad: Floats) -> Floats:
         """Return the static specific force on block axes in g, shape (n, 3), NaN in an unknown installation.

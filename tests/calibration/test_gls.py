@@ -17,7 +17,8 @@ from bench.calibration.design import make_problem
 from bench.calibration.estimators import GLS, find_estimator
 from bench.calibration.gls import Estimator
 from bench.calibration.noise import LikelihoodResiduals, noise_from_residuals
-from bench.model import Block
+from bench.model import CATALOGUE, AppliedEffect, Block
+from bench.model.effects import Stage
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import write_csv
 from bench.readings.table import make_readings
@@ -412,3 +413,38 @@ def test_the_one_that_commands_take_unasked_is_listed_first(bench, readings):
     assert next(iter(ESTIMATORS)) == GLS
     for command in commands(readings):
         assert json.loads(bench(*command)[1])["estimator"] == GLS
+
+
+def test_derivatives_with_effects_at_each_stage_are_those_of_the_whole_chain():
+    """Each unknown is stepped in `predict`, which evaluates every stage with every effect."""
+    names = (
+        "axis_wobble", "head_eccentricity", "wrong_gravity", "quadratic_nonlinearity", "hysteresis",
+        "voltmeter_nonlinearity",
+    )  # fmt: skip
+    effects = [CATALOGUE[name] for name in names]
+    assert {effect.stage for effect in effects} == set(Stage)
+    applied = tuple(
+        AppliedEffect(
+            effect,
+            {
+                p.name: np.full(3 if p.per_channel else (), p.grid[-1] if p.is_shape else p.plausible)
+                for p in effect.parameters
+            },
+        )
+        for effect in effects
+    )
+    readings = simulate(np.random.default_rng(1), 0.0, passes=1)
+    problem = make_problem(replace(MODEL, effects=applied), readings.conditions(), STAND_U)
+    block, others = Block(K, U0), problem.prior_mean + 1e-4 * problem.prior_u
+    found = problem.linear(block, others)
+    np.testing.assert_allclose(found.predicted, problem.predict(block, others), rtol=0, atol=1e-12)
+    for j in range(12 + len(others)):
+        size = 1e-3 if j < 12 else float(np.max(problem.other_step(j - 12)))
+        step = size * (np.arange(12 + len(others)) == j)
+        up, down = (
+            problem.predict(Block.from_vector(block.vector + way[:12]), others + way[12:])
+            for way in (step, -step)
+        )
+        column = (up - down) / (2 * size)
+        tolerance = 1e-6 * max(float(np.max(np.abs(column))), 1.0)
+        np.testing.assert_allclose(found.jacobian[:, :, j], column, rtol=0, atol=tolerance)
