@@ -150,6 +150,8 @@ def busy(options: argparse.Namespace, folder: Path) -> int:
             first_row = first_row or time.monotonic()
             watch.look(done)
     lasted = time.monotonic() - began
+    if not any(one.last > one.first for one in watch.workers.values()):
+        sys.exit(f"{len(runs)} runs ended between two observations: give more, by --count")
     computed, wanted = watch.shares()
     print(f"{len(runs)} runs in {lasted:.0f} s, {lasted - (first_row - began):.0f} s after the first part")
     print(f"processes that computed, one after another: {len(watch.workers)}")

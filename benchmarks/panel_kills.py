@@ -172,12 +172,10 @@ class Campaign:
         while time.monotonic() < until_s:
             self.answer_one(name)
             time.sleep(0.02)
-            ended = (
-                Run(self.runs / name).history.state == "finished"
-                if runner is None
-                else runner.status is not None
-            )
-            if ended:
+            if runner is not None and runner.status is not None:
+                break
+            finished = Run(self.runs / name).history.state == "finished"
+            if runner is None and finished and not is_being_written(self.runs / name):
                 break
         self.check_answers(name)
         history = Run(self.runs / name).history
