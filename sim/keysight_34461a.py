@@ -47,7 +47,7 @@ class Keysight34461A(Agilent34401A):
         **options: Any,
     ) -> None:
         if interface not in INTERFACES:
-            raise ValueError(f"a {MODEL} has no RS-232")
+            raise ValueError(f"a {MODEL} has no RS-232; choose from {', '.join(INTERFACES)}")
         super().__init__(source, clock, interface=interface, **options)
         self.identity = self._own_identity = numbered(IDENTITY, source.place)
         self.add(self._truevolt_commands())

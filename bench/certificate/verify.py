@@ -358,7 +358,9 @@ def against_record(verdict: Verdict, shown: ShownValues, runs: Path) -> None:
         run = _recorded(seal, runs)
         differences = None if run is None else seal.differences(run)
     except (KeyError, ValueError, TypeError, AttributeError, RecursionError, binascii.Error):
-        verdict.wrong.append("the seal in the digital certificate cannot be read")
+        verdict.wrong.append(
+            "the seal in the digital certificate cannot be read; ask the laboratory for the original"
+        )
         return
     except (RecordError, OSError):
         differences = None
@@ -387,7 +389,9 @@ def against_record(verdict: Verdict, shown: ShownValues, runs: Path) -> None:
             f"that the record gives these results: release {shown.release} evaluated it, not this one"
         )
     else:
-        verdict.wrong.append(f"{folder}: the record gives another result than the certificate")
+        verdict.wrong.append(
+            f"{folder}: the record gives another result than the certificate; ask the laboratory why"
+        )
 
 
 def _recorded(seal: Seal, runs: Path) -> Run | None:
@@ -458,4 +462,6 @@ def against_register(verdict: Verdict, number: str, file: Path, content: bytes, 
     if known.entry.files.get(name) == hashlib.sha256(content).hexdigest():
         verdict.agreed.append(f"the register in {place} has the SHA-256 of this file for {name}")
     else:
-        verdict.wrong.append(f"the register has another SHA-256 for {name}: this is not the issued file")
+        verdict.wrong.append(
+            f"the register has another SHA-256 for {name}: this is not the issued file; ask for that file"
+        )

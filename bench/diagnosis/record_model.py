@@ -156,18 +156,18 @@ def _checked(readings: Readings) -> tuple[Floats, Floats, list[int]]:
     """Return times, reference voltages and the channels read. Raises `CalibrationError` with all that is wrong."""
     wrong = []
     if readings.unit != "V":
-        wrong.append(f"the signals are in {readings.unit}, a record has volts (ux_v)")
+        wrong.append(f"the signals are in {readings.unit}; give a record in volts (ux_v)")
     if not np.isfinite(readings.time_s).all():
-        wrong.append("time_s is empty in a row; a record needs the time of each")
+        wrong.append("time_s is empty in a row; fill it in, or delete the row")
     elif np.any(np.diff(readings.time_s) < 0.0) or readings.time_s[-1] == readings.time_s[0]:
-        wrong.append("time_s runs backwards or stands still")
+        wrong.append("time_s runs backwards or stands still; sort the rows by time")
     known = readings.extra.get(REFERENCE_V)
     reference_v = np.full(len(readings), np.nan) if known is None else numbers(known)
     if not np.isfinite(reference_v).all():
-        wrong.append(f"{REFERENCE_V} is empty in a row; it holds the voltage at the inputs")
+        wrong.append(f"{REFERENCE_V} is empty in a row; fill in the voltage at the inputs")
     channels = [i for i in range(3) if np.isfinite(readings.signal[:, i]).all()]
     if not channels:
-        wrong.append("no signal column is complete")
+        wrong.append("no signal column is complete; delete the rows with empty signals")
     if wrong:
         raise CalibrationError(f"{readings.source}: {'; '.join(wrong)}")
     return readings.time_s, reference_v, channels

@@ -480,7 +480,9 @@ def _u_of(element: Node) -> float | None:
 
 def _units(element: Node, units: list[str], count: int) -> tuple[Floats, tuple[Dimension, ...]]:
     if len(units) != count:
-        raise NotRead(f"line {element.sourceline}: {count} values, but {len(units)} units")
+        raise NotRead(
+            f"line {element.sourceline}: {count} values, but {len(units)} units; ask for a corrected document"
+        )
     try:
         read = [read_unit(unit) for unit in units]
     except ValueError as error:
