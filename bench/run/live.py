@@ -63,7 +63,8 @@ class LiveValue:
     """The signals at one moment, V; if they could not be sampled, `why` gives the reason.
 
     `off_arcsec` is the deviation from the commanded angle, `expanded_arcsec` its U (k = 2). Both are None if no
-    angle is commanded or the deviation is not known well enough.
+    angle is commanded or the deviation is not known well enough. `settled` is None until the signals have been
+    sampled for `SETTLED_S`.
     """
 
     prompt: str
@@ -71,7 +72,7 @@ class LiveValue:
     signals_v: tuple[float, ...] | None = None
     off_arcsec: float | None = None
     expanded_arcsec: float | None = None
-    settled: bool = False
+    settled: bool | None = None
     why: str = ""
 
     def to_json(self) -> dict[str, Any]:
@@ -102,8 +103,8 @@ class LiveValue:
         if self.signals_v is None:
             return f"live: {self.why}"
         signals = "  ".join(f"{c} {v:+.{SHOWN_V}f}" for c, v in zip(CHANNELS, self.signals_v, strict=True))
-        parts = [f"live: {signals} V", self.to_go, "settled" if self.settled else "moving"]
-        return "; ".join(filter(None, parts))
+        state = {None: "", True: "settled", False: "moving"}[self.settled]
+        return "; ".join(filter(None, [f"live: {signals} V", self.to_go, state]))
 
 
 def _angle(arcsec: float) -> str:
@@ -196,12 +197,15 @@ class LiveSignals:
                 off, expanded = off_rad / ARCSEC, 2.0 * u_rad / ARCSEC
         return LiveValue(prompt, utc_now().isoformat(), signals, off, expanded, self._has_settled())
 
-    def _has_settled(self) -> bool:
-        """Return whether all signals have settled: scatter and slope of a fitted line are within limits."""
+    def _has_settled(self) -> bool | None:
+        """Return whether all signals have settled: scatter and slope of a fitted line are within limits.
+
+        None if they were sampled for less than `SETTLED_S`.
+        """
         times = np.array([time for time, _ in self._recent])
         values = np.array([signals for _, signals in self._recent])
         if times[-1] - times[0] < SETTLED_S or len(times) < 4:
-            return False
+            return None
         from_middle = times - times.mean()
         spread = math.sqrt(from_middle @ from_middle)
         slope = from_middle @ values / spread**2

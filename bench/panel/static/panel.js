@@ -472,7 +472,7 @@
     const seen = Boolean(value.signals_v);
     put("not-live", value.why || "");
     put("to-go", value.to_go || "");
-    show("settled", seen);
+    show("settled", seen && value.settled !== null);
     put("settled", value.settled ? _("✓ settled") : _("~ moving"));
     $("settled").className = `state ${value.settled ? "passed" : "waiting"}`;
     for (const row of document.querySelectorAll("[data-signal]")) row.hidden = !seen;
