@@ -265,7 +265,7 @@ class EarlyWarning:
         return None
 
     def _changes(self, time_s: float, temperature_c: float, new_mount: bool) -> Floats:
-        """Return the variances (12,) of the changes that the coefficients may have had since the last reading."""
+        """Return the variances (12,) by which the coefficients may have changed since the last reading."""
         hours = max(0.0, time_s - self._time_s) / 3600.0 if math.isfinite(time_s - self._time_s) else 0.0
         self._time_s = self._time_s if math.isnan(time_s) else time_s
         kelvin = temperature_c - self._temperature_c
@@ -346,7 +346,7 @@ class EarlyWarning:
         return self._sign(sighting, judged, channels, words, causes, at_fault, confident=confident)
 
     def _wrong_before(self, judged: ReadingJudgement) -> list[EarlySign]:
-        """Return the sign for the previous reading, if the fit of the present one shows that it was wrong."""
+        """Return the sign that an undecided reading was wrong, if the present reading shows this; else []."""
         found = self._confidence.fits()
         if found is None:
             return []
@@ -406,7 +406,7 @@ class EarlyWarning:
         return likeliest(self._inquiry().of_reading(wrong, self._state, 0.0))
 
     def _lasting(self, sighting: Sighting, suspects: Sequence[Suspect]) -> list[Suspect]:
-        """Return a lasting slip as the only cause if the last two readings have the same angle error; else []."""
+        """Return a lasting slip as the only cause if the last two readings have the same angle error, else []."""
         now = next((s for s in suspects if s.moved_rad is not None), None)
         before, self._moved = self._moved, None
         if now is None or now.moved_rad is None:

@@ -36,8 +36,8 @@ class ExpectedPose(NamedTuple):
     """The effect of gravity on the block at one reading.
 
     `force` (…, 3) is the specific force in g on a stand without errors. `slopes` (…, 3, 6) are its derivatives
-    with respect to the stand's angles and the setting error, g/rad. `addition` (…, 3) is the sum of the model's
-    other effects, V.
+    with respect to the stand's angles and the setting error, g/rad. `addition` (…, 3) is the sum of the
+    effects in the model, V.
     """
 
     force: Floats
@@ -134,7 +134,7 @@ class ReadingJudgement(NamedTuple):
 
     @property
     def p(self) -> float:
-        """The probability of a misfit by chance that is at least as large as that of the first member."""
+        """The probability that chance causes a misfit at least as large as that of the first member."""
         return float(chdtrc(3, self.chi2[0]))
 
     def cost(self, most: float) -> Floats:
@@ -145,7 +145,8 @@ class ReadingJudgement(NamedTuple):
 class Expectation:
     """The states of m Kalman filters ("members"); each member supposes a different mistake, or none.
 
-    `mean` (m, 17) and `covariance` (m, 17, 17) are of the 12 coefficients (V/g, V), then the 5 stand angles (rad).
+    Each state has the 12 coefficients (V/g, V), then the 5 stand angles (rad): `mean` (m, 17), `covariance`
+    (m, 17, 17).
     """
 
     def __init__(self, mean: Floats, covariance: Floats) -> None:
@@ -231,14 +232,14 @@ class Expectation:
 
 @dataclass(frozen=True)
 class ExpectedSignals:
-    """The expected `signals` (3,) of a reading, V, their `covariance`, and `slope` (3,) by the angle, V/rad."""
+    """The expected `signals` (3,) of a reading, V, their `covariance`, and their `slope` (3,) in angle, V/rad."""
 
     signals: Floats
     slope: Floats
     covariance: Floats
 
     def deviation_rad(self, signals: Floats) -> tuple[float, float]:
-        """Return the head's deviation from the commanded angle, and its u, rad (generalised least squares)."""
+        """Return the head's deviation from the commanded angle, by generalised least squares, and u, rad."""
         weighted = np.linalg.solve(self.covariance, self.slope)
         information = float(self.slope @ weighted)
         if information <= 0.0:
@@ -359,7 +360,7 @@ SAME_RAD: Final = float(np.radians(0.5))
 
 @dataclass(frozen=True)
 class Supposition:
-    """A supposed mistake in words, with its kind; `unlikely` is its prior cost."""
+    """A supposed mistake in words, with its kind; `unlikely` is its prior cost (-2 ln probability)."""
 
     text: str
     kind: Kind

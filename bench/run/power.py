@@ -240,7 +240,7 @@ class UnitPower:
         return self._seen
 
     def at_reading(self, key: str) -> Mapping[str, Rail]:
-        """Return the rails' measurements for a reading, before or after it; empty if the block is off on purpose.
+        """Return the measured rails before or after a reading; empty if the block is off on purpose.
 
         For a supply read by a person, return the last values, to avoid a prompt at each reading. Raises the
         errors of `look`.

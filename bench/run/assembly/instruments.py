@@ -271,7 +271,7 @@ def _probes(bench: BenchFile, world: World, host: InstrumentForm) -> dict[int, P
 def _seen_by(section: InstrumentForm, given: InstrumentsSection, world: World) -> World:
     """Return the world that an instrument observes.
 
-    A thermometer at the meters or in the room observes a world in which the block has the temperature there.
+    A thermometer of the meters or the room observes a world whose block has the temperature of that place.
     """
     at = {"meter_thermometer": world.meters_c, "room_thermometer": world.room_c}
     key = next((key for key, around in given.around.items() if around is section), None)

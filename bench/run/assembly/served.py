@@ -355,8 +355,8 @@ def dry_evening(
 ) -> Iterator[CommissioningSession]:
     """Yield a commissioning session on the simulated bench of a bench file, with a scripted person.
 
-    Time is the sum of the simulated and the computer's clock, because a simulated fault delays responses in real
-    time. Raises `BenchError` for a fault that its instrument cannot have.
+    The session's time is simulated time plus the computer's time, because a simulated fault delays responses in
+    real time. Raises `BenchError` for a fault that its instrument cannot have.
     """
     watch = WireWatch(log)
     with dry_bench(file, model, seed, watch, haste) as assembly:

@@ -214,8 +214,8 @@ class CommissioningSession:
     """A commissioning session on a bench, with its findings.
 
     `time_s` is the clock for measuring durations: the bench's clock, plus the computer's time on a simulated
-    bench. `connections` maps each wired instrument to a function that returns the number of its present
-    connection, or None if it is not connected. `tell` displays a line.
+    bench. `connections` maps each wired instrument to a function that returns the number of the
+    present connection, None if there is no connection. `tell` displays a line.
     """
 
     file: BenchFile
@@ -246,7 +246,7 @@ class CommissioningSession:
     # --- the person ---------------------------------------------------------------------------------
 
     def confirm(self, text: str, *, default: str | None = None, action: Action | None = None) -> None:
-        """Ask the person to confirm. Raises `Skipped`, `SessionEnded`, or `BenchError` after a refusal."""
+        """Ask the person to confirm `text`. Raises `Skipped`, `SessionEnded`, or `BenchError` after a refusal."""
         self._prompts += 1
         prompt = Prompt(
             f"commission/{self._prompts}",
@@ -345,7 +345,7 @@ class CommissioningSession:
         self._losses[name] = self._losses.get(name, 0) + 1
 
     def _of_error(self, check: str, name: str, state: State, error: BenchError) -> Finding:
-        """Return the finding for an error, on the instrument that the error names if the bench has it."""
+        """Return the finding for an error, on the named instrument of the bench, by default `name`."""
         known = error.instrument in {one.name for one in self.instruments.all()}
         about = "" if known else f"{error.instrument}: "
         remedy = "; ".join((error.remedy, *getattr(error, "__notes__", ())))
