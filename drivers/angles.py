@@ -158,7 +158,7 @@ def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> st
 
     The mistakes are: a scale line one off (10°, 1°, 10′, 1′), the opposite side of the circle, 360° - x, two
     digits swapped. Except for swapped digits, the reading that the mistake predicts must be within
-    `tolerance_rad` of `read_rad`, and at most a third as far from it as the target.
+    `tolerance_rad` of `read_rad`, and within a third of the distance between `read_rad` and the target.
     """
     difference = wrapped_rad(read_rad - target_rad)
     if abs(difference) <= tolerance_rad:

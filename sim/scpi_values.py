@@ -68,7 +68,10 @@ class ScpiError(Exception):
 
 
 class ErrorQueue:
-    """A first-in, first-out queue. If it is full, a new error is lost and the newest entry becomes -350."""
+    """A first-in, first-out queue of error numbers.
+
+    If it is full, a new error is lost and the newest entry becomes -350.
+    """
 
     DEPTH: Final = 20
 

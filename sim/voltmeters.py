@@ -211,10 +211,10 @@ class Converter:
 
     With `noise` a sample has white noise according to its integration time and is rounded to the resolution;
     without, it is exact (although a reply has only 8 decimals). `accuracy` "90 days" draws a gain error, an
-    offset and their temperature coefficients for each range once, within half the limits of error; other values
-    state the errors. `flaws` are the fields of `InputFlaws`. The terminals carry only a DC voltage: AC functions,
-    current, frequency and period read zero; resistance, continuity and diode see open leads; the ratio has no
-    reference. While `overloaded` is set, every sample is beyond the range.
+    offset and their temperature coefficients for each range once, within half the limits of error; any other value
+    states the errors itself. `flaws` are the fields of `InputFlaws`. The terminals carry only a DC voltage: AC
+    functions, current, frequency and period read zero; resistance, continuity and diode see open leads; the ratio
+    has no reference. While `overloaded` is set, every sample is beyond the range.
     """
 
     def __init__(
@@ -365,7 +365,7 @@ class Converter:
 
 
 def _noise_of_range(nplc: float) -> float:
-    """Return the noise as a fraction of the range, interpolated log-log between the tabulated NPLC."""
+    """Return the noise as a fraction of the range, interpolated log-log between tabulated values of NPLC."""
     if nplc in _NOISE_OF_RANGE:
         return _NOISE_OF_RANGE[nplc]
     points = sorted((math.log(n), math.log(noise)) for n, noise in _NOISE_OF_RANGE.items())
@@ -375,7 +375,7 @@ def _noise_of_range(nplc: float) -> float:
 
 
 def reading_text(value: float, step: float) -> str:
-    """Format a reading as `SD.DDDDDDDDESDD`; a zero has the exponent of the rounding step."""
+    """Format a reading as `+1.23456789E+00`; a zero has the exponent of the rounding step `step`."""
     if value == 0.0:
         exponent = math.floor(math.log10(step) + 1e-9) if step else 0
         return f"+0.00000000E{exponent:+03d}"

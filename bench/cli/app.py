@@ -89,7 +89,7 @@ def _command_in(given: list[str]) -> str:
 
 
 def explain(error: Exception, command: str = "bench") -> str:
-    """Return the message for an error; for an unforeseen one it names the command and suggests `--debug`."""
+    """Return the message for an error; if it is unforeseen, the message names the command and `--debug`."""
     from bench.services.errors import expected, kind_and_words, sentence
 
     if isinstance(error, typer.TyperException):

@@ -86,7 +86,7 @@ class BenchCommand(TyperCommand):
 
 
 class CommandGroup(TyperGroup):
-    """A group of commands whose help shows the whole summary of each."""
+    """A group of commands; its help shows the whole summary of each command."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments; `--help-all` instead of a command shows the whole help of the group."""

@@ -248,7 +248,7 @@ def _show(bench: BenchFile, serving: Serving) -> None:
 
 @contextmanager
 def _held(host: str, port: int | None) -> Iterator[None]:
-    """Lock the first port, `port`, within the context if the user chose one.
+    """Lock the first port within the context; lock nothing if the user chose no `port`.
 
     A second program on the port is refused, with a message that names the program that uses it.
     """

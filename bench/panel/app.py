@@ -267,7 +267,7 @@ OPEN_WIRE: Final = (
 def serve(settings: Settings, tell: Callable[[str], None]) -> None:
     """Serve a panel until it is stopped; `tell` receives its address, a one-time link and network notes.
 
-    Raises `RecordError` if another panel serves the folder, if nobody could sign in, or if it cannot listen.
+    Raises `RecordError` if another panel serves the folder, nobody could sign in, or the port is not available.
     """
     import uvicorn
 

@@ -162,7 +162,7 @@ def _diagnosis(told: Mapping[str, Any]) -> Numbers:
 
 
 def _effects_of(told: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the effects found, without mistakes (listed before the effects, and without rivals)."""
+    """Return the effects that a diagnosis found; mistakes, which precede them and have no rivals, are left out."""
     effects = list(told.get("effects", ()))
     return effects[len(effects) - len(told.get("ranking", ())) :]
 

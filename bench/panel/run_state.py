@@ -288,7 +288,7 @@ def _next_step(seen: RunView) -> int:
 
 
 def _step_at(seen: RunView) -> Step | None:
-    """Return the step whose position in the plan is shown (in a wait: the next mount, turn or reading)."""
+    """Return the step whose position in the plan is shown: the present or next mount, turn or reading."""
     if seen.step is None:
         return None
     for step in seen.plan.steps[seen.step.step :]:

@@ -111,7 +111,7 @@ class Inquiry:
         return self._fitting(supposed, state.judge(signals, sighting.pose, self.noise), before)
 
     def _elsewhere(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
-        """Return the suspected mistakes of another installation of the block or another angle of the head."""
+        """Return the suspected mistakes: another installation of the block, or another angle of the head."""
         label, angle = sighting.installation, sighting.angle_rad
         unlikely = 0.0 if sighting.pivot_rad is None else SAT_RIGHT
         supposed = [
@@ -348,7 +348,8 @@ class Confidence:
     ) -> bool:
         """Return whether to stop the run at a reading that does not fit and is explained by `causes`.
 
-        `off_v` is the size of the misfit, V; `in_a_row` is the number of consecutive readings that did not fit.
+        `chi2` and `off_v` (V) are the size of the misfit; `in_a_row` is the number of consecutive readings that did
+        not fit.
         """
         self._undecided = None
         somehow = [cause for cause in causes if cause.kind is Kind.EARLIER and cause.free]
@@ -366,7 +367,7 @@ class Confidence:
         return self._stopped_for(causes) if stops else False
 
     def earlier(self, chi2: float, off_v: float, causes: Sequence[Suspect]) -> bool:
-        """Return whether to stop the run because `causes` show a mistake in an earlier reading."""
+        """Return whether to stop because `causes` show a mistake in an earlier reading; else as `misfits`."""
         if not causes or not all(cause.stops for cause in causes):
             self._unexplained_v = max(self._unexplained_v, off_v)
             return False

@@ -247,7 +247,7 @@ class EarlyWarning:
         return sighting
 
     def _sat_before(self, label: str, new_mount: bool) -> str | None:
-        """Return the installation of the previous mounting, or None if there was none."""
+        """Return the installation in which the block was before it came to `label`, None if there was none."""
         if not self._history:
             return None
         last = self._history[-1]
@@ -395,7 +395,7 @@ class EarlyWarning:
         )
 
     def _blame_earlier(self, index: int) -> list[Suspect]:
-        """Strike an earlier reading and relearn the model without it; return its likeliest mistakes."""
+        """Strike an earlier reading and relearn the model without it; return the likeliest mistakes in it."""
         wrong = self._history[index]
         replay = self._inquiry().without(self._history, index)
         self._adopt(replay.taken[:, 0], replay.state)

@@ -314,7 +314,7 @@ def millivolts(value_v: float, sign: str = "") -> str:
 
 
 class Kind(StrEnum):
-    """Kinds of mistakes, as early signs record them with their sentences."""
+    """Kinds of mistakes; an early sign records the kinds beside its sentence."""
 
     CABLING = "cabling"
     ROTATION = "rotation"
@@ -507,7 +507,7 @@ class Sighting:
     `new_mount` says that the block was mounted just before the reading. `loosened` (12,) are the variances by
     which the coefficients may have changed since the previous reading. `taken` means that the model has learnt
     from the reading; `poorly_known`, that the model was too uncertain to reveal a mistake in it; `struck`, that
-    it is known to be wrong or was repeated.
+    the reading is known to be wrong or was repeated.
 
     `poses` are, in this order: the recorded pose, the pose with the head's sense reversed, the poses in each other
     installation or orientation, and the poses at each other setting of the head. `sat_before` is the installation

@@ -99,7 +99,7 @@ class WishListener:
                 self._interrupt()
 
     def _take_in(self) -> RunControl | None:
-        """Read the new wishes; return a wish to stop, which precedes all others, or None."""
+        """Read the new wishes; return a wish to stop, ahead of all other wishes, or None."""
         with self._taking:
             while (control := self._controls.poll()) is not None:
                 if control.wish is Wish.STOP:

@@ -432,8 +432,8 @@ class Workbench:
     def _end_glances(self) -> None:
         """Restore the settings that the meters had before the first glance at the signals.
 
-        The next wait calls this, because it costs no time there; otherwise the next reading does. A meter that
-        refuses the settings is reported only by the reading.
+        The next wait calls this, because there the restoration costs no time; without a wait, the next reading
+        does. A meter that refuses the settings is reported only by the reading.
         """
         if self._before_glances is None:
             return

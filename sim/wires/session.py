@@ -476,7 +476,7 @@ class Session:
         return not fault.drop
 
     def _in_time(self, delay_s: float) -> bool:
-        """Wait in real time before a late reply; return False if a device clear cancelled it or the client left."""
+        """Wait in real time before a late reply; return False if a device clear or a leaving client cancels it."""
         if delay_s <= 0.0:
             return True
         self._traffic.mark(self, Doing.WAITING)

@@ -63,7 +63,7 @@ class PowerSettings:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """A disturbance of an output (or of all, if `output` is empty) from clock time `at_s` for `lasts_s`."""
+    """A disturbance of an output (if `output` is empty, of all) from clock time `at_s` on, for `lasts_s`."""
 
     kind: DisturbanceKind
     at_s: float

@@ -280,7 +280,7 @@ def _form_page(request: Request, state: FormState) -> Response:
 
 
 def _known_certificates(file: BenchFile | None) -> dict[str, str]:
-    """Return the date of the certificate that the bench file states for each resource."""
+    """Return by resource the date of the certificate in the bench file."""
     found = {}
     for section in file.instruments.all() if file else ():
         resource, certificate = getattr(section, "resource", None), section.certificate
@@ -305,7 +305,7 @@ def _by_place(file: BenchFile | None, results: Mapping[str, Any]) -> dict[str, A
 
 
 def search_of(panel: Panel) -> Search:
-    """Return the latest search for instruments of a panel."""
+    """Return the panel's latest search for instruments."""
     return Search(panel.settings.runs / STATE / "search")
 
 

@@ -259,7 +259,7 @@ def _unreadable(state: TableState) -> tuple[FileMistake, ...]:
 
 
 def check_beside(procedure: Procedure, bench: str, runs: Path) -> CheckBeside:
-    """Return the findings of `bench check` for a procedure and a bench file, both given by name."""
+    """Return the findings of `bench check` for a procedure and the bench file named `bench`."""
     from bench.services.until import findings_of  # takes long to import
 
     plan = procedure.plan

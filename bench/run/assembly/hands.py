@@ -58,7 +58,7 @@ class SimulatedHands:
             over.set()
 
     def look(self) -> None:
-        """Do the tasks that prompts asked for since the last call; of each kind, only the latest."""
+        """Do the tasks of the prompts since the last call, but only the latest task of each kind."""
         for record in self._runs.glob(f"*/{EVENTS}"):
             if is_being_written(record.parent) and not Run(record.parent).simulated:
                 for prompt in self._new_prompts(record):

@@ -122,7 +122,7 @@ def loaded_class(section: InstrumentForm, which: Literal["driver", "simulation"]
 
 
 def _thermometers(sections: InstrumentsSection, meters: Sequence[Any], given: Surroundings) -> dict[str, Any]:
-    """Return the drivers of the thermometers by name; a sensor wired to another instrument uses its session."""
+    """Return the drivers of the thermometers by name; a sensor wired to an instrument uses its session."""
     made: dict[str, Any] = {meter.name: meter for meter in meters}
     of = {section.name: key.partition("_")[0] for key, section in sections.around.items()}
     for section in sections.thermometers:

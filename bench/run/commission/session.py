@@ -58,7 +58,7 @@ class Figure:
 
     @property
     def text(self) -> str:
-        """The figure as text, such as "loss told after 3.2 s (6 s is the most)"."""
+        """The figure as text, such as "reading took 3.2 s (the driver expects 3 s)"."""
         held = f" ({self.expected})" if self.expected else ""
         return f"{self.what} {self.value:.4g} {self.unit}".rstrip() + held
 
