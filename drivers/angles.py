@@ -102,7 +102,7 @@ def read_angle(text: str, target_rad: float, tolerance_rad: float) -> float:
     """Return the scale reading that a person typed, rad, shifted by whole turns to lie near `target_rad`.
 
     Raises `ValueError` with a sentence for the person if the text is empty, is not an angle, or is more than
-    `tolerance_rad` from the target; the sentence then names the common mistake that explains it, if any.
+    `tolerance_rad` from the target; the sentence then names the common mistake that explains the deviation, if any.
     """
     if not text.strip():
         raise ValueError(message("Nothing was typed: read the scale and type what it shows."))

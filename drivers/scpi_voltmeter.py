@@ -1,7 +1,7 @@
 """Base class of the SCPI voltmeters: identify, configure and verify, start, fetch strictly parsed readings.
 
-A model's driver states the identities that it accepts, its settings and how they read back. It also overrides the
-commands for triggering, readings, errors and remote control that differ from a 34401A's. This module handles
+A model's driver states the accepted identities, the settings, and the replies that confirm them. It also overrides
+the commands for triggering, readings, errors and remote control that differ from a 34401A's. This module handles
 communication, lost connections and power cuts for all models.
 """
 

@@ -334,7 +334,10 @@ def number_lines(
     get: Callable[[], float],
     put: Callable[[float], None],
 ) -> list[Command]:
-    """Return the command and the query of a number; both accept MIN and MAX, which mean the two `ends`."""
+    """Return the command and the query of a number; both accept MIN and MAX, which mean the two `ends`.
+
+    `get` returns the number and `put` sets it.
+    """
     words = dict(zip((MIN, MAX), ends, strict=True))
     return [
         Command(notation, lambda v: put(words[v] if isinstance(v, str) else v), (Number(unit),)),

@@ -167,7 +167,7 @@ class KeysightSupply(RemoteInstrument):
         ]
 
     def _of(self, name: str, what: str, value: Value, default: float) -> float:
-        """Return the setting that a number or word means. Raises `ScpiError` -222 outside its limits."""
+        """Return the setting `what` of an output from a number or a word. Raises `ScpiError` -222 out of limits."""
         near, far = self._outputs.span(name, what)
         if isinstance(value, str):
             return {MIN: near, MAX: far, DEF: default}[value]

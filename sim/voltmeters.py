@@ -30,8 +30,8 @@ class Function:
     """A measuring function: its name in replies, its notation in commands, its ranges in `unit` (ascending).
 
     `integration` maps each resolution (fraction of the range) to the integration time in power-line cycles, or to
-    the gate time in s. `keyword` is the SENSe node that sets it, empty if there is none. `settings_of` names
-    another function whose range and resolution this function uses. A `fixed` function has no settings. `expected`
+    the gate time in s. `keyword` is the SENSe node that sets this time, or empty. `settings_of` names another
+    function whose range and resolution this function uses. A `fixed` function has no settings. `expected`
     bounds the expected signal in CONFigure, for functions whose range is that of the input voltage (frequency,
     period).
     """
@@ -210,7 +210,7 @@ class Converter:
     """The converter from the voltage at the terminals to readings, with the ranges and errors in `facts`.
 
     With `noise` a sample has white noise according to its integration time and is rounded to the resolution;
-    without, it is exact (although a reply has only 8 decimals). `accuracy` "90 days" draws a gain error, an
+    without noise it is exact (although a reply has only 8 decimals). `accuracy` "90 days" draws a gain error, an
     offset and their temperature coefficients for each range once, within half the limits of error; any other value
     states the errors itself. `flaws` are the fields of `InputFlaws`. The terminals carry only a DC voltage: AC
     functions, current, frequency and period read zero; resistance, continuity and diode see open leads; the ratio
@@ -249,7 +249,7 @@ class Converter:
         return _FAST_INTEGRATION_S.get(configuration.nplc, configuration.nplc / self._line_hz)
 
     def sample_s(self, configuration: Measurement) -> float:
-        """Return the duration of one sample without its delay, s; autozero doubles it."""
+        """Return the duration of one sample without its delay, s; autozero doubles the duration."""
         doubled = configuration.function.has_nplc and configuration.autozero
         return self.integration_s(configuration) * (2.0 if doubled else 1.0)
 
@@ -299,7 +299,7 @@ class Converter:
         return signal_v + (self._flicker_v(flaws.flicker_v, time_s) if flaws.flicker_v else 0.0)
 
     def _flicker_v(self, deviation_v: float, time_s: float) -> float:
-        """Return 1/f noise at a time, V: per decade, four sines of equal power, fixed frequency and phase."""
+        """Return 1/f noise of `deviation_v` per decade, V: per decade four sines of equal power and fixed phase."""
         drawn = self._source.fixed_random("voltmeter flicker").random((len(_FLICKER_DECADES), 4, 2))
         per_sine_v = deviation_v * math.sqrt(2.0 / 4.0)
         return per_sine_v * sum(

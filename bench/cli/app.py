@@ -84,7 +84,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _command_in(given: list[str]) -> str:
-    """Return the command that the arguments name, as messages write it, such as "bench run"."""
+    """Return the command that the arguments name, in the form of messages, such as "bench run"."""
     return " ".join(["bench", *[word for word in given if word in COMMANDS][:1]])
 
 

@@ -299,7 +299,7 @@ def command(
 ) -> Callable[[Callable[..., int]], Callable[..., int]]:
     """Return a decorator that makes a function a command, with an example in its help.
 
-    Its options are the parameters of the function, and the fields of its request if it has one.
+    The options are the parameters of the function and, if it takes a request, the fields of the request.
     """
 
     def entered(function: Callable[..., int]) -> Callable[..., int]:

@@ -242,7 +242,7 @@ def without_body(receive: Receive) -> Receive:
 
 
 def private_folder(folder: Path) -> Path:
-    """Make a folder private to its owner (0700), create it if missing, and return it. Raises `RecordError`."""
+    """Return `folder`, created if missing and made private to its owner (0700). Raises `RecordError`."""
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         found = folder.lstat()

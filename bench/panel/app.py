@@ -391,7 +391,7 @@ def open_panel(runs: Path, after: str = "/", name: str = "", laboratory: Path | 
 
 
 def begin_panel(runs: Path, ports: Sequence[int] = (PORT, 0), laboratory: Path | None = None) -> Started:
-    """Start a panel that outlives this program, at the first free one of `ports`; wait until it serves.
+    """Start a panel that outlives this program, on the first free port of `ports`; wait until it serves.
 
     Raises `RecordError` if it does not start.
     """

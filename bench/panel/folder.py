@@ -129,7 +129,7 @@ class Certificates:
 
 
 def _head_of(run: Run) -> str:
-    """Return the head of a run's record, as its calibration result states it; "" if there is none."""
+    """Return the head of a run's record that the result of the calibration states; "" without a result."""
     try:
         return str(read_json(read_page(run, "calibrate.json"))["record"]["head"])
     except (Refusal, ValueError, KeyError, TypeError):

@@ -67,7 +67,10 @@ class Outcome:
 
 
 def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool) -> Outcome:
-    """Return the outcome of a run that has ended; `alive` says whether its program is still running."""
+    """Return the outcome of a run that has ended; `alive` says whether its program is running.
+
+    `finished` says whether the run carried out all its steps.
+    """
     found = results_of(run)
     state = "ready" if found.calibration is not None else "none"
     # coefficients are written before the verdict: they alone are not the end

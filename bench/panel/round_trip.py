@@ -102,8 +102,8 @@ def accept_certificate(request: ReadCertificate, section: Section) -> str:
 
     The file's first line then names who accepted the certificate, and the SHA-256 of the document. Raises
     `Refused` for an instrument that the bench file does not list, for a certificate without corrections, and for
-    one that the bench file already has. Raises `FileMistakes`, without writing, if the changed file would have
-    mistakes.
+    a certificate that the bench file already has. Raises `FileMistakes`, without writing, if the changed file would
+    have mistakes.
     """
     if request.into is None or not request.instrument or not request.by:
         raise Refused("accepting a certificate needs --into FILE, --instrument NAME and --by NAME")

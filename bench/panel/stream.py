@@ -83,7 +83,7 @@ class ResidualPlot:
         return self._readings > 0
 
     def judge_next(self) -> bool:
-        """Compare the next queued reading with its prediction; return whether there was one."""
+        """Compare the next queued reading with its prediction; return whether a reading was queued."""
         while self._waiting:
             event = self._waiting.popleft()
             self._watcher.observe(event)
@@ -194,7 +194,7 @@ class Follower:
         return changed
 
     def judge(self) -> bool:
-        """Compare the next reading with its prediction; return whether there was one."""
+        """Compare the next queued reading with its prediction; return whether a reading was queued."""
         return self._residuals.judge_next()
 
     @property

@@ -293,9 +293,10 @@ def candidates(history: Sequence[Sighting]) -> list[int]:
 
 
 def likeliest(suspects: Sequence[Suspect]) -> list[Suspect]:
-    """Return the likeliest suspect and those that the readings cannot distinguish from it, each text once.
+    """Return the likeliest suspect, and the suspects that the readings cannot distinguish from it.
 
-    Suspects of unknown size are left out if the likeliest suspect has a definite size.
+    Of several suspects with the same text, only the likeliest is returned. Suspects of unknown size are left out if
+    the likeliest suspect has a definite size.
     """
     ranked = {s.text: s for s in sorted(suspects, key=lambda s: -s.cost)}
     best = min(ranked.values(), key=lambda s: s.cost, default=None)
@@ -336,7 +337,7 @@ class Confidence:
         self._silent, self._undecided, self._unexplained_v = False, None, 0.0
 
     def went_on(self, sighting: Sighting) -> None:
-        """Note that a person continued despite the named mistakes; those that last no longer stop the run."""
+        """Note that a person continued despite the mistakes just named, and thus accepted the lasting ones."""
         self._silent = True
         for kind in self._last:
             if kind in LASTING:
@@ -367,7 +368,10 @@ class Confidence:
         return self._stopped_for(causes) if stops else False
 
     def earlier(self, chi2: float, off_v: float, causes: Sequence[Suspect]) -> bool:
-        """Return whether to stop because `causes` show a mistake in an earlier reading; else as `misfits`."""
+        """Return whether to stop the run because `causes` show a mistake in an earlier reading.
+
+        `chi2` and `off_v` (V) are the size of the misfit.
+        """
         if not causes or not all(cause.stops for cause in causes):
             self._unexplained_v = max(self._unexplained_v, off_v)
             return False
@@ -376,7 +380,7 @@ class Confidence:
         return self._stopped_for(causes)
 
     def fits(self) -> tuple[Sighting, list[Suspect]] | None:
-        """Note a reading that fits; return the undecided reading before it with its causes, None without one.
+        """Note a reading that fits; return the undecided reading before it and its causes, or None.
 
         The fit of the present reading shows that the undecided reading was wrong.
         """

@@ -359,7 +359,7 @@ class EarlyWarning:
         return why([cause.text for cause in causes], at_fault.place if at_fault else None)
 
     def _noisy(self, sighting: Sighting, judged: ReadingJudgement) -> EarlySign:
-        """Return the sign that the bench is noisier than its file states; `take` gives it once in a run."""
+        """Return the sign that the bench is noisier than its file states; `take` returns it once in a run."""
         found, stated = self.noise.reading_v, self._repeats.stated.reading_v
         cause = message("the bench is noisier than its file states")
         words = message(

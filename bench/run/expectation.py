@@ -548,7 +548,7 @@ class Suspect:
 
     `earlier` is the index of the earlier reading at fault, if any. `moved_rad`, with standard uncertainty `u_rad`,
     is the angle by which head or block is off, if that is the mistake. `stops` says that no genuine effect
-    resembles this mistake, so that it may stop the run; `free` says that it is a shift of unknown size.
+    resembles this mistake, so that it may stop the run; `free` says that the mistake is a shift of unknown size.
     """
 
     text: str

@@ -63,7 +63,7 @@ class UnitPower:
     `nap` is called repeatedly during waits and handles wishes; `tell` records events. `on` says whether the block
     was on after the last switching or check. `off_since_s` is the time of switching off (s since the run began,
     None if unknown); `on_since_s` is the time of switching on by `clock`, s. `in_charge` says whether this run has
-    switched the block, or found it switched on and continued with it.
+    switched the block, or found it on and took it over.
     """
 
     supply: PowerSupply

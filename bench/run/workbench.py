@@ -164,7 +164,10 @@ class Levelling:
         )
 
     def _pair(self, level: interfaces.Level, key: str) -> tuple[Inclination, Inclination]:
-        """Return the readings in both positions; repeat both if they imply another zero: one may be misread."""
+        """Return the readings in both positions.
+
+        If they imply another zero of the level than before, one may be misread: both are repeated.
+        """
         for attempt in range(1, MOST_PAIRS + 1):
             first = self._read(level, f"{key}/first{attempt}", turned=False)
             second = self._read(level, f"{key}/turned{attempt}", turned=True)

@@ -132,7 +132,7 @@ class Dialect(Protocol):
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
         """Carry out a message and return the reply, or None if there is none.
 
-        While it waits, it polls `interrupted`; if that returns True, it gives up.
+        A dialect that waits polls `interrupted`, and gives up when that returns True.
         """
 
     def device_clear(self) -> None:

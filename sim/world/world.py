@@ -429,7 +429,7 @@ class World(KeyedNumbers):
     ) -> None:
         """Add a reading, made before the world was rebuilt, to the history on which effects depend.
 
-        Arguments are as recorded; without an installation the block stays as in the setting recalled before.
+        Arguments are as recorded; without an installation, the pose of the reading recalled before applies.
         Call it in the order of measurement, before the first new reading.
         """
         with self._lock:

@@ -128,7 +128,10 @@ def form(request: Request) -> Response:
 
 
 def _begun(name: str, start: str, new_name: str = "") -> FormState:
-    """Return the form of a file before any change. Raises `Refusal` if there is no such file."""
+    """Return the unchanged form of the file `name`; without a name, that of a new file copied from `start`.
+
+    Raises `Refusal` if there is no such file.
+    """
     if name:
         base = read_file(own_file(CONFIG, name))
         return FormState(name, "", base, values=_values(base.text))
@@ -237,7 +240,7 @@ def _place_of(target: str, values: dict[str, str]) -> str:
 
 
 def _addressed(given: Mapping[str, str]) -> list[str]:
-    """Return the resources to be addressed: those ticked and those typed, one per line."""
+    """Return the resources to be addressed: ticked ones, and typed ones (one per line)."""
     ticked = [given.get(f"resource:{key[4:]}", "") for key in given if key.startswith("ask:")]
     return [one for one in (*ticked, *given.get("further", "").split()) if one]
 

@@ -66,7 +66,7 @@ class SimulatedHands:
                         self._do(prompt)
 
     def _new_prompts(self, record: Path) -> list[Prompt]:
-        """Return the prompts since the last call, including those repeated after an encoder's refused answer."""
+        """Return the prompts in `record` since the last call, also those after an encoder's refused answer."""
         asked, put = OpenPrompt(), dict[str, Prompt]()
         with suppress(OSError, ValueError), open_regular(record) as file:
             size = file.seek(0, 2)

@@ -257,7 +257,7 @@ def simulated_instruments(bench: BenchFile, world: World) -> dict[str, Dialect |
 
 
 def _probes(bench: BenchFile, world: World, host: InstrumentForm) -> dict[int, Probe]:
-    """Return the simulated sensors wired to an instrument of the bench, by channel number."""
+    """Return the simulated sensors that are wired to the instrument `host`, by channel number."""
     given, truth = bench.instruments, bench.simulation.thermometer
     errors = {"error_c": truth.error, "noise_c": truth.noise, "air_share": truth.air_share}
     return {

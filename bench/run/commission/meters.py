@@ -131,7 +131,7 @@ def _judged_by_time(
     found: Finding,
     took_s: float,
 ) -> Finding:
-    """Return the finding with the duration of the reading added; if it is too long, the state is SLOWER."""
+    """Return the finding with the duration `took_s` added; if this is too long, the state is SLOWER."""
     expected_s = expected_time_s(evening, meter, settings)
     held = "the driver does not say" if expected_s is None else f"the driver expects {expected_s:.3g} s"
     figures = (*found.figures, Figure("reading took", took_s, "s", held))

@@ -131,7 +131,7 @@ def _tested(instrument: Instrument) -> Finding:
 
 
 def _held(evening: CommissioningSession, meter: Voltmeter, volts: float) -> Finding:
-    """Return the finding on the errors of a meter's channels at the reference voltage, V."""
+    """Return the finding on the errors of a meter's channels at the reference voltage `volts`."""
     meter.configure(meters.slow(evening, meter, SAMPLES))
     samples, _ = meters.reading(evening, meter)
     stated_v = evening.file.stand_distributions()["voltmeter_error"].limit
@@ -169,7 +169,7 @@ def _compared(
     turned_rad: float,
     changed_v: Floats,
 ) -> Finding:
-    """Return the finding on the head's return home, from the changes since the start: angle read, signals (3,)."""
+    """Return the finding on the head's return home; angle and signals (3,) changed by `turned_rad`, `changed_v`."""
     stand = evening.file.stand_distributions()
     setting_rad = stand["setting_error"].u
     scale = np.abs(evening.file.unit_under_test.scale_factors.values)

@@ -360,7 +360,10 @@ class CommissioningSession:
     def _with_wire(
         self, found: Finding, name: str, mark: tuple[int, int], before: int | None, by_answers: bool
     ) -> Finding:
-        """Return the finding with faults on a wire added: failures, garbled replies, slow responses."""
+        """Return the finding with faults on the wire since `mark` added: failures, garbled replies, slow responses.
+
+        `before` is the number of the connection at `mark`; `by_answers` also adds slow responses.
+        """
         failures, after = self.watch.failures(mark, name), self._connection(name)
         if failures:
             said = f"{found.said}, but its wire failed meanwhile ({failures[0]})"
