@@ -47,7 +47,7 @@ class InstrumentRefused(BenchError):
 
 
 class BadReading(BenchError):
-    """A reply that is not a valid reading: an overload, a truncated or garbled reply."""
+    """A reply that is not a valid reading: an overload, or a truncated or garbled text."""
 
 
 class LimitExceeded(BenchError):

@@ -112,7 +112,7 @@ class ChannelList:
 
 
 def listed(text: str, cards: Mapping[int, str]) -> tuple[int, ...]:
-    """Return the channels of a list in its order, `(101, 102, 103, 105)`.
+    """Return the channels in the order of the list, `(101, 102, 103, 105)`.
 
     `cards` maps each slot (100, 200, 300) to its card. Raises `ScpiError` 309 for a malformed list, 302 for a slot
     without a card, 304 for a channel that the card lacks. Missing channels inside a range are skipped.

@@ -354,7 +354,7 @@ class Converter:
         return range_v if range_v == highest_v else range_v * float(self._facts.OVER_RANGE)
 
     def _autorange(self, signal_v: float, range_v: float) -> float:
-        """Return the range for a signal: a higher one above the present range, a lower one far below it."""
+        """Return a higher range for a signal above the present range, a lower range for one far below it."""
         ranges: tuple[float, ...] = self._facts.RANGES_V
         if abs(signal_v) > self._full_scale(range_v):
             return next((r for r in ranges if abs(signal_v) <= self._full_scale(r)), ranges[-1])

@@ -24,7 +24,7 @@ _VALUES: Final = {"int": "N", "int range": "N", "float": "X", "float range": "X"
 
 
 def ask_whole_help(ctx: Any) -> None:
-    """Note in the context that the help of its command, and of the subcommands, is to show all options."""
+    """Note in the context that the help of the command, and of its subcommands, shall show all options."""
     ctx.meta[_ASKED] = True
 
 

@@ -102,7 +102,7 @@ def told(
 def failed(results: Sequence[object]) -> bool:
     """Print a line for each source that could not be evaluated; return whether there are such sources.
 
-    If several sources failed, all for the same reason, raises `Refused` instead: the cause is not in them.
+    Raises `Refused` if several sources failed, all for one reason, because the cause is then not in the sources.
     """
     from bench.services.source import failures
 

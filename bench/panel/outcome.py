@@ -28,7 +28,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Whisker:
-    """A verification point in the picture: Δg at `x` with U from `low` to `high`, at height `y` from the top."""
+    """A verification point in the picture: Δg at `x`, Δg ± U from `low` to `high`, `y` from the top."""
 
     label: str
     value: str

@@ -37,7 +37,7 @@ class FileText:
 class EditedFile:
     """A file being edited in the panel: the file as it was read (`base`), and the messages of the page.
 
-    `name` is the name of the file; `start` is the file of which a new file is a copy, else empty.
+    `name` is the name of the file; `start` names the file from which a new file was copied, else empty.
     """
 
     name: str

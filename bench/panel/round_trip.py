@@ -83,7 +83,7 @@ def edited_text(
 
 
 def with_certificate(text: str, instrument: str, section: str) -> str:
-    """Return a bench file with `section`, a certificate in YAML, for an instrument; its comments stay.
+    """Return a bench file with `section`, a certificate in YAML, for an instrument; comments stay.
 
     Raises `KeyError` for an instrument that the text does not list, and as `changed_text`.
     """
@@ -259,7 +259,7 @@ def _remove(tree: Any, at: Place) -> None:
 
 
 def _reach(tree: Any, at: Place) -> Any:
-    """Return the section at a path; missing sections on the way are created, each as a one-line mapping."""
+    """Return the section at a path, after creating each missing section on the path as a one-line mapping."""
     section = tree
     for step in at:
         if isinstance(section, dict) and not isinstance(section.get(step), dict | list):

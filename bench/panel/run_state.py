@@ -75,7 +75,7 @@ def prompt_of(asked: AskedPrompt, seen: RunView, installations: Mapping[str, Ins
 
 
 def _buttons(told: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Return the buttons of a question; if it has a default, the first gives "" as answer, like Enter."""
+    """Return the buttons of a question; if it has a default, the first button gives "" as answer, like Enter."""
     default = told["default"]
     buttons = [] if default is None else [{"text": "", "label": _label(told, str(default))}]
     match told["kind"]:

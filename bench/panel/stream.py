@@ -45,7 +45,7 @@ class PlottedPoints:
     points: tuple[dict[str, Any], ...] = ()
 
     def since(self, told: PlottedPoints) -> dict[str, Any]:
-        """Return the update for a viewer who has the points `told`: index of the first new one, new points, k."""
+        """Return the update for a viewer who has the points `told`: index of the first new point, new points, k."""
         begin = len(told.points) if told.version == self.version else 0
         return {"from": begin, "k": COVERAGE, "points": self.points[begin:]}
 

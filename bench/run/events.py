@@ -80,7 +80,7 @@ class Manifest(TypedDict, total=False):
     from a readings file (`imported`) states the number of `readings` and has no procedure. `living` marks a dry run
     whose questions a person answers. `bench_why` is the reason for the choice of the bench file. `devices` names
     the origin of drivers from outside the bench software. `verdict` overrides the bench file's decision settings;
-    `default_rule` applies if neither of the two states a rule. `until` lists the goals at which the run ends.
+    `default_rule` applies if neither states a rule. `until` lists the goals at which the run ends.
     `check_block` is the state of the check block. Fields without a value are omitted.
     """
 

@@ -95,9 +95,10 @@ class RepeatNoise:
         self._across_v2, self._along_rad2, self._repeats = 0.0, 0.0, 0
 
     def add(self, difference_v: Floats, slope: Floats) -> None:
-        """Add the difference (3,) between a repeat and the earlier reading, V; `slope` (3,) is du/dphi, V/rad.
+        """Add the difference (3,) between a repeat and the earlier reading, V.
 
-        Along the slope both noise sizes contribute, in the two perpendicular directions only the signals' noise.
+        `slope` (3,) is the derivative of the signals with respect to the head angle, V/rad. Along the slope both
+        noise sizes contribute, in the two perpendicular directions only the signals' noise.
         """
         length = float(np.linalg.norm(slope))
         along2 = (float(difference_v @ slope) / length) ** 2 / 2
@@ -232,7 +233,10 @@ class Expectation:
 
 @dataclass(frozen=True)
 class ExpectedSignals:
-    """The expected `signals` (3,) of a reading, V, their `covariance`, and their `slope` (3,) in angle, V/rad."""
+    """The expected `signals` (3,) of a reading, V, and their `covariance`.
+
+    `slope` (3,) is the derivative of the signals with respect to the head angle, V/rad.
+    """
 
     signals: Floats
     slope: Floats

@@ -32,7 +32,7 @@ from drivers.person import Person, Prompt, PromptKind
 class Instruments:
     """The instruments of a bench as the runner uses them. Each of x, y, z is measured by exactly one voltmeter.
 
-    `around` maps a column of the readings to the thermometer of the meters or room, or to "chamber" for its air.
+    `around` maps a column of the readings to the thermometer of the meters or room; "chamber" means its air.
     `opened` holds the names of the instruments opened so far; other instruments may be in use by another program.
     """
 

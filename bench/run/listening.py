@@ -281,7 +281,7 @@ class Asker:
         self._tell(EventType.ANSWERED, _event_data(replace(given, answer=text)))
 
     def _note(self, seen: AnsweredByInstrument, prompt: Prompt) -> None:
-        """Record an instrument's answer, or the problem of the instrument; then the question is asked again."""
+        """Record an instrument's answer, or record its problem so that the question is asked again."""
         given = LeftAnswer(self._id, seen.text, WishAuthor(by=seen.by, where=INSTRUMENT))
         if not seen.problem:
             self._take(given, prompt)

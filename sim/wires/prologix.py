@@ -51,7 +51,7 @@ _RANGES: Final = {
 
 @dataclass
 class AdapterSettings:
-    """The settings of an adapter; as shipped it reads from the instrument after each command (`auto`)."""
+    """The settings of an adapter; an adapter as shipped reads from the instrument after each command (`auto`)."""
 
     addr: int = 5
     auto: int = 1

@@ -342,7 +342,7 @@ class ServedInstrument:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Lock the instrument against all wires within the context, for a change from outside."""
+        """Keep all wires from the instrument within the context, in which it can be changed from outside."""
         with self._lock:
             yield
 

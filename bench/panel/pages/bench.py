@@ -221,7 +221,7 @@ def _assign(state: FormState, given: Mapping[str, str], found: Findings) -> None
 
 
 def _place_of(target: str, values: dict[str, str]) -> str:
-    """Return the path in the bench file of the instrument `target`, to which a found resource is assigned.
+    """Return the path of `target`, the instrument that gets a found resource, in the bench file.
 
     The number of voltmeters chosen in `values` is changed if `target` demands it.
     """
@@ -283,7 +283,7 @@ def _form_page(request: Request, state: FormState) -> Response:
 
 
 def _known_certificates(file: BenchFile | None) -> dict[str, str]:
-    """Return by resource the date of the certificate in the bench file."""
+    """Return, by resource, the date of the certificate that the bench file states for the instrument."""
     found = {}
     for section in file.instruments.all() if file else ():
         resource, certificate = getattr(section, "resource", None), section.certificate

@@ -169,7 +169,10 @@ def _compared(
     turned_rad: float,
     changed_v: Floats,
 ) -> Finding:
-    """Return the finding on the head's return home; angle and signals (3,) changed by `turned_rad`, `changed_v`."""
+    """Return the finding on the head's return home, from the changes since the start.
+
+    `turned_rad` is the change of the angle read, `changed_v` (3,) the change of the signals.
+    """
     stand = evening.file.stand_distributions()
     setting_rad = stand["setting_error"].u
     scale = np.abs(evening.file.unit_under_test.scale_factors.values)

@@ -85,7 +85,7 @@ class Finding:
 
 
 def status_of(findings: Sequence[Finding], *, whole: bool) -> int:
-    """Return the exit status of a session with these findings; `whole` says whether it was completed.
+    """Return the exit status of a session with these findings; `whole` says whether the session was completed.
 
     The status is 2 if the session was incomplete or a check could not be done, else 1 if a check found a deviation,
     else 0.
@@ -345,7 +345,10 @@ class CommissioningSession:
         self._losses[name] = self._losses.get(name, 0) + 1
 
     def _of_error(self, check: str, name: str, state: State, error: BenchError) -> Finding:
-        """Return the finding for an error, on the named instrument of the bench, by default `name`."""
+        """Return the finding for an error.
+
+        It concerns the instrument that the error names or, if the bench lacks that instrument, `name`.
+        """
         known = error.instrument in {one.name for one in self.instruments.all()}
         about = "" if known else f"{error.instrument}: "
         remedy = "; ".join((error.remedy, *getattr(error, "__notes__", ())))
