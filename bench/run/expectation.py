@@ -95,10 +95,9 @@ class RepeatNoise:
         self._across_v2, self._along_rad2, self._repeats = 0.0, 0.0, 0
 
     def add(self, difference_v: Floats, slope: Floats) -> None:
-        """Add the difference (3,) between a repeat and the earlier reading, V.
+        """Add the difference (3,) of a repeat from the earlier reading, V; `slope` (3,): d signal/d angle, V/rad.
 
-        `slope` (3,) is the derivative of the signals with respect to the head angle, V/rad. Along the slope both
-        noise sizes contribute, in the two perpendicular directions only the signals' noise.
+        Along the slope both noise sizes contribute, in the two perpendicular directions only the signals' noise.
         """
         length = float(np.linalg.norm(slope))
         along2 = (float(difference_v @ slope) / length) ** 2 / 2
@@ -146,8 +145,7 @@ class ReadingJudgement(NamedTuple):
 class Expectation:
     """The states of m Kalman filters ("members"); each member supposes a different mistake, or none.
 
-    Each state has the 12 coefficients (V/g, V), then the 5 stand angles (rad): `mean` (m, 17), `covariance`
-    (m, 17, 17).
+    `mean` (m, 17) and `covariance` (m, 17, 17) have the 12 coefficients (V/g, V), then the 5 stand angles (rad).
     """
 
     def __init__(self, mean: Floats, covariance: Floats) -> None:
@@ -233,10 +231,7 @@ class Expectation:
 
 @dataclass(frozen=True)
 class ExpectedSignals:
-    """The expected `signals` (3,) of a reading, V, and their `covariance`.
-
-    `slope` (3,) is the derivative of the signals with respect to the head angle, V/rad.
-    """
+    """Expected `signals` (3,) of a reading, V, their `covariance`, and `slope` (3,): d signal/d angle, V/rad."""
 
     signals: Floats
     slope: Floats
