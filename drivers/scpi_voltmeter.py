@@ -295,7 +295,7 @@ class ScpiVoltmeter(ABC):
         self._spoke_s = self._clock.now_s()
 
     def _set(self, setting: ProvenSetting) -> list[str]:
-        """Send a command, if any, and query the setting; return a list with a phrase on a difference, else [].
+        """Send the command of a setting, if it has one, and query the setting; return differences as phrases.
 
         A query after each command also keeps an RS-232 meter's 100-character input buffer from overflowing.
         """

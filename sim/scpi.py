@@ -312,7 +312,7 @@ def switch_lines(
     words: tuple[str, ...] = (),
     changed: Callable[[], None] = lambda: None,
 ) -> list[Command]:
-    """Return the command and the query of a Boolean attribute; each of the additional `words` sets it to False.
+    """Return command and query of the Boolean attribute `name`; each of the additional `words` sets it to False.
 
     `holder` returns the object that has the attribute; `changed` is called after the command.
     """

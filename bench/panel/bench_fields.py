@@ -340,8 +340,8 @@ def completed(values: Values, before: Values) -> dict[str, str]:
     """Return the typed values, completed with examples for newly chosen drivers.
 
     Fields that the form did not show yet get the examples, but resources stay empty. `before` are the values of
-    the file. A single voltmeter becomes a scanning one; an added voltmeter is a copy of the first voltmeter, but
-    for the next signal.
+    the file. A single voltmeter becomes a scanning one; an added voltmeter is a copy of the first one, and
+    measures the next signal.
     """
     full = dict(values)
     number = number_of_meters(full)
