@@ -102,7 +102,7 @@ def read_angle(text: str, target_rad: float, tolerance_rad: float) -> float:
     """Return the scale reading that a person typed, rad, shifted by whole turns to lie near `target_rad`.
 
     Raises `ValueError` with a sentence for the person if the text is empty, is not an angle, or is more than
-    `tolerance_rad` from the target; the sentence then names the common mistake that explains it, if any.
+    `tolerance_rad` from the target; the sentence then names the common mistake that explains the deviation, if any.
     """
     if not text.strip():
         raise ValueError(message("Nothing was typed: read the scale and type what it shows."))
@@ -158,7 +158,7 @@ def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> st
 
     The mistakes are: a scale line one off (10°, 1°, 10′, 1′), the opposite side of the circle, 360° - x, two
     digits swapped. Except for swapped digits, the reading that the mistake predicts must be within
-    `tolerance_rad` of `read_rad`, and at most a third as far from it as the target.
+    `tolerance_rad` of `read_rad`, and within a third of the distance between `read_rad` and the target.
     """
     difference = wrapped_rad(read_rad - target_rad)
     if abs(difference) <= tolerance_rad:

@@ -47,7 +47,7 @@ class InstrumentRefused(BenchError):
 
 
 class BadReading(BenchError):
-    """A reply that is not a valid reading: an overload, a truncated or garbled reply."""
+    """A reply that is not a valid reading: an overload, or a truncated or garbled text."""
 
 
 class LimitExceeded(BenchError):
@@ -382,7 +382,7 @@ class OutputLimits:
         return wrong
 
     def differences(self, shown: OutputSettings, wanted: OutputSettings) -> list[str]:
-        """Return one phrase for each setting that differs from the one wanted by more than half a step.
+        """Return one phrase for each setting shown that differs from the wanted one by more than half a step.
 
         If no protection is wanted, any protection is accepted: it can only switch the output off.
         """
@@ -454,7 +454,7 @@ class SupplyLimits:
 class PowerSupply(Instrument, Protocol):
     """A power supply of the unit under test, with one or more outputs.
 
-    Opening and closing it leave its outputs unchanged: a unit that is switched on stays on.
+    Opening and closing the supply leave its outputs unchanged: a unit that is switched on stays on.
     """
 
     outputs: tuple[str, ...]

@@ -46,7 +46,7 @@ class Attempts:
         return "; ".join(self._told)
 
     def refuse_failed(self, name: str, what: str, remedy: str) -> None:
-        """Raise one error with the causes of all failed attempts, if any, for the instrument `name`.
+        """If attempts failed, raise one error of the instrument `name` that states `what` failed and all causes.
 
         The error is `InstrumentLost` if every attempt failed with `InstrumentLost`, else `InstrumentRefused`.
         """

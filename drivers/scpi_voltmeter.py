@@ -1,7 +1,7 @@
 """Base class of the SCPI voltmeters: identify, configure and verify, start, fetch strictly parsed readings.
 
-A model's driver states the identities that it accepts, its settings and how they read back. It also overrides the
-commands for triggering, readings, errors and remote control that differ from a 34401A's. This module handles
+A model's driver states the accepted identities, the settings, and the replies that confirm them. It also overrides
+the commands for triggering, readings, errors and remote control that differ from a 34401A's. This module handles
 communication, lost connections and power cuts for all models.
 """
 
@@ -295,7 +295,7 @@ class ScpiVoltmeter(ABC):
         self._spoke_s = self._clock.now_s()
 
     def _set(self, setting: ProvenSetting) -> list[str]:
-        """Send a command, if any, and query the setting; return a phrase on the difference, or an empty list.
+        """Send the command of a setting, if it has one, and query the setting; return differences as phrases.
 
         A query after each command also keeps an RS-232 meter's 100-character input buffer from overflowing.
         """

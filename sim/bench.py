@@ -33,7 +33,7 @@ class SimulatedMeter:
     """One voltmeter: its constructor `make`, the block channels at its inputs, and its options.
 
     `make` is called with the wiring, the clock and the `options`. The wiring is a channel's terminals or, for a
-    meter with several inputs, a dict by input number. In the second case `inputs` maps channels to input
+    meter with several inputs, a dict by input number. For such a meter `inputs` maps channels to input
     numbers, and `probes` maps other input numbers to sensors.
     """
 
@@ -55,9 +55,9 @@ class SimulatedMeter:
 
 
 class Elsewhere:
-    """The world as seen by a thermometer away from the block: block and air have the temperature there.
+    """The world as seen by a thermometer away from the block: block and air have the temperature of its place.
 
-    `at_c` returns the temperature there at a time, s.
+    `at_c` returns the temperature of this place at a time, s.
     """
 
     def __init__(self, world: World, at_c: Callable[[float | None], float]) -> None:
@@ -259,7 +259,7 @@ class SimulatedBench:
 
 
 def _as_it_is(instrument: ScpiInstrument, clock: Clock) -> ScpiInstrument:
-    """Return the instrument unchanged, without the `clock`: its commands take no time."""
+    """Return the instrument unchanged; `clock` is not used, because its commands take no time."""
     return instrument
 
 

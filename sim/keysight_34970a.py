@@ -241,7 +241,10 @@ class Keysight34970A(LineMeter):
         change: Callable[[ChannelConfiguration, Value], None],
         show: Callable[[ChannelConfiguration], str],
     ) -> list[Command]:
-        """Return command and query of a channel setting; without a channel list they apply to the scan list."""
+        """Return command and query of a channel setting; without a channel list they apply to the scan list.
+
+        `change` sets the value of a channel, `show` returns it as text.
+        """
 
         def command(value: Value, channels: str = "") -> None:
             for channel in self._of(channels):

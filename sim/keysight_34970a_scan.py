@@ -112,7 +112,7 @@ class ChannelList:
 
 
 def listed(text: str, cards: Mapping[int, str]) -> tuple[int, ...]:
-    """Return the channels of a list in its order, `(101, 102, 103, 105)`.
+    """Return the channels in the order of the list, `(101, 102, 103, 105)`.
 
     `cards` maps each slot (100, 200, 300) to its card. Raises `ScpiError` 309 for a malformed list, 302 for a slot
     without a card, 304 for a channel that the card lacks. Missing channels inside a range are skipped.
@@ -165,7 +165,10 @@ class ChannelConfiguration:
         return _AUTOMATIC_DELAY_S if self.stated_delay_s is None else self.stated_delay_s
 
     def configure(self, range_value: Value, resolution: Value) -> None:
-        """CONFigure:VOLTage:DC. Raises `ScpiError` -222 or 532 and then changes nothing."""
+        """CONFigure:VOLTage:DC: preset the channel, set range and resolution.
+
+        Raises `ScpiError` -222 for an invalid value or 532 for too fine a resolution, and changes nothing then.
+        """
         chosen = self.settings.range_value if range_value == DEF else chosen_range(DC_VOLTS, range_value)
         fraction = (
             _DEFAULT_RESOLUTION if resolution == DEF else chosen_resolution(DC_VOLTS, resolution, chosen)

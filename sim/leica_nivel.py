@@ -1,7 +1,7 @@
 """A simulated Leica Nivel210 or Nivel220 on the platform of the world.
 
 Source: NIVEL200 Technical Reference Manual 1.0. The real sensor returns the mean of one measurement per second
-since it was placed; here the noise is that of the mean and is drawn again for each request. Adjustment and saving
+since it was placed; here each request draws the noise of such a mean again. Adjustment and saving
 of parameters are not simulated.
 """
 

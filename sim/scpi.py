@@ -312,7 +312,7 @@ def switch_lines(
     words: tuple[str, ...] = (),
     changed: Callable[[], None] = lambda: None,
 ) -> list[Command]:
-    """Return the command and the query of a Boolean attribute; each of the additional `words` sets it to False.
+    """Return command and query of the Boolean attribute `name`; each of the additional `words` sets it to False.
 
     `holder` returns the object that has the attribute; `changed` is called after the command.
     """
@@ -334,7 +334,10 @@ def number_lines(
     get: Callable[[], float],
     put: Callable[[float], None],
 ) -> list[Command]:
-    """Return the command and the query of a number; both accept MIN and MAX, which mean the two `ends`."""
+    """Return the command and the query of a number; both accept MIN and MAX, which mean the two `ends`.
+
+    `get` returns the number and `put` sets it.
+    """
     words = dict(zip((MIN, MAX), ends, strict=True))
     return [
         Command(notation, lambda v: put(words[v] if isinstance(v, str) else v), (Number(unit),)),

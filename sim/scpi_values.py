@@ -68,7 +68,10 @@ class ScpiError(Exception):
 
 
 class ErrorQueue:
-    """A first-in, first-out queue. If it is full, a new error is lost and the newest entry becomes -350."""
+    """A first-in, first-out queue of error numbers.
+
+    If it is full, a new error is lost and the newest entry becomes -350.
+    """
 
     DEPTH: Final = 20
 
@@ -442,7 +445,7 @@ def list_spans(text: str, item: re.Pattern[str], wrong: int) -> list[tuple[int, 
 
 
 def listed(text: str, count: int) -> tuple[int, ...]:
-    """Return the numbers of a list in its order: `(@1,3:4)` -> (1, 3, 4).
+    """Return the numbers in the order of the list: `(@1,3:4)` -> (1, 3, 4).
 
     Raises `ScpiError` -104 for a malformed list, -109 for an empty one, -222 for a number outside 1…`count`.
     """

@@ -45,7 +45,7 @@ class Outputs:
 
     @property
     def has_mains(self) -> bool:
-        """Whether the supply has mains power; without it, nothing is answered."""
+        """Whether the supply has mains power; without it, the supply answers nothing."""
         return self._world.power.has_mains(self._now_s)
 
     @property
@@ -167,7 +167,7 @@ class KeysightSupply(RemoteInstrument):
         ]
 
     def _of(self, name: str, what: str, value: Value, default: float) -> float:
-        """Return a setting of an output from a number or word. Raises `ScpiError` -222 outside its limits."""
+        """Return the setting `what` of an output from a number or a word. Raises `ScpiError` -222 out of limits."""
         near, far = self._outputs.span(name, what)
         if isinstance(value, str):
             return {MIN: near, MAX: far, DEF: default}[value]

@@ -30,8 +30,8 @@ class Function:
     """A measuring function: its name in replies, its notation in commands, its ranges in `unit` (ascending).
 
     `integration` maps each resolution (fraction of the range) to the integration time in power-line cycles, or to
-    the gate time in s. `keyword` is the SENSe node that sets it, empty if there is none. `settings_of` names
-    another function whose range and resolution this function uses. A `fixed` function has no settings. `expected`
+    the gate time in s. `keyword` is the SENSe node that sets this time, or empty. `settings_of` names another
+    function whose range and resolution this function uses. A `fixed` function has no settings. `expected`
     bounds the expected signal in CONFigure, for functions whose range is that of the input voltage (frequency,
     period).
     """
@@ -210,11 +210,11 @@ class Converter:
     """The converter from the voltage at the terminals to readings, with the ranges and errors in `facts`.
 
     With `noise` a sample has white noise according to its integration time and is rounded to the resolution;
-    without, it is exact (although a reply has only 8 decimals). `accuracy` "90 days" draws a gain error, an
-    offset and their temperature coefficients for each range once, within half the limits of error; other values
-    state the errors. `flaws` are the fields of `InputFlaws`. The terminals carry only a DC voltage: AC functions,
-    current, frequency and period read zero; resistance, continuity and diode see open leads; the ratio has no
-    reference. While `overloaded` is set, every sample is beyond the range.
+    without noise it is exact (although a reply has only 8 decimals). `accuracy` "90 days" draws a gain error, an
+    offset and their temperature coefficients for each range once, within half the limits of error; any other value
+    states the errors itself. `flaws` are the fields of `InputFlaws`. The terminals carry only a DC voltage: AC
+    functions, current, frequency and period read zero; resistance, continuity and diode see open leads; the ratio
+    has no reference. While `overloaded` is set, every sample is beyond the range.
     """
 
     def __init__(
@@ -249,7 +249,7 @@ class Converter:
         return _FAST_INTEGRATION_S.get(configuration.nplc, configuration.nplc / self._line_hz)
 
     def sample_s(self, configuration: Measurement) -> float:
-        """Return the duration of one sample without its delay, s; autozero doubles it."""
+        """Return the duration of one sample without its delay, s; autozero doubles the duration."""
         doubled = configuration.function.has_nplc and configuration.autozero
         return self.integration_s(configuration) * (2.0 if doubled else 1.0)
 
@@ -299,7 +299,7 @@ class Converter:
         return signal_v + (self._flicker_v(flaws.flicker_v, time_s) if flaws.flicker_v else 0.0)
 
     def _flicker_v(self, deviation_v: float, time_s: float) -> float:
-        """Return 1/f noise at a time, V: per decade, four sines of equal power, fixed frequency and phase."""
+        """Return 1/f noise of `deviation_v` per decade, V: per decade four sines of equal power and fixed phase."""
         drawn = self._source.fixed_random("voltmeter flicker").random((len(_FLICKER_DECADES), 4, 2))
         per_sine_v = deviation_v * math.sqrt(2.0 / 4.0)
         return per_sine_v * sum(
@@ -354,7 +354,7 @@ class Converter:
         return range_v if range_v == highest_v else range_v * float(self._facts.OVER_RANGE)
 
     def _autorange(self, signal_v: float, range_v: float) -> float:
-        """Return the range for a signal: a higher one above the present range, a lower one far below it."""
+        """Return a higher range for a signal above the present range, a lower range for one far below it."""
         ranges: tuple[float, ...] = self._facts.RANGES_V
         if abs(signal_v) > self._full_scale(range_v):
             return next((r for r in ranges if abs(signal_v) <= self._full_scale(r)), ranges[-1])
@@ -365,7 +365,7 @@ class Converter:
 
 
 def _noise_of_range(nplc: float) -> float:
-    """Return the noise as a fraction of the range, interpolated log-log between the tabulated NPLC."""
+    """Return the noise as a fraction of the range, interpolated log-log between tabulated values of NPLC."""
     if nplc in _NOISE_OF_RANGE:
         return _NOISE_OF_RANGE[nplc]
     points = sorted((math.log(n), math.log(noise)) for n, noise in _NOISE_OF_RANGE.items())
@@ -375,7 +375,7 @@ def _noise_of_range(nplc: float) -> float:
 
 
 def reading_text(value: float, step: float) -> str:
-    """Format a reading as `SD.DDDDDDDDESDD`; a zero has the exponent of the rounding step."""
+    """Format a reading as `+1.23456789E+00`; a zero has the exponent of the rounding step `step`."""
     if value == 0.0:
         exponent = math.floor(math.log10(step) + 1e-9) if step else 0
         return f"+0.00000000E{exponent:+03d}"

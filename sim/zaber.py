@@ -32,7 +32,7 @@ class ZaberStage(PlainDialect):
     """One Zaber device whose axis `axis` is the head; `steps_per_degree` microsteps turn it by 1°.
 
     With `homed` False the stage has just been switched on without an absolute encoder and must be homed first.
-    With `encoder` it detects when it is stuck (flag FS); without, it only counts steps.
+    With `encoder` the stage detects that it is stuck (flag FS); without an encoder it only counts steps.
     """
 
     def __init__(

@@ -84,12 +84,12 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _command_in(given: list[str]) -> str:
-    """Return the command that the arguments name, as messages write it, such as "bench run"."""
+    """Return the command that the arguments name, in the form of messages, such as "bench run"."""
     return " ".join(["bench", *[word for word in given if word in COMMANDS][:1]])
 
 
 def explain(error: Exception, command: str = "bench") -> str:
-    """Return the message for an error; for an unforeseen one it names the command and suggests `--debug`."""
+    """Return the message for an error; if it is unforeseen, the message names the command and `--debug`."""
     from bench.services.errors import expected, kind_and_words, sentence
 
     if isinstance(error, typer.TyperException):

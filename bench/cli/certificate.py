@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class IssueByDefault(CommandGroup):
-    """The commands on certificates; `issue` is the default if the first word is none of them."""
+    """The group of commands on certificates; `issue` is assumed if the first word is no command."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments, with `issue` inserted if the first word is not a command."""

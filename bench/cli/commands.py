@@ -24,7 +24,7 @@ _VALUES: Final = {"int": "N", "int range": "N", "float": "X", "float range": "X"
 
 
 def ask_whole_help(ctx: Any) -> None:
-    """Note in the context that the help of its command, and of the subcommands, is to show all options."""
+    """Note in the context that the help of the command, and of its subcommands, shall show all options."""
     ctx.meta[_ASKED] = True
 
 
@@ -86,7 +86,7 @@ class BenchCommand(TyperCommand):
 
 
 class CommandGroup(TyperGroup):
-    """A group of commands whose help shows the whole summary of each."""
+    """A group of commands; its help shows the whole summary of each command."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments; `--help-all` instead of a command shows the whole help of the group."""

@@ -18,7 +18,7 @@ def runs(ctx: typer.Context, incomplete: str) -> list[str]:
 
 
 def sources(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the matching runs, and the matching readings files in the folder part of `incomplete`."""
+    """Return the matching runs, and the matching readings files in the folder that `incomplete` names."""
     return [*runs(ctx, incomplete), *_files(incomplete, ".csv")]
 
 

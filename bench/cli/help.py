@@ -1,4 +1,4 @@
-"""help: the commands, or the help of one."""
+"""help: lists the commands, or shows the help of one command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""chart, compare, learn, monitor, stability: evaluations of many measurements, or of a record at rest."""
+"""chart, compare, learn, monitor, stability: evaluations of many measurements, or of a block at rest."""
 
 from __future__ import annotations
 

@@ -248,9 +248,9 @@ def _show(bench: BenchFile, serving: Serving) -> None:
 
 @contextmanager
 def _held(host: str, port: int | None) -> Iterator[None]:
-    """Lock the first port, `port`, within the context if the user chose one.
+    """Lock the first port within the context; lock nothing if the user chose no `port`.
 
-    A second program on the port is refused, with a message that names the program that uses it.
+    A second program that wants the port gets an error that names the first program.
     """
     from bench.base.files import cache_folder
     from bench.run.assembly.served import HELD

@@ -152,7 +152,7 @@ app = typer.Typer(
 
 
 def group(name: str, example: str, cls: type[CommandGroup] = CommandGroup) -> typer.Typer:
-    """Return the object to which a group of commands is added; `COMMANDS` has its help."""
+    """Return an empty group of commands with this name; its help is from `COMMANDS`."""
     return typer.Typer(
         name=name,
         cls=cls,
@@ -166,7 +166,7 @@ def group(name: str, example: str, cls: type[CommandGroup] = CommandGroup) -> ty
 class WithEstimators(BenchCommand):
     """A command whose help names the estimators.
 
-    They are looked up only for the help, because that takes a second.
+    The names are looked up only for the help, because a look-up takes a second.
     """
 
     def get_help(self, ctx: Any) -> str:
@@ -202,7 +202,7 @@ StrictFitOption = Annotated[
 def requested(command: Callable[..., int]) -> Callable[..., int]:
     """Return a command whose options are the fields of its request; the request is made from the options.
 
-    If the first parameter of `command` is a list of requests, each source that the user names becomes one.
+    If the first parameter of `command` is a list of requests, each source that the user names becomes one request.
     """
     hints = get_type_hints(command, include_extras=True)
     name, request, several = next(_requests(hints))
@@ -299,7 +299,7 @@ def command(
 ) -> Callable[[Callable[..., int]], Callable[..., int]]:
     """Return a decorator that makes a function a command, with an example in its help.
 
-    Its options are the parameters of the function, and the fields of its request if it has one.
+    The options are the parameters of the function and, if it takes a request, the fields of the request.
     """
 
     def entered(function: Callable[..., int]) -> Callable[..., int]:

@@ -119,7 +119,7 @@ def budget(request: Budget, json: JsonOption = None, out: OutOption = None) -> i
 
 
 def _write_page(folder: Path, found: BudgetResult, out: Console) -> None:
-    """Write the page and its figures. Raises `OSError`."""
+    """Write the page of a budget and its figures into a folder. Raises `OSError`."""
     from bench.results.budget import figures
 
     folder.mkdir(parents=True, exist_ok=True)

@@ -102,7 +102,7 @@ def told(
 def failed(results: Sequence[object]) -> bool:
     """Print a line for each source that could not be evaluated; return whether there are such sources.
 
-    Raises `Refused` if several sources failed and all for the same reason: the cause is then elsewhere.
+    Raises `Refused` if several sources failed, all for one reason, because the cause is then not in the sources.
     """
     from bench.services.source import failures
 

@@ -71,7 +71,7 @@ class Settings:
         )
 
     def allows_host(self, host: str) -> bool:
-        """Return whether the panel serves requests with this Host header; on loopback, only local names."""
+        """Return whether the panel serves requests with this Host header; on loopback, local names only."""
         if self.loopback:
             return host in {f"{name}:{self.port}" for name in ("127.0.0.1", "localhost", "[::1]")}
         return bool(host)
@@ -242,7 +242,7 @@ def without_body(receive: Receive) -> Receive:
 
 
 def private_folder(folder: Path) -> Path:
-    """Make a folder private to its owner (0700), create it if missing, and return it. Raises `RecordError`."""
+    """Return `folder`, created if missing and made private to its owner (0700). Raises `RecordError`."""
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         found = folder.lstat()
@@ -258,7 +258,7 @@ def private_folder(folder: Path) -> Path:
 
 
 def is_held(lock: FileLock) -> bool:
-    """Return whether a program holds a lock now; False for a lock that nobody can acquire."""
+    """Return whether a program holds a lock now; also False if the lock file cannot be opened."""
     try:
         with lock.acquire(timeout=0):
             return False
@@ -301,7 +301,7 @@ class KeptList:
         return list(self._rows)
 
     def put_aside(self, now: datetime, check: Callable[[list[dict[str, Any]]], object]) -> None:
-        """Rename a damaged file (reading it or `check` raises `RecordError`). Raises `OSError`."""
+        """Rename the file if reading it, or `check` of its rows, raises `RecordError`. Raises `OSError`."""
         with self._lock:
             try:
                 check(self.rows())
@@ -501,7 +501,7 @@ class Access:
 
 
 def role_of(person: laboratory.Person) -> Role:
-    """Return the role that a person of the laboratory has in the panel by the person's rights."""
+    """Return the role in the panel that follows from the rights of a person of the laboratory."""
     if Right.SUPERVISE in person.may:
         return Role.SUPERVISOR
     return Role.OPERATOR if Right.OPERATE in person.may else Role.VIEWER

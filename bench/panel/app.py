@@ -267,7 +267,7 @@ OPEN_WIRE: Final = (
 def serve(settings: Settings, tell: Callable[[str], None]) -> None:
     """Serve a panel until it is stopped; `tell` receives its address, a one-time link and network notes.
 
-    Raises `RecordError` if another panel serves the folder, if nobody could sign in, or if it cannot listen.
+    Raises `RecordError` if another panel serves the folder, nobody could sign in, or the port is not available.
     """
     import uvicorn
 
@@ -391,7 +391,7 @@ def open_panel(runs: Path, after: str = "/", name: str = "", laboratory: Path | 
 
 
 def begin_panel(runs: Path, ports: Sequence[int] = (PORT, 0), laboratory: Path | None = None) -> Started:
-    """Start a panel that outlives this program, at the first free one of `ports`; wait until it serves.
+    """Start a panel that outlives this program, on the first free port of `ports`; wait until it serves.
 
     Raises `RecordError` if it does not start.
     """

@@ -76,7 +76,7 @@ class Group:
 
 
 def groups_of(values: Values) -> list[Group]:
-    """Return the groups of the form; the choices in `values` determine which fields they have."""
+    """Return the groups of the form; the choices in `values` determine the fields."""
     known = dict(fields_in(BenchFile, (), skip=frozenset(BenchFile.model_fields) - {*OF_BENCH}))
     bench = Group("Bench", (), "", tuple(known.values()))
     block = Group(
@@ -339,9 +339,9 @@ def _form_of(written: Any) -> str:
 def completed(values: Values, before: Values) -> dict[str, str]:
     """Return the typed values, completed with examples for newly chosen drivers.
 
-    Fields that the form did not show yet get the examples, except resources. `before` are the values of the
-    file. A single voltmeter becomes a scanning one; an added voltmeter is a copy of the first for the next
-    signal.
+    Fields that the form did not show yet get the examples, but resources stay empty. `before` are the values of
+    the file. A single voltmeter becomes a scanning one; an added voltmeter is a copy of the first one, and
+    measures the next signal.
     """
     full = dict(values)
     number = number_of_meters(full)

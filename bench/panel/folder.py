@@ -112,7 +112,7 @@ class Certificates:
         )
 
     def file(self, run: Run, name: str) -> bytes:
-        """Return a file of a run's certificate. Raises `Refusal` (404), `Refused` if it was tampered with."""
+        """Return a file of a run's certificate. Raises `Refusal` (404) if it is missing, `Refused` if altered."""
         register = self._read()
         if register is None or not any(name in one.files for one in self.of(run)):
             raise Refusal(404, message(f"{run.name} has no such certificate; see its page"))
@@ -129,7 +129,7 @@ class Certificates:
 
 
 def _head_of(run: Run) -> str:
-    """Return the head of a run's record, as its calibration result states it; "" if there is none."""
+    """Return the head of a run's record that the result of the calibration states; "" without a result."""
     try:
         return str(read_json(read_page(run, "calibrate.json"))["record"]["head"])
     except (Refusal, ValueError, KeyError, TypeError):

@@ -388,7 +388,7 @@ def choices(kind: str, working: Path | None = None) -> dict[str, Path]:
 
 
 def chosen_procedure(name: str, runs: RunsFolder) -> Path:
-    """Return the procedure with this name or (`next:RUN`) the one that the diagnosis of a run proposes.
+    """Return the procedure with this name or, for `next:RUN`, the one that the diagnosis of this run proposes.
 
     Raises `Refusal` if there is none.
     """
@@ -404,7 +404,7 @@ def chosen_procedure(name: str, runs: RunsFolder) -> Path:
 
 
 def chosen_bench(name: str, runs: RunsFolder) -> Path:
-    """Return the bench file with this name or (`next:RUN`) that of a run. Raises `Refusal`."""
+    """Return the bench file with this name or, for `next:RUN`, the bench file of this run. Raises `Refusal`."""
     if name.startswith(OF_RUN):
         run = runs.run(name.removeprefix(OF_RUN))
         original = Path(str(run.manifest.get("bench", "")))
@@ -451,7 +451,7 @@ def main() -> None:
 
 
 def checked(wanted: WantedRun, folder: Path) -> TrialResult:
-    """Return the findings of `bench check`, with stage "trying" if a dry run is possible, else "done"."""
+    """Return the findings of `bench check`; the stage is "trying" if a dry run is possible, else "done"."""
     from bench.services.requests.planning import Check
     from bench.services.until import look_ahead
 

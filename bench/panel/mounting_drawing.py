@@ -52,7 +52,10 @@ def block_axes(installation: Installation, angle_rad: float) -> Floats:
 
 @dataclass
 class Sheet:
-    """A drawing in progress: SVG elements in drawing order. Each argument `kind` is a CSS class."""
+    """A drawing in progress: SVG elements in drawing order.
+
+    Each argument `kind` is a CSS class, each `more` further attributes of the element.
+    """
 
     shapes: list[str] = field(default_factory=list)
 

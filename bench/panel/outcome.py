@@ -28,7 +28,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Whisker:
-    """A verification point in the picture: its label, and its place (across, down) in the drawing's units."""
+    """A verification point in the picture: Δg at `x`, Δg ± U from `low` to `high`, `y` from the top."""
 
     label: str
     value: str
@@ -67,7 +67,10 @@ class Outcome:
 
 
 def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool) -> Outcome:
-    """Return the outcome of a run that has ended; `alive` says whether its program is still running."""
+    """Return the outcome of a run that has ended; `alive` says whether its program is running.
+
+    `finished` says whether the run carried out all its steps.
+    """
     found = results_of(run)
     state = "ready" if found.calibration is not None else "none"
     # coefficients are written before the verdict: they alone are not the end
@@ -84,7 +87,7 @@ def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool) -> Ou
 
 
 def _misfit(found: Results) -> str:
-    """Return why to diagnose a run: the model does not fit the readings, or the verdict is no pass."""
+    """Return why to diagnose a run: readings and model do not fit, or the block did not pass; "" if neither."""
     if found.calibration is not None and not found.calibration.fits:
         return message("The model does not fit the readings. The diagnosis looks for the missing effect.")
     if found.verdict is not None and not found.verdict.passed:

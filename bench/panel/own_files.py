@@ -37,7 +37,7 @@ class FileText:
 class EditedFile:
     """A file being edited in the panel: the file as it was read (`base`), and the messages of the page.
 
-    `name` is the name of the file; `start` is the file of which a new file is a copy, else empty.
+    `name` is the name of the file; `start` names the file from which a new file was copied, else empty.
     """
 
     name: str
@@ -87,7 +87,7 @@ def shipped_files(kind: str) -> dict[str, Path]:
 
 
 def own_file(kind: str, name: str) -> Path:
-    """Return the file of the working folder with this name. Raises `Refusal` (404) if there is none."""
+    """Return the file of this kind and name in the working folder. Raises `Refusal` (404) if there is none."""
     path = own_files(kind).get(name)
     if path is None:
         raise Refusal(
@@ -97,7 +97,7 @@ def own_file(kind: str, name: str) -> Path:
 
 
 def shipped_file(kind: str, name: str) -> Path:
-    """Return the shipped file with this name. Raises `Refusal` (404) if there is none."""
+    """Return the shipped file of this kind and name. Raises `Refusal` (404) if there is none."""
     path = shipped_files(kind).get(name)
     if path is None:
         raise Refusal(404, message(f"no {CALLED[kind]} of that name is shipped; choose one from the list"))

@@ -139,7 +139,7 @@ def _delta_g(told: Mapping[str, Any], times: Mapping[tuple[int, int], float]) ->
 
 
 def _diagnosis(told: Mapping[str, Any]) -> Numbers:
-    """Return the numbers of those figures that only a diagnosis has, as far as the result file has them."""
+    """Return the numbers of the figures that only a diagnosis has, as far as its result contains them."""
     shown = told.get("simulation") or {}
     delta_g = {
         name: [_simulated(point) for point in shown[name]["delta_g"] if point["delta_g"] is not None]
@@ -162,7 +162,7 @@ def _diagnosis(told: Mapping[str, Any]) -> Numbers:
 
 
 def _effects_of(told: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the effects found, without mistakes (listed before the effects, and without rivals)."""
+    """Return the effects that a diagnosis found; mistakes, which precede them and have no rivals, are left out."""
     effects = list(told.get("effects", ()))
     return effects[len(effects) - len(told.get("ranking", ())) :]
 
@@ -259,7 +259,7 @@ def _diagnosed_rows(diagnosis: Numbers, name: str) -> Iterator[list[Any]]:
 
 
 def written(rows: Rows, title: str, form: str, *, simulated: bool) -> bytes:
-    """Return a table as a CSV file or as a workbook.
+    """Return a table as a file of the `form` "csv", or "xlsx" (a workbook).
 
     The CSV file states the numbers exactly; the workbook has about 16 digits.
     """

@@ -225,7 +225,7 @@ def _block(text: str, at: Place) -> tuple[int, int, int]:
 
 
 def _compared(text: str, lines: list[str], at: Place, times: int) -> str:
-    """Return `lines` as text. Raises `Refusal` (409) if they change more than the copies of step `at`."""
+    """Return `lines` as text. Raises `Refusal` (409) if they are not `text` with `times` copies of step `at`."""
     changed = "\n".join(lines) + "\n"
     wanted = copy.deepcopy(read_yaml(text).data)
     steps: Any = wanted

@@ -97,7 +97,7 @@ class DayQueue:
                 )
 
     def move(self, item_id: str, by: int) -> None:
-        """Move an item up (`by` −1) or down (1) by one place, if there is one. Raises `Refusal` (409)."""
+        """Move an item one place up (`by` −1) or down (1), but not beyond the ends. Raises `Refusal` (409)."""
         with self._changed() as items:
             at = _index(items, item_id)
             items.insert(max(at + by, 0), items.pop(at))
@@ -132,7 +132,7 @@ class DayQueue:
     # --- notes of the day ---------------------------------------------------------------------------
 
     def note(self, what: str, person: Person, bench: str = "") -> None:
-        """Store a note of the day."""
+        """Store a note of the day; `what` is as in `DayNote`."""
         with self._notes.changed() as rows:
             rows.append(
                 DayNote(what=what, who=person.name, at=self._now(), bench=bench).model_dump(mode="json")

@@ -140,7 +140,7 @@ def results_of(run: Run) -> Results:
 def told_by(
     run: Run, name: str, words: Callable[[Mapping[str, Any]], Told], trouble: list[str]
 ) -> Told | None:
-    """Return the value of `words` for the result file `name` of a run; None if it is missing or damaged.
+    """Return the value of `words` for the result file `name` of a run; None if the file is missing or damaged.
 
     A sentence on a damaged file is added to `trouble`.
     """

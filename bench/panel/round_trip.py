@@ -83,7 +83,7 @@ def edited_text(
 
 
 def with_certificate(text: str, instrument: str, section: str) -> str:
-    """Return a bench file with `section`, a certificate in YAML, for an instrument; its comments stay.
+    """Return a bench file with `section`, a certificate in YAML, for an instrument; comments stay.
 
     Raises `KeyError` for an instrument that the text does not list, and as `changed_text`.
     """
@@ -100,9 +100,10 @@ def with_certificate(text: str, instrument: str, section: str) -> str:
 def accept_certificate(request: ReadCertificate, section: Section) -> str:
     """Write the certificate of an instrument into a bench file; return a sentence on what was done.
 
-    The file's first line names who accepted it and the SHA-256 of the document. Raises `Refused` for an
-    instrument that the bench file does not list, for a certificate without corrections, and for one that the
-    bench file already has. Raises `FileMistakes`, and leaves the file unchanged, if it would have mistakes.
+    The file's first line then names who accepted the certificate, and the SHA-256 of the document. Raises
+    `Refused` for an instrument that the bench file does not list, for a certificate without corrections, and for
+    a certificate that the bench file already has. Raises `FileMistakes`, without writing, if the changed file would
+    have mistakes.
     """
     if request.into is None or not request.instrument or not request.by:
         raise Refused("accepting a certificate needs --into FILE, --instrument NAME and --by NAME")
@@ -142,7 +143,7 @@ def _yaml() -> YAML:
 
         @property
         def versioned_resolver(self) -> Any:
-            """The patterns by which scalars get a type: the only one makes an empty scalar null."""
+            """The patterns that give scalars a type; the only pattern makes an empty scalar null."""
             return {"": [("tag:yaml.org,2002:null", re.compile(r"^$"))]}
 
     yaml = YAML()
@@ -258,7 +259,7 @@ def _remove(tree: Any, at: Place) -> None:
 
 
 def _reach(tree: Any, at: Place) -> Any:
-    """Return the section at a path; missing sections on the way are created, each as a one-line mapping."""
+    """Return the section at a path, after creating each missing section on the path as a one-line mapping."""
     section = tree
     for step in at:
         if isinstance(section, dict) and not isinstance(section.get(step), dict | list):

@@ -42,9 +42,9 @@ _STOPPED: Final = frozenset(
 class RunView:
     """The state of a run, derived from its events.
 
-    `step` is the event with which the current step began; `begun` is that of the first step since the run was
-    begun or resumed. `turn` is the event of the last turn since the block was mounted; `set_c` is the set
-    point (°C) of the chamber. Results of steps are computed from events on demand only, as few are needed.
+    `step` is the event with which the current step began; `begun` is the start of the first step
+    after the run was begun or resumed. `turn` is the event of the last turn since the block was mounted; `set_c` is
+    the set point (°C) of the chamber. Results of steps are computed from events on demand only, as few are needed.
     """
 
     plan: Plan
@@ -222,7 +222,7 @@ class Tail:
             return False
 
     def new(self) -> Iterator[Event]:
-        """Yield the events written since the last call; in a long record, skip those that begin old steps.
+        """Yield the events written since the last call; in a long record, skip the starts of old steps.
 
         Raises `RecordError` if anything but new lines changed in the record.
         """

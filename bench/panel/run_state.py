@@ -75,7 +75,7 @@ def prompt_of(asked: AskedPrompt, seen: RunView, installations: Mapping[str, Ins
 
 
 def _buttons(told: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Return the buttons of a question; if it has a default, the first gives "" as answer, like Enter."""
+    """Return the buttons of a question; if it has a default, the first button gives "" as answer, like Enter."""
     default = told["default"]
     buttons = [] if default is None else [{"text": "", "label": _label(told, str(default))}]
     match told["kind"]:
@@ -288,7 +288,7 @@ def _next_step(seen: RunView) -> int:
 
 
 def _step_at(seen: RunView) -> Step | None:
-    """Return the step whose position in the plan is shown (in a wait: the next mount, turn or reading)."""
+    """Return the step whose position in the plan is shown: the present or next mount, turn or reading."""
     if seen.step is None:
         return None
     for step in seen.plan.steps[seen.step.step :]:

@@ -45,7 +45,7 @@ class PlottedPoints:
     points: tuple[dict[str, Any], ...] = ()
 
     def since(self, told: PlottedPoints) -> dict[str, Any]:
-        """Return the update of the points `told`: first changed index, points from there on, and k."""
+        """Return the update for a viewer who has the points `told`: index of the first new point, new points, k."""
         begin = len(told.points) if told.version == self.version else 0
         return {"from": begin, "k": COVERAGE, "points": self.points[begin:]}
 
@@ -83,7 +83,7 @@ class ResidualPlot:
         return self._readings > 0
 
     def judge_next(self) -> bool:
-        """Compare the next queued reading with its prediction; return whether there was one."""
+        """Compare the next queued reading with its prediction; return whether a reading was queued."""
         while self._waiting:
             event = self._waiting.popleft()
             self._watcher.observe(event)
@@ -194,7 +194,7 @@ class Follower:
         return changed
 
     def judge(self) -> bool:
-        """Compare the next reading with its prediction; return whether there was one."""
+        """Compare the next queued reading with its prediction; return whether a reading was queued."""
         return self._residuals.judge_next()
 
     @property
@@ -236,7 +236,7 @@ class Follower:
         return PlottedPoints(self._residuals.version, tuple(self._residuals.points))
 
     def _look_for_writer(self, *, at_once: bool) -> bool:
-        """Check, at intervals or `at_once`, if a program carries out the run; return if that has changed."""
+        """Check, when due or `at_once`, whether a program carries out the run; return whether this has changed."""
         now_s = self._clock.now_s()
         if not at_once and now_s - self._looked_s < ALIVE_LOOK_S:
             return False
@@ -328,7 +328,7 @@ class SharedFollower:
         self._live_task.cancel()
 
     async def wait(self, version: int) -> bool:
-        """Wait, at most 2 s (`BEAT_S`), for any version but `version`; return whether there is one."""
+        """Wait, at most 2 s (`BEAT_S`), for a version other than `version`; return whether there is one."""
         if self.version == version:
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._news.wait(), BEAT_S)
@@ -445,7 +445,7 @@ class Followers:
 
     @asynccontextmanager
     async def _watched(self, folder: Path) -> AsyncIterator[SharedFollower]:
-        """Yield the follower of a run, begun if need be. Raises `RecordError` if the run cannot be read."""
+        """Yield the follower of a run; start one if there is none. Raises `RecordError` for a damaged run."""
         shared = self._shared.get(folder)
         if shared is None or shared.over:
             shared = self._shared[folder] = SharedFollower(folder, self._add)

@@ -111,7 +111,7 @@ class Inquiry:
         return self._fitting(supposed, state.judge(signals, sighting.pose, self.noise), before)
 
     def _elsewhere(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
-        """Return the suspected mistakes of another installation of the block or another angle of the head."""
+        """Return the suspected mistakes: another installation of the block, or another angle of the head."""
         label, angle = sighting.installation, sighting.angle_rad
         unlikely = 0.0 if sighting.pivot_rad is None else SAT_RIGHT
         supposed = [
@@ -126,7 +126,7 @@ class Inquiry:
         return self._fitting([one.supposed for one in supposed], judged, before)
 
     def _off_by_some(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
-        """Return the suspected mistakes of unknown size: block turned about the shaft or tilted, a channel off."""
+        """Return the suspected mistakes of unknown size: block turned or tilted, or one channel offset."""
         further = self._shifts(sighting, state)
         judged = state.judge(sighting.signal_v, sighting.pose, self.noise, further)
         weighed = np.linalg.solve(judged.covariance, further[..., None])[..., 0]
@@ -162,7 +162,7 @@ class Inquiry:
         ]
 
     def _others(self, sighting: Sighting, *, few: bool) -> dict[str, Supposition]:
-        """Return the suppositions of other installations by label; with `few`, also of other orientations."""
+        """Return the suppositions of other installations by label, and with `few` those of other orientations."""
         label = sighting.installation
         otherwise = self.otherwise.get(label, ()) if few else ()
         known = {at: other_installation(at, label, sighting.sat_before) for at in self._installations(label)}
@@ -267,7 +267,7 @@ class Inquiry:
         return sighting.poses
 
     def _shifts(self, sighting: Sighting, state: Expectation) -> Floats:
-        """Return the signals' prior standard deviations (5, 3), V: block turned, tilted, x off, y off, z off."""
+        """Return the prior standard deviations of the signals, V, (5, 3): block turned, tilted, x, y or z off."""
         scale = state.scale_factors[0]
         turn = self.model.installations[sighting.installation].block_from_platform
         return np.stack(
@@ -280,7 +280,7 @@ class Inquiry:
 
 
 def _settings(sighting: Sighting) -> list[OtherPose]:
-    """Return the suppositions of another head angle at an earlier reading, if far enough off to stop a run."""
+    """Return the suppositions of other head angles at a reading; only angles far enough off to stop a run."""
     at, label = sighting.angle_rad, sighting.installation
     found = head_elsewhere(label, at, sighting.last_rad, sighting.next_rad, sighting.pivot_rad)
     return [one for one in found if abs(one.off_rad) > LARGE_RAD]
@@ -293,9 +293,10 @@ def candidates(history: Sequence[Sighting]) -> list[int]:
 
 
 def likeliest(suspects: Sequence[Suspect]) -> list[Suspect]:
-    """Return the likeliest suspect and those that the readings cannot distinguish from it, each text once.
+    """Return the likeliest suspect, and the suspects that the readings cannot distinguish from it.
 
-    Suspects of unknown size are left out if the likeliest suspect has a definite size.
+    Of several suspects with the same text, only the likeliest is returned. Suspects of unknown size are left out if
+    the likeliest suspect has a definite size.
     """
     ranked = {s.text: s for s in sorted(suspects, key=lambda s: -s.cost)}
     best = min(ranked.values(), key=lambda s: s.cost, default=None)
@@ -336,7 +337,7 @@ class Confidence:
         self._silent, self._undecided, self._unexplained_v = False, None, 0.0
 
     def went_on(self, sighting: Sighting) -> None:
-        """Note that a person continued despite the mistakes just named; lasting ones no longer stop the run."""
+        """Note that a person continued despite the mistakes just named, and thus accepted the lasting ones."""
         self._silent = True
         for kind in self._last:
             if kind in LASTING:
@@ -348,7 +349,8 @@ class Confidence:
     ) -> bool:
         """Return whether to stop the run at a reading that does not fit and is explained by `causes`.
 
-        `off_v` is the size of the misfit, V; `in_a_row` is the number of consecutive readings that did not fit.
+        `chi2` and `off_v` (V) are the size of the misfit; `in_a_row` is the number of consecutive readings that did
+        not fit.
         """
         self._undecided = None
         somehow = [cause for cause in causes if cause.kind is Kind.EARLIER and cause.free]
@@ -366,7 +368,10 @@ class Confidence:
         return self._stopped_for(causes) if stops else False
 
     def earlier(self, chi2: float, off_v: float, causes: Sequence[Suspect]) -> bool:
-        """Return whether to stop the run because `causes` show a mistake in an earlier reading."""
+        """Return whether to stop the run because `causes` show a mistake in an earlier reading.
+
+        `chi2` and `off_v` (V) are the size of the misfit.
+        """
         if not causes or not all(cause.stops for cause in causes):
             self._unexplained_v = max(self._unexplained_v, off_v)
             return False
@@ -375,9 +380,9 @@ class Confidence:
         return self._stopped_for(causes)
 
     def fits(self) -> tuple[Sighting, list[Suspect]] | None:
-        """Note a reading that fits; return the undecided reading before it with its causes, or None.
+        """Note a reading that fits; return the undecided reading before it and its causes, or None.
 
-        The fit of the present reading shows that the undecided one was wrong.
+        The fit of the present reading shows that the undecided reading was wrong.
         """
         self._silent = False
         before, self._undecided = self._undecided, None

@@ -247,7 +247,7 @@ class EarlyWarning:
         return sighting
 
     def _sat_before(self, label: str, new_mount: bool) -> str | None:
-        """Return the installation of the previous mounting, or None if there was none."""
+        """Return the installation in which the block was before it came to `label`, None if there was none."""
         if not self._history:
             return None
         last = self._history[-1]
@@ -265,7 +265,7 @@ class EarlyWarning:
         return None
 
     def _changes(self, time_s: float, temperature_c: float, new_mount: bool) -> Floats:
-        """Return the variances (12,) of the changes that the coefficients may have had since the last reading."""
+        """Return the variances (12,) by which the coefficients may have changed since the last reading."""
         hours = max(0.0, time_s - self._time_s) / 3600.0 if math.isfinite(time_s - self._time_s) else 0.0
         self._time_s = self._time_s if math.isnan(time_s) else time_s
         kelvin = temperature_c - self._temperature_c
@@ -346,7 +346,7 @@ class EarlyWarning:
         return self._sign(sighting, judged, channels, words, causes, at_fault, confident=confident)
 
     def _wrong_before(self, judged: ReadingJudgement) -> list[EarlySign]:
-        """Return the sign for the previous reading, if the fit of the present one shows that it was wrong."""
+        """Return the sign that an undecided reading was wrong, if the present reading shows this; else []."""
         found = self._confidence.fits()
         if found is None:
             return []
@@ -359,7 +359,7 @@ class EarlyWarning:
         return why([cause.text for cause in causes], at_fault.place if at_fault else None)
 
     def _noisy(self, sighting: Sighting, judged: ReadingJudgement) -> EarlySign:
-        """Return the sign that the bench is noisier than its file states; `take` gives it once in a run."""
+        """Return the sign that the bench is noisier than its file states; `take` returns it once in a run."""
         found, stated = self.noise.reading_v, self._repeats.stated.reading_v
         cause = message("the bench is noisier than its file states")
         words = message(
@@ -395,7 +395,7 @@ class EarlyWarning:
         )
 
     def _blame_earlier(self, index: int) -> list[Suspect]:
-        """Strike an earlier reading and relearn the model without it; return its likeliest mistakes."""
+        """Strike an earlier reading and relearn the model without it; return the likeliest mistakes in it."""
         wrong = self._history[index]
         replay = self._inquiry().without(self._history, index)
         self._adopt(replay.taken[:, 0], replay.state)
@@ -406,7 +406,7 @@ class EarlyWarning:
         return likeliest(self._inquiry().of_reading(wrong, self._state, 0.0))
 
     def _lasting(self, sighting: Sighting, suspects: Sequence[Suspect]) -> list[Suspect]:
-        """Return a lasting slip as the only cause if the last two readings have the same angle error; else []."""
+        """Return a lasting slip as the only cause if the last two readings have the same angle error, else []."""
         now = next((s for s in suspects if s.moved_rad is not None), None)
         before, self._moved = self._moved, None
         if now is None or now.moved_rad is None:

@@ -52,9 +52,9 @@ A record without a default was begun when simple acceptance was the default.
 class CheckedBefore(TypedDict, total=False):
     """The state of the check block at the start of the run.
 
-    `run` is the check block's latest run and `age_h` its age, h. `rule` is the rule of the bench file: refuse or
-    warn. `state` is in control, out of control, too old or missing; `said` puts the state in words. `despite` is
-    the operator's reason for starting although the state was not good.
+    `run` is the latest run with the check block, `age_h` the age of that run, h. `rule` is the rule of the bench
+    file: refuse or warn. `state` is in control, out of control, too old or missing; `said` puts the state in words.
+    `despite` is the operator's reason for starting although the state was not good.
     """
 
     rule: str
@@ -78,9 +78,9 @@ class Manifest(TypedDict, total=False):
 
     `files` holds the SHA-256 of each input by name. `seed` is None for a run on real instruments. A run imported
     from a readings file (`imported`) states the number of `readings` and has no procedure. `living` marks a dry run
-    whose questions a person answers. `bench_why` is the reason for the choice of the bench file. `devices` is the
-    origin of drivers from outside the bench software. `verdict` overrides the bench file's decision settings;
-    `default_rule` applies if neither of the two states a rule. `until` lists the goals at which the run ends.
+    whose questions a person answers. `bench_why` is the reason for the choice of the bench file. `devices` names
+    the origin of drivers from outside the bench software. `verdict` overrides the bench file's decision settings;
+    `default_rule` applies if neither states a rule. `until` lists the goals at which the run ends.
     `check_block` is the state of the check block. Fields without a value are omitted.
     """
 
@@ -255,7 +255,7 @@ def result_to_json(result: Result | None) -> dict[str, Any]:
 
 
 def result_from_json(data: Mapping[str, Any]) -> Result | None:
-    """Return a step's result from recorded event data, or None; a reading is returned without its samples.
+    """Return the result of a step from recorded event data, None if there is none; a reading lacks its samples.
 
     Raises `KeyError`, `TypeError` or `ValueError` for data that no step records.
     """
@@ -467,7 +467,7 @@ _OPEN: Final[Mapping[str, RunState]] = {
 
 
 def _stopped(state: RunState) -> Mapping[str, RunState]:
-    """Return the transitions of a stopped run, event -> next state; a failed attempt to resume leaves `state`."""
+    """Return the transitions of a stopped run, event -> next state; failing to resume does not change `state`."""
     return {**_OPEN, EventType.RUN_FAILED: state, EventType.RUN_INTERRUPTED: state}
 
 

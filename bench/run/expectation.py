@@ -36,8 +36,8 @@ class ExpectedPose(NamedTuple):
     """The effect of gravity on the block at one reading.
 
     `force` (…, 3) is the specific force in g on a stand without errors. `slopes` (…, 3, 6) are its derivatives
-    with respect to the stand's angles and the setting error, g/rad. `addition` (…, 3) is the sum of the model's
-    other effects, V.
+    with respect to the stand's angles and the setting error, g/rad. `addition` (…, 3) is the sum of the
+    effects in the model, V.
     """
 
     force: Floats
@@ -95,7 +95,7 @@ class RepeatNoise:
         self._across_v2, self._along_rad2, self._repeats = 0.0, 0.0, 0
 
     def add(self, difference_v: Floats, slope: Floats) -> None:
-        """Add the difference (3,) between a repeat and the earlier reading, V; `slope` (3,) is du/dphi, V/rad.
+        """Add the difference (3,) of a repeat from the earlier reading, V; `slope` (3,): d signal/d angle, V/rad.
 
         Along the slope both noise sizes contribute, in the two perpendicular directions only the signals' noise.
         """
@@ -134,7 +134,7 @@ class ReadingJudgement(NamedTuple):
 
     @property
     def p(self) -> float:
-        """The probability of a misfit by chance that is at least as large as that of the first member."""
+        """The probability that chance causes a misfit at least as large as that of the first member."""
         return float(chdtrc(3, self.chi2[0]))
 
     def cost(self, most: float) -> Floats:
@@ -145,7 +145,7 @@ class ReadingJudgement(NamedTuple):
 class Expectation:
     """The states of m Kalman filters ("members"); each member supposes a different mistake, or none.
 
-    `mean` (m, 17) and `covariance` (m, 17, 17) are of the 12 coefficients (V/g, V), then the 5 stand angles (rad).
+    `mean` (m, 17) and `covariance` (m, 17, 17) have the 12 coefficients (V/g, V), then the 5 stand angles (rad).
     """
 
     def __init__(self, mean: Floats, covariance: Floats) -> None:
@@ -231,14 +231,14 @@ class Expectation:
 
 @dataclass(frozen=True)
 class ExpectedSignals:
-    """The expected `signals` (3,) of a reading, V, their `covariance`, and `slope` (3,) by the angle, V/rad."""
+    """Expected `signals` (3,) of a reading, V, their `covariance`, and `slope` (3,): d signal/d angle, V/rad."""
 
     signals: Floats
     slope: Floats
     covariance: Floats
 
     def deviation_rad(self, signals: Floats) -> tuple[float, float]:
-        """Return the head's deviation from the commanded angle, and its u, rad (generalised least squares)."""
+        """Return the head's deviation from the commanded angle, by generalised least squares, and u, rad."""
         weighted = np.linalg.solve(self.covariance, self.slope)
         information = float(self.slope @ weighted)
         if information <= 0.0:
@@ -313,7 +313,7 @@ def millivolts(value_v: float, sign: str = "") -> str:
 
 
 class Kind(StrEnum):
-    """Kinds of mistakes, as early signs record them with their sentences."""
+    """Kinds of mistakes; an early sign records the kinds beside its sentence."""
 
     CABLING = "cabling"
     ROTATION = "rotation"
@@ -359,7 +359,7 @@ SAME_RAD: Final = float(np.radians(0.5))
 
 @dataclass(frozen=True)
 class Supposition:
-    """A supposed mistake in words, with its kind; `unlikely` is its prior cost."""
+    """A supposed mistake in words, with its kind; `unlikely` is its prior cost (-2 ln probability)."""
 
     text: str
     kind: Kind
@@ -506,7 +506,7 @@ class Sighting:
     `new_mount` says that the block was mounted just before the reading. `loosened` (12,) are the variances by
     which the coefficients may have changed since the previous reading. `taken` means that the model has learnt
     from the reading; `poorly_known`, that the model was too uncertain to reveal a mistake in it; `struck`, that
-    it is known to be wrong or was repeated.
+    the reading is known to be wrong or was repeated.
 
     `poses` are, in this order: the recorded pose, the pose with the head's sense reversed, the poses in each other
     installation or orientation, and the poses at each other setting of the head. `sat_before` is the installation
@@ -547,7 +547,7 @@ class Suspect:
 
     `earlier` is the index of the earlier reading at fault, if any. `moved_rad`, with standard uncertainty `u_rad`,
     is the angle by which head or block is off, if that is the mistake. `stops` says that no genuine effect
-    resembles this mistake, so that it may stop the run; `free` says that it is a shift of unknown size.
+    resembles this mistake, so that it may stop the run; `free` says that the mistake is a shift of unknown size.
     """
 
     text: str

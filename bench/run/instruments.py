@@ -32,7 +32,7 @@ from drivers.person import Person, Prompt, PromptKind
 class Instruments:
     """The instruments of a bench as the runner uses them. Each of x, y, z is measured by exactly one voltmeter.
 
-    `around` maps a column of the readings to the thermometer of the meters or room, or to "chamber" for its air.
+    `around` maps a column of the readings to the thermometer of the meters or room; "chamber" means its air.
     `opened` holds the names of the instruments opened so far; other instruments may be in use by another program.
     """
 
@@ -90,7 +90,7 @@ def same_serials(identities: Mapping[str, Identity]) -> list[str]:
 
 
 def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str, str]) -> None:
-    """Ask whether to continue if identities (by instrument name) have changed from `before`, the run's start.
+    """Ask whether to continue if identities (by instrument name) have changed from `before`, those at the start.
 
     Raises `BenchError` if the person disagrees.
     """
@@ -118,7 +118,7 @@ def told_at_mounting(instruments: Instruments, key: str) -> float | None:
 def told_at_reading(
     instruments: Instruments, known_c: float | None, key: str
 ) -> tuple[float | None, float | None]:
-    """Return the temperatures of block and chamber air, °C; that of the air is None if only one is measured.
+    """Return the temperatures of block and chamber air, °C; the second is None if only one is measured.
 
     `known_c` is the block's temperature, if known; a person is then not asked for it. Raises `BenchError`.
     """
@@ -136,7 +136,7 @@ def told_at_reading(
 def told_around(
     instruments: Instruments, known: Mapping[str, float], air_c: float | None, key: str
 ) -> dict[str, float]:
-    """Return the temperatures of meters and room, °C, by column; `air_c` is that of the chamber's air, if known.
+    """Return the temperatures of meters and room, °C, by column; `air_c` is the chamber's air, if known.
 
     `known` holds values already entered in this mounting; a person is not asked for them again. Raises
     `BenchError`.
@@ -158,9 +158,9 @@ def leave_safe(
     """Leave the block in its safe state, set the chamber to its safe setting, and close all instruments.
 
     `power` controls the block's supply; None if the run controls none. A block that this run has switched, or found
-    on and taken over, is switched off unless its section has `when_unsafe = "stay-on"`; any other block keeps its
-    state. Only an opened chamber is set, because another program may be using one that was not opened; `demanded_c`
-    is the last set point, °C, None without one. Closing stops the head and returns meters to local operation.
+    on and taken over, is switched off unless the bench file says `when_unsafe = "stay-on"`; any other block keeps
+    its state. Only an opened chamber is set: another program may be using a chamber that this run has not opened.
+    `demanded_c` is the last set point, °C, or None. Closing stops the head and returns meters to local operation.
     Returns the remaining manual tasks, keyed by instrument name.
     """
     to_do = {}
@@ -193,7 +193,7 @@ def with_notes(error: BaseException) -> str:
 
 
 def how_it_stopped(cause: BaseException, wish: RunControl | None) -> tuple[EventType, dict[str, str]]:
-    """Return type and data of the event that records why a run stopped; `wish` is the wish to stop, if any."""
+    """Return type and data of the event that records why a run stopped: the wish to stop, if any, else `cause`."""
     if isinstance(cause, Exception):
         instrument = cause.instrument if isinstance(cause, BenchError) else ""
         return EventType.RUN_FAILED, {"error": with_notes(cause), "instrument": instrument}

@@ -1,4 +1,7 @@
-"""Handling of Ctrl-C, SIGTERM and SIGHUP at harmless moments. Imported first, it imports nothing heavy itself."""
+"""Handling of Ctrl-C, SIGTERM and SIGHUP at harmless moments.
+
+This module is imported first, so it imports nothing heavy.
+"""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ class WishListener:
                 self._interrupt()
 
     def _take_in(self) -> RunControl | None:
-        """Read the new wishes; return a wish to stop, which precedes all others, or None."""
+        """Read the new wishes; return a wish to stop, ahead of all other wishes, or None."""
         with self._taking:
             while (control := self._controls.poll()) is not None:
                 if control.wish is Wish.STOP:
@@ -281,7 +281,7 @@ class Asker:
         self._tell(EventType.ANSWERED, _event_data(replace(given, answer=text)))
 
     def _note(self, seen: AnsweredByInstrument, prompt: Prompt) -> None:
-        """Record an instrument's answer, or its problem; after a problem the question is asked again."""
+        """Record an instrument's answer, or record its problem so that the question is asked again."""
         given = LeftAnswer(self._id, seen.text, WishAuthor(by=seen.by, where=INSTRUMENT))
         if not seen.problem:
             self._take(given, prompt)

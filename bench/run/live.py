@@ -114,7 +114,7 @@ def _angle(arcsec: float) -> str:
 
 
 class LiveSignals:
-    """While a question waits, samples the meters quickly, writes the file `LIVE`, and calls `show` with a line.
+    """Quick samples of the meters while a question waits, written to the file `LIVE` and shown by `show`.
 
     It observes the run's events to know which reading comes next. `scale_v_g` is the least scale factor of the
     block, V/g. After an error of an instrument it stays silent until the next question.

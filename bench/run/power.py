@@ -63,7 +63,7 @@ class UnitPower:
     `nap` is called repeatedly during waits and handles wishes; `tell` records events. `on` says whether the block
     was on after the last switching or check. `off_since_s` is the time of switching off (s since the run began,
     None if unknown); `on_since_s` is the time of switching on by `clock`, s. `in_charge` says whether this run has
-    switched the block, or found it switched on and continued with it.
+    switched the block, or found it on and took it over.
     """
 
     supply: PowerSupply
@@ -114,7 +114,10 @@ class UnitPower:
         self._switch_on(key)
 
     def _ask_about(self, otherwise: str, key: str) -> None:
-        """Ask whether a supply that is on with other settings may be changed. Raises `BenchError` if not."""
+        """Ask whether a supply that is on with other settings may be changed. Raises `BenchError` if not.
+
+        `otherwise` describes the difference.
+        """
         prompt = Prompt(
             id=f"{key}/found",
             kind=PromptKind.CHOOSE,
@@ -240,7 +243,7 @@ class UnitPower:
         return self._seen
 
     def at_reading(self, key: str) -> Mapping[str, Rail]:
-        """Return the rails' measurements for a reading, before or after it; empty if the block is off on purpose.
+        """Return the measured rails before or after a reading; empty if the block is off on purpose.
 
         For a supply read by a person, return the last values, to avoid a prompt at each reading. Raises the
         errors of `look`.
@@ -418,7 +421,7 @@ def take_up(
 
 
 def _on_at(plan: Plan, step: int) -> bool:
-    """Return whether the plan has the block on before step `step`."""
+    """Return whether, by the plan, the block is switched on before step `step`."""
     for before in reversed(plan.steps[:step]):
         if isinstance(before, Power):
             return before.switch != "off"
@@ -426,7 +429,7 @@ def _on_at(plan: Plan, step: int) -> bool:
 
 
 def _next_of_a_visit(plan: Plan, first: int, progress: PlanProgress) -> Read | None:
-    """Return the next reading on the present mounting if an earlier one of the same visit exists; else None."""
+    """Return the next reading on the present mounting if its visit already has a reading; else None."""
     for index in range(first, len(plan.steps)):
         step = plan.steps[index]
         if isinstance(step, Mount):

@@ -223,9 +223,10 @@ def parse_line(line: bytes) -> tuple[Event, str]:
 
 @dataclass(frozen=True)
 class ResumePoint:
-    """Where a run is resumed: at step `step`, after the turn `turn` is repeated, if that is not None.
+    """Where a run is resumed: at step `step`; first the step `turn`, if not None, is repeated.
 
-    `bench_s` is the bench time, s, at which `step` was last begun; if it was never begun, that of the last event.
+    `bench_s` is the bench time, s, at which `step` was last begun, or that of the last event if the step was never
+    begun.
     """
 
     step: int

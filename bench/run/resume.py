@@ -302,7 +302,7 @@ def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
 def step_in_doubt(plan: Plan, doubt: Event) -> int:
     """Return the step after the reading at fault.
 
-    This reading is that of the early sign `doubt` or an earlier one on the same mounting.
+    The reading at fault is the reading of the early sign `doubt`, or an earlier one on the same mounting.
     """
     _, _, pass_number, point = doubt.data.get("wrong") or (0, "", 0, 0)
     for index in range(doubt.step, -1, -1):

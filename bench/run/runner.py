@@ -111,9 +111,9 @@ class Runner:
     """Executor of a plan: commands the bench, asks its people and records all events.
 
     `watch` judges each reading. In a run that chooses its points as it goes, `choose` is called with a step index
-    and returns the choice of the steps still to be measured. `certificates` returns sentences on the certificates
-    for the serial numbers by instrument name. `at_resumed_time` is called with the bench time at which a resumed
-    run continues, s.
+    and returns the choice of the steps still to be measured. `certificates` takes
+    the serial numbers by instrument name, and returns sentences on the certificates. `at_resumed_time` is called
+    with the bench time at which a resumed run continues, s.
     """
 
     plan: Plan

@@ -87,7 +87,10 @@ def _statistics(channel: str, samples: Sequence[float]) -> Statistics:
 
 
 def _drift(deviation: Floats, squares: float) -> tuple[float, float]:
-    """Return the drift over the reading in the samples' unit, and the p-value of its t test."""
+    """Return the drift over the reading in the samples' unit, and the p-value of its t test.
+
+    `deviation` are the samples minus their mean, `squares` is the sum of the squared deviations.
+    """
     n = len(deviation)
     if squares == 0.0:
         return 0.0, 1.0
@@ -214,7 +217,7 @@ class Window:
         return self._state(time_s - self._first_s)
 
     def _forget(self, now_s: float) -> None:
-        """Drop old samples; keep the last one before the window, so that the samples cover its whole length."""
+        """Drop old samples; keep the last one before the window, so that the samples cover the whole window."""
         while len(self._samples) > 1 and self._is_old(self._samples[1][0], now_s):
             self._samples.popleft()
 

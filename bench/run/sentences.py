@@ -184,7 +184,10 @@ def size_in_words(u: float, unit: str) -> str:
 
 
 def _per_minute(now: Mapping[str, Any] | None, coming: Mapping[str, Any]) -> str | None:
-    """Return the expected decrease of u per minute, as text; None if there is none or the goal changes."""
+    """Return the expected decrease of u per minute, as text, from the state `now` over the `coming` points.
+
+    Return None if no decrease is expected, or if the goal changes.
+    """
     then, takes_s = coming["then"], float(coming["takes_s"])
     if now is None or now["goal"] != then["goal"] or takes_s <= 0 or now["u"] <= then["u"]:
         return None

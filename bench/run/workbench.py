@@ -164,7 +164,10 @@ class Levelling:
         )
 
     def _pair(self, level: interfaces.Level, key: str) -> tuple[Inclination, Inclination]:
-        """Return the readings in both positions; repeat both if the level's zero differs, as one may be misread."""
+        """Return the readings in both positions.
+
+        If they imply another zero of the level than before, one may be misread: both are repeated.
+        """
         for attempt in range(1, MOST_PAIRS + 1):
             first = self._read(level, f"{key}/first{attempt}", turned=False)
             second = self._read(level, f"{key}/turned{attempt}", turned=True)
@@ -432,8 +435,8 @@ class Workbench:
     def _end_glances(self) -> None:
         """Restore the settings that the meters had before the first glance at the signals.
 
-        The next wait calls this, because it costs no time there; otherwise the next reading does. A meter that
-        refuses the settings is reported only by the reading.
+        The next wait calls this, because there the restoration costs no time; without a wait, the next reading
+        does. A meter that refuses the settings is reported only by the reading.
         """
         if self._before_glances is None:
             return

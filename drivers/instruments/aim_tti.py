@@ -64,7 +64,10 @@ class AimTti(WiredSupply):
         )
 
     def _limits_current(self, output: str, settings: OutputSettings, given_v: float, given_a: float) -> bool:
-        """Return whether an output now limits its current; the event register shows past events only."""
+        """Return whether an output that measures `given_v` and `given_a` now limits its current.
+
+        The event register does not show this: it holds past events only.
+        """
         steps = self._limits.outputs[output]
         at_limit = given_a >= settings.current_limit_a - _NEAR_STEPS * steps.current_step_a
         return at_limit and given_v < settings.voltage_v - _NEAR_STEPS * steps.voltage_step_v

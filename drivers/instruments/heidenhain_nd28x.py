@@ -53,7 +53,7 @@ class HeidenhainNd28x(ReadOutHead):
         self._model = model
 
     def _prove(self) -> None:
-        """Query software, model and version, and of an ND 287 also the unit."""
+        """Query software, model and version; on an ND 287, query the unit, too."""
         self._session.ask(facts.ASK_SOFTWARE, _SOFTWARE, "a software number such as 349797-04")
         said = self._session.ask(
             facts.ASK_DEVICE,

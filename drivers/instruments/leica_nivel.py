@@ -93,7 +93,7 @@ class LeicaNivel:
                 "it was switched off and on since it was set up",
                 "let it warm up for 20 minutes, then level again",
             )
-        self._clock.sleep(float(self._averages + 1))  # until then the mean includes the position before
+        self._clock.sleep(float(self._averages + 1))  # until then the mean includes the previous position
         if self._ask("G P", "OK|F", "OK or F") != "OK":
             raise BadReading(
                 self.name,

@@ -246,7 +246,7 @@ _PLAUSIBLE_K: Final = 20.0
 
 
 class ManualChamber(ByHand):
-    """A `ThermalChamber` that a person sets and reads; safe at `safe_c`, °C, or (None) switched off."""
+    """A `ThermalChamber` that a person sets and reads; safe at `safe_c`, °C, or (if None) switched off."""
 
     model = "thermal chamber"
     asks_person = True

@@ -166,7 +166,7 @@ class ManualSupply(ByHand):
         )
 
     def _differences(self, output: str, wanted: OutputSettings, key: str) -> list[str]:
-        """Return one phrase per setting on the display that differs; the protection is not displayed."""
+        """Return one phrase per displayed setting that differs from `wanted`; the protection is not displayed."""
         shown = OutputSettings(
             self._number("set_voltage", output, key),
             self._number("current_limit", output, key),
@@ -201,7 +201,7 @@ class ManualSupply(ByHand):
         return text == "on"
 
     def _number(self, what: Quantity, output: str, key: str) -> float:
-        """Ask for a number on the display. Raises `BadReading` if no attempt gives one."""
+        """Ask for the number on the display that `what` names. Raises `BadReading` if no attempt gives one."""
         called, unit = _CALLED[what]
         trouble = ""
         for attempt in range(1, ATTEMPTS + 1):

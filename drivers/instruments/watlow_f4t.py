@@ -111,7 +111,10 @@ class WatlowF4TChamber(ControlledChamber):
         return self._session.ask(":UNIT:TEMPERATURE?", "[CF]", "C or F") == "F"
 
     def _temperature_c(self, what: str) -> float:
-        """Return PVALUE or SPOINT of the loop in °C. The unit is queried each time, as somebody may change it."""
+        """Return the temperature `what` of the loop, PVALUE or SPOINT, °C.
+
+        The unit is queried each time, as somebody may change it.
+        """
         fahrenheit = self._fahrenheit()
         value = float(self._session.ask(f"{self._loop}:{what}?", NUMBER, "a temperature such as 25.0"))
         return (value - facts.FAHRENHEIT_AT_0_C) / facts.FAHRENHEIT_PER_C if fahrenheit else value

@@ -280,7 +280,7 @@ def _join(link_resource: str, timeout_s: float) -> _Adapter:
 
 
 def _is_quiet(link: Connection) -> bool:
-    """Return whether only NUL bytes wait; others show a broken link or another program at the adapter."""
+    """Return whether only NUL bytes wait; other bytes show a broken link or another program at the adapter."""
     while link.by_bytes and link.wait(0.0):
         chunk = link.take_all()
         if not chunk or chunk.strip(_NUL):

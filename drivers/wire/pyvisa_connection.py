@@ -241,7 +241,7 @@ class Connection:
     def take_own_lock(self, timeout_s: float) -> None:
         """Lock the instrument itself against other computers, if its interface can (with pyvisa-py: VXI-11).
 
-        Raises `VisaIOError` if another client has the lock. The end of the connection releases it.
+        Raises `VisaIOError` if another client has the lock. The end of the connection releases the lock.
         """
         if isinstance(self._visa, TCPIPInstrument):
             try:
@@ -376,7 +376,7 @@ def _resource_manager() -> pyvisa.ResourceManager:
 
 
 def _open_in_time(resource: str, timeout_s: float) -> MessageBasedResource:
-    """Open the resource in a separate thread, within `timeout_s` (+ 0.5 s); a late one is closed again."""
+    """Open the resource in a separate thread, within `timeout_s` (+ 0.5 s); close a resource that opens late."""
     opened: Future[MessageBasedResource] = Future()
 
     def work() -> None:

@@ -90,8 +90,8 @@ class MessageSession:
     def connection(self) -> int | None:
         """The number of the current connection, or None without a usable one.
 
-        A driver stores this number with the settings that it sent; if the number has changed, it verifies them
-        again.
+        A driver stores this number with the settings that it sent; if the number has changed, the driver
+        verifies the settings again.
         """
         return self._count if self._is_connected() else None
 
@@ -207,7 +207,7 @@ class MessageSession:
         return self._connection
 
     def _is_connected(self) -> bool:
-        """Return whether there is a connection that no other instrument on the same adapter has lost."""
+        """Return whether there is a connection, and no other instrument on the same adapter has broken it."""
         connection = self._connection
         return connection is not None and not (
             isinstance(connection, AdapterConnection) and not connection.stands
@@ -391,7 +391,7 @@ _T = TypeVar("_T")
 class ProvedSession:
     """Commands and queries over a `MessageSession`; the instrument is verified first on every new connection.
 
-    `prove` identifies the instrument through this session, and raises an error if it is not the expected one.
+    `prove` identifies the instrument through this session, and raises an error for any other instrument.
     `write_gap_s` is the pause that the instrument needs after a command without reply.
     """
 

@@ -51,7 +51,7 @@ _RANGES: Final = {
 
 @dataclass
 class AdapterSettings:
-    """The settings of an adapter; as shipped it reads from the instrument after each command (`auto`)."""
+    """The settings of an adapter; an adapter as shipped reads from the instrument after each command (`auto`)."""
 
     addr: int = 5
     auto: int = 1
@@ -189,7 +189,7 @@ class GpibAdapter(PlainDialect):
         }
 
     def attach(self, address: int, make: Callable[[Clock], _Instrument]) -> _Instrument:
-        """Put the instrument that `make` returns for its clock on the bus, and return it.
+        """Put an instrument on the bus and return it; `make` makes the instrument with a clock of its own.
 
         Raises `ValueError` for an address that is in use or not in 0…30.
         """

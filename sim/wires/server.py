@@ -173,7 +173,7 @@ class TcpServer(InstrumentServer):
             transport.close()
 
     def refuse(self, duration_s: float = 0.0) -> None:
-        """Stop listening, so that new connections are refused, for `duration_s` or (0) until `accept_again`."""
+        """Refuse new connections for `duration_s`, s; if that is 0, until `accept_again` is called."""
         self._accept_later(duration_s, self._try_again)
         listener, self._listener = self._listener, None
         if listener is None:
@@ -353,7 +353,7 @@ class TerminalServer(InstrumentServer):
                 self._discard()
 
     def refuse(self, duration_s: float = 0.0) -> None:
-        """Neither read nor send, for `duration_s` or (0) until `accept_again`."""
+        """Neither read nor send for `duration_s`, s; if that is 0, until `accept_again` is called."""
         self._accepts.clear()
         self._accept_later(duration_s, self.accept_again)
         self.drop_connections()

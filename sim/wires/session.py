@@ -132,7 +132,7 @@ class Dialect(Protocol):
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
         """Carry out a message and return the reply, or None if there is none.
 
-        While it waits, it polls `interrupted`; if that returns True, it gives up.
+        A dialect that waits polls `interrupted`, and gives up when that returns True.
         """
 
     def device_clear(self) -> None:
@@ -342,7 +342,7 @@ class ServedInstrument:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Lock the instrument against all wires within the context, for a change from outside."""
+        """Keep all wires from the instrument within the context, in which it can be changed from outside."""
         with self._lock:
             yield
 
@@ -476,7 +476,7 @@ class Session:
         return not fault.drop
 
     def _in_time(self, delay_s: float) -> bool:
-        """Wait in real time before a late reply; return False if a device clear cancelled it or the client left."""
+        """Wait in real time before a late reply; return False if a device clear or a leaving client cancels it."""
         if delay_s <= 0.0:
             return True
         self._traffic.mark(self, Doing.WAITING)

@@ -20,8 +20,8 @@ SLICE_S = 0.05
 class VirtualClock:
     """A clock that advances only when someone waits on it, and then at once; implements `drivers.clock.Clock`.
 
-    `before_advance`, if set, is called before each advance. A simulated bench uses it to finish every command that
-    is already on a wire, so that results do not depend on the scheduling of threads.
+    `before_advance`, if set, is called before each advance. A simulated bench uses this call to finish every
+    command that is already on a wire, so that results do not depend on the scheduling of threads.
     """
 
     def __init__(self, start_s: float = 0.0) -> None:

@@ -142,8 +142,8 @@ class ScriptedOperator:
     ) -> None:
         """Turn the head until its scale shows `angle_rad`; this takes as long as if `ask` handled the prompt.
 
-        If an encoder reads the head, it first turns to more than `backoff_rad` before the angle, then to the
-        angle.
+        If an encoder reads the head, the operator first turns it to more than `backoff_rad` before the angle, then
+        to the angle.
         """
         generator = self._generator("turn", prompt_id.partition("#")[0])
         generator.normal()  # skip the setting error, so that the next number is the duration, as in `_turn`

@@ -63,7 +63,7 @@ class PowerSettings:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """A disturbance of an output (or of all, if `output` is empty) from clock time `at_s` for `lasts_s`."""
+    """A disturbance of an output (if `output` is empty, of all) from clock time `at_s` on, for `lasts_s`."""
 
     kind: DisturbanceKind
     at_s: float
@@ -377,7 +377,7 @@ class Power:
         return OutputReading(math.copysign(stage.limit_a / conductance, open_v), stage.limit_a, limiting=True)
 
     def _conductance(self, rail: Rail, stage: OutputPhase, time_s: float) -> float:
-        """Return the load of a rail at a time, A/V: greater when warm and just after switch-on."""
+        """Return the load of a rail at a time, A/V; a rail draws more when warm and just after switch-on."""
         settings = self.settings
         warm = 1.0 + settings.current_by_temperature * (self._block_c(time_s) - REFERENCE_C)
         since_s = max(0.0, time_s - stage.on_since_s)

@@ -44,7 +44,7 @@ _LEAST_SPREAD: Final = 1e-6
 
 @dataclass(frozen=True)
 class _Stretch:
-    """A period from `since_s` on; s after its start the air is base + slope·s + Re(excess·exp(-s/lag)), °C.
+    """A period from `since_s` on; after t seconds the air is at base + slope·t + Re(excess·exp(-t/lag)), °C.
 
     With a complex lag the air rings. `block_c` is the block's temperature at the start.
     """
@@ -75,7 +75,7 @@ class _Stretch:
 
 
 class Heat:
-    """The temperatures of the chamber air and of the block in it, both at `ambient_c` at time `now_s`.
+    """The temperatures of the chamber air and of the block in it, which begin at `ambient_c` at time `now_s`.
 
     `block_lag_s` is the time constant of the block behind the air. A demanded air temperature holds until the
     next demand.
@@ -253,7 +253,7 @@ class World(KeyedNumbers):
         return self.settings.stand.get(name, _NO_ERROR).draw(generator)
 
     def _stand_rad(self, installation: str, series: int) -> Floats:
-        """Return the stand angles of a mounting, rad, shape (5,); cached for `recall` of every reading."""
+        """Return the stand angles of a mounting, rad, shape (5,); cached, because every `recall` needs them."""
         place = (installation, series)
         if place not in self._stands_rad:
             self._stands_rad[place] = stand_errors(
@@ -294,7 +294,7 @@ class World(KeyedNumbers):
             self._pose_on(installation=installation, series=series, stand_rad=stand_rad)
 
     def level_platform(self, installation: str, series: int) -> None:
-        """Set tilt and zero offset of the platform to those of a mounting, as levelling before it would."""
+        """Set tilt and zero offset of the platform to those that it has after levelling for a mounting."""
         with self._lock:
             stand_rad = self._poses[-1].stand_rad.copy()
             stand_rad[:2] = self._stand_rad(installation, series)[:2]
@@ -429,7 +429,7 @@ class World(KeyedNumbers):
     ) -> None:
         """Add a reading, made before the world was rebuilt, to the history on which effects depend.
 
-        Arguments are as recorded; without an installation the block stays as in the setting recalled before.
+        Arguments are as recorded; without an installation, the pose of the reading recalled before applies.
         Call it in the order of measurement, before the first new reading.
         """
         with self._lock:
@@ -555,7 +555,7 @@ class World(KeyedNumbers):
             return float(signals[CHANNELS.index(channel)]) + self._voltmeter_error_v[channel]
 
     def _model_readings(self, pose: Pose, time_s: float) -> Floats:
-        """Return the three signals of a pose, V, shape (3,), given the settings read before it."""
+        """Return the three signals of a pose, V, shape (3,); effects may depend on the visits read before."""
         model, before = self.settings.model, []
         if model.needs_history:
             before = [visit for visit in self._read if visit.pose is not pose and visit.time_s < time_s]

@@ -128,7 +128,10 @@ def form(request: Request) -> Response:
 
 
 def _begun(name: str, start: str, new_name: str = "") -> FormState:
-    """Return the form of a file before any change. Raises `Refusal` if there is no such file."""
+    """Return the unchanged form of the file `name`; without a name, that of a new file copied from `start`.
+
+    Raises `Refusal` if there is no such file.
+    """
     if name:
         base = read_file(own_file(CONFIG, name))
         return FormState(name, "", base, values=_values(base.text))
@@ -218,7 +221,7 @@ def _assign(state: FormState, given: Mapping[str, str], found: Findings) -> None
 
 
 def _place_of(target: str, values: dict[str, str]) -> str:
-    """Return the path in the bench file of the instrument `target`, to which a found resource is assigned.
+    """Return the path of `target`, the instrument that gets a found resource, in the bench file.
 
     The number of voltmeters chosen in `values` is changed if `target` demands it.
     """
@@ -237,7 +240,7 @@ def _place_of(target: str, values: dict[str, str]) -> str:
 
 
 def _addressed(given: Mapping[str, str]) -> list[str]:
-    """Return the resources to be addressed: those ticked and those typed, one per line."""
+    """Return the resources to be addressed: ticked ones, and typed ones (one per line)."""
     ticked = [given.get(f"resource:{key[4:]}", "") for key in given if key.startswith("ask:")]
     return [one for one in (*ticked, *given.get("further", "").split()) if one]
 
@@ -280,7 +283,7 @@ def _form_page(request: Request, state: FormState) -> Response:
 
 
 def _known_certificates(file: BenchFile | None) -> dict[str, str]:
-    """Return the date of the certificate that the bench file states for each resource."""
+    """Return, by resource, the date of the certificate that the bench file states for the instrument."""
     found = {}
     for section in file.instruments.all() if file else ():
         resource, certificate = getattr(section, "resource", None), section.certificate
@@ -305,7 +308,7 @@ def _by_place(file: BenchFile | None, results: Mapping[str, Any]) -> dict[str, A
 
 
 def search_of(panel: Panel) -> Search:
-    """Return the latest search for instruments of a panel."""
+    """Return the panel's latest search for instruments."""
     return Search(panel.settings.runs / STATE / "search")
 
 

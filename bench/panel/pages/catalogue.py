@@ -58,7 +58,7 @@ async def figure(request: Request) -> Response:
 
 
 async def _asked(request: Request, question: Callable[[Catalogue, str], Told], asked: str) -> Told:
-    """Ask the panel's catalogue a question; return the answer. Raises `Refusal` (404) without a catalogue."""
+    """Return the answer of `question` to `asked` from the catalogue. Raises `Refusal` (404) without a catalogue."""
     looking(request)
     where = panel_of(request).settings.catalogue
     if not where:

@@ -113,7 +113,10 @@ def form(request: Request) -> Response:
 
 
 def _begun(name: str, start: str, new_name: str) -> TableState:
-    """Return the table of a file before any change. Raises `Refusal` if there is no such file."""
+    """Return the unchanged table of the file `name`; without a name, that of a new file copied from `start`.
+
+    Raises `Refusal` if there is no such file.
+    """
     if name:
         base = read_file(own_file(PROCEDURES, name))
         return TableState(name, "", base, text=base.text)
@@ -259,7 +262,7 @@ def _unreadable(state: TableState) -> tuple[FileMistake, ...]:
 
 
 def check_beside(procedure: Procedure, bench: str, runs: Path) -> CheckBeside:
-    """Return the findings of `bench check` for a procedure and a bench file, both given by name."""
+    """Return the findings of `bench check` for a procedure and the bench file named `bench`."""
     from bench.services.until import findings_of  # takes long to import
 
     plan = procedure.plan

@@ -54,7 +54,7 @@ def runs(request: Request) -> Response:
 
 
 def _choices(rows: list[RunRow], asked: dict[str, str]) -> dict[str, list[str]]:
-    """Return the distinct values in each column, as choices for the filters."""
+    """Return the distinct values in each column, and those asked for, as choices for the filters."""
     offered = {}
     for column in FILTERS:
         words = {getattr(row, column) for row in rows} | {asked[column]}

@@ -33,7 +33,7 @@ class SimulatedHands:
     """Hands that work at the simulated bench of `world` for the real runs in the folder `runs`.
 
     They turn the head, mount the block, set a manual chamber, and report through `tell` what they did or what a
-    display shows. The answers come from a person. A head with an encoder turns at `CRANK_RAD_S` in real time.
+    display shows. A person answers the prompts. A head with an encoder turns at `CRANK_RAD_S` in real time.
     """
 
     def __init__(self, world: World, runs: Path, tell: Callable[[str], None], speed: float = 1.0) -> None:
@@ -58,7 +58,7 @@ class SimulatedHands:
             over.set()
 
     def look(self) -> None:
-        """Do the tasks that prompts asked for since the last call; of each kind, only the latest."""
+        """Do the tasks of the prompts since the last call, but only the latest task of each kind."""
         for record in self._runs.glob(f"*/{EVENTS}"):
             if is_being_written(record.parent) and not Run(record.parent).simulated:
                 for prompt in self._new_prompts(record):
@@ -66,7 +66,7 @@ class SimulatedHands:
                         self._do(prompt)
 
     def _new_prompts(self, record: Path) -> list[Prompt]:
-        """Return the prompts since the last call, and those put again because an encoder's answer was refused."""
+        """Return the prompts in `record` since the last call, also those after an encoder's refused answer."""
         asked, put = OpenPrompt(), dict[str, Prompt]()
         with suppress(OSError, ValueError), open_regular(record) as file:
             size = file.seek(0, 2)

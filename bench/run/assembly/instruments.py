@@ -122,7 +122,7 @@ def loaded_class(section: InstrumentForm, which: Literal["driver", "simulation"]
 
 
 def _thermometers(sections: InstrumentsSection, meters: Sequence[Any], given: Surroundings) -> dict[str, Any]:
-    """Return the drivers of the thermometers by name; a sensor wired to another instrument uses its session."""
+    """Return the drivers of the thermometers by name; a sensor wired to an instrument uses its session."""
     made: dict[str, Any] = {meter.name: meter for meter in meters}
     of = {section.name: key.partition("_")[0] for key, section in sections.around.items()}
     for section in sections.thermometers:
@@ -257,7 +257,7 @@ def simulated_instruments(bench: BenchFile, world: World) -> dict[str, Dialect |
 
 
 def _probes(bench: BenchFile, world: World, host: InstrumentForm) -> dict[int, Probe]:
-    """Return the simulated sensors wired to an instrument of the bench, by channel number."""
+    """Return the simulated sensors that are wired to the instrument `host`, by channel number."""
     given, truth = bench.instruments, bench.simulation.thermometer
     errors = {"error_c": truth.error, "noise_c": truth.noise, "air_share": truth.air_share}
     return {
@@ -271,7 +271,7 @@ def _probes(bench: BenchFile, world: World, host: InstrumentForm) -> dict[int, P
 def _seen_by(section: InstrumentForm, given: InstrumentsSection, world: World) -> World:
     """Return the world that an instrument observes.
 
-    A thermometer at the meters or in the room observes a world in which the block has the temperature there.
+    A thermometer of the meters or the room observes a world whose block has the temperature of that place.
     """
     at = {"meter_thermometer": world.meters_c, "room_thermometer": world.room_c}
     key = next((key for key, around in given.around.items() if around is section), None)

@@ -87,9 +87,9 @@ class LivingOperator:
         """Ask the person and carry out the task in the world; return the person's answer.
 
         If the task is to read a display, the prompt contains the displayed value. If the task is to turn a head
-        with an encoder, the scripted operator answers; with a hands-free encoder, it turns the head while the
-        question is open. After an invalid or refusing answer the task is not carried out. Raises the errors of the
-        person's `ask`.
+        with an encoder, the scripted operator answers; with a hands-free encoder, that operator turns the head
+        while the question is open. After an invalid or refusing answer the task is not carried out. Raises the
+        errors of the person's `ask`.
         """
         action = prompt.action
         if action["do"] in _LOOKED_AT:
@@ -355,8 +355,8 @@ def dry_evening(
 ) -> Iterator[CommissioningSession]:
     """Yield a commissioning session on the simulated bench of a bench file, with a scripted person.
 
-    Time is the sum of the simulated and the computer's clock, because a simulated fault delays responses in real
-    time. Raises `BenchError` for a fault that its instrument cannot have.
+    The session's time is simulated time plus the computer's time, because a simulated fault delays responses in
+    real time. Raises `BenchError` for a fault that its instrument cannot have.
     """
     watch = WireWatch(log)
     with dry_bench(file, model, seed, watch, haste) as assembly:

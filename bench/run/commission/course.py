@@ -27,7 +27,7 @@ PAUSE_S: Final = 2.0
 
 @runtime_checkable
 class _HasScale(Protocol):
-    """A head whose angle can be read without moving it."""
+    """A head that can report its angle without moving."""
 
     def position_rad(self) -> float:
         """Return the angle read back, rad."""
@@ -178,7 +178,7 @@ def _identities(evening: CommissioningSession) -> None:
 
 
 def who(evening: CommissioningSession, instrument: Instrument) -> Finding:
-    """Return the finding on an opened instrument, which states the identity that it reported."""
+    """Return a finding that states the identity which an opened instrument reported."""
     by_hand = evening.section(instrument.name).by_hand
     said = "is operated by hand" if by_hand else str(evening.identities[instrument.name])
     return Finding(IDENTITY, instrument.name, State.WORKS, said)

@@ -144,7 +144,8 @@ def _refused(beyond: Beyond) -> Finding:
 def refuse_or_say(name: str, what: str, demand: Callable[[], object]) -> None:
     """Make a demand that must be refused; even an accepted one has no effect on the unconnected instrument.
 
-    Raises `CheckEnded` if the demand is not refused as beyond the limits.
+    `what` describes the demand in the finding. Raises `CheckEnded` if the demand is not refused as beyond the
+    limits.
     """
     try:
         demand()
@@ -196,7 +197,7 @@ def _with_motor(
 
 
 def _within(form: MotorisedHeadForm, angle_rad: float) -> float:
-    """Return the head's angle `angle_rad`, or the nearest limit if it is beyond a limit by at most the tolerance.
+    """Return the head's angle `angle_rad`, or the nearest limit if the angle exceeds it by at most the tolerance.
 
     Raises `CheckEnded` for a head outside its limits, or without room for a small move.
     """

@@ -69,8 +69,8 @@ def _settings(
 ) -> VoltmeterSettings:
     """Return settings with the longest supported integration time up to `nplc` line periods.
 
-    It is one that all meters support or, if there is none, one that `meter` supports. The number of samples is
-    clipped to the limits of the bench file.
+    The choice is among the times that all meters support or, if there are none, among those of `meter`. The
+    number of samples is clipped to the limits of the bench file.
     """
     has = evening.file.nplc_supported or _form(evening, meter).kind.limits.nplc
     near = [one for one in has if one <= nplc] or [min(has)]
@@ -131,7 +131,7 @@ def _judged_by_time(
     found: Finding,
     took_s: float,
 ) -> Finding:
-    """Return the finding with the duration of the reading added; a reading longer than expected is SLOWER."""
+    """Return the finding with the duration `took_s` added; if this is too long, the state is SLOWER."""
     expected_s = expected_time_s(evening, meter, settings)
     held = "the driver does not say" if expected_s is None else f"the driver expects {expected_s:.3g} s"
     figures = (*found.figures, Figure("reading took", took_s, "s", held))
@@ -302,7 +302,7 @@ def _of_channel(
 
 
 def largest_scatter_v(sigma_v: float, n: int) -> float:
-    """Return the upper limit, V, of the standard deviation of `n` samples whose true value is `sigma_v`."""
+    """Return the upper limit, V, of the standard deviation of `n` samples from noise of `sigma_v` volts."""
     from scipy.stats import chi2
 
     return sigma_v * math.sqrt(float(chi2.isf(SIGNIFICANCE, n - 1)) / (n - 1)) if n > 1 else sigma_v

@@ -131,7 +131,7 @@ def _tested(instrument: Instrument) -> Finding:
 
 
 def _held(evening: CommissioningSession, meter: Voltmeter, volts: float) -> Finding:
-    """Return the finding on whether the channels of a meter at the reference voltage are within limits of error."""
+    """Return the finding on the errors of a meter's channels at the reference voltage `volts`."""
     meter.configure(meters.slow(evening, meter, SAMPLES))
     samples, _ = meters.reading(evening, meter)
     stated_v = evening.file.stand_distributions()["voltmeter_error"].limit
@@ -169,7 +169,10 @@ def _compared(
     turned_rad: float,
     changed_v: Floats,
 ) -> Finding:
-    """Return the finding on the head's return home, from the changes of angles read and signals since the start."""
+    """Return the finding on the head's return home, from the changes since the start.
+
+    `turned_rad` is the change of the angle read, `changed_v` (3,) the change of the signals.
+    """
     stand = evening.file.stand_distributions()
     setting_rad = stand["setting_error"].u
     scale = np.abs(evening.file.unit_under_test.scale_factors.values)

@@ -58,7 +58,7 @@ class Figure:
 
     @property
     def text(self) -> str:
-        """The figure as text, such as "loss told after 3.2 s (6 s is the most)"."""
+        """The figure as text, such as "reading took 3.2 s (the driver expects 3 s)"."""
         held = f" ({self.expected})" if self.expected else ""
         return f"{self.what} {self.value:.4g} {self.unit}".rstrip() + held
 
@@ -85,7 +85,7 @@ class Finding:
 
 
 def status_of(findings: Sequence[Finding], *, whole: bool) -> int:
-    """Return the exit status of a session with these findings; `whole` says whether it was completed.
+    """Return the exit status of a session with these findings; `whole` says whether the session was completed.
 
     The status is 2 if the session was incomplete or a check could not be done, else 1 if a check found a deviation,
     else 0.
@@ -214,8 +214,8 @@ class CommissioningSession:
     """A commissioning session on a bench, with its findings.
 
     `time_s` is the clock for measuring durations: the bench's clock, plus the computer's time on a simulated
-    bench. `connections` maps each wired instrument to a function that returns the number of its present
-    connection, or None if it is not connected. `tell` displays a line.
+    bench. `connections` maps each wired instrument to a function that returns the number of the
+    present connection, None if there is no connection. `tell` displays a line.
     """
 
     file: BenchFile
@@ -246,7 +246,7 @@ class CommissioningSession:
     # --- the person ---------------------------------------------------------------------------------
 
     def confirm(self, text: str, *, default: str | None = None, action: Action | None = None) -> None:
-        """Ask the person to confirm. Raises `Skipped`, `SessionEnded`, or `BenchError` after a refusal."""
+        """Ask the person to confirm `text`. Raises `Skipped`, `SessionEnded`, or `BenchError` after a refusal."""
         self._prompts += 1
         prompt = Prompt(
             f"commission/{self._prompts}",
@@ -345,7 +345,10 @@ class CommissioningSession:
         self._losses[name] = self._losses.get(name, 0) + 1
 
     def _of_error(self, check: str, name: str, state: State, error: BenchError) -> Finding:
-        """Return the finding for an error, on the instrument that the error names if the bench has it."""
+        """Return the finding for an error.
+
+        It concerns the instrument that the error names or, if the bench lacks that instrument, `name`.
+        """
         known = error.instrument in {one.name for one in self.instruments.all()}
         about = "" if known else f"{error.instrument}: "
         remedy = "; ".join((error.remedy, *getattr(error, "__notes__", ())))
@@ -360,7 +363,10 @@ class CommissioningSession:
     def _with_wire(
         self, found: Finding, name: str, mark: tuple[int, int], before: int | None, by_answers: bool
     ) -> Finding:
-        """Return the finding with faults on a wire added: failures, garbled replies, slow responses."""
+        """Return the finding with faults on the wire since `mark` added: failures, garbled replies, slow responses.
+
+        `before` is the number of the connection at `mark`; `by_answers` also adds slow responses.
+        """
         failures, after = self.watch.failures(mark, name), self._connection(name)
         if failures:
             said = f"{found.said}, but its wire failed meanwhile ({failures[0]})"
