@@ -75,7 +75,7 @@ def diagnose_free(
     noise = noise_size(whitened, data, naming.columns)
     fitted = fit_found(linear, candidates, naming, noise)
     between = between_records(rows) if len(np.unique(rows.record)) > 1 else None
-    effects = effects_of(candidates, naming, fitted, limit, np.zeros(0))
+    effects = effects_of(candidates, naming, fitted, limit)
     number = np.arange(len(rows)) % FOLDS
     parts = [(f"positions {n + 1}, {n + FOLDS + 1}, …", number == n) for n in range(FOLDS)]
     gap = measure_gap(linear, whitened, naming, noise, limit, 0.0, parts=parts)

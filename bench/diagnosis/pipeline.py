@@ -22,7 +22,8 @@ from bench.diagnosis.candidates import (
 )
 from bench.diagnosis.evidence import Threshold, ThresholdCache, Whitened
 from bench.diagnosis.gap import Gap, measure_gap, near_ratios
-from bench.diagnosis.levels import BY_CHANCE, LISTED, LISTED_IN_SENTENCE
+from bench.diagnosis.levels import BY_CHANCE, LISTED, LISTED_IN_SENTENCE, MOSTLY
+from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.mistakes.search import Mistake, MistakesLeaveTooLittle
 from bench.diagnosis.multi_run_system import find_mistakes_in_each, search_runs, with_blocks
 from bench.diagnosis.naming import FamilyOdds, FoundEffect, Naming, Scored, name, same_signature
@@ -223,7 +224,7 @@ def _estimated(prepared: Prepared, naming: Naming) -> _Estimated:
     others = beside(candidates, naming, sized, channels_of(whitened, data, naming))
     in_part = tuple(applied for of_find in others for applied in of_find)
     fitted = fit_found(with_other_shapes(linear, in_part), candidates, naming, noise)
-    effects = effects_of(candidates, naming, sized, prepared.limit, linear.moved.angle_rad)
+    effects = effects_of(candidates, naming, sized, prepared.limit, linear)
     kept = left_open(linear, candidates, naming, others, fitted, noise)
     return _Estimated(effects, noise, sized, fitted, in_part, kept)
 
@@ -277,11 +278,16 @@ def _apart(p: float, words: str) -> NamedEffect:
 
 
 def effects_of(
-    candidates: Candidates, naming: Naming, fitted: Posterior, limit: Threshold, angle_rad: Floats
+    candidates: Candidates,
+    naming: Naming,
+    fitted: Posterior,
+    limit: Threshold,
+    linear: LinearSystem | None = None,
 ) -> tuple[NamedEffect, ...]:
     """Return the effects found, with the estimates `fitted` of their parameters and their p-values.
 
-    `limit` is the threshold of the search. `angle_rad` are the head angles of the readings.
+    `limit` is the threshold of the search. From `linear`, if given, follow the aliases of periods per turn, and
+    the channel in which an unnamed effect shows.
     """
     effects = []
     for found, mine in naming.parts():
@@ -298,7 +304,7 @@ def effects_of(
             p=p,
             p_all_looks=max(p, limit.p(found.total)),
             rho=rho,
-            words=_in_words(variant),
+            words=_in_words(variant, _mostly_in(linear, candidates, variant, fitted.amplitudes[mine])),
         )
         if variant.named:
             value, covariance = fitted.amplitudes[mine], fitted.amplitude_covariance[mine, mine]
@@ -311,7 +317,9 @@ def effects_of(
                 parameters=tuple(values_of(applied)),
                 applied=applied,
                 together=together,
-                aliases=() if order is None else looking_like(angle_rad, order),
+                aliases=()
+                if order is None or linear is None
+                else looking_like(linear.moved.angle_rad, order),
             )
         effects.append(effect)
     return tuple(effects)
@@ -345,18 +353,31 @@ def _odds(candidates: Candidates, found: FoundEffect) -> tuple[FamilyOdds, ...]:
     return tuple(FamilyOdds(called, p) for called, p in ranked if p >= BY_CHANCE or called in tied)
 
 
-def _in_words(variant: Variant) -> str:
+def _mostly_in(
+    linear: LinearSystem | None, candidates: Candidates, variant: Variant, amplitudes: Floats
+) -> str:
+    """Return in words the channel with most of the square of an effect's signature; "" if there is none."""
+    if linear is None:
+        return ""
+    square = (candidates.columns[:, list(variant.columns)] @ amplitudes) ** 2
+    of_channel = [float(square[linear.rows.channel == c].sum()) for c in range(len(CHANNELS))]
+    most = int(np.argmax(of_channel))
+    return f"mostly in channel {CHANNELS[most]}" if of_channel[most] > MOSTLY * square.sum() else ""
+
+
+def _in_words(variant: Variant, mostly_in: str) -> str:
     if variant.named:
         return CATALOGUE[variant.family].sentence
-    if variant.term is not None:
-        of = (
-            ""
-            if variant.term.stage not in WITH_CHANNELS
-            else f" of {', '.join(CHANNELS[c] for c in variant.channels)}"
-        )
-        at = f" ({variant.term.where})" if variant.term.where else ""
-        return f"{UNNAMED_WORDS[UNNAMED_FORM]}: {variant.family}{of}{at}"
-    return UNNAMED_WORDS[variant.family] + (f" ({variant.where})" if variant.where else "")
+    if variant.term is None:
+        words, place = UNNAMED_WORDS[variant.family], variant.where
+        mostly_in = f"channel {CHANNELS[variant.channels[0]]}" if len(variant.channels) == 1 else mostly_in
+    else:
+        words, place = f"{UNNAMED_WORDS[UNNAMED_FORM]}: {variant.family}", variant.term.where
+        if variant.term.stage in WITH_CHANNELS:
+            words += f" of {', '.join(CHANNELS[c] for c in variant.channels)}"
+            mostly_in = ""
+    where = "; ".join(filter(None, (place, mostly_in)))
+    return f"{words} ({where})" if where else words
 
 
 def values_of(applied: tuple[AppliedEffect, ...]) -> Iterator[EffectValue]:

@@ -296,7 +296,7 @@ class RecordWork:
         fitted = Posterior(
             np.concatenate(sizes), np.diag(np.concatenate(known) ** 2), len(np.concatenate(sizes))
         )
-        effects = effects_of(self.candidates, Naming(tuple(shown), 0.0), fitted, limit, np.zeros(0))
+        effects = effects_of(self.candidates, Naming(tuple(shown), 0.0), fitted, limit)
         return tuple(_with_u(effect, u) for effect, u in zip(effects, u_of_shapes, strict=True))
 
     def fits(self, courses: Sequence[Variant], noises: Sequence[Noise]) -> Iterator[ChannelFit]:
