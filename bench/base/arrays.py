@@ -44,7 +44,7 @@ def least_squares(columns: Floats, target: Floats) -> tuple[Floats, Floats]:
 def quadratic_forms(rows: Floats, matrix: Floats) -> Floats:
     """Return r^T M r for each row r of `rows` (n, p) and a matrix M (p, p), shape (n,).
 
-    `numpy.einsum` would need several times as long, because it searches for the best order at each call.
+    `numpy.einsum` takes several times as long, because each call searches for the best order of products.
     """
     moved = (matrix.T @ rows.T).T
     return np.asarray(np.matmul(moved[:, None, :], rows[:, :, None]).ravel())

@@ -279,7 +279,7 @@ _WRITTEN_UNITS: Final[Mapping[str, tuple[str, float]]] = {
     "rad": ("arcsec", 206264.80624709636),
     "rad/s": ("deg/s", 57.29577951308232),
 }
-"""By SI unit: the unit that people write instead, and its number in one SI unit."""
+"""For each SI unit, the unit that people write instead, and how many of it make one SI unit."""
 
 
 def written_quantity(value: float, kind: QuantityKind) -> str:

@@ -68,7 +68,7 @@ _EXPECTED: Final = {
 def explained(
     error: ValidationError, model: type[BaseModel], lines: Mapping[Place, int]
 ) -> Iterator[tuple[Place, str]]:
-    """Yield the place and a sentence for each error of validating `model`; `lines` has the places in the file.
+    """Yield the place and a sentence for each error of validating `model`; `lines` has the line of each place.
 
     A misspelt key is reported only as misspelt, not also as missing.
     """
@@ -436,7 +436,7 @@ class Document:
 
     @cached_property
     def lines(self) -> dict[Place, int]:
-        """The line of every place. It needs a second parse, done only on demand as most files have no mistakes."""
+        """The line of every place, from a second parse, made on demand because most files have no mistakes."""
         return read_yaml_with_lines(self.text).lines
 
     def line_of(self, place: Place) -> int:
@@ -475,7 +475,7 @@ def load_document(path: Path, most_bytes: int = MEGABYTE) -> Document:
 
 
 def document_of(path: Path, content: bytes) -> Document:
-    """Parse the `content` of the file `path`, which is not read. Raises `FileMistakes`, like `load_document`."""
+    """Parse `content`, which was already read from the file `path`. Raises `FileMistakes`, like `load_document`."""
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -28,7 +28,7 @@ REMOUNT_S: Final = 1200.0
 class Mounting(NamedTuple):
     """One mounting of the block, during which the stand angles stay constant.
 
-    As text it is the installation, "2"; from the second series on the series is added: "2/3" in series 3.
+    Its text is the installation, "2"; a series after the first is added: "2/3" is installation 2 in series 3.
     """
 
     series: int
@@ -217,7 +217,7 @@ class Conditions:
         return found
 
     def select(self, rows: Mask) -> Conditions:
-        """Return the conditions of the rows where the mask (n,) is true; other mountings are dropped."""
+        """Return the conditions of the rows where the mask (n,) is true; mountings without rows are dropped."""
         used, mount = np.unique(self.mount[rows], return_inverse=True)
         kept: dict[str, Any] = {name: column[rows] for name, column in self._columns().items()}
         mounts = tuple(self.mounts[i] for i in used)
@@ -285,7 +285,7 @@ class Conditions:
 
 
 PAST_RAD: Final = np.radians(5.0)
-"""Rotation beyond a setting that is approached from the other side, and before a mounting's first setting, rad."""
+"""Overshoot, rad, before a setting is approached from the other side; also the rotation to a first setting."""
 
 SAME_RAD: Final = 1e-3
 """Settings that differ by less than this, rad, count as equal: the head was not turned."""

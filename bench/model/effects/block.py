@@ -120,7 +120,9 @@ ROUNDED_G: Final = 0.01
 
 
 class BiasAsymmetry(BlockEffect):
-    """Asymmetry (K0'/2) sign(a_i) of the bias. A dead band of half-width w looks like K0' = -2 w beyond it."""
+    """Asymmetry (K0'/2) sign(a_i) of the bias. Outside a dead band of half-width w, the signal is as with K0' = -2
+    w.
+    """
 
     name = "bias_asymmetry"
     parameters = (_size("K0p", "ug", 20e-6),)

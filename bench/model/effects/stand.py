@@ -61,7 +61,7 @@ class ZeroOffset(ConstantAngle):
 
 
 class MountingError(ConstantAngle):
-    """The mounting error alpha3 beyond its limits: it tilts by -alpha3 sin(phi) out of the plane of rotation."""
+    """The mounting error alpha3 beyond its limits: a tilt of -alpha3 sin(phi) out of the plane of rotation."""
 
     name = "mounting_error"
     column = "mounting_error"
@@ -81,7 +81,7 @@ class MountingOffset(ConstantAngle):
 
 
 class MountingRoll(ConstantAngle):
-    """The third mounting angle alpha5, which tilts by alpha5 cos(phi) out of the plane of rotation."""
+    """The third mounting angle alpha5: a tilt of alpha5 cos(phi) out of the plane of rotation."""
 
     name = "mounting_roll"
     column = "mounting_roll"
@@ -140,7 +140,7 @@ class HeadGraduation(HeadEffect):
 
 
 class Backlash(HeadEffect):
-    """Backlash b: the angle differs by b between the directions of approach; no effect if that is unknown."""
+    """Backlash b: the angles of the two directions of approach differ by b; no effect for an unknown direction."""
 
     name = "backlash"
     parameters = (angle("play", 10),)
@@ -174,7 +174,7 @@ class AxisWobble(StandEffect):
 
 
 class BracketTilt(ConstantAngle):
-    """A tilt alpha1 out of the plane of rotation, constant during a mounting and changed by each remount."""
+    """A tilt alpha1 out of the plane of rotation, constant during a mounting; each remount changes it."""
 
     name = "bracket_tilt"
     column = "axis_tilt"

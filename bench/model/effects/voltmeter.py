@@ -134,7 +134,9 @@ class VoltmeterThermalOffset(VoltmeterEffect):
 
 
 class VoltmeterMove(VoltmeterEffect):
-    """A jump of the zero of each channel's meter, as if it was moved, at the time `at` after the run began."""
+    """A jump of the zero of each channel's meter at the time `at` after the run began, as if the meter
+    was moved.
+    """
 
     name = "voltmeter_move"
     parameters = (
@@ -233,7 +235,7 @@ class VoltmeterGain(VoltmeterEffect):
 
 
 class ReferenceStep(VoltmeterEffect):
-    """A step of a gain common to all channels: from a remount or pass onwards, or in a single pass."""
+    """A step of the gain, equal in all channels: from a remount or pass onwards, or in a single pass."""
 
     name = "reference_step"
     parameters = (Parameter("step", "ppm", 1e-6, plausible=20e-6, per_channel=False),)
