@@ -227,7 +227,7 @@ def _notes_on_rows(
 
 
 def _on_levels(problem: Problem) -> tuple[str, ...]:
-    """Return a note on stand angles measured with a level, and their u; empty if no angle was."""
+    """Return a note on the stand angles measured with a level, and their u; empty without such angles."""
     told = [s for s in problem.stand if s.measured]
     if not told:
         return ()

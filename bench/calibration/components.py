@@ -25,7 +25,7 @@ ASKED_P: Final = 0.01
 SOME: Final = 0.2
 """Start value of a component's variance, as a fraction of the noise variance."""
 HARDLY_ANY: Final = 0.01
-"""Components of variance below this fraction of the noise variance are dropped; other ones explain them."""
+"""A component below this fraction of the noise variance is dropped, because others explain it."""
 MOST_SIGNALS: Final = 1500
 """Above this number of signals no components are searched for: the matrices would take minutes."""
 WAVES: Final = 8
@@ -65,13 +65,13 @@ class _Term:
     channels: str
     columns: Floats
     unit_of: Floats
-    """Standard deviation of a random effect of unit variance, by channel (signal unit) or common (rad)."""
+    """What a random effect of 1 means: by channel in the signal's unit, or one angle (rad) for all."""
 
 
 def take_in(problem: Problem, fit: Fit, unit: str, floor: float = 0.0) -> SharedErrorFit:
-    """Return the fit with the variance components that its readings share.
+    """Return the fit after adding the variance components that its readings share.
 
-    It has no components if the repeats are too few, the signals are more than `MOST_SIGNALS`, or the noise is only
+    None are added if the repeats are too few, the signals are more than `MOST_SIGNALS`, or the noise is only
     rounding to the last digit. `floor` (unit of the signal) is the lower limit of the noise.
     """
     try:

@@ -323,7 +323,7 @@ class Problem:
 
 
 class _Chain:
-    """The chain from the stand to the readings at one point; a step from there evaluates only what follows it."""
+    """The stages from stand to readings, evaluated once at a point; a step then evaluates only the later stages."""
 
     def __init__(self, model: ForwardModel, conditions: Conditions, block: Block, stand_rad: Floats) -> None:
         self._model, self._conditions, self._block = model, conditions, block
@@ -342,7 +342,7 @@ class _Chain:
         }
 
     def of(self, block: Block) -> Floats:
-        """Return the readings (n, 3) of another block in a model whose effects leave the force as it is."""
+        """Return the readings (n, 3) of another block, if no effect of the model changes the force."""
         voltage_v = self._model.output(self._force, self._conditions, block)
         return self._model.voltmeter_readings(voltage_v, self._conditions, block)
 

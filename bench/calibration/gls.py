@@ -271,7 +271,7 @@ def _result(
     problem: Problem, system: System, block: Block, others: Floats, sizes: Noise, places: _Places,
     found: Floats, covariance: Floats, gain: Floats, shifts: tuple[Shift, ...],
 ) -> Fit:  # fmt: skip
-    """Return the fit after its last step `found`, which is small enough for residuals linear in it.
+    """Return the fit after its last step `found`, which is so small that the residuals are linear in it.
 
     The misfit excludes shifted signals.
     """
@@ -290,7 +290,7 @@ def _result(
     whole[np.ix_(places.unknowns, places.unknowns)] = covariance[np.ix_(places.own, places.own)]
     whole_gain[places.unknowns] = gain[places.own]
     by_row = whole_gain[:, : 3 * n].reshape(len(whole), n, 3)
-    # the row of a free reading is 1 - |a|, so that a signal enters with the sign turned
+    # the row of a free reading is 1 - |a|: its derivatives have the opposite sign of those of |a|
     by_free = -whole_gain[:, 3 * n :, None] * system.free.by_signal
     as_it_is = 1.0 / widening(sizes.reading_dof)
     u_shift = as_it_is * np.sqrt(np.diag(covariance)[places.shifts])

@@ -128,7 +128,7 @@ def listed(fit: Fit, chosen: FittedRows) -> tuple[Outlier, ...]:
                 pass_number=int(table.pass_number[shift.row]),
                 point=int(table.point[shift.row]),
                 channel=channel or "xyz"[shift.channel],
-                # the row of a modulus is 1 - |a|: what is too large there is too small in |a|
+                # the row of a modulus is 1 - |a|: an error of |a| has the opposite sign
                 size=float(-size if free else size / per),
                 unit=unit,
                 sigma=float(abs(size) / u),

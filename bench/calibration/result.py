@@ -366,7 +366,7 @@ class Calibration(HasCovariance):
 INVERSE: Final = (
     "Nxx", "Nxy", "Nxz", "Nyx", "Nyy", "Nyz", "Nzx", "Nzy", "Nzz", "U0x", "U0y", "U0z",
 )  # fmt: skip
-"""Names of the twelve numbers of a = N (U - U0), in the order of all vectors and tables of them."""
+"""Names of the twelve numbers of a = N (U - U0), in the order of every vector and table."""
 
 MISALIGNMENTS: Final = {
     "alpha_yx": ("Kxy", "Kxx", 1.0),

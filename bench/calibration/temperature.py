@@ -433,7 +433,7 @@ def _table(model: TemperatureModel, reach_g: float, steps: int) -> CompensationT
 def _by_steps(
     model: TemperatureModel, nodes_c: Floats, exact: Floats, between: Floats
 ) -> tuple[float, float, Floats]:
-    """Return the largest interpolation errors of the force: at 0 g (g), and per |a| (g/g); and the entries.
+    """Return the largest interpolation error of the force at 0 g, in g, its increase per g of |a|, and the entries.
 
     `exact` (n, 12) are the entries of N and U0 at the nodes (n,), °C; the returned entries (m, 12) are
     interpolated at the temperatures `between` (m,), °C. The errors are those of one component of the force;

@@ -84,7 +84,7 @@ class VerificationPoint:
 class LimitToPass:
     """Two changes, each of which would make a verification pass: another limit of |delta g|, or another u.
 
-    `limit_g` is that limit, g; `u_times` is the factor on u, None if none suffices. `point` exceeds its
+    `limit_g` is that limit, g; `u_times` is the factor on u, None if no factor suffices. `point` exceeds its
     acceptance limit most.
     """
 
@@ -192,7 +192,7 @@ class Verification:
     def to_pass(self) -> LimitToPass | None:
         """The limit, or the u, with which the verification would pass, all else equal.
 
-        None if it passes or points are missing.
+        None if the verification passes or lacks points.
         """
         if self.passed or self.missing:
             return None

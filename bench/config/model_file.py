@@ -160,9 +160,7 @@ def load_model(path: Path, installations: Collection[str] = ()) -> ModelFile:
 def mistakes_with_formulas(
     data: Any, installations: Collection[str] = (), place: Place = ()
 ) -> Iterator[tuple[Place, str]]:
-    """Yield place and text of the mistakes in `formulas`, `effects` and `left_open` of the section `data`, at
-    `place`.
-    """
+    """Yield place and text of the mistakes in `formulas`, `effects` and `left_open` of the section at `place`."""
     wrong = list(formula_mistakes(part(data, "formulas"), (*place, "formulas")))
     yield from wrong
     if wrong:
@@ -450,7 +448,7 @@ def _written_value(parameter: Parameter, value: Any, u: Any) -> str | dict[str, 
 
 UNNAMED: Final = "unnamed_"
 WIDENED: Final = ("tau", "lag")
-"""Shape parameters whose grid in a named effect also has half and twice the value found."""
+"""Shape parameters: the grid of a named effect has the value found, half of it, and twice that value."""
 
 
 @dataclass(frozen=True)

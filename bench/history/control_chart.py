@@ -61,7 +61,7 @@ def reasons_of(chart: ControlChart, row: int) -> tuple[str, ...]:
 
 
 def _which(chart: ControlChart, z: Floats, limit: float) -> str:
-    """Return the numbers beyond `limit` in words, farthest first; if none is, the farthest number."""
+    """Return the numbers with `z` beyond `limit` in words, farthest first; if there is none, the farthest."""
     order = np.argsort(-np.abs(z))
     beyond = [k for k in order if abs(z[k]) > limit]
     named = [f"{chart.names[k]} {z[k]:+.1f} u".replace("-", MINUS) for k in order]

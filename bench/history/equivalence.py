@@ -422,7 +422,7 @@ class Drift:
 
 
 def transport_dark(drifts: Sequence[Drift], names: Sequence[str]) -> Floats:
-    """Return the scatter beyond u, (m,), 1 sigma, of each number of a travelling unit from stop to stop.
+    """Return how far each number of a travelling unit scatters from stop to stop in excess of u, (m,), 1 sigma.
 
     It is the Mandel-Paule solution for changes with the variance u^2 + 2 dark^2, and 0 for changes within u. If
     no change is significant after Holm's correction, it is 0 for all numbers: the scatter of a few returns must

@@ -325,7 +325,7 @@ def scatter_of(runs: Sequence[RunFit], variances: Floats) -> tuple[Floats, Float
 
 
 def between_runs(ratio: Floats, dof: Floats) -> tuple[float, float, float]:
-    """Return the mean of ln of mean squares (n,), the variance of ln between runs, and that of the mean.
+    """Return the mean of the logarithms of n mean squares, their variance between runs, and the mean's variance.
 
     The logarithm of a mean square with nu degrees of freedom has the variance psi'(nu/2) (trigamma function).
     """
@@ -368,7 +368,7 @@ def known_noise(runs: Sequence[RunFit], variances: Floats) -> tuple[KnownNoise, 
 
 
 LEAST_SHOWN: Final = 0.01
-"""A setting error that causes less than this fraction of the noise gets the u of one that causes as much."""
+"""A setting error that causes less than this fraction of the noise gets the u of one that causes this fraction."""
 
 
 def _pooled_dof(freedom: Floats, slope: Floats, variances: Floats) -> Floats:

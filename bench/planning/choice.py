@@ -157,7 +157,7 @@ BELIEVED: Final = 6.0
 """Prior weight of the stated noise, in degrees of freedom; measured noise soon outweighs it."""
 
 SURE: Final = 0.8
-"""A run leaves a mounting once its visits suffice for the upper noise limit of this confidence level."""
+"""A run leaves a mounting once its visits suffice for the upper limit of the noise at this confidence level."""
 
 
 @dataclass(frozen=True)

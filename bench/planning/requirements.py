@@ -218,7 +218,7 @@ def _open_of(found: Observability, names: Sequence[str]) -> int:
 
 
 def _menu(settings: Sequence[Setting], model: ForwardModel, cost: Cost) -> list[_Candidate]:
-    """Return the additions to try: verification points in the fit, a pass in another installation, a return."""
+    """Return the additions to try: verification points in the fit, other installations, a return to the first."""
     menu = []
     there = verifying(settings)
     if there:

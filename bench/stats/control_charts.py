@@ -97,7 +97,7 @@ def mewma_limit(smoothing: float, arl: float, dimensions: int) -> float:
 
 
 def _root(length: Callable[[float], float], arl: float, most: float) -> float:
-    """Return the limit, below `most`, for which `length` is `arl`; `length` increases with the limit."""
+    """Return the limit, up to about `most`, at which the increasing function `length` has the value `arl`."""
     return float(
         scipy.optimize.brentq(lambda limit: np.log(length(limit) / arl), 0.2 * most, 1.01 * most, xtol=1e-6)
     )
@@ -273,7 +273,7 @@ def without_one(values: Floats, covariances: Floats, basis: Basis) -> Floats | N
 
 
 def _filtered(values: Floats, gain: float, weight: float, axis: int) -> Floats:
-    """Return y_t = gain x_t + weight y_{t-1} along an axis."""
+    """Return y_t = gain x_t + weight y_{t-1} along an axis; x are the `values`."""
     filtered: Any = scipy.signal.lfilter([gain], [1.0, -weight], values, axis=axis)
     return np.asarray(filtered)
 
@@ -303,7 +303,7 @@ class ChartDesign:
 
     @property
     def alpha(self) -> float:
-        """False-alarm probability per run, for its T² and also for its short-term standard deviation."""
+        """False-alarm probability per run of T² alone, and of the short-term standard deviation alone."""
         return 1.0 / self.each_arl
 
     def alpha_ewma(self, dimensions: int) -> float:

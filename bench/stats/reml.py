@@ -178,7 +178,7 @@ class ComponentsAsked:
     """Tests of k components not yet in the model.
 
     `chance` (k,) is the p-value of the score for a variance of zero. `expected` (k,) is the posterior mean of the
-    variance: the prior is flat above zero, the likelihood is normal about one scoring step.
+    variance: the prior is flat above zero, the likelihood is normal about the result of one scoring step.
     """
 
     chance: Floats
@@ -206,7 +206,7 @@ def asked_for(at: Projection, Z: ComponentColumns, inside: int, dof: float) -> C
     told = left > 1e-6 * own
     size = np.where(told, score / np.sqrt(np.where(told, left, 1.0)), -np.inf)
     freedom = traces[inside:] ** 2 / (2.0 * own)
-    # denominator degrees of freedom with which an F-distributed score has this part of its information
+    # the fewer degrees of freedom in the denominator, the smaller the part of its information that F keeps
     part = np.clip(np.where(told, left / own, 1.0), 0.0, 1.0 - 1e-6)
     within = np.minimum(freedom * part / (1.0 - part), dof)
     ratio = np.maximum(1.0 + size * np.sqrt(2.0 / freedom + 2.0 / within), 0.0)

@@ -106,7 +106,7 @@ def measured(
         if reading:
             shared, apart = _of_reading(contribution, budget, force, same_voltmeters=same_voltmeters)
         if not shared.any() and of_coefficients.shape[1] > len(of_coefficients):
-            # twelve components have the same covariance as the many of single readings
+            # twelve columns can have the same covariance as many columns, one for each reading
             of_coefficients = np.asarray(np.linalg.qr(of_coefficients.T, mode="r")).T
         parts = inverse @ np.concatenate([shared - design @ of_coefficients, apart], axis=2)
         by_source[contribution.source.name] = parts @ np.swapaxes(parts, 1, 2)
@@ -331,7 +331,7 @@ def exact_readings(budget: Budget, trials: int, rng: np.random.Generator) -> Flo
 
 
 def _linear(budget: Budget) -> Propagated:
-    """Return coefficients, then delta g, of the linear budget; their cross-covariances are left out."""
+    """Return the coefficients, then delta g, by the linear budget, without covariances between the two."""
     total, variances = budget.combined, delta_g_variances(budget)
     count = len(variances)
     covariance = np.diag(np.concatenate([np.zeros(12), variances.sum(axis=1)]))

@@ -224,7 +224,7 @@ def _task(
 ) -> WeightingTask:
     """Return the input of an estimator's weighting for noise-free readings of the setup.
 
-    The fit in it has the linear map of the last step of a fit to real readings.
+    Its `fit` has the same linear map as the last step of a fit to real readings.
     """
     signal = setup.signal[setup.fitted]
     floor = gls.LEAST_NOISE * float(np.max(np.abs(signal)))

@@ -47,7 +47,7 @@ _SHOWN: Final[Mapping[str, tuple[str, float]]] = {
 
 @dataclass(frozen=True)
 class ErrorSource:
-    """An error source: its distribution in `unit` (SI), and which readings share one draw of it (`common`).
+    """An error source: its distribution in `unit` (SI); `common` says which readings share one random draw.
 
     `origin` says where the size comes from; `prior` marks a plausible size that nobody stated. `factors`
     multiply the error where it acts (temperature coefficients, per K). For a parameter of an effect, `effect`
@@ -99,9 +99,7 @@ class ErrorSource:
         return np.array([float(channel in self.channels) for channel in CHANNELS])
 
     def acting(self, draws: Floats) -> Floats:
-        """Return the effects (..., q) of draws of the source's u, from the effects `draws` of draws of size
-        1.
-        """
+        """Return the effects (..., q) of the source's draws, which have size u, from effects `draws` of size 1."""
         return self.u * draws if self.root is None else self.u * draws @ np.array(self.root)
 
     def sized(self, u: float) -> ErrorSource:
@@ -145,7 +143,7 @@ def _sources(
 
 
 def _means(kinds: tuple[str, ...], known: KnownStand, labels: Sequence[str]) -> Iterator[ErrorSource]:
-    """Yield one source for the means of all kinds; its draws are by kind, then by mounting."""
+    """Yield one source for the means of all kinds; its draws are ordered by kind, then by mounting."""
     size, axes = np.linalg.eigh(known.covariance)
     half = axes * np.sqrt(np.maximum(size, 0.0))
     places = [known.place(kind, label) for kind in kinds for label in labels]

@@ -76,7 +76,7 @@ def signed_sources(
 
 
 def _foundation_source(bench: BenchFile) -> Iterator[ErrorSource]:
-    """Yield the tilt rate of the platform if the bench file states one; a calibration prefers its levellings."""
+    """Yield the tilt rate of the platform if the bench file states one; levellings of a run take precedence."""
     stated = foundation_of(None, bench, levelled=False)
     if stated is not None:
         yield stated.source()

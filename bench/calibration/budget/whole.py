@@ -1,4 +1,4 @@
-"""The combined uncertainty of a calibration, from its readings and from bench errors that these do not show.
+"""The combined uncertainty of a calibration: from its readings, and from bench errors that no reading shows.
 
 Each error acts on measured readings as on planned ones, and through the estimator's linear map on the
 coefficients. A plan's budget therefore agrees with the calibration of its readings if the noise is the same.
@@ -191,7 +191,7 @@ def delta_g_elsewhere(
     *, same_meters: bool, day: date | None = None, block_terms: Floats | None = None,
     meters: KnownMeters | None = None,
 ) -> Floats:  # fmt: skip
-    """Return the covariance (v, v) of |a|, local g², at the verification rows for another day's coefficients.
+    """Return the covariance (v, v) of |a|, local g², at verification rows judged by another day's coefficients.
 
     `covariance` (12, 12) and `noise` (3,) belong to the coefficients. With `same_meters`, the meters' gain and
     offset cancel, so `covariance` must exclude them; otherwise the gain and offset errors of today's meters are

@@ -150,7 +150,7 @@ _WATLOW_F4T = Device(
 
 
 class AimTtiPort(PortSection):
-    """The supply's RS-232 port, or the serial port as which its USB appears on the computer."""
+    """The supply's RS-232 port, or the serial port that the computer shows for its USB connection."""
 
     known: ClassVar = aim.BAUD_RATES
 

@@ -473,9 +473,9 @@ Printable = Annotated[str, AfterValidator(_plain)]
 class LineForm(WiredForm):
     """The request and the form of the reply of an instrument that answers with one line of text.
 
-    The whole line must match `pattern`, a regular expression; its group, as in `(?P<angle>...)`, is the number.
-    `example` is a line as the instrument sends it. `errors` maps each line that it sends instead of a number to its
-    meaning. `model` names the instrument in the record.
+    The whole line must match `pattern`, a regular expression; its group, such as `(?P<angle>...)`, matches the
+    number. `example` is a line as the instrument sends it. `errors` maps each line that it sends instead of a
+    number to its meaning. `model` names the instrument in the record.
     """
 
     group: ClassVar[str]

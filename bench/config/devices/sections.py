@@ -235,7 +235,7 @@ class SerialPortForm(VoltmeterForm):
 
 
 def written_channels(voltmeter: Any) -> tuple[str, list[Any]] | None:
-    """Return the key ("channels" or "inputs") and the signals of a written voltmeter section; None without it."""
+    """Return the key of a written voltmeter section, "channels" or "inputs", and its signals; else ("", [])."""
     if not isinstance(voltmeter, dict):
         return None
     for key in ("channels", "inputs"):

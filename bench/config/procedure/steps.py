@@ -285,7 +285,7 @@ class Read(_AtPoint):
 
 @dataclass(frozen=True, slots=True)
 class Ask(Step):
-    """The operator answers a question; its fields are those of `drivers.person.Prompt`."""
+    """The operator answers a question; the step has the fields of `drivers.person.Prompt`."""
 
     NAME: ClassVar[str] = "ask"
     BY_OPERATOR: ClassVar[bool] = True
