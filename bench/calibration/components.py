@@ -29,7 +29,7 @@ HARDLY_ANY: Final = 0.01
 MOST_SIGNALS: Final = 1500
 """Above this number of signals no components are searched for: the matrices would take minutes."""
 WAVES: Final = 8
-"""Number of principal components of a random walk that are kept: the others have 1 % of its variance."""
+"""Number of principal components of a random walk that are kept: the others have 1 % of the walk's variance."""
 NOISE: Final = "noise"
 SETTING: Final = "setting error"
 ANGLE: Final = "angle of a setting"
@@ -42,9 +42,8 @@ class SharedErrorFit:
 
     `covariance` (3n + m, 3n + m) is the covariance of the 3n signals of n oriented readings and of m moduli; None
     without components. `wander` (3,) is the rms deviation of each bias from its mean over the run, in the unit of
-    the signal. If a drift was found, it is the size of the drift, widened for its few degrees of freedom;
-    otherwise it is the posterior mean of a drift that is not significant. It is None if no drift was searched
-    for.
+    the signal. If a drift was found, `wander` is its size, widened for few degrees of freedom; otherwise the
+    posterior mean of a drift that is not significant; None if no drift was searched for.
     """
 
     fit: Fit

@@ -86,8 +86,8 @@ class FreeRows:
 class Linearisation:
     """The model linearised about a point: the readings `predicted` (n, 3) and their derivatives.
 
-    `jacobian` (n, 3, 12 + q) are those by the 12 coefficients and the q other unknowns; `slope` (n, 3) is
-    du/dphi, that by a setting error of the head, unit/rad.
+    `jacobian` (n, 3, 12 + q) are the derivatives by the 12 coefficients and the q other unknowns. `slope` (n, 3) is
+    du/dphi, the derivative by a setting error of the head, unit/rad.
     """
 
     predicted: Floats
@@ -386,10 +386,10 @@ def make_problem(
     a mounting replaces the u that the bench file states.
 
     `stand_u` maps names in `STAND_ANGLES` to standard uncertainties, rad. It may also state the noise:
-    "setting_error" (rad) and "voltmeter_error" (unit of the signals). The prior of an effect parameter has the
-    model's value as mean and the u stated there, which must come from readings other than those to be fitted.
-    Without a stated u the prior u is `WEAK` times the catalogue's plausible size. `known` is prior knowledge from
-    other runs: it replaces `stand_u` for angles that no level measured, and the stated noise.
+    "setting_error" (rad) and "voltmeter_error" (unit of the signals). The prior of an effect parameter has the mean
+    and the u that the model states; they must come from readings other than those to be fitted. Without a stated u
+    the prior u is `WEAK` times the catalogue's plausible size. `known` is prior knowledge from other runs: it
+    replaces `stand_u` for angles that no level measured, and the stated noise.
     """
     levels = conditions.levels()
     stand = tuple(

@@ -255,10 +255,12 @@ PREFIX: Final = 3.0
 NEAR: Final = 0.3
 """Tolerance in log10 (a factor of 2) within which a ratio of sizes counts as a power of 1000."""
 LEAST_SPAN_G: Final = 0.5
-"""Least span of specific force along a channel, g, by which a part of the table shows its signal per g."""
+"""Least span of specific force along a channel, g, at which a part of the table shows the channel's
+signal per g.
+"""
 PREFIXES: Final = (-2, -1, 0, 1, 2)
 MUCH_BETTER: Final = 1e-4
-"""If a channel hardly moves, another unit is assumed if it lowers the squared residuals to this fraction."""
+"""For a channel that hardly moves, another unit is assumed if it lowers squared residuals to this fraction."""
 CLEARLY: Final = 30.0
 """A row is in another unit if its signal norm is this many times larger or smaller than the median."""
 FITS: Final = 0.02
@@ -386,7 +388,7 @@ def _powers(signal: Floats, force: Floats, labels: list[str], nominal: Sequence[
     power = np.zeros((len(signal), 3), dtype=np.int64)
     for k, name in enumerate(names):
         told = np.unique(whole[k][known[k]])
-        # a channel that hardly moves in this group follows the others, if they agree
+        # a channel that hardly moves in this group gets the power of the other channels, if these agree
         one = np.where(known[k], whole[k], told[0] if len(told) == 1 else 0.0)
         power[rows[name]] = one.astype(np.int64)
     return power

@@ -313,7 +313,7 @@ def setting_limits(reading: float, setting_rad: float, slope2: float, freedom: f
 
 OF_RESIDUALS: Final = "residuals"
 LEAST_PART: Final = 1e-4
-"""Lower limit of the reading noise from residuals, as a fraction of their size: below it, rounding dominates."""
+"""Lower limit of the reading noise, as a fraction of the residuals from which it is estimated: rounding."""
 MOST_PART: Final = 10.0
 
 
@@ -378,7 +378,7 @@ class LikelihoodResiduals:
         solution = inverse @ whitened[:p, p]
         log_det = self.count * np.log(reading) + np.sum(np.log1p(part / reading))
         log_det -= 2 * np.sum(np.log(np.diag(lower)))
-        # the derivative of log det + misfit is the trace of this matrix times that of the whitened Gram matrix
+        # the derivative of log det + misfit is the trace of this matrix times the derivative of the Gram matrix
         ends = np.append(-solution, 1.0)
         trace = np.outer(ends, ends)
         trace[:p, :p] += inverse

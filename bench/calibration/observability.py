@@ -37,10 +37,10 @@ class DirectionKind(StrEnum):
 class Direction:
     """A null direction: a change of unknowns that no reading shows.
 
-    `members` maps names to changes, in SI and the unit of the signals: angles and effects before
-    coefficients, the largest first. The changes are those for a turn by one radian or, in other directions,
-    for one unit of the first member. `axis` is the axis of a turn, on block axes, up to its sign. `only` is
-    the combination of two angles that the readings do show ("sum" or "difference"), else empty.
+    `members` maps names to changes, in SI and the unit of the signals: angles and effects before coefficients, the
+    largest first. They belong to a turn by one radian or, in other directions, to one unit of the first member.
+    `axis` is the axis of a turn, on block axes, up to its sign. `only` is the combination of two angles that the
+    readings do show ("sum" or "difference"), else empty.
     """
 
     kind: DirectionKind
@@ -179,8 +179,8 @@ class _Directions:
         return list(vectors.T)
 
     def _direction(self, kind: DirectionKind, vector: Floats) -> Direction:
-        """Return the direction `vector` by names: stand angles, then effects, then coefficients, each largest
-        first.
+        """Return a vector as a direction; its members are stand angles, effects, coefficients, each
+        largest first.
         """
         weight = np.abs(vector)
         weight[weight < _NOTHING * weight.max()] = 0.0
@@ -470,7 +470,7 @@ def _absent(
     parts = []
     for installation in dict.fromkeys(mount.installation for mount in mounts):
         own = [mount for mount in mounts if mount.installation == installation]
-        # the modulus does not depend on the stand's angles: the rows behind those of the gain stay as they are
+        # the modulus does not depend on the stand's angles: its rows, after those of the gain, do not change
         shifts = [columns.of(f"{SYMBOLS[name]}[{mount}]")[: oriented.shape[1]] * ARCSEC for mount in own]
         change = max((oriented @ shift for shift in shifts), key=lambda one: float(np.max(np.abs(one))))
         largest = float(np.max(np.abs(change)))

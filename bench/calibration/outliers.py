@@ -31,7 +31,7 @@ QUIET: Final = 3.0
 LOUD: Final = 3.8
 """Least studentised residual that begins a search for one outlier, which hardly inflates the noise."""
 PLAINER: Final = 1.05
-"""A setting is a candidate only if its residual exceeds those of its signals by this factor."""
+"""A setting is a candidate only if its residual is more than this factor times that of each of its signals."""
 LEAST_PART: Final = 1e-6
 """A signal is no candidate if the fit absorbs all but this fraction of the variance of its shift."""
 

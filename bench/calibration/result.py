@@ -192,8 +192,8 @@ class Outlier:
     """A signal that contradicts the model and the other readings; it keeps its place in the record.
 
     `row` counts the rows of the table from 1. `channel` is x, y, z, "head" for a wrong setting of the head, or
-    "modulus" for a free position. `size` is the error in `unit`, `sigma` this error over its standard uncertainty,
-    `weight` the remaining weight of the signal in the fit.
+    "modulus" for a free position. `size` is the error in `unit`, `sigma` this error divided by its u, and `weight`
+    the weight that the signal keeps in the fit.
     """
 
     row: int

@@ -312,11 +312,11 @@ def temperature_model(
 ) -> TemperatureModel:
     """Fit the twelve coefficients as polynomials in temperature to the readings of all tables.
 
-    `stand_u` is as for `calibrate`. Without `degree` each coefficient has its own: starting at the highest that the
-    temperatures allow, the highest term is dropped as long as an F test finds it insignificant (p > 0.05). The
-    covariance includes the uncertainty due to dropped terms. Raises `CalibrationError` if the model has effects, if
-    a temperature is missing, if there are fewer than two, if they do not determine the polynomials, or if the
-    reference is outside their range.
+    `stand_u` is as for `calibrate`. Without `degree` each coefficient has a degree of its own. It is at first the
+    highest that the temperatures allow; the highest term is dropped as long as an F test finds it insignificant (p
+    > 0.05). The covariance includes the uncertainty due to dropped terms. Raises `CalibrationError` if the model
+    has effects, a row has no temperature, the temperatures are fewer than two or do not determine the polynomials,
+    or the reference is outside their range.
     """
     body = _body(tables, model, stand_u, reference_c)
     highest, by_side = _highest(body, degree)

@@ -28,7 +28,7 @@ from bench.model.geometry import Block, modulus_slopes
 from bench.readings.table import Readings
 
 HIGHEST_CONDITION: Final = 1e8
-"""Condition number of K above which its inverse is noise: a real block has one near 1."""
+"""Condition number above which the inverse of K is mere noise; that of a real block is near 1."""
 
 
 @dataclass(frozen=True)

@@ -501,7 +501,7 @@ def _joined(
         renamed = _new_names(formula, parameters, number if len(chosen) > 1 else 0)
         expressions.append(_with_names(formula.expression, renamed))
         complete = applied.complete_values()
-        # the phase of a wave is arbitrary: each of its sizes may become as large as the largest of them
+        # the phase of a wave is arbitrary: any of its sizes may become as large as the largest
         largest = max(float(np.max(np.abs(complete[p.name]))) for p in formula.parameters if not p.is_shape)
         for parameter in formula.parameters:
             new = renamed[parameter.name]

@@ -131,8 +131,8 @@ class Sizes:
 class OutlyingEffect:
     """A unit or bench with an outlying effect on one coefficient.
 
-    `effect` is the difference from the mean of its set of benches, or of its type. `p_all_looks` is Holm's
-    p-value, adjusted for all effects examined.
+    `effect` is the difference of a bench from the mean of its connected set, or of a unit from the mean of its
+    type. `p_all_looks` is Holm's p-value, adjusted for all effects examined.
     """
 
     name: str

@@ -61,7 +61,7 @@ def reasons_of(chart: ControlChart, row: int) -> tuple[str, ...]:
 
 
 def _which(chart: ControlChart, z: Floats, limit: float) -> str:
-    """Return the numbers with `z` beyond `limit` in words, farthest first; if there is none, the farthest."""
+    """Return in words the numbers whose `z` is beyond `limit`, farthest first; if none is, the farthest number."""
     order = np.argsort(-np.abs(z))
     beyond = [k for k in order if abs(z[k]) > limit]
     named = [f"{chart.names[k]} {z[k]:+.1f} u".replace("-", MINUS) for k in order]
@@ -370,7 +370,7 @@ def control_chart(
 
 
 class _Pooled:
-    """Covariances by design, pooled over its baseline runs or, if there are none, over its later runs."""
+    """The covariance of each design of run, pooled over its baseline runs or, if there are none, its later runs."""
 
     def __init__(self, baseline: Sequence[CheckRun], later: Sequence[CheckRun]) -> None:
         self._by_design: dict[str, Floats] = {}

@@ -32,7 +32,7 @@ PRIOR_WIDTH: Final = (1.0, 4.0)
 The prior of the walk is wider, because the fitted line absorbs part of a walk.
 """
 FORGOTTEN: Final = 12.0
-"""Grid points are discarded if their log density is less than the maximum minus this."""
+"""Grid points are discarded if their log density is more than this below the maximum."""
 LEVEL: Final = 0.95
 PRODUCTS: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """Index pairs of products: 0 stands for the values, 1 for the level and 2 for the rate of a line."""
@@ -70,8 +70,8 @@ class UnitDrift:
     def predicted(self, date: np.datetime64 | Dates) -> tuple[Floats, Floats]:
         """Return the expected values at dates (…) and their standard uncertainties, (…, 12) each.
 
-        u is that of the result of an error-free calibration on the date, and so includes the scatter between
-        calibrations. Raises `CalibrationError` for a date before the last calibration.
+        The u is for the result of a calibration on the date without errors of its own; it includes the scatter
+        between calibrations. Raises `CalibrationError` for a date before the last calibration.
         """
         days = np.asarray(date, dtype="datetime64[s]")
         years = (days - self.first.astype("datetime64[s]")).astype(float).ravel() / SECONDS_PER_YEAR
@@ -291,7 +291,8 @@ class _History:
         """Run the Kalman filter of the walk on the values and on the columns of the line, for variances (12, m).
 
         Return the sums of squares and products of whitened innovations (12, m, 3, 3), the sum of the logarithms of
-        their variances (12, m), the filtered walk of each (12, m, 3), and its variance (12, m).
+        their variances (12, m), the filtered walks of values and columns (12, m, 3), and the variance of a walk
+        (12, m).
         """
         # component by component: arrays (12, m) that stay in the processor's cache
         walked = [np.zeros_like(tau) for _ in range(3)]

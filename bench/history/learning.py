@@ -339,7 +339,7 @@ HELD_SPREAD: Final = 1 / np.sqrt(12.0)
 MEANS_OF_HELD: Final = 1.0 / HELD_CENTRE
 """Precision of an angle's mean if its remount variance is undetermined: both variances add up to the stated one."""
 HALF_ITSELF: Final = 0.5
-"""A variance is undetermined if its u exceeds both this fraction of it and the u of its prior."""
+"""A variance is undetermined if its u exceeds this fraction of the variance, and also the u of the prior."""
 
 
 def learn(

@@ -278,7 +278,7 @@ def _span(columns: Floats) -> Floats:
 
 
 SEEN: Final = 1e-3
-"""An eigenvalue of a run's information on its angles counts as zero below this part of the stated one."""
+"""An eigenvalue of a run's information on the angles counts as zero below this part of the stated information."""
 
 
 def _beyond_repeats(run: RunFit, gram: Floats, variances: Floats, angles: int) -> tuple[float, float]:

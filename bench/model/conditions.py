@@ -16,7 +16,7 @@ REFERENCE_C: Final = 20.0
 """Default reference temperature for the effects of temperature, °C."""
 
 METER_REFERENCE_C: Final = 23.0
-"""Reference temperature of the voltmeters, °C: that of their specifications (34401A User's Guide, chapter 8)."""
+"""The temperature, °C, to which voltmeter specifications refer (34401A User's Guide, chapter 8)."""
 
 SETTING_S: Final = 120.0
 """Assumed time from one setting to the next in a run without recorded times, s."""

@@ -537,7 +537,7 @@ class Chooser:
 MOST: Final = 4
 """Greatest number of settings chosen at once to distinguish effects."""
 WORTH: Final = 0.5
-"""Another setting is chosen only if its information exceeds this fraction of the first one's."""
+"""A further setting is chosen only if its information exceeds this fraction of that of the first setting."""
 
 
 def telling_apart(

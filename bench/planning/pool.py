@@ -48,8 +48,8 @@ class Site(NamedTuple):
 class PlannedPoint:
     """A turn of the head with its readings.
 
-    `steps` and `reads` are the indices of all its steps and of its readings. If there are several readings, `site`
-    belongs to the first one. `time_s` is the expected time, s.
+    `steps` are the indices of all steps of the point, `reads` those of its readings. If there are several readings,
+    `site` belongs to the first one. `time_s` is the expected time, s.
     """
 
     steps: tuple[int, ...]

@@ -257,7 +257,7 @@ def judge(
 
 
 def without_one(values: Floats, covariances: Floats, basis: Basis) -> Floats | None:
-    """Return the p-values (m,) of tests of each run of a baseline (m, p) against its other runs.
+    """Test each run of a baseline (m, p) against the other runs of the baseline; return the p-values (m,).
 
     None if the other runs are too few.
     """
@@ -353,7 +353,7 @@ class ShortTerm:
 
 
 def short_term(s: Floats, dof: Floats, baseline_s: Floats, baseline_dof: Floats) -> ShortTerm:
-    """Compare standard deviations with the baseline's, which are pooled with their degrees of freedom as weights.
+    """Compare standard deviations `s` with those of the baseline, pooled with their degrees of freedom as weights.
 
     Source: NIST/SEMATECH e-Handbook, 2.2.3.1 and 2.3.5.1.
     """

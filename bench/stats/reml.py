@@ -46,7 +46,7 @@ class ComponentColumns:
         return np.asarray(np.add.reduceat(by_column, self.starts, axis=-1))
 
     def sized(self, sizes: Floats) -> sparse.csc_array:
-        """Return the columns times the size (k,) of their component, without those of size zero."""
+        """Return each column multiplied by the size (k,) of its component, without the components of size zero."""
         by_column = np.repeat(sizes, np.diff([*self.starts, self.whole.shape[1]]))
         kept = np.flatnonzero(by_column)
         return sparse.csc_array(self.whole[:, kept] @ sparse.diags_array(by_column[kept]))
@@ -191,9 +191,9 @@ def asked_for(at: Projection, Z: ComponentColumns, inside: int, dof: float) -> C
     The variances of the first `inside` components are estimates from the repeats alone, which do not maximise the
     likelihood. Score and information are therefore corrected for them (the C(alpha) test: J. Neyman, in Probability
     and Statistics: The Harald Cramer Volume (1959) 213). A quadratic form divided by its mean is treated as
-    chi-square divided by its degrees of freedom, which match its mean and variance (Satterthwaite, Biometrics Bull.
-    2 (1946) 110). It is tested as F, with at most `dof` denominator degrees of freedom, because the first variances
-    are estimates.
+    chi-square divided by nu; nu is chosen so that the variances agree (Satterthwaite, Biometrics Bull. 2 (1946)
+    110). It is tested as F, with at most `dof` denominator degrees of freedom, because the first variances are
+    estimates.
     """
     scores, traces, whole = at.moments(Z)
     scale = np.sqrt(np.diag(whole)[:inside])

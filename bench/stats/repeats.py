@@ -32,7 +32,7 @@ TermName = Literal["restart", "drift", "scale"]
 
 
 class Ratio(NamedTuple):
-    """The scatter of repeats about their predictions from the others, divided by the u of the prediction.
+    """The scatter of repeats about predictions from the other repeats, divided by the u of the predictions.
 
     `low` and `high` are the ends of a 95 % interval that treats the repeats, not single values, as independent.
     """

@@ -92,9 +92,9 @@ def sign(
 ) -> Calibration:
     """Return the calibration with its combined covariance, from readings and from errors that they do not show.
 
-    `readings` is the whole table of the calibration, `day` its date, `meters` the learned errors of the
-    voltmeters. For readings in another unit than volts, whose meters' errors are unknown, only the scatter of the
-    zeros from repeat to repeat is added, and a note.
+    `readings` is the whole table of the calibration, `day` its date, `meters` the learned errors of the voltmeters.
+    For readings in another unit than volts the meters' errors are unknown: only the scatter of the zeros between
+    repeats is added, and a note.
     """
     repeats = tuple(_zero_repeats(calibration, bench))
     if readings.unit != VOLTS:

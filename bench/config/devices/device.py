@@ -64,7 +64,7 @@ class DeviceSection(FileModel):
         return cls.sections_of(cls.role) if "role" in cls.__dict__ else ()
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the keyword arguments that the driver has in addition to those of every driver of its role."""
+        """Return the driver's own keyword arguments, in addition to those of every driver of its role."""
         return {}
 
     def simulation_options(self, truth: Any) -> dict[str, Any]:

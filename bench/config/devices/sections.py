@@ -235,7 +235,9 @@ class SerialPortForm(VoltmeterForm):
 
 
 def written_channels(voltmeter: Any) -> tuple[str, list[Any]] | None:
-    """Return the key of a written voltmeter section, "channels" or "inputs", and its signals; else ("", [])."""
+    """Return the key "channels" or "inputs" of a written voltmeter section, and its signals; None without such a
+    key.
+    """
     if not isinstance(voltmeter, dict):
         return None
     for key in ("channels", "inputs"):

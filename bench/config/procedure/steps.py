@@ -203,7 +203,7 @@ class Settle(Step):
     """The run waits until the signals or the temperature have settled; it fails after `timeout_s`.
 
     A sample is taken every `interval_s`. The quantity has settled when the samples of the last `window_s` span no
-    more than `precision` (V for signals, K for temperature) and one sample is older than that.
+    more than `precision` (V for signals, K for temperature). The first sample must be older than this window.
     """
 
     NAME: ClassVar[str] = "settle"
