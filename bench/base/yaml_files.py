@@ -166,7 +166,9 @@ def _keys(annotation: Any, location: tuple[int | str, ...]) -> set[str]:
             rest = location[position + 1 :]
             return set().union(*(_keys(f.annotation, rest) for f in fields))
         chosen = [m for m in models if any(step in get_args(f.annotation) for f in m.model_fields.values())]
-        models = chosen or models  # this part of the location chooses a model of a union, such as that of a driver
+        models = (
+            chosen or models
+        )  # this part of the location chooses a model of a union, such as that of a driver
     return {f.alias or name for m in models for name, f in m.model_fields.items()}
 
 
