@@ -27,7 +27,7 @@ HOUR = 3600.0
 
 
 def unit_vectors(vectors: Floats) -> tuple[Floats, Floats]:
-    """Return vectors (…, 3) divided by their lengths, zero for a zero vector, and the lengths, shape (…)."""
+    """Return `vectors` (…, 3) divided by their lengths, and the lengths (…); a zero vector stays zero."""
     length = np.linalg.norm(vectors, axis=-1)
     return vectors / np.where(length > 0, length, 1.0)[..., None], length
 

@@ -293,7 +293,7 @@ class Catalogue:
 
 
 def _letters(entry: Entry) -> int:
-    """Return the number of letters and digits in a text outside its blanks."""
+    """Return the number of letters and digits in the English text of an entry, without its blanks."""
     return len(re.findall(r"[^\W_]", _BLANK.sub("", entry.english)))
 
 

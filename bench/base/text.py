@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 # --- untrusted text: made harmless before it reaches a terminal, a page or a log ---------------------
 
 QUOTED: Final = 80
-"""The most characters that a message quotes of an untrusted text."""
+"""The largest number of characters of an untrusted text that a message quotes."""
 
 _ENDLESS: Final = re.compile(r"\S{1000,}")
 _LINE: Final = 5000

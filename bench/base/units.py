@@ -47,7 +47,7 @@ _DEFINITIONS: Final = (
     "percent = 0.01",
     "ppm = 1e-6",
 )
-"""Only the units that a bench needs, so that slips (kg, mT) are rejected."""
+"""Definitions of the units that a bench needs; any other unit (kg, mT) is rejected as a typing error."""
 
 _UNITS: Final = ("V", "mV", "uV", "A", "mA", "uA", "deg", "arcmin", "arcsec", "rad", "mrad", "urad", "rev", "s",
                  "ms", "min", "h", "d", "year", "Hz", "m", "mm", "degC", "K", "g", "mg", "ug", "ppm",

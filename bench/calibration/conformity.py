@@ -212,7 +212,7 @@ class MeasuredValues:
         return replace(self, u=times * self.u, expanded=times * self.expanded)
 
     def outside(self, value: ArrayLike, limit: float) -> Floats:
-        """Return `probability_outside` for measured values (n,)."""
+        """Return the probability (n,) that the measurand lies outside ±limit, for measured values (n,)."""
         return probability_outside(value, self.u, limit, self.dof, self.population)
 
 

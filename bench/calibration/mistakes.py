@@ -255,9 +255,7 @@ PREFIX: Final = 3.0
 NEAR: Final = 0.3
 """Tolerance in log10 (a factor of 2) within which a ratio of sizes counts as a power of 1000."""
 LEAST_SPAN_G: Final = 0.5
-"""Least span of specific force along a channel, g, at which a part of the table shows the channel's
-signal per g.
-"""
+"""Least span, g, of specific force along a channel for an estimate of the channel's signal per g."""
 PREFIXES: Final = (-2, -1, 0, 1, 2)
 MUCH_BETTER: Final = 1e-4
 """For a channel that hardly moves, another unit is assumed if it lowers squared residuals to this fraction."""

@@ -179,9 +179,7 @@ class _Directions:
         return list(vectors.T)
 
     def _direction(self, kind: DirectionKind, vector: Floats) -> Direction:
-        """Return a vector as a direction; its members are stand angles, effects, coefficients, each
-        largest first.
-        """
+        """Return a vector as a direction: stand angles, then effects, then coefficients, each largest first."""
         weight = np.abs(vector)
         weight[weight < _NOTHING * weight.max()] = 0.0
         change = vector / self._length

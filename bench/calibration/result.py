@@ -115,7 +115,7 @@ class Noise:
 
     @property
     def by_channel(self) -> Floats:
-        """Sizes in x, y and z, shape (3,): all `reading` if the channels do not differ."""
+        """Sizes of the noise in x, y and z, shape (3,); each equals `reading` if the channels do not differ."""
         return np.full(3, self.reading) if self.channels is None else np.array(self.channels)
 
     @property

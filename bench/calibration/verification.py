@@ -105,10 +105,10 @@ def _bisected(passes: Callable[[float], bool], good: float, bad: float) -> float
 class Verification:
     """The verdict: |delta g| within the limit, by the decision rule, at every verification point.
 
-    `missing` counts points that were planned or recorded but could not be judged; with one missing nothing is
-    accepted, since (10) applies to every point. `covariance` (n, n) is the covariance of delta g at the points;
-    `contributions` are the parts of this covariance by name. `population` is the prior distribution of delta g,
-    over many blocks.
+    `missing` counts points that were planned or recorded but could not be judged; if one is missing, nothing is
+    accepted, since equation (10) applies to every point. `covariance` (n, n) is the covariance of delta g at the
+    points; `contributions` are the parts of this covariance by name. `population` is the prior distribution of
+    delta g, over many blocks.
     """
 
     limit_g: float

@@ -361,7 +361,7 @@ def write_model_file(
 
 
 def written_effects(effects: Sequence[AppliedEffect]) -> dict[str, Any]:
-    """Return the keys `effects`, and where needed `formulas` and `left_open`, as written in a file."""
+    """Return what a file states of these effects: the keys `effects` and, where needed, `formulas`, `left_open`."""
     content: dict[str, Any] = {}
     formulas = written_formulas(applied.effect for applied in effects)
     if formulas:

@@ -384,9 +384,7 @@ def _on_meters(snapshots: Sequence[Snapshot]) -> str:
 
 
 def _drifted(first: Snapshot, later: Snapshot) -> float:
-    """Return the fraction, 0 to 1, of the meters' limits by which their errors may differ between two
-    calibrations.
-    """
+    """Return the part (0 to 1) of the meters' limits by which their errors may differ between two calibrations."""
     return drifted((first.meters, first.when), (later.meters, later.when))
 
 

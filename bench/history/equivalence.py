@@ -54,9 +54,7 @@ class Participants:
 
     @cached_property
     def between_dof(self) -> int:
-        """Degrees of freedom between benches: the number of benches minus the number of connected sets
-        of benches.
-        """
+        """Degrees of freedom between benches: the number of benches minus the number of connected sets."""
         both = np.linalg.matrix_rank(np.concatenate([self.Z_unit, self.Z_bench], axis=1))
         return int(both) - int(self.unit.max()) - 1
 

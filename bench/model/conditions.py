@@ -140,8 +140,8 @@ class Conditions:
     def elapsed_s(self) -> Floats:
         """The time since the start of the run, s, shape (n,), estimated where it was not recorded.
 
-        The estimate assumes `SETTING_S` for each setting, and an additional `REMOUNT_S` for each remount. Rows
-        without a time in a run with times are interpolated at this pace. With `began_s`, unknown times stay NaN.
+        The estimate assumes `SETTING_S` for each setting, and an additional `REMOUNT_S` for each remount. In a run
+        with times, rows without a time are interpolated at this pace. With `began_s`, unknown times stay NaN.
         """
         known = np.isfinite(self.time_s)
         if self.began_s is not None:

@@ -340,8 +340,9 @@ def most(found: Crossed, which: int) -> float:
 
 
 def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
-    """Return rough sizes (3,): of units, from the spread of their means; of benches and excess, from that within
-    units.
+    """Return rough sizes (3,) of units, benches and excess.
+
+    The size of units is the spread of their means; the two other sizes are the spread within units.
     """
     count = np.bincount(crossing.unit, minlength=crossing.units)
     mean = np.bincount(crossing.unit, y, crossing.units) / count

@@ -1,4 +1,4 @@
-"""Error sources (size, distribution, shared draws), their learned forms, and the tilting foundation."""
+"""Error sources: size, distribution, shared draws; sources learned from other runs; tilt of the foundation."""
 
 from __future__ import annotations
 

@@ -32,9 +32,9 @@ from bench.readings.table import UNORIENTED, VERIFICATION, Readings
 
 GRAVITY: Final = "gravity"
 METERS: Final = ("voltmeter_gain", "voltmeter_offset")
-"""Errors that are the same wherever the same voltmeters read the block."""
+"""Sources whose error is the same whenever the same voltmeters read the block."""
 OF_BLOCK: Final = ("K2", "K3")
-"""Errors of the block itself, the same in every calibration and check."""
+"""Sources whose error belongs to the block and is the same in every calibration and check."""
 VOLTS: Final = "V"
 
 

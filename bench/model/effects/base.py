@@ -191,7 +191,7 @@ def lag_of(*minutes: int) -> Parameter:
 
 
 def play(signal: Floats, width: float) -> Floats:
-    """Return a signal (n,) as transmitted with mechanical play of half-width `width`.
+    """Return a signal (n,) after a mechanical play of half-width `width`.
 
     At the first value the signal is at the centre of the play.
     """

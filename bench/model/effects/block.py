@@ -217,7 +217,7 @@ def _extremes(start: Floats, end: Floats, sine: Floats, cosine: Floats) -> Float
     """Return the forces at the turning points and the end of each rotation, in g, shape (3, m, 3).
 
     Between turning points the force is monotonic, so no other points are needed to follow a play. A rotation of
-    slightly more than half a turn has at most two turning points; missing ones are replaced by the end.
+    slightly more than half a turn has at most two turning points; missing turning points are replaced by the end.
     """
     amplitude, phase = np.hypot(sine, cosine), np.arctan2(sine, cosine)
     sense = np.sign(end - start)[:, None]
