@@ -40,7 +40,7 @@ from bench.model.geometry import STAND_ANGLES, Block
 from bench.readings.table import FREE, REFERENCE, VERIFICATION, Readings
 
 ROUNDING: Final = 1e-9
-"""Readings with noise below this fraction of the largest signal count as computed, without outliers."""
+"""Readings with noise below this fraction of the largest signal count as computed values, without outliers."""
 
 
 def calibrate(

@@ -64,7 +64,7 @@ class _Term:
     channels: str
     columns: Floats
     unit_of: Floats
-    """What a random effect of 1 means: by channel in the signal's unit, or one angle (rad) for all."""
+    """The size of a random effect of 1: by channel in the unit of the signal, or one angle for all, rad."""
 
 
 def take_in(problem: Problem, fit: Fit, unit: str, floor: float = 0.0) -> SharedErrorFit:
@@ -251,7 +251,7 @@ def _walk(time_s: Floats) -> Floats:
 
 
 def walk_since(time_s: Floats, later_s: Floats) -> Floats:
-    """Return the covariance (v, v), at `later_s` (v,), of a random walk about its mean over `time_s` (n,).
+    """Return the covariance (v, v) at times `later_s` (v,) of a random walk minus its mean over `time_s` (n,).
 
     The unit is the mean variance of the walk over the readings' times `time_s`; the size of a drift is stated in
     this unit, too.
@@ -360,7 +360,7 @@ UNEQUAL_P: Final = 0.001
 """P-value below which unequal noise of the channels, or heavy tails, are reported."""
 
 DISAGREES_P: Final = 0.05
-"""P-value below which a contradiction to the stated noise is reported: few readings seldom show one."""
+"""P-value below which a contradiction to the stated noise is reported; high, as few readings seldom show any."""
 
 _SHARED_BY: Final = {
     "setting": message("the readings at a setting (installation and point) in all passes"),

@@ -143,7 +143,7 @@ class Problem:
         return off if self.hang is None else np.asarray(np.linalg.solve(self.hang, off))
 
     def by_prior(self, columns: Floats) -> Floats:
-        """Convert derivatives (..., q) by the q unknowns to derivatives by the unknowns that the prior whitens."""
+        """Convert derivatives (..., q) by the q unknowns to derivatives by whitened unknowns (`prior_rows`)."""
         scaled = columns * self.prior_u
         return scaled if self.hang is None else np.asarray(scaled @ self.hang)
 

@@ -25,7 +25,7 @@ INTRINSIC: Final = ("Sx", "Sy", "Sz", "theta_xy", "theta_xz", "theta_yz", "bx", 
 
 PAIRS: Final = tuple(combinations(range(3), 2))
 HELD: Final = 0.1
-"""A number depends on limits if it changes by more than this fraction with K, in a way that no reading shows.
+"""A number depends on limits if a change of K that no reading shows changes it by more than this fraction.
 
 The change of K has the relative size 1.
 """

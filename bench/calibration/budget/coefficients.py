@@ -135,7 +135,7 @@ class Setup:
 def planned_conditions(plan: Plan, line_hz: float = 50.0) -> Conditions:
     """Return the conditions of a plan's readings at known orientations, in order.
 
-    Times are the expected ones, temperatures the chamber's last set point. Raises `CalibrationError` without any
+    Times are the expected ones, temperatures the chamber's last set point. Raises `CalibrationError` if there is no
     such reading.
     """
     rows: list[tuple[Read, float, float]] = []
@@ -375,7 +375,7 @@ def _supply(source: ErrorSource, seen: AnyReadings) -> _Patterns:
 
 
 def _unknown_and_recorded(source: ErrorSource, seen: AnyReadings, recorded: Floats) -> _Patterns:
-    """Return patterns for a variation in time: an unknown one within limits, and the `recorded` one (n,)."""
+    """Return the patterns of two variations in time: an unknown one within limits, and the `recorded` one (n,)."""
     courses = list(_unknown(seen.conditions.elapsed_s, source.correlation_s).T)
     known = recorded - recorded.mean()
     if source.u > 0 and np.any(known):

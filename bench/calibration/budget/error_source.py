@@ -99,7 +99,9 @@ class ErrorSource:
         return np.array([float(channel in self.channels) for channel in CHANNELS])
 
     def acting(self, draws: Floats) -> Floats:
-        """Return the effects (..., q) of the source's draws, which have size u, from effects `draws` of size 1."""
+        """Return the effects (..., k) of the source's k independent draws, from effects `draws` (...,
+        q) per unit.
+        """
         return self.u * draws if self.root is None else self.u * draws @ np.array(self.root)
 
     def sized(self, u: float) -> ErrorSource:
@@ -114,7 +116,7 @@ LEARNED: Final = message("learned of the bench")
 def learned_sources(
     stated: Sequence[ErrorSource], known: KnownStand, mounts: Sequence[Mounting]
 ) -> tuple[ErrorSource, ...]:
-    """Return the stand's sources for readings in these mountings, with knowledge from other runs.
+    """Return the stand's sources for readings in the mountings `mounts`, given knowledge from other runs.
 
     An angle of a mounting is the sum of a mean, which mountings share, and a deviation of this mounting. The
     deviations keep the names of the `stated` sources; the means form one source with correlated draws.
@@ -191,7 +193,7 @@ NAME = "foundation"
 
 @dataclass(frozen=True)
 class TiltRate:
-    """The rate at which the platform tilts, along the shaft and across it: standard uncertainties, rad/s."""
+    """Standard uncertainties, rad/s, of the rates at which the platform tilts along the shaft and across it."""
 
     along_rad_s: float
     across_rad_s: float

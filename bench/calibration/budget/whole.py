@@ -64,7 +64,8 @@ class MeasuredReadings:
 
     @cached_property
     def orientation(self) -> Ints:
-        """Orientation number of each reading, (n,): equal in one installation at the same whole degree.
+        """Orientation number of each reading, (n,): equal in one installation if the angles round to the same
+        degree.
 
         A reading without an orientation has a number of its own.
         """
