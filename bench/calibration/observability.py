@@ -38,9 +38,9 @@ class Direction:
     """A null direction: a change of unknowns that no reading shows.
 
     `members` maps names to changes, in SI and the unit of the signals: angles and effects before coefficients, the
-    largest first. They belong to a turn by one radian or, in other directions, to one unit of the first member.
-    `axis` is the axis of a turn, on block axes, up to its sign. `only` is the combination of two angles that the
-    readings do show ("sum" or "difference"), else empty.
+    largest first. The changes belong to a turn by one radian or, in other directions, to one unit of the first
+    member. `axis` is the axis of a turn, on block axes, up to its sign. `only` is the combination of two angles
+    that the readings do show ("sum" or "difference"), else empty.
     """
 
     kind: DirectionKind
@@ -311,7 +311,7 @@ class Sensitivities:
         return Sensitivities(self.rows[:, kept], tuple(self.names[j] for j in kept))
 
     def observability(self, block: Block) -> Observability:
-        """Return the observability from these rows; `block` gives the coefficients changed by a turn."""
+        """Return the observability from these rows; `block` determines how a turn changes the coefficients."""
         length = np.linalg.norm(self.rows, axis=0)
         seen = length > _NO_COLUMN * max(float(length.max()), 1e-300)
         length = np.where(seen, length, 1.0)

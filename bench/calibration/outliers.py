@@ -27,9 +27,11 @@ from bench.readings.table import Readings
 LEVEL: Final = 0.01
 """Probability of finding an outlier in readings without outliers."""
 QUIET: Final = 3.0
-"""Least studentised residual that begins a search for several outliers: even masked ones leave as much."""
+"""Least studentised residual that begins a search for several outliers: even outliers that mask each other reach
+it.
+"""
 LOUD: Final = 3.8
-"""Least studentised residual that begins a search for one outlier, which hardly inflates the noise."""
+"""Least studentised residual that begins a search for one outlier; a single outlier hardly inflates the noise."""
 PLAINER: Final = 1.05
 """A setting is a candidate only if its residual is more than this factor times that of each of its signals."""
 LEAST_PART: Final = 1e-6

@@ -70,7 +70,7 @@ SHOWN_P: Final = 0.05
 ALLOTTED_P: Final = 0.01
 LITTLE_SCATTER_P: Final = 0.01
 WELL_KNOWN: Final = 0.15
-"""Below this relative u, a size's upper limit is value + 1.645 u; above, it is by profile likelihood."""
+"""Below this relative u, a size's upper limit is value + 1.645 u; above it, the limit is by profile likelihood."""
 ONE_SIDED: Final = 1.645
 
 
@@ -116,7 +116,7 @@ class Sizes:
 
     @property
     def shares(self) -> dict[str, float]:
-        """Each component's fraction of the variance of one calibration about the mean of its type."""
+        """Each component's fraction of the variance of one calibration about the mean of the unit's type."""
         squares = {
             "unit": self.unit.value**2,
             "bench": self.bench.value**2,

@@ -153,12 +153,12 @@ LEAST_SPAN_YEARS = 7.0 / 365.25
 class CheckRun:
     """A calibration of the check block: `value` (12,), and `covariance` (12, 12) of errors that vary by run.
 
-    `noise` (12,) is the part of u due to reading noise. `s` is the short-term standard deviation of a
-    reading, with `s_dof` degrees of freedom. Runs with the same `design` (plan) have equal covariances,
-    except by chance. `meters` are the identities of the voltmeters; `of_meters` (12, 12) is the covariance
-    due to the limits of the voltmeters; it counts if they were replaced. `lasting` (12, 12) is the covariance
-    of all other errors that do not vary from run to run. `names` are the names of the values if these are
-    neither the twelve coefficients nor the nine intrinsic numbers.
+    `noise` (12,) is the part of u due to reading noise. `s` is the short-term standard deviation of a reading, with
+    `s_dof` degrees of freedom. Runs with the same `design` (plan) have equal covariances, except by chance.
+    `meters` are the identities of the voltmeters; `of_meters` (12, 12) is the covariance due to the limits of the
+    voltmeters, which counts if these were replaced. `lasting` (12, 12) is the covariance of all other errors that
+    do not vary from run to run. `names` are the names of the values if these are neither the twelve coefficients
+    nor the nine intrinsic numbers.
     """
 
     name: str
@@ -266,9 +266,9 @@ class ControlChart:
         """Return the expected values of a further run at the time `when`, and the covariance of deviations.
 
         Both have one entry per number of the block, in the order of `names`: shapes (m,) and (m, m). The expected
-        values are the centre of the chart plus the known drift since `begun`, plus the further drift that the runs
-        show wherever that is significant. The covariance is the sum of three parts: of the centre, between runs,
-        and of the drift. The standard uncertainty of the drift grows in proportion to the time since `begun`.
+        values are the centre of the chart plus the known drift since `begun`, plus any further drift that the runs
+        show significantly. The covariance is the sum of three parts: of the centre, between runs, and of the drift.
+        The standard uncertainty of the drift grows in proportion to the time since `begun`.
         """
         years = (when.timestamp() - self.begun) / SECONDS_PER_YEAR
         lines, value = _Lines(self.begun, self.known), self.centre.value

@@ -350,7 +350,7 @@ DAY: Final = np.timedelta64(1, "D")
 class Due:
     """The due date of a block's next calibration, with its `basis` ("drift" or "interval") and the reason `why`.
 
-    `predicted_g` is the expanded error expected on that day, and `now_g` on the day of the last calibration, in
+    `predicted_g` is the expanded error expected on the due date, and `now_g` on the day of the last calibration, in
     local g; both are None if the basis is the interval. `count` is the number of calibrations; `last` is the time
     of the last calibration.
     """
@@ -381,7 +381,7 @@ def due(
     `covariance` (n, 12, 12) are the stated covariances. `u_meters` (n, 12) is the part of u that recurs with the
     same meters; None if the meters differ. `limit_g` is the permitted error, in g, of a measurement of 1 g in any
     direction. If the history is too short to show drift, `interval_days` determines the date. Raises
-    `CalibrationError` if there is no calibration, or if K of the last one is singular.
+    `CalibrationError` if there is no calibration, or if K of the last calibration is singular.
     """
     if len(when) == 0:
         raise CalibrationError("no calibration has a date, so no due date is known; add dates to the runs")

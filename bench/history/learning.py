@@ -246,7 +246,7 @@ def _angle_test(
 
 
 def _fit(body: RunSums, means: Floats) -> list[Contradiction]:
-    """Return tests of each run's lack of fit, after the head's harmonics, against that of the other runs."""
+    """Test each run's lack of fit, without the part due to the head's harmonics, against that of the other runs."""
     waves = means[len(means) - body.waves :]
     c = body.columns
     H = slice(c, c + body.waves)
@@ -337,7 +337,7 @@ HELD_CENTRE: Final = 0.5
 HELD_SPREAD: Final = 1 / np.sqrt(12.0)
 """Prior mean and standard deviation of an undetermined remount variance: uniform from 0 to the stated variance."""
 MEANS_OF_HELD: Final = 1.0 / HELD_CENTRE
-"""Precision of an angle's mean if its remount variance is undetermined: both variances add up to the stated one."""
+"""Precision of an angle's mean if the remount variance is undetermined: both share the stated variance."""
 HALF_ITSELF: Final = 0.5
 """A variance is undetermined if its u exceeds this fraction of the variance, and also the u of the prior."""
 

@@ -177,7 +177,7 @@ class Joined:
 
     `chi2`, with twelve degrees of freedom, and its p-value `p` test whether prior and readings agree. If they do
     not, the calibration is unchanged and `used` is false. `pull` (12,) is the calibration minus the prior mean,
-    over the u of this difference.
+    divided by the u of this difference.
     """
 
     vector: Floats

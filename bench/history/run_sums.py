@@ -151,7 +151,7 @@ class RunSums:
         return int(self.random.shape[1])
 
     def by_mean(self, means: int) -> Floats:
-        """Return the sums for (B, F, y): F adds up the columns of B that share a mean, followed by H."""
+        """Return the sums for (B, F, y): F has the sums of those columns of B that share a mean, then H."""
         key = ("by mean", means)
         if key not in self._kept:
             c, h = self.columns, self.waves
@@ -387,7 +387,7 @@ def _pooled_dof(freedom: Floats, slope: Floats, variances: Floats) -> Floats:
 
 
 def _own(run: RunFit, variances: Floats) -> tuple[Floats, Floats]:
-    """Return a run's variances relative to the pooled ones (4,), and their degrees of freedom (4,)."""
+    """Return a run's own variances relative to the pooled `variances`, (4,), and their degrees of freedom (4,)."""
     own = run.noise()
     if own is None:
         return np.ones(4), np.zeros(4)

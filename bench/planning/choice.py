@@ -149,7 +149,7 @@ def _grained(size: float) -> float:
 
 
 def _scale_of(size: float, dof: int) -> NoiseScale:
-    """Return the noise scale that is estimated as `size` from `dof` degrees of freedom."""
+    """Return the noise scale for an estimate `size` of the ratio with `dof` degrees of freedom."""
     return NoiseScale(size**2 * (BELIEVED + dof) - BELIEVED, dof)
 
 

@@ -188,8 +188,8 @@ class NoiseTerms:
     """Fitted noise terms: squares of Q, N, B, K, R (5,) with covariance (5, 5), and the test of the fit.
 
     `freedom` (k,) are the degrees of freedom of the curve's values. `p` is the p-value of the misfit; it is small
-    if the spectrum has lines (vibration), which these terms do not describe. Below 0.001 the covariance is widened
-    by the misfit (Birge ratio).
+    if the spectrum has lines (vibration), which these terms do not describe. If it is below 0.001, the covariance
+    is widened by the misfit (Birge ratio).
     """
 
     squares: Floats

@@ -32,7 +32,7 @@ LEAST_SMOOTHING: Final = 0.03
 def shewhart_arl(k: float, shift: float = 0.0) -> float:
     """Return the ARL of a two-sided Shewhart chart with limits ±`k`, after a shift by `shift`.
 
-    Both are in standard deviations.
+    `k` and `shift` are in standard deviations.
     """
     return float(1.0 / (special.ndtr(shift - k) + special.ndtr(-shift - k)))
 
@@ -309,7 +309,7 @@ class ChartDesign:
     def alpha_ewma(self, dimensions: int) -> float:
         """Return the chi-square tail probability at the limit of the EWMA's T².
 
-        The limit is that for which the average run length is `each_arl`.
+        At this limit the average run length is `each_arl`.
         """
         return float(special.chdtrc(dimensions, mewma_limit(self.smoothing, self.each_arl, dimensions)))
 

@@ -192,8 +192,8 @@ def asked_for(at: Projection, Z: ComponentColumns, inside: int, dof: float) -> C
     likelihood. Score and information are therefore corrected for them (the C(alpha) test: J. Neyman, in Probability
     and Statistics: The Harald Cramer Volume (1959) 213). A quadratic form divided by its mean is treated as
     chi-square divided by nu; nu is chosen so that the variances agree (Satterthwaite, Biometrics Bull. 2 (1946)
-    110). It is tested as F, with at most `dof` denominator degrees of freedom, because the first variances are
-    estimates.
+    110). The quotient is tested as F, with at most `dof` denominator degrees of freedom, because the first
+    variances are estimates.
     """
     scores, traces, whole = at.moments(Z)
     scale = np.sqrt(np.diag(whole)[:inside])

@@ -374,9 +374,7 @@ class _Simulation:
         return np.concatenate([coefficients, np.linalg.norm(force, axis=1) - 1.0], axis=1)
 
     def _estimate(self, excess: Floats, gain: Floats) -> Floats:
-        """Return the estimated coefficients of each trial; `excess` is the simulated minus the
-        error-free readings.
-        """
+        """Return the estimated coefficients of each trial; `excess` is simulated minus error-free readings."""
         flat = excess.reshape(len(excess), -1) @ gain.reshape(len(gain), -1).T
         return self._setup.block.vector + flat
 
