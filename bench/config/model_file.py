@@ -391,7 +391,7 @@ def _written_left_open(applied: AppliedEffect) -> dict[str, Any]:
 
 
 def _said_of_open(effect: InPart, times: float, u: float) -> str:
-    """Return the description of an entry of `left_open`, which lists the changes multiplied by `times` ± `u`."""
+    """Return in words what an entry of `left_open` states: the sizes of its parts, multiplied by `times` ± `u`."""
     listed = []
     for one in effect.parts:
         sizes = [
@@ -448,7 +448,7 @@ def _written_value(parameter: Parameter, value: Any, u: Any) -> str | dict[str, 
 
 UNNAMED: Final = "unnamed_"
 WIDENED: Final = ("tau", "lag")
-"""Shape parameters: the grid of a named effect has the value found, half of it, and twice that value."""
+"""Shape parameters whose grid, in a named effect, is half the value found, this value and twice this value."""
 
 
 @dataclass(frozen=True)

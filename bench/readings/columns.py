@@ -87,8 +87,8 @@ def number(
 ) -> float:
     """Return the number in a column of the row `text`; NaN for an empty `optional` cell.
 
-    Raises `BadCell` with the text `expected` for any other text, and for a number outside `least` to `most`; `hint`
-    is added for the latter.
+    Raises `BadCell` with the text `expected` for any other text or number; `hint` is added if the number is not
+    from `least` to `most`.
     """
     cell = text.get(column, "")
     if cell == "" and optional:

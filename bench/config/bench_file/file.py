@@ -108,7 +108,9 @@ class BenchFile(FileModel):
 
     @property
     def gravity_m_s2(self) -> float | None:
-        """Local gravity, m/s², as stated or by the WGS 84 formula; None if the file states neither."""
+        """Local gravity, m/s², as stated or by the WGS 84 formula; None if the file states neither gravity nor
+        location.
+        """
         if isinstance(self.gravity, Location):
             return normal_gravity_m_s2(self.gravity.latitude, self.gravity.height)
         return self.gravity.value if isinstance(self.gravity, MeasuredGravity) else self.gravity
@@ -153,7 +155,7 @@ class BenchFile(FileModel):
 
     @property
     def head_backoff_rad(self) -> float:
-        """The least rotation, rad, with which the head approaches an angle; 0 for a manual head."""
+        """The least rotation, rad, by which the head approaches an angle; 0 for a manual head."""
         head = self.instruments.head
         return head.backoff if isinstance(head, MotorisedHeadForm) else 0.0
 

@@ -185,8 +185,8 @@ class LearnedFile(WithEffects):
     not_identified: tuple[str, ...] = ()
 
     def has(self, head: str, readings: Sequence[str]) -> bool:
-        """Whether the file was learned from the record with this chain `head` or from readings with one of these
-        hashes.
+        """Whether the file was learned from the record whose chain has this `head`, or from readings with one of
+        these hashes.
         """
         return any((head and run.head == head) or run.readings in readings for run in self.runs)
 

@@ -47,7 +47,7 @@ from bench.readings.columns import METER_C, ROOM_C
 InstrumentForm = VoltmeterForm | HeadForm | ChamberForm | LevelForm | ThermometerForm | SupplyForm
 
 SURROUNDINGS: Final = {"meter_thermometer": METER_C, "room_thermometer": ROOM_C}
-"""The column of the readings for each thermometer away from the block, by the thermometer's key."""
+"""For each thermometer away from the block, by its key: its column in the readings."""
 
 
 def _around(key: str, *, recorded: bool = False) -> BeforeValidator:
@@ -107,7 +107,7 @@ class InstrumentsSection(FileModel):
 
     @property
     def adapters(self) -> dict[str, str]:
-        """The GPIB adapters: instrument name ("adapter", "adapter.2", …) by adapter address."""
+        """The GPIB adapters, by address: their names as instruments ("adapter", "adapter.2", …)."""
         places = [section.place for section in self.all() if isinstance(section, WiredForm)]
         known = dict.fromkeys(place.adapter for place in places if place is not None)
         return {
@@ -277,7 +277,7 @@ class DriftSection(FileModel):
     u: str
 
     def value(self, coefficient: str) -> tuple[float, float]:
-        """Return the drift per year and its u, in V/g or V. Raises `ValueError` for any other quantity."""
+        """Return the drift per year and its u, in V/g or V. Raises `ValueError` for a quantity of another kind."""
         kind = VOLTAGE if coefficient.startswith("U0") else SCALE_FACTOR
         return parse_quantity(self.per_year, kind), parse_quantity(self.u, kind)
 

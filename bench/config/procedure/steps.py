@@ -416,7 +416,7 @@ def in_scan_order(meters: Sequence[_Meter], scan: str) -> list[_Meter]:
 
 
 def read_order(meters: Sequence[_HasChannels]) -> str:
-    """Return the order in which the channels are read if the meters start in this order, such as "xyz"."""
+    """Return the order, such as "xyz", in which the channels are read if the meters start in the order given."""
     return "".join(channel for meter in meters for channel in meter.channels)
 
 

@@ -106,7 +106,7 @@ class HeadEccentricity(HeadEffect):
     shown_by = "a second reading of the circle opposite the first; a polygon and autocollimator"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return e_c cos(phi) + e_s sin(phi) in rad, shape (n,)."""
+        """Return the angle error e_c cos(phi) + e_s sin(phi) at the head angles phi, rad, shape (n,)."""
         return wave(values, seen.conditions.angle_rad)
 
 
@@ -120,7 +120,7 @@ class HeadEllipticity(HeadEffect):
     shown_by = "a remount turned by 90 deg on the platform; a polygon and autocollimator"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return e_c cos(2 phi) + e_s sin(2 phi) in rad, shape (n,)."""
+        """Return the angle error e_c cos(2 phi) + e_s sin(2 phi) at the head angles phi, rad, shape (n,)."""
         return wave(values, 2 * seen.conditions.angle_rad)
 
 
@@ -148,7 +148,9 @@ class Backlash(HeadEffect):
     shown_by = "both directions of approach"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return d b / 2 in rad, shape (n,), where d is the direction of approach: +1, -1, or 0 if unknown."""
+        """Return half the backlash, d b / 2, rad, shape (n,); d is the direction of approach: +1, -1, or 0 if
+        unknown.
+        """
         return seen.conditions.direction * values["play"] / 2
 
 
@@ -308,7 +310,7 @@ class MetersExchanged(VoltmeterEffect):
     outlasts_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return gain U + zero, V, shape (n, 3), for channels with exchanged meters, zero for others.
+        """Return the error gain U + zero, V, shape (n, 3), of channels with exchanged meters, zero for others.
 
         It is positive in one channel of each pair and negative in the other.
         """

@@ -50,7 +50,7 @@ class VoltmeterDrift(VoltmeterEffect):
     shown_by = "a shorted input in each pass"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the rate times t in volts, shape (n, 3)."""
+        """Return the rate of drift times the time t of each reading, in volts, shape (n, 3)."""
         return np.broadcast_to((values["rate"] * seen.conditions.elapsed_s)[:, None], seen.signal.shape)
 
 
@@ -71,7 +71,7 @@ class VoltmeterWarmUp(VoltmeterEffect):
     shown_by = "a shorted input in each pass; a longer warm-up of the meters makes it smaller"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return A exp(-t / tau) in volts, shape (n, 3)."""
+        """Return the zero error A exp(-t / tau) at each reading's time t, in volts, shape (n, 3)."""
         left = values["A"] * np.exp(-seen.conditions.elapsed_s / float(values["tau"]))
         return np.broadcast_to(left[:, None], seen.signal.shape)
 
@@ -110,7 +110,7 @@ class VoltmeterThermalGain(VoltmeterEffect):
     needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return gain_i T U_i in volts, shape (n, 3)."""
+        """Return the change gain_i T U_i of the voltages U_i, in volts, shape (n, 3)."""
         return _followed(values, seen)[:, None] * seen.signal * values["gain"]
 
 
@@ -129,7 +129,7 @@ class VoltmeterThermalOffset(VoltmeterEffect):
     needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return offset_i T in volts, shape (n, 3)."""
+        """Return the change offset_i T of the zeros, in volts, shape (n, 3)."""
         return _followed(values, seen)[:, None] * np.broadcast_to(values["offset"], seen.signal.shape)
 
 
@@ -150,7 +150,7 @@ class VoltmeterMove(VoltmeterEffect):
     shown_by = "a shorted input before and after the move"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return step_i in volts from the time `at` on, shape (n, 3)."""
+        """Return the jump step_i of each zero from the time `at` on, else zero, in volts, shape (n, 3)."""
         after = seen.conditions.elapsed_s >= float(values["at"])
         return np.where(after[:, None], values["step"], np.zeros_like(seen.signal))
 
@@ -170,7 +170,9 @@ class ReferenceSupply(VoltmeterEffect):
     shown_by = "the supply of the reference swept up and down, twice"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return s v in volts at the reference input, shape (n, 3); zero at other inputs."""
+        """Return the change s v of the voltage at the reference input, zero at other inputs, in volts, shape (n,
+        3).
+        """
         conditions, number = seen.conditions, round(float(values["rail"]))
         if not 1 <= number <= conditions.above_nominal_v.shape[1]:
             return np.zeros_like(seen.signal)
@@ -193,7 +195,7 @@ class RangeOffset(VoltmeterEffect):
     shown_by = "a fixed range; a reference voltage below 1.2 V, read on both ranges"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return offset + gain U in volts where |U| < 1.2 V, else zero, shape (n, 3)."""
+        """Return the error offset + gain U where |U| < 1.2 V, else zero, in volts, shape (n, 3)."""
         return np.where(
             np.abs(seen.signal) < LOW_RANGE_V, values["offset"] + values["gain"] * seen.signal, 0.0
         )
@@ -212,7 +214,7 @@ class ChannelCrosstalk(VoltmeterEffect):
     needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return fraction (U_before - U) in volts, shape (n, 3); zero for the very first reading."""
+        """Return the crosstalk fraction × (U_before - U), V, shape (n, 3); zero for the very first reading."""
         order = seen.conditions.scan_order
         scanned = np.take_along_axis(seen.signal, order, axis=1).ravel()
         step = np.diff(-scanned, prepend=-scanned[:1]).reshape(seen.signal.shape)
@@ -230,7 +232,7 @@ class VoltmeterGain(VoltmeterEffect):
     shown_by = "a reference voltage at the inputs; the voltmeters' calibration"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the gain error times U in volts, shape (n, 3)."""
+        """Return the gain error times the voltages U, in volts, shape (n, 3)."""
         return values["gain"] * seen.signal
 
 
@@ -249,7 +251,7 @@ class ReferenceStep(VoltmeterEffect):
     outlasts_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the size of the step times U in volts, shape (n, 3)."""
+        """Return the step of the gain times the voltages U, in volts, shape (n, 3)."""
         return values["step"] * seen.signal
 
 
