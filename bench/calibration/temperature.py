@@ -205,8 +205,8 @@ class ThermalHysteresis(HasCovariance):
     def scatter(self) -> Floats:
         """Covariance (12, 12) of the coefficients if the branch is unknown.
 
-        The coefficients then deviate by half the hysteresis in either direction, after the part that noise
-        alone explains (chi-square of twelve) is subtracted.
+        The coefficients then deviate by half the hysteresis in either direction. The part of the hysteresis that
+        noise alone explains (chi-square of twelve) is subtracted first.
         """
         chi2 = float(self.size @ np.linalg.solve(self.covariance, self.size))
         real = max(1.0 - len(self.size) / chi2, 0.0) if chi2 > 0 else 0.0

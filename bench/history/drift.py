@@ -319,7 +319,9 @@ class _History:
 
 
 def _within(nodes: Floats, density: Floats) -> tuple[Floats, Floats]:
-    """Return the lowest and highest relevant nodes, (2, 12) each, extended by one node on either side."""
+    """Return the lowest and the highest node of relevant density, (2, 12) each, extended by one node on either
+    side.
+    """
     top = density.max(axis=(1, 2), keepdims=True)
     counts = density > top - FORGOTTEN
     ends: list[Floats] = []

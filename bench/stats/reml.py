@@ -255,7 +255,7 @@ class Profile:
         return float(np.sqrt(self.variances[self.which]))
 
     def lost(self, size: float) -> float:
-        """Return the loss of log likelihood at a size."""
+        """Return how far the log likelihood at a size is below its maximum."""
         moved = self.variances + self.follow * (size**2 - self.variances[self.which])
         return self.greatest - self.likelihood(np.maximum(moved, 0.0))
 
