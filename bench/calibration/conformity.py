@@ -423,7 +423,7 @@ class Population:
 
 @dataclass(frozen=True)
 class GlobalRisk:
-    """Global risks: the fractions of a population accepted but nonconforming, or rejected but conforming."""
+    """Global risks: fractions of a population that are accepted but nonconforming, or rejected but conforming."""
 
     false_accept: float
     false_reject: float

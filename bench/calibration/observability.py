@@ -293,7 +293,7 @@ def with_angles(problem: Problem, names: Collection[str]) -> Problem:
 
 @dataclass(frozen=True)
 class Sensitivities:
-    """Derivatives of signals by unknowns: `rows` (m, p), one row per signal, in its unit per SI unit.
+    """Derivatives of signals by unknowns: `rows` (m, p), one row per signal, in the signal's unit per SI unit.
 
     `names` (p,) are the unknowns.
     """

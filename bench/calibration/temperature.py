@@ -346,7 +346,7 @@ class TableError:
 
 @dataclass(frozen=True)
 class CompensationTable:
-    """A compensation table: `entries` (nodes, 12) are N (1/(unit/g)) and U0 (unit) at `first_c` + k `step_k`."""
+    """A compensation table: `entries` (nodes, 12) are N (g/unit) and U0 (unit) at `first_c` + k `step_k`."""
 
     first_c: float
     step_k: float

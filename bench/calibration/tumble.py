@@ -152,7 +152,9 @@ def separable(force: Floats, channel: int, terms: Sequence[str], conditions: Con
 NO_PRIOR: Final = 1.0
 """Prior standard deviation of a term, g/g^n: far beyond any plausible size, so that the data decide."""
 OPEN_AT_1_G: Final = 1e-2
-"""Prior in place of `NO_PRIOR` if points above 1 g follow: at 500 plausible sizes their fit is well conditioned."""
+"""Prior in place of `NO_PRIOR` if points above 1 g follow: 500 plausible sizes, which keeps their fit well
+conditioned.
+"""
 K: Final = 2.0
 """Coverage factor of U."""
 MOVES: Final = 0.01

@@ -199,7 +199,7 @@ class InNumbers:
 
     @property
     def shown(self) -> tuple[str, ...]:
-        """The names of the numbers that changed in any calibration, each tested alone."""
+        """The names of the numbers that changed significantly in any calibration, each number tested alone."""
         some = np.any([one.changed for one in self.changes], axis=0)
         return tuple(np.array(self.names)[some].tolist())
 

@@ -375,7 +375,7 @@ LEAST_LABORATORIES: Final = 3
 
 @dataclass(frozen=True)
 class LaboratoryJudged:
-    """A laboratory's m numbers against the Mandel-Paule consensus of all others.
+    """A laboratory's m numbers compared with the Mandel-Paule consensus of all others.
 
     `difference` (m,) is the laboratory's value minus the consensus. Its standard uncertainty `u` (m,) combines the
     laboratory's stated u with the u of the consensus, which includes the `dark` uncertainty (m,) of the others.

@@ -36,7 +36,7 @@ class VoltmeterNonlinearity(VoltmeterEffect):
     shown_by = "a ladder of reference voltages at the inputs, such as 0, 1 and 2 V of both signs"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the error in volts, shape (n, 3)."""
+        """Return the error due to the nonlinearity at the voltages U, in volts, shape (n, 3)."""
         part = seen.signal / NORMAL_V
         return values["q2"] * part**2 + values["q3"] * part**3
 
