@@ -187,7 +187,7 @@ def write_whole(path: Path, text: str | bytes) -> None:
 
 
 def _opened_at_once(path: Path) -> BinaryIO:
-    """Open a device or pipe for writing. Raises `OSError` for a pipe without a reader; never waits for one."""
+    """Open a device or pipe for writing. Raises `OSError` for a pipe without a reader; never waits for a reader."""
     try:
         descriptor = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
     except OSError as error:

@@ -74,8 +74,8 @@ class DecisionRule:
 
     Simple acceptance accepts up to the limit, and uses w = U only for its statements. The guarded rule accepts up
     to limit − w, and so does the non-binary rule. Under the non-binary rule, values from there to the limit are
-    conditional passes, on which the customer decides. It rejects values beyond the limit: up to limit + w they are
-    conditional fails. If `guard_band` is None (the default rule), w makes the probability of a false acceptance
+    conditional passes, on which the customer decides. Values beyond the limit are rejected: up to limit + w they
+    are conditional fails. If `guard_band` is None (the default rule), w makes the probability of a false acceptance
     equal to `FALSE_ACCEPTANCE`.
     """
 

@@ -1,8 +1,8 @@
 """The noise of the readings, estimated from repeats rather than assumed.
 
 A reading is the model plus a setting error, which acts on its three channels along d = du/dphi, plus independent
-noise in each channel with a size of its own. Its covariance is diag(sigma_x^2, sigma_y^2, sigma_z^2) + sigma_phi^2
-d d^T. The sizes maximise the restricted likelihood.
+noise in each channel with a size of its own. The covariance of a reading is diag(sigma_x^2, sigma_y^2, sigma_z^2) +
+sigma_phi^2 d d^T. The sizes maximise the restricted likelihood.
 """
 
 from __future__ import annotations

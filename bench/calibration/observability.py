@@ -162,7 +162,7 @@ class _Directions:
     def _sparse(self, basis: Floats) -> list[Floats]:
         """Return a basis of the same space: each vector has an unknown of its own, zero in all other vectors.
 
-        Its own unknown is a coefficient only if no stand angle or effect can be chosen.
+        A coefficient is chosen as this unknown only if no stand angle or effect can be.
         """
         vectors = basis.copy()
         free = np.ones(len(vectors), dtype=bool)

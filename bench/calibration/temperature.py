@@ -233,10 +233,10 @@ class TemperatureModel:
     Coefficient j at temperature T is the sum over d of `values[j, d]` (T - `reference_c`)^d.
 
     `values` (12, D + 1) are in unit/g/K^d and unit/K^d; those above the degree in `degrees` (12,) are zero.
-    `covariance` (12 (D + 1), 12 (D + 1)) is that of `values` row after row; it includes the uncertainty due to
-    omitted terms. The model is valid from `minimum_c` to `maximum_c`. `fitted` is the test of the fit against the
-    noise. `curve` is the test of the polynomials against coefficients that are free at each plateau (None if a
-    plateau alone does not determine them).
+    `covariance` (12 (D + 1), 12 (D + 1)) is the covariance of `values`, row after row; it includes the uncertainty
+    due to omitted terms. The model is valid from `minimum_c` to `maximum_c`. `fitted` is the test of the fit
+    against the noise. `curve` is the test of the polynomials against coefficients that are free at each plateau
+    (None if a plateau alone does not determine them).
     """
 
     unit: str

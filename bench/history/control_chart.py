@@ -503,8 +503,8 @@ def _drift(
 ) -> DriftSeen | None:
     """Return the drift of the baseline and accepted runs in excess of the known drift.
 
-    Its u includes that of the known drift. The result is None if the runs are too few, their time span is too
-    short, or their meters differ.
+    The u of the result includes the u of the known drift. The result is None if the runs are too few, their time
+    span is too short, or their meters differ.
     """
     kept = [run for run, p in zip(later, shewhart.p_joint, strict=True) if p >= design.alpha]
     runs = [*baseline, *kept]

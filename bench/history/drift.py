@@ -110,8 +110,8 @@ class States:
     def _prediction(self) -> tuple[Floats, Floats]:
         """Coefficients of polynomials in years since the last calibration: mean (2, 12), variance (3, 12).
 
-        They average over all pairs of variances. For each pair the mean is linear and its variance quadratic
-        in time.
+        The polynomials are averages over all pairs of variances. For each pair the mean is linear and its variance
+        quadratic in time.
         """
         at = np.stack([1.0 - self.columns[..., 0], self.last_year - self.columns[..., 1]], axis=-1)
         slope = self.line[..., 1]

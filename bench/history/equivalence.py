@@ -313,9 +313,9 @@ def compare_benches(
 ) -> BenchComparison:
     """Return the comparison of benches by their calibrations of common units.
 
-    `there` holds the snapshots of the n calibrations, per g of `STANDARD_GRAVITY`. They supply the errors that
-    calibrations share (of the meters, and K2 and K3 of a block). Raises `CalibrationError` if no common unit links
-    the benches.
+    `there` holds the snapshots of the n calibrations, per g of `STANDARD_GRAVITY`. The snapshots supply the errors
+    that calibrations share (of the meters, and K2 and K3 of a block). Raises `CalibrationError` if no common unit
+    links the benches.
     """
     (units, unit), (benches, bench) = coded(measured.unit), coded(measured.bench)
     days = int((measured.when.max() - measured.when.min()) / np.timedelta64(1, "D"))

@@ -1,10 +1,10 @@
 """A prior for an unmeasured unit from calibrated units of its type, and its combination with a calibration.
 
 The means of units scatter by the variation between units and by calibration errors. The covariance between units is
-the covariance of the means minus that of the calibration errors. Its correlations are shrunk, more strongly for
-fewer units; its variances are enlarged for their finite degrees of freedom. Errors that no repetition reveals (of a
-bench or its meters) are included in the uncertainty of the mean. Sources: J. Schäfer, K. Strimmer, Stat. Appl.
-Genet. Mol. Biol. 4 (2005) 32 (shrinkage); JCGM 101:2008, 6.4.9.4.
+the covariance of the means minus that of the calibration errors. Its correlations are shrunk, the more strongly the
+fewer the units; its variances are enlarged for their finite degrees of freedom. Errors that no repetition reveals
+(of a bench or its meters) are included in the uncertainty of the mean. Sources: J. Schäfer, K. Strimmer, Stat.
+Appl. Genet. Mol. Biol. 4 (2005) 32 (shrinkage); JCGM 101:2008, 6.4.9.4.
 """
 
 from __future__ import annotations

@@ -151,7 +151,7 @@ def vector_goal(block: Block, magnitude_g: float = 1.0, asked_g: float = 1.0) ->
 def whole_goal(block: Block, goals: Sequence[Goal]) -> Goal:
     """Return a goal, loose compared with `goals`, that makes a plan calibrate the whole block.
 
-    Without it, a plan for one coefficient could leave the other coefficients undetermined.
+    Without this goal, a plan for one coefficient could leave the other coefficients undetermined.
     """
     typical = float(np.max(np.abs(block.K)))
     asked = max(goal.asked / (typical if goal.unit.startswith("V") else 1.0) for goal in goals)
@@ -322,8 +322,8 @@ class ExchangeDesign:
         return float(np.sqrt(np.max(variances / self._asked2)))
 
     def _score(self, variances: Floats, power: float) -> Floats:
-        """Return the power mean, over the last axis, of the squared ratios of u to required u; infinite
-        if one is.
+        """Return the power mean of the squared ratios of u to required u along the last axis; infinite
+        if any is.
         """
         ratio = np.maximum(variances, 0.0) / self._asked2
         top = np.max(ratio, axis=-1)

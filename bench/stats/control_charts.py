@@ -60,8 +60,8 @@ def ewma_arl(smoothing: float, k: float, shift: float = 0.0) -> float:
 def mewma_arl(smoothing: float, limit: float, dimensions: int) -> float:
     """Return the in-control ARL of a multivariate EWMA chart that starts at the centre.
 
-    It signals if Z' V^-1 Z exceeds `limit`, where V is smoothing/(2 - smoothing) times the covariance of one value
-    (Rigdon 1995, equation 8, integrated over the length of Z rather than its square, after Knoth 2017).
+    The chart signals if Z' V^-1 Z exceeds `limit`, where V is smoothing/(2 - smoothing) times the covariance of one
+    value (Rigdon 1995, equation 8, integrated over the length of Z rather than its square, after Knoth 2017).
     """
     if smoothing == 1.0:
         return float(1.0 / special.chdtrc(dimensions, limit))

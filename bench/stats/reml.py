@@ -134,8 +134,8 @@ def scoring_step(
 ) -> Floats:
     """Return the variances (…, k), at least `least`, after one more scoring step in their logarithms.
 
-    The diagonal of the information (…, k, k) is raised by a fraction `damping` of itself and `ridge` of the
-    trace. No variance changes by more than a factor of `most_change`; one at `least` stays there if the score is
+    The diagonal of the information (…, k, k) is raised by a fraction `damping` of itself and `ridge` of the trace.
+    No variance changes by more than a factor of `most_change`; a variance at `least` stays there if the score is
     negative.
     """
     slope = score * theta

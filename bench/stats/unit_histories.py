@@ -118,7 +118,7 @@ class Within:
     def _data(self) -> list[tuple[SameLength, Floats, Floats]]:
         """For each number of runs: units, contrasts (m, r, 1 + B) of values and benches, and covariance (m, r, r).
 
-        The covariance is that of the contrasts of values, as stated.
+        The covariance is the stated covariance of the contrasts of values.
         """
         y = self.y - np.median(self.y)
         return [

@@ -243,8 +243,8 @@ class AdapterTruth(FileModel):
 class SimulationSection(WithEffects):
     """The true state of the simulated bench; without `block`, the block has nominal scale factors only.
 
-    `effects`, `formulas` and `left_open` are written as in a model file. They affect the simulated readings; their
-    evaluation does not use them.
+    `effects`, `formulas` and `left_open` are written as in a model file. They affect the simulated readings; the
+    evaluation of these readings does not use them.
     """
 
     block: BlockTruth | None = None

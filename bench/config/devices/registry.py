@@ -262,7 +262,7 @@ def _validated(written: dict[str, Any], role: Role, recorded: bool) -> DeviceSec
 
 
 def _strange(driver: object, names: tuple[str, ...]) -> str | None:
-    """Return the message for a driver name that resembles none of `names`; None for a similar one or no string."""
+    """Return the message for a driver name that resembles none of `names`; None for a similar name or no string."""
     if not isinstance(driver, str) or difflib.get_close_matches(driver, names, n=1, cutoff=0.5):
         return None
     return (

@@ -302,7 +302,7 @@ PART: Final = "part"
 class InPart(Effect):
     """An uncertain part of the shape of the effect `of`; a fit may estimate its one parameter, a size.
 
-    It adds this size times the sum of `parts`, which are effects with fixed values.
+    The effect adds this size times the sum of `parts`, which are effects with fixed values.
     """
 
     name: str

@@ -312,7 +312,7 @@ class MetersExchanged(VoltmeterEffect):
     def addition(self, values: Values, seen: Seen) -> Floats:
         """Return the error gain U + zero, V, shape (n, 3), of channels with exchanged meters, zero for others.
 
-        It is positive in one channel of each pair and negative in the other.
+        The error is positive in one channel of each pair and negative in the other.
         """
         added = np.zeros_like(seen.signal)
         for one, other in PAIRS:
