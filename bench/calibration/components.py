@@ -99,7 +99,7 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> SharedErro
         if component.what == DRIFT:  # a single run determines it with few degrees of freedom
             found_drifts[CHANNELS.index(component.channels)] = component.size * widening(component.dof)
     wander = np.where(found_drifts > 0, found_drifts, open_to)
-    # one run shows little of a random walk, and the three channels are alike: none gets less than their rms
+    # one run shows little of a random walk, and the channels are alike: none gets less than the rms of all three
     return replace(shared, wander=np.maximum(wander, rms(wander)))
 
 

@@ -311,7 +311,7 @@ def estimate_noise(problem: Problem, system: System, groups: Ints, others: Float
         scatter = scatter_of_repeats(left, slope, groups)
         if scatter.settings >= LEAST_REPEATS:
             return noise_from_repeats(scatter, floor)
-    # in the likelihood random effects scatter about their prior means: put their estimates back
+    # the likelihood lets random effects scatter about their prior means: add their estimates to the residuals
     fixed = system.jacobian.shape[2] - len(others)
     off = others - problem.prior_mean
     whole = left + system.jacobian[:, :, fixed:] @ off
@@ -400,7 +400,7 @@ def whitened_rows(
 
 def lack_of_fit(problem: Problem, result: Fit) -> LackOfFit:
     """Test the residuals of a fit against the scatter of repeats (F test), or against given noise (chi-square)."""
-    # a stated prior adds as much to the misfit as its unknown takes away; a weak one adds nothing
+    # a stated prior adds as much to the misfit as its unknown takes away; a weak prior adds nothing
     unknowns = len(problem.active) + len(result.shifts) + sum(not e.stated for e in problem.effects)
     unknowns -= len(result.modulus)
     groups = _groups_without(problem, result.shifts)

@@ -158,7 +158,7 @@ class OfUnit:
 def drift_of_unit(measured: ComparedCalibrations) -> OfUnit:
     """Return the drift of a table's only unit.
 
-    Raises `CalibrationError` as `unit_drift` does, and for several units.
+    Raises `CalibrationError` for a table of several units, and as `unit_drift` does.
     """
     units, benches = (sorted(set(labels.tolist())) for labels in (measured.unit, measured.bench))
     if len(units) > 1:

@@ -206,7 +206,7 @@ def asked_for(at: Projection, Z: ComponentColumns, inside: int, dof: float) -> C
     told = left > 1e-6 * own
     size = np.where(told, score / np.sqrt(np.where(told, left, 1.0)), -np.inf)
     freedom = traces[inside:] ** 2 / (2.0 * own)
-    # the fewer degrees of freedom in the denominator, the smaller the part of its information that F keeps
+    # denominator degrees of freedom at which an F statistic keeps this part of the information of the score
     part = np.clip(np.where(told, left / own, 1.0), 0.0, 1.0 - 1e-6)
     within = np.minimum(freedom * part / (1.0 - part), dof)
     ratio = np.maximum(1.0 + size * np.sqrt(2.0 / freedom + 2.0 / within), 0.0)

@@ -384,7 +384,7 @@ def _unknown_and_recorded(source: ErrorSource, seen: AnyReadings, recorded: Floa
 
 
 def _turn_on(source: ErrorSource, seen: AnyReadings) -> _Patterns:
-    # the same throughout a run; each time the block is switched on the biases change
+    # constant throughout a run: the biases change each time the block is switched on
     return [
         (
             np.broadcast_to(np.diag(seen.block.K) * source.on_channels, seen.signal.shape),

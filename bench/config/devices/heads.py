@@ -123,8 +123,8 @@ class NewportSection(MotorisedHeadForm):
         return self.model_dump(include={"axis", "identity", "allow_homing"})
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the simulation's options: speed, axis, range of travel, homed state, and the identity if it is a
-        plain name.
+        """Return the simulation's options: speed, axis, travel, homed state, and the identity if it is a plain
+        name.
         """
         named = {"model": self.identity} if as_stated(self.identity) else {}
         return {
