@@ -27,7 +27,7 @@ HOUR = 3600.0
 
 
 def unit_vectors(vectors: Floats) -> tuple[Floats, Floats]:
-    """Return vectors (…, 3) divided by their lengths, zero for a zero vector, and the lengths, shape (…)."""
+    """Return `vectors` (…, 3) divided by their lengths, and the lengths (…); a zero vector stays zero."""
     length = np.linalg.norm(vectors, axis=-1)
     return vectors / np.where(length > 0, length, 1.0)[..., None], length
 
@@ -44,7 +44,7 @@ def least_squares(columns: Floats, target: Floats) -> tuple[Floats, Floats]:
 def quadratic_forms(rows: Floats, matrix: Floats) -> Floats:
     """Return r^T M r for each row r of `rows` (n, p) and a matrix M (p, p), shape (n,).
 
-    `numpy.einsum` would need several times as long, because it searches for the best order at each call.
+    `numpy.einsum` takes several times as long, because each call searches for the best order of products.
     """
     moved = (matrix.T @ rows.T).T
     return np.asarray(np.matmul(moved[:, None, :], rows[:, :, None]).ravel())

@@ -67,7 +67,7 @@ def one_thread() -> None:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Pause the garbage collector while many small objects are created, because its passes over them take long.
+    """Pause the garbage collector while many small objects are created; it would scan them again and again.
 
     Objects without reference cycles are freed as usual. Also usable as a function decorator.
     """
@@ -132,7 +132,7 @@ def missing(error: BaseException) -> str:
 
 
 def _in_certificates(trace: TracebackType | None) -> bool:
-    """Return whether an import failed within `bench.certificate`, whose extra includes the signing packages."""
+    """Return whether an import failed in `bench.certificate`; its extra includes the signing packages."""
     while trace is not None:
         if trace.tb_frame.f_globals.get("__name__", "").startswith("bench.certificate."):
             return True

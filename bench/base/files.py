@@ -45,7 +45,7 @@ def open_regular(path: Path, mode: Literal["rb", "ab"] = "rb") -> BinaryIO:
         if mode == "rb" or path.exists():
             _check(path, path.stat().st_mode)  # before opening: opening a device may have an effect
         file = open(path, mode, buffering=0 if mode == "ab" else -1, opener=_at_once)  # noqa: SIM115
-    except ValueError:  # a character that no name of a file can have
+    except ValueError:  # a character that no file name can have
         raise FileNotFoundError(errno.ENOENT, "there is no such file", str(path)) from None
     try:
         _check(path, os.fstat(file.fileno()).st_mode)
@@ -77,7 +77,7 @@ def read_given(path: Path) -> bytes:
     """
     try:
         about = path.stat()
-    except ValueError:  # a character that no name of a file can have
+    except ValueError:  # a character that no file name can have
         raise FileNotFoundError(errno.ENOENT, "there is no such file", str(path)) from None
     if stat.S_ISFIFO(about.st_mode):
         return _from_pipe(path)
@@ -187,7 +187,7 @@ def write_whole(path: Path, text: str | bytes) -> None:
 
 
 def _opened_at_once(path: Path) -> BinaryIO:
-    """Open a device or pipe for writing. Raises `OSError` for a pipe without a reader; never waits for one."""
+    """Open a device or pipe for writing. Raises `OSError` for a pipe without a reader; never waits for a reader."""
     try:
         descriptor = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
     except OSError as error:

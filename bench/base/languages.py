@@ -3,8 +3,8 @@
 Results, records and JSON therefore stay English, and the page of an old record can be in another language.
 `message` marks a text in the code. The values of an f-string become numbered blanks: `message(f"{n} rows")` is the
 entry "{0} rows" of the catalogue (`catalogues/uk.po`). A view calls `translated`, which finds the entry of a text
-although its blanks are filled. It translates values that are texts, and writes numbers with the decimal sign of the
-language. Templates are translated as a whole (`bench.base.template_texts`).
+whose blanks are already filled. Values that are texts are translated as well, and numbers get the decimal sign of
+the language. Templates are translated as a whole (`bench.base.template_texts`).
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def translated(text: str, context: str = "") -> str:
 
 
 def shown(value: object) -> object:
-    """Return a value for a page: a number with its decimal sign, a text of several words translated.
+    """Return a value as a page shows it: numbers with the local decimal sign, a text of several words translated.
 
     A single word is returned unchanged, because it may be a name; `translated` also translates single words.
     """
@@ -138,7 +138,7 @@ def local_number(text: str) -> str:
 _AROUND: Final = re.compile(r"([\s:;,.([«»✓✗–·]*)(.*?)([\s:;,.)\]]*)", re.DOTALL)
 """Three groups: the signs before a text, the text, the signs after it."""
 _SURE, _SHORT = 5, 60
-"""In an entry of fewer than `_SURE` letters, a value may have at most `_SHORT` characters."""
+"""In an entry of fewer than `_SURE` letters, the value of a blank may have at most `_SHORT` characters."""
 _WORD: Final = re.compile(r"\b[a-z]{3,}\b")
 _BLANK: Final = re.compile(r"\{(\d+)\}")
 
@@ -165,7 +165,7 @@ class Entry:
         return not self.files or any(not file.endswith((".j2", ".js")) for file in self.files.split())
 
     def patterns(self) -> Iterator[tuple[str, re.Pattern[str]]]:
-        """Yield each English form with a regular expression for it; groups are the values of the blanks."""
+        """Yield each English form with a regular expression whose groups match the values of its blanks."""
         for text in filter(None, (self.english, self.plural)):
             seen: set[str] = set()
             parts = []
@@ -179,7 +179,7 @@ class Entry:
 
 
 class Catalogue:
-    """The translations into a language; `decimal` is its decimal sign."""
+    """The catalogue of one language: its translations, and its decimal sign `decimal`."""
 
     def __init__(self, entries: Iterable[Entry], translations: NullTranslations, decimal: str) -> None:
         self.decimal = decimal
@@ -222,7 +222,7 @@ class Catalogue:
         return _BLANK.sub(lambda blank: values.get(blank[1], blank[0]), form)
 
     def forms(self, entry: Entry) -> list[str]:
-        """Return the translation of an entry or, for a plural, its forms for one, few and many."""
+        """Return the translations of an entry: a single one or, for a plural, the forms for one, few and many."""
         return [self._form(entry, n) for n in ((1, 2, 5) if entry.plural else (1,))]
 
     def _form(self, entry: Entry, n: int) -> str:
@@ -266,7 +266,7 @@ class Catalogue:
         return self._exactly(text) or self._filled(text) or self._filled(text, sure=False) or text
 
     def _settled(self, text: str) -> bool:
-        """Return whether a part of a text has a translation or, being a single word or numbers, needs none."""
+        """Return whether a part of a text has a translation or needs none (a single word, numbers)."""
         return " " not in text.strip() or not self._foreign(text)
 
     def _foreign(self, text: str) -> bool:
@@ -277,10 +277,10 @@ class Catalogue:
         return None if entry is None else self.fill(entry, {})
 
     def _filled(self, text: str, *, sure: bool = True) -> str | None:
-        """Return the translation of `text` by the entry that it matches with filled blanks; None without a match.
+        """Return the translation of `text`, an entry with filled blanks; None if no entry matches.
 
-        With `sure`, the entries with at least `_SURE` letters are tried, else the others, such as "{0} in {1}",
-        whose blanks then match short values only.
+        `sure` tries the entries with at least `_SURE` letters. Otherwise the shorter entries are tried, such as
+        "{0} in {1}", and their blanks match short values only.
         """
         for literal, entry, pattern in self._patterns[sure]:
             if literal in text and (found := pattern.fullmatch(text)) is not None:
@@ -293,7 +293,7 @@ class Catalogue:
 
 
 def _letters(entry: Entry) -> int:
-    """Return the number of letters and digits in a text outside its blanks."""
+    """Return the number of letters and digits in the English text of an entry, without its blanks."""
     return len(re.findall(r"[^\W_]", _BLANK.sub("", entry.english)))
 
 

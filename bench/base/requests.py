@@ -36,8 +36,8 @@ class Option:
     `flags` default to "--name", or "--name/--no-name" for a switch whose default is on; a positional `argument` has
     none. `completes` names the shell completion ("bench_files", …; `bench.cli.completing`), `least` and `most`
     limit a number. `typed` is the type on the command line, stated if the Python field also accepts objects (a
-    table, a loaded bench file). The short help shows arguments and `common` options only. `also` is an option that
-    is an older spelling of the argument and still accepted.
+    table, a loaded bench file). The short help shows arguments and `common` options only. `also` is an older option
+    that is still accepted in place of the argument.
     """
 
     help: str
@@ -54,7 +54,7 @@ class Option:
 
 
 def option(default: T, help: str, **settings: Any) -> T:
-    """Return a request's field with a default, whose `Option` has this help and these settings."""
+    """Return a request's field with this default and an `Option` made of `help` and `settings`."""
     field: T = dataclasses.field(default=default, metadata={OPTION: Option(help, **settings)})
     return field
 

@@ -55,7 +55,7 @@ class ResultModel(BaseModel):
 
     @classmethod
     def from_object(cls, computed: object, **others: Any) -> Self:
-        """Return the model with the members `others`; its other members are attributes of `computed`."""
+        """Return a model with the members `others`; all other members come from attributes of `computed`."""
         names = [name for name in cls.model_fields if name not in others and hasattr(computed, name)]
         return cls(**{name: getattr(computed, name) for name in names}, **others)
 

@@ -50,7 +50,7 @@ def table(*headings: str, no_wrap: bool = False) -> Table:
 
 
 def print_notes(out: Console, notes: Iterable[str]) -> None:
-    """Print notes below a result, unless `--quiet` is set; the JSON and the page always have them."""
+    """Print notes below a result, unless `--quiet` is set; the JSON and the page always contain the notes."""
     if not quiet.get():
         for note in notes:
             out.print(f"note: {note}")

@@ -26,7 +26,7 @@ _INLINE: Final = frozenset(
 )
 _RAW: Final = frozenset({"script", "style", "pre", "textarea"})
 _AS_IS: Final = frozenset({"code", "kbd", "time"})
-"""Elements that hold names or addresses, whose numbers stay unchanged; the class "name" has the same effect."""
+"""Elements with names or addresses: their numbers stay unchanged, as in an element of the class "name"."""
 
 _JINJA: Final = r"\{\{.*?\}\}|\{%.*?%\}|\{#.*?#\}"
 _QUOTED: Final = rf'"(?:{_JINJA}|[^"])*"'
@@ -148,7 +148,7 @@ VOID: Final = ("<br", "<input", "<img", "<hr", "<wbr")
 
 
 def _trimmed(segment: _Segment) -> tuple[str, _Segment, str]:
-    """Return a segment without white space and tags at its ends, between the source cut off before and after it."""
+    """Trim white space and tags from both ends; return (cut off before, segment, cut off after)."""
     tokens = list(enumerate(segment.tokens))
     before, after = "", ""
 
@@ -178,7 +178,7 @@ def _trimmed(segment: _Segment) -> tuple[str, _Segment, str]:
 
 
 class TranslatedTemplates(Extension):
-    """A Jinja extension that replaces each text of a template by its look-up in the current catalogue."""
+    """A Jinja extension that replaces each text of a template by a look-up in the current catalogue."""
 
     def __init__(self, environment: Environment) -> None:
         super().__init__(environment)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 # --- untrusted text: made harmless before it reaches a terminal, a page or a log ---------------------
 
 QUOTED: Final = 80
-"""The most characters that a message quotes of an untrusted text."""
+"""The largest number of characters of an untrusted text that a message quotes."""
 
 _ENDLESS: Final = re.compile(r"\S{1000,}")
 _LINE: Final = 5000
@@ -42,7 +42,7 @@ def visible(text: str) -> str:
 
 
 def shown_path(path: str) -> str:
-    """Return a path as a page shows it: of an absolute path only the last name, to hide the user's folders."""
+    """Return a path as a page shows it: only the last name of an absolute path, to hide the user's folders."""
     return PurePath(path).name if PurePath(path).is_absolute() else path
 
 
@@ -62,7 +62,7 @@ def shortened(text: str) -> str:
 
 
 def bounded(text: str) -> str:
-    """Return a message with words of 1000 characters or more and lines over 5000 characters shortened."""
+    """Return a message after shortening words of 1000 or more characters and lines of more than 5000."""
     text = _ENDLESS.sub(lambda word: shortened(word[0]), text)
     return "\n".join(line if len(line) <= _LINE else f"{line[:_LINE]}…" for line in text.split("\n"))
 

@@ -47,7 +47,7 @@ _DEFINITIONS: Final = (
     "percent = 0.01",
     "ppm = 1e-6",
 )
-"""Only the units that a bench needs, so that slips (kg, mT) are rejected."""
+"""Definitions of the units that a bench needs; any other unit (kg, mT) is rejected as a typing error."""
 
 _UNITS: Final = ("V", "mV", "uV", "A", "mA", "uA", "deg", "arcmin", "arcsec", "rad", "mrad", "urad", "rev", "s",
                  "ms", "min", "h", "d", "year", "Hz", "m", "mm", "degC", "K", "g", "mg", "ug", "ppm",
@@ -279,7 +279,7 @@ _WRITTEN_UNITS: Final[Mapping[str, tuple[str, float]]] = {
     "rad": ("arcsec", 206264.80624709636),
     "rad/s": ("deg/s", 57.29577951308232),
 }
-"""By SI unit: the unit that people write instead, and its number in one SI unit."""
+"""For each SI unit, the unit that people write instead, and how many of it make one SI unit."""
 
 
 def written_quantity(value: float, kind: QuantityKind) -> str:

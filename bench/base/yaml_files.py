@@ -68,7 +68,7 @@ _EXPECTED: Final = {
 def explained(
     error: ValidationError, model: type[BaseModel], lines: Mapping[Place, int]
 ) -> Iterator[tuple[Place, str]]:
-    """Yield the place and a sentence for each error of validating `model`; `lines` has the places in the file.
+    """Yield the place and a sentence for each error of validating `model`; `lines` has the line of each place.
 
     A misspelt key is reported only as misspelt, not also as missing.
     """
@@ -166,7 +166,9 @@ def _keys(annotation: Any, location: tuple[int | str, ...]) -> set[str]:
             rest = location[position + 1 :]
             return set().union(*(_keys(f.annotation, rest) for f in fields))
         chosen = [m for m in models if any(step in get_args(f.annotation) for f in m.model_fields.values())]
-        models = chosen or models  # the step is the discriminator of a union, such as a driver
+        models = (
+            chosen or models
+        )  # this part of the location chooses a model of a union, such as that of a driver
     return {f.alias or name for m in models for name, f in m.model_fields.items()}
 
 
@@ -436,7 +438,7 @@ class Document:
 
     @cached_property
     def lines(self) -> dict[Place, int]:
-        """The line of every place. It needs a second parse, done only on demand as most files have no mistakes."""
+        """The line of every place, from a second parse, made on demand because most files have no mistakes."""
         return read_yaml_with_lines(self.text).lines
 
     def line_of(self, place: Place) -> int:
@@ -475,7 +477,7 @@ def load_document(path: Path, most_bytes: int = MEGABYTE) -> Document:
 
 
 def document_of(path: Path, content: bytes) -> Document:
-    """Parse the `content` of the file `path`, which is not read. Raises `FileMistakes`, like `load_document`."""
+    """Parse `content`, which was already read from the file `path`. Raises `FileMistakes`, like `load_document`."""
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -68,7 +68,7 @@ def join(
     scale = np.sqrt(np.diag(fit.covariance))
     size, along = np.linalg.eigh(fit.covariance / np.outer(scale, scale))
     told = along.T / np.sqrt(np.maximum(size, ROUNDING * size[-1]))[:, None]
-    # the signals are linear in each unknown by itself, so that any step serves
+    # the signals are linear in each unknown by itself: differences are exact for any step
     ahead = 1e-3 * float(np.max(np.abs(fit.block.K))) * np.eye(len(start))[:FIXED]
     steps = [*ahead, *(np.pad(problem.other_step(j), (FIXED, 0)) for j in range(len(fit.others)))]
 

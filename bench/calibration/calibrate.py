@@ -40,7 +40,7 @@ from bench.model.geometry import STAND_ANGLES, Block
 from bench.readings.table import FREE, REFERENCE, VERIFICATION, Readings
 
 ROUNDING: Final = 1e-9
-"""Readings with noise below this fraction of the largest signal count as computed, without outliers."""
+"""Readings with noise below this fraction of the largest signal count as computed values, without outliers."""
 
 
 def calibrate(
@@ -227,7 +227,7 @@ def _notes_on_rows(
 
 
 def _on_levels(problem: Problem) -> tuple[str, ...]:
-    """Return a note on stand angles measured with a level, and their u; empty if no angle was."""
+    """Return a note on the stand angles measured with a level, and their u; empty without such angles."""
     told = [s for s in problem.stand if s.measured]
     if not told:
         return ()

@@ -25,11 +25,11 @@ ASKED_P: Final = 0.01
 SOME: Final = 0.2
 """Start value of a component's variance, as a fraction of the noise variance."""
 HARDLY_ANY: Final = 0.01
-"""Components of variance below this fraction of the noise variance are dropped; other ones explain them."""
+"""A component below this fraction of the noise variance is dropped, because others explain it."""
 MOST_SIGNALS: Final = 1500
 """Above this number of signals no components are searched for: the matrices would take minutes."""
 WAVES: Final = 8
-"""Number of principal components of a random walk that are kept: the others have 1 % of its variance."""
+"""Number of principal components of a random walk that are kept: the others have 1 % of the walk's variance."""
 NOISE: Final = "noise"
 SETTING: Final = "setting error"
 ANGLE: Final = "angle of a setting"
@@ -42,9 +42,8 @@ class SharedErrorFit:
 
     `covariance` (3n + m, 3n + m) is the covariance of the 3n signals of n oriented readings and of m moduli; None
     without components. `wander` (3,) is the rms deviation of each bias from its mean over the run, in the unit of
-    the signal. If a drift was found, it is the size of the drift, widened for its few degrees of freedom;
-    otherwise it is the posterior mean of a drift that is not significant. It is None if no drift was searched
-    for.
+    the signal. If a drift was found, `wander` is its size, widened for few degrees of freedom; otherwise the
+    posterior mean of a drift that is not significant; None if no drift was searched for.
     """
 
     fit: Fit
@@ -65,13 +64,13 @@ class _Term:
     channels: str
     columns: Floats
     unit_of: Floats
-    """Standard deviation of a random effect of unit variance, by channel (signal unit) or common (rad)."""
+    """The size of a random effect of 1: by channel in the unit of the signal, or one angle for all, rad."""
 
 
 def take_in(problem: Problem, fit: Fit, unit: str, floor: float = 0.0) -> SharedErrorFit:
-    """Return the fit with the variance components that its readings share.
+    """Return the fit after adding the variance components that its readings share.
 
-    It has no components if the repeats are too few, the signals are more than `MOST_SIGNALS`, or the noise is only
+    None are added if the repeats are too few, the signals are more than `MOST_SIGNALS`, or the noise is only
     rounding to the last digit. `floor` (unit of the signal) is the lower limit of the noise.
     """
     try:
@@ -100,7 +99,7 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> SharedErro
         if component.what == DRIFT:  # a single run determines it with few degrees of freedom
             found_drifts[CHANNELS.index(component.channels)] = component.size * widening(component.dof)
     wander = np.where(found_drifts > 0, found_drifts, open_to)
-    # one run shows little of a random walk, and the three channels are alike: none gets less than their rms
+    # one run shows little of a random walk, and the channels are alike: none gets less than the rms of all three
     return replace(shared, wander=np.maximum(wander, rms(wander)))
 
 
@@ -252,7 +251,7 @@ def _walk(time_s: Floats) -> Floats:
 
 
 def walk_since(time_s: Floats, later_s: Floats) -> Floats:
-    """Return the covariance (v, v), at `later_s` (v,), of a random walk about its mean over `time_s` (n,).
+    """Return the covariance (v, v) at times `later_s` (v,) of a random walk minus its mean over `time_s` (n,).
 
     The unit is the mean variance of the walk over the readings' times `time_s`; the size of a drift is stated in
     this unit, too.
@@ -361,7 +360,7 @@ UNEQUAL_P: Final = 0.001
 """P-value below which unequal noise of the channels, or heavy tails, are reported."""
 
 DISAGREES_P: Final = 0.05
-"""P-value below which a contradiction to the stated noise is reported: few readings seldom show one."""
+"""P-value below which a contradiction to the stated noise is reported; high, as few readings seldom show any."""
 
 _SHARED_BY: Final = {
     "setting": message("the readings at a setting (installation and point) in all passes"),

@@ -73,9 +73,9 @@ class DecisionRule:
     """A decision rule: `name` is one of `RULES`, the guard band is w = `guard_band` · U.
 
     Simple acceptance accepts up to the limit, and uses w = U only for its statements. The guarded rule accepts up
-    to limit − w, and so does the non-binary rule. The non-binary rule calls values from there to the limit
-    conditional passes, which the customer decides on. It rejects values beyond the limit, up to limit + w as
-    conditional fails. If `guard_band` is None (the default rule), w makes the probability of a false acceptance
+    to limit − w, and so does the non-binary rule. Under the non-binary rule, values from there to the limit are
+    conditional passes, on which the customer decides. Values beyond the limit are rejected: up to limit + w they
+    are conditional fails. If `guard_band` is None (the default rule), w makes the probability of a false acceptance
     equal to `FALSE_ACCEPTANCE`.
     """
 
@@ -212,7 +212,7 @@ class MeasuredValues:
         return replace(self, u=times * self.u, expanded=times * self.expanded)
 
     def outside(self, value: ArrayLike, limit: float) -> Floats:
-        """Return `probability_outside` for measured values (n,)."""
+        """Return the probability (n,) that the measurand lies outside ±limit, for measured values (n,)."""
         return probability_outside(value, self.u, limit, self.dof, self.population)
 
 
@@ -237,7 +237,7 @@ def _largest_sure(limit: float, known: MeasuredValues) -> Floats:
 
 
 def coverage_factor(dof: ArrayLike) -> Floats:
-    """Return the coverage factor k of the coverage probability that k = 2 has for infinite `dof`.
+    """Return the k that gives, at `dof`, the coverage probability of k = 2 at infinite degrees of freedom.
 
     `dof` may have any shape. Source: JCGM 100:2008, G.3.
     """
@@ -349,7 +349,7 @@ def probability_one_outside(
 def probability_worst_outside(
     value: Floats, covariance: Floats, limit: float, dof: ArrayLike, population: Population
 ) -> float:
-    """Return the largest probability that any single quantity lies outside ±limit, given all values.
+    """Return the largest of the probabilities of single quantities to lie outside ±limit, given all values.
 
     See `probability_one_outside` for the arguments.
     """
@@ -423,7 +423,7 @@ class Population:
 
 @dataclass(frozen=True)
 class GlobalRisk:
-    """Global risks: the fractions of a population accepted but nonconforming, or rejected but conforming."""
+    """Global risks: fractions of a population that are accepted but nonconforming, or rejected but conforming."""
 
     false_accept: float
     false_reject: float

@@ -86,8 +86,8 @@ class FreeRows:
 class Linearisation:
     """The model linearised about a point: the readings `predicted` (n, 3) and their derivatives.
 
-    `jacobian` (n, 3, 12 + q) are those by the 12 coefficients and the q other unknowns; `slope` (n, 3) is
-    du/dphi, that by a setting error of the head, unit/rad.
+    `jacobian` (n, 3, 12 + q) are the derivatives by the 12 coefficients and the q other unknowns. `slope` (n, 3) is
+    du/dphi, the derivative by a setting error of the head, unit/rad.
     """
 
     predicted: Floats
@@ -143,7 +143,7 @@ class Problem:
         return off if self.hang is None else np.asarray(np.linalg.solve(self.hang, off))
 
     def by_prior(self, columns: Floats) -> Floats:
-        """Convert derivatives (..., q) by the q unknowns to derivatives by the unknowns that the prior whitens."""
+        """Convert derivatives (..., q) by the q unknowns to derivatives by whitened unknowns (`prior_rows`)."""
         scaled = columns * self.prior_u
         return scaled if self.hang is None else np.asarray(scaled @ self.hang)
 
@@ -323,7 +323,7 @@ class Problem:
 
 
 class _Chain:
-    """The chain from the stand to the readings at one point; a step from there evaluates only what follows it."""
+    """The stages from stand to readings, evaluated once at a point; a step then evaluates only the later stages."""
 
     def __init__(self, model: ForwardModel, conditions: Conditions, block: Block, stand_rad: Floats) -> None:
         self._model, self._conditions, self._block = model, conditions, block
@@ -342,7 +342,7 @@ class _Chain:
         }
 
     def of(self, block: Block) -> Floats:
-        """Return the readings (n, 3) of another block in a model whose effects leave the force as it is."""
+        """Return the readings (n, 3) of another block, if no effect of the model changes the force."""
         voltage_v = self._model.output(self._force, self._conditions, block)
         return self._model.voltmeter_readings(voltage_v, self._conditions, block)
 
@@ -386,10 +386,10 @@ def make_problem(
     a mounting replaces the u that the bench file states.
 
     `stand_u` maps names in `STAND_ANGLES` to standard uncertainties, rad. It may also state the noise:
-    "setting_error" (rad) and "voltmeter_error" (unit of the signals). The prior of an effect parameter has the
-    model's value as mean and the u stated there, which must come from readings other than those to be fitted.
-    Without a stated u the prior u is `WEAK` times the catalogue's plausible size. `known` is prior knowledge from
-    other runs: it replaces `stand_u` for angles that no level measured, and the stated noise.
+    "setting_error" (rad) and "voltmeter_error" (unit of the signals). The prior of an effect parameter has the mean
+    and the u that the model states; they must come from readings other than those to be fitted. Without a stated u
+    the prior u is `WEAK` times the catalogue's plausible size. `known` is prior knowledge from other runs: it
+    replaces `stand_u` for angles that no level measured, and the stated noise.
     """
     levels = conditions.levels()
     stand = tuple(

@@ -271,7 +271,7 @@ def _result(
     problem: Problem, system: System, block: Block, others: Floats, sizes: Noise, places: _Places,
     found: Floats, covariance: Floats, gain: Floats, shifts: tuple[Shift, ...],
 ) -> Fit:  # fmt: skip
-    """Return the fit after its last step `found`, which is small enough for residuals linear in it.
+    """Return the fit after its last step `found`, which is so small that the residuals are linear in it.
 
     The misfit excludes shifted signals.
     """
@@ -290,7 +290,7 @@ def _result(
     whole[np.ix_(places.unknowns, places.unknowns)] = covariance[np.ix_(places.own, places.own)]
     whole_gain[places.unknowns] = gain[places.own]
     by_row = whole_gain[:, : 3 * n].reshape(len(whole), n, 3)
-    # the row of a free reading is 1 - |a|, so that a signal enters with the sign turned
+    # the row of a free reading is 1 - |a|: its derivatives have the opposite sign of those of |a|
     by_free = -whole_gain[:, 3 * n :, None] * system.free.by_signal
     as_it_is = 1.0 / widening(sizes.reading_dof)
     u_shift = as_it_is * np.sqrt(np.diag(covariance)[places.shifts])
@@ -311,7 +311,7 @@ def estimate_noise(problem: Problem, system: System, groups: Ints, others: Float
         scatter = scatter_of_repeats(left, slope, groups)
         if scatter.settings >= LEAST_REPEATS:
             return noise_from_repeats(scatter, floor)
-    # in the likelihood random effects scatter about their prior means: put their estimates back
+    # the likelihood lets random effects scatter about their prior means: add their estimates to the residuals
     fixed = system.jacobian.shape[2] - len(others)
     off = others - problem.prior_mean
     whole = left + system.jacobian[:, :, fixed:] @ off
@@ -400,7 +400,7 @@ def whitened_rows(
 
 def lack_of_fit(problem: Problem, result: Fit) -> LackOfFit:
     """Test the residuals of a fit against the scatter of repeats (F test), or against given noise (chi-square)."""
-    # a stated prior adds as much to the misfit as its unknown takes away; a weak one adds nothing
+    # a stated prior adds as much to the misfit as its unknown takes away; a weak prior adds nothing
     unknowns = len(problem.active) + len(result.shifts) + sum(not e.stated for e in problem.effects)
     unknowns -= len(result.modulus)
     groups = _groups_without(problem, result.shifts)

@@ -21,13 +21,13 @@ from bench.calibration.result import COVERAGE_FACTOR, Calibration, Derived
 from bench.model.geometry import COEFFICIENTS, Block
 
 INTRINSIC: Final = ("Sx", "Sy", "Sz", "theta_xy", "theta_xz", "theta_yz", "bx", "by", "bz")
-"""Names of the nine, in the order of all vectors and tables of them."""
+"""Names of the nine intrinsic numbers, in the order of every vector and table."""
 
 PAIRS: Final = tuple(combinations(range(3), 2))
 HELD: Final = 0.1
-"""A number depends on limits if it changes by more than this fraction.
+"""A number depends on limits if a change of K that no reading shows changes it by more than this fraction.
 
-The change is due to a change of K, of relative size 1, that no reading shows.
+The change of K has the relative size 1.
 """
 JOINT_LEVEL: Final = 0.95
 

@@ -1,4 +1,4 @@
-"""Estimators with fixed weights, such as the paper's (8) and ordinary least squares."""
+"""Estimators with fixed weights, such as equation (8) of the paper and ordinary least squares."""
 
 from __future__ import annotations
 

@@ -42,9 +42,7 @@ FARTHEST_NOMINAL_RAD: Final = np.radians(1.0)
 
 
 def require_numbers(rows: Readings, *, angles: bool) -> None:
-    """Raise `CalibrationError` for a signal that is overloaded or no number, with `angles` also for an
-    angle.
-    """
+    """Raise `CalibrationError` for a signal that is overloaded or no number; `angles` checks the angles, too."""
     bad = np.asarray(~np.isfinite(rows.signal).all(axis=1))
     if angles:
         bad |= ~np.isfinite(rows.angle_rad)
@@ -257,10 +255,10 @@ PREFIX: Final = 3.0
 NEAR: Final = 0.3
 """Tolerance in log10 (a factor of 2) within which a ratio of sizes counts as a power of 1000."""
 LEAST_SPAN_G: Final = 0.5
-"""Least span of specific force along a channel, g, by which a part of the table shows its signal per g."""
+"""Least span, g, of specific force along a channel for an estimate of the channel's signal per g."""
 PREFIXES: Final = (-2, -1, 0, 1, 2)
 MUCH_BETTER: Final = 1e-4
-"""A part with a hardly moving channel is in another unit if the squared residuals fall to this fraction."""
+"""For a channel that hardly moves, another unit is assumed if it lowers squared residuals to this fraction."""
 CLEARLY: Final = 30.0
 """A row is in another unit if its signal norm is this many times larger or smaller than the median."""
 FITS: Final = 0.02
@@ -370,9 +368,7 @@ def refuse_mixed_units(readings: Readings, model: ForwardModel, nominal: Sequenc
 
 
 def _groupings(readings: Readings) -> Iterator[tuple[str, list[str]]]:
-    """Yield the groupings (none, pass, installation) by which units may differ: name, and label of each
-    row.
-    """
+    """Yield name and label of each row for the groupings by which units may differ: none, pass, installation."""
     yield "", [""] * len(readings)
     yield "pass", [str(number) for number in readings.pass_number]
     yield "installation", [str(label) for label in readings.installation]
@@ -390,7 +386,7 @@ def _powers(signal: Floats, force: Floats, labels: list[str], nominal: Sequence[
     power = np.zeros((len(signal), 3), dtype=np.int64)
     for k, name in enumerate(names):
         told = np.unique(whole[k][known[k]])
-        # a channel that hardly moves in this group follows the others, if they agree
+        # a channel that hardly moves in this group gets the power of the other channels, if these agree
         one = np.where(known[k], whole[k], told[0] if len(told) == 1 else 0.0)
         power[rows[name]] = one.astype(np.int64)
     return power
@@ -460,7 +456,7 @@ def _described(
 def _of_other(readings: Readings, row: int, power: Ints, scaled: Floats, *, everywhere: bool) -> Ints:
     """Return the power of 1000 (3,) for a row that is not oriented.
 
-    With `everywhere` the result is the power of all rows; otherwise the row's signal determines it.
+    With `everywhere` it is the power that all oriented rows share; otherwise the row's own signal determines it.
     """
     if everywhere or readings.installation[row] in {REFERENCE, SHORTED}:
         return power[0] if everywhere else np.zeros(3, dtype=np.int64)

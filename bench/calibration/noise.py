@@ -1,8 +1,8 @@
 """The noise of the readings, estimated from repeats rather than assumed.
 
 A reading is the model plus a setting error, which acts on its three channels along d = du/dphi, plus independent
-noise in each channel with a size of its own. Its covariance is diag(sigma_x^2, sigma_y^2, sigma_z^2) + sigma_phi^2
-d d^T. The sizes maximise the restricted likelihood.
+noise in each channel with a size of its own. The covariance of a reading is diag(sigma_x^2, sigma_y^2, sigma_z^2) +
+sigma_phi^2 d d^T. The sizes maximise the restricted likelihood.
 """
 
 from __future__ import annotations
@@ -313,7 +313,7 @@ def setting_limits(reading: float, setting_rad: float, slope2: float, freedom: f
 
 OF_RESIDUALS: Final = "residuals"
 LEAST_PART: Final = 1e-4
-"""Lower limit of the reading noise from residuals, as a fraction of their size: below it, rounding dominates."""
+"""Lower limit of the reading noise, as a fraction of the residuals from which it is estimated: rounding."""
 MOST_PART: Final = 10.0
 
 
@@ -378,7 +378,7 @@ class LikelihoodResiduals:
         solution = inverse @ whitened[:p, p]
         log_det = self.count * np.log(reading) + np.sum(np.log1p(part / reading))
         log_det -= 2 * np.sum(np.log(np.diag(lower)))
-        # the derivative of log det + misfit is the trace of this matrix times that of the whitened Gram matrix
+        # the derivative of log det + misfit is the trace of this matrix times the derivative of the Gram matrix
         ends = np.append(-solution, 1.0)
         trace = np.outer(ends, ends)
         trace[:p, :p] += inverse

@@ -37,10 +37,10 @@ class DirectionKind(StrEnum):
 class Direction:
     """A null direction: a change of unknowns that no reading shows.
 
-    `members` maps names to changes, in SI and the unit of the signals: angles and effects before
-    coefficients, the largest first. The changes are those for a turn by one radian or, in other directions,
-    for one unit of the first member. `axis` is the axis of a turn, on block axes, up to its sign. `only` is
-    the combination of two angles that the readings do show ("sum" or "difference"), else empty.
+    `members` maps names to changes, in SI and the unit of the signals: angles and effects before coefficients, the
+    largest first. The changes belong to a turn by one radian or, in other directions, to one unit of the first
+    member. `axis` is the axis of a turn, on block axes, up to its sign. `only` is the combination of two angles
+    that the readings do show ("sum" or "difference"), else empty.
     """
 
     kind: DirectionKind
@@ -162,7 +162,7 @@ class _Directions:
     def _sparse(self, basis: Floats) -> list[Floats]:
         """Return a basis of the same space: each vector has an unknown of its own, zero in all other vectors.
 
-        Its own unknown is a coefficient only if no stand angle or effect can be chosen.
+        A coefficient is chosen as this unknown only if no stand angle or effect can be.
         """
         vectors = basis.copy()
         free = np.ones(len(vectors), dtype=bool)
@@ -179,9 +179,7 @@ class _Directions:
         return list(vectors.T)
 
     def _direction(self, kind: DirectionKind, vector: Floats) -> Direction:
-        """Return the direction `vector` by names: stand angles, then effects, then coefficients, each largest
-        first.
-        """
+        """Return a vector as a direction: stand angles, then effects, then coefficients, each largest first."""
         weight = np.abs(vector)
         weight[weight < _NOTHING * weight.max()] = 0.0
         change = vector / self._length
@@ -295,7 +293,7 @@ def with_angles(problem: Problem, names: Collection[str]) -> Problem:
 
 @dataclass(frozen=True)
 class Sensitivities:
-    """Derivatives of signals by unknowns: `rows` (m, p), one row per signal, in its unit per SI unit.
+    """Derivatives of signals by unknowns: `rows` (m, p), one row per signal, in the signal's unit per SI unit.
 
     `names` (p,) are the unknowns.
     """
@@ -313,7 +311,7 @@ class Sensitivities:
         return Sensitivities(self.rows[:, kept], tuple(self.names[j] for j in kept))
 
     def observability(self, block: Block) -> Observability:
-        """Return the observability from these rows; `block` gives the coefficients changed by a turn."""
+        """Return the observability from these rows; `block` determines how a turn changes the coefficients."""
         length = np.linalg.norm(self.rows, axis=0)
         seen = length > _NO_COLUMN * max(float(length.max()), 1e-300)
         length = np.where(seen, length, 1.0)
@@ -470,7 +468,7 @@ def _absent(
     parts = []
     for installation in dict.fromkeys(mount.installation for mount in mounts):
         own = [mount for mount in mounts if mount.installation == installation]
-        # the modulus does not depend on the stand's angles: the rows behind those of the gain stay as they are
+        # the modulus does not depend on the stand's angles: its rows, after those of the gain, do not change
         shifts = [columns.of(f"{SYMBOLS[name]}[{mount}]")[: oriented.shape[1]] * ARCSEC for mount in own]
         change = max((oriented @ shift for shift in shifts), key=lambda one: float(np.max(np.abs(one))))
         largest = float(np.max(np.abs(change)))

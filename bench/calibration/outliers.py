@@ -27,11 +27,13 @@ from bench.readings.table import Readings
 LEVEL: Final = 0.01
 """Probability of finding an outlier in readings without outliers."""
 QUIET: Final = 3.0
-"""Least studentised residual that begins a search for several outliers: even masked ones leave as much."""
+"""Least studentised residual that begins a search for several outliers: even outliers that mask each other reach
+it.
+"""
 LOUD: Final = 3.8
-"""Least studentised residual that begins a search for one outlier, which hardly inflates the noise."""
+"""Least studentised residual that begins a search for one outlier; a single outlier hardly inflates the noise."""
 PLAINER: Final = 1.05
-"""A setting is a candidate only if its residual exceeds those of its signals by this factor."""
+"""A setting is a candidate only if its residual is more than this factor times that of each of its signals."""
 LEAST_PART: Final = 1e-6
 """A signal is no candidate if the fit absorbs all but this fraction of the variance of its shift."""
 
@@ -128,7 +130,7 @@ def listed(fit: Fit, chosen: FittedRows) -> tuple[Outlier, ...]:
                 pass_number=int(table.pass_number[shift.row]),
                 point=int(table.point[shift.row]),
                 channel=channel or "xyz"[shift.channel],
-                # the row of a modulus is 1 - |a|: what is too large there is too small in |a|
+                # the row of a modulus is 1 - |a|: an error of |a| has the opposite sign
                 size=float(-size if free else size / per),
                 unit=unit,
                 sigma=float(abs(size) / u),

@@ -115,7 +115,7 @@ class Noise:
 
     @property
     def by_channel(self) -> Floats:
-        """Sizes in x, y and z, shape (3,): all `reading` if the channels do not differ."""
+        """Sizes of the noise in x, y and z, shape (3,); each equals `reading` if the channels do not differ."""
         return np.full(3, self.reading) if self.channels is None else np.array(self.channels)
 
     @property
@@ -192,8 +192,8 @@ class Outlier:
     """A signal that contradicts the model and the other readings; it keeps its place in the record.
 
     `row` counts the rows of the table from 1. `channel` is x, y, z, "head" for a wrong setting of the head, or
-    "modulus" for a free position. `size` is the error in `unit`, `sigma` this error over its standard uncertainty,
-    `weight` the remaining weight of the signal in the fit.
+    "modulus" for a free position. `size` is the error in `unit`, `sigma` this error divided by its u, and `weight`
+    the weight that the signal keeps in the fit.
     """
 
     row: int
@@ -366,7 +366,7 @@ class Calibration(HasCovariance):
 INVERSE: Final = (
     "Nxx", "Nxy", "Nxz", "Nyx", "Nyy", "Nyz", "Nzx", "Nzy", "Nzz", "U0x", "U0y", "U0z",
 )  # fmt: skip
-"""Names of the twelve numbers of a = N (U - U0), in the order of all vectors and tables of them."""
+"""Names of the twelve numbers of a = N (U - U0), in the order of every vector and table."""
 
 MISALIGNMENTS: Final = {
     "alpha_yx": ("Kxy", "Kxx", 1.0),

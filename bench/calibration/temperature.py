@@ -205,8 +205,8 @@ class ThermalHysteresis(HasCovariance):
     def scatter(self) -> Floats:
         """Covariance (12, 12) of the coefficients if the branch is unknown.
 
-        The coefficients then deviate by half the hysteresis in either direction, after the part that noise
-        alone explains (chi-square of twelve) is subtracted.
+        The coefficients then deviate by half the hysteresis in either direction. The part of the hysteresis that
+        noise alone explains (chi-square of twelve) is subtracted first.
         """
         chi2 = float(self.size @ np.linalg.solve(self.covariance, self.size))
         real = max(1.0 - len(self.size) / chi2, 0.0) if chi2 > 0 else 0.0
@@ -233,10 +233,10 @@ class TemperatureModel:
     Coefficient j at temperature T is the sum over d of `values[j, d]` (T - `reference_c`)^d.
 
     `values` (12, D + 1) are in unit/g/K^d and unit/K^d; those above the degree in `degrees` (12,) are zero.
-    `covariance` (12 (D + 1), 12 (D + 1)) is that of `values` row after row; it includes the uncertainty due to
-    omitted terms. The model is valid from `minimum_c` to `maximum_c`. `fitted` is the test of the fit against the
-    noise. `curve` is the test of the polynomials against coefficients that are free at each plateau (None if a
-    plateau alone does not determine them).
+    `covariance` (12 (D + 1), 12 (D + 1)) is the covariance of `values`, row after row; it includes the uncertainty
+    due to omitted terms. The model is valid from `minimum_c` to `maximum_c`. `fitted` is the test of the fit
+    against the noise. `curve` is the test of the polynomials against coefficients that are free at each plateau
+    (None if a plateau alone does not determine them).
     """
 
     unit: str
@@ -346,7 +346,7 @@ class TableError:
 
 @dataclass(frozen=True)
 class CompensationTable:
-    """A compensation table: `entries` (nodes, 12) are N (1/(unit/g)) and U0 (unit) at `first_c` + k `step_k`."""
+    """A compensation table: `entries` (nodes, 12) are N (g/unit) and U0 (unit) at `first_c` + k `step_k`."""
 
     first_c: float
     step_k: float
@@ -433,7 +433,7 @@ def _table(model: TemperatureModel, reach_g: float, steps: int) -> CompensationT
 def _by_steps(
     model: TemperatureModel, nodes_c: Floats, exact: Floats, between: Floats
 ) -> tuple[float, float, Floats]:
-    """Return the largest interpolation errors of the force: at 0 g (g), and per |a| (g/g); and the entries.
+    """Return the largest interpolation error of the force at 0 g, in g, its increase per g of |a|, and the entries.
 
     `exact` (n, 12) are the entries of N and U0 at the nodes (n,), °C; the returned entries (m, 12) are
     interpolated at the temperatures `between` (m,), °C. The errors are those of one component of the force;

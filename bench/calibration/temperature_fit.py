@@ -40,7 +40,7 @@ from bench.model.geometry import Block, linear_columns
 from bench.readings.table import Readings
 
 WEAKEST: Final = 1e-3
-"""Terms are determined if the ratio of extreme singular values of their unit columns is above this."""
+"""Terms are determined if the least singular value of their unit columns exceeds this part of the largest."""
 
 
 @dataclass(frozen=True)
@@ -205,10 +205,10 @@ NEXT: Final = 2
 
 @dataclass(frozen=True)
 class DegreeChoice:
-    """The chosen `degrees` (12,), and `doubts` (2, 12, D + 1): how the terms change if one more is kept.
+    """The chosen `degrees` (12,), and `doubts` (2, 12, D + 1): the changes of all terms if one more term is kept.
 
-    The one more is the next even power of temperature at the first index 0, the next odd power at 1. The
-    changes are zero if no term was dropped.
+    `doubts[0]` keeps the next even power of temperature, `doubts[1]` the next odd power. The changes are zero if no
+    term was dropped.
     """
 
     degrees: Ints
@@ -312,11 +312,11 @@ def temperature_model(
 ) -> TemperatureModel:
     """Fit the twelve coefficients as polynomials in temperature to the readings of all tables.
 
-    `stand_u` is as for `calibrate`. Without `degree` each coefficient has its own: starting at the highest that the
-    temperatures allow, the highest term is dropped as long as an F test finds it insignificant (p > 0.05). The
-    covariance includes the uncertainty due to dropped terms. Raises `CalibrationError` if the model has effects, if
-    a temperature is missing, if there are fewer than two, if they do not determine the polynomials, or if the
-    reference is outside their range.
+    `stand_u` is as for `calibrate`. Without `degree` each coefficient has a degree of its own. It is at first the
+    highest that the temperatures allow; the highest term is dropped as long as an F test finds it insignificant (p
+    > 0.05). The covariance includes the uncertainty due to dropped terms. Raises `CalibrationError` if the model
+    has effects, a row has no temperature, the temperatures are fewer than two or do not determine the polynomials,
+    or the reference is outside their range.
     """
     body = _body(tables, model, stand_u, reference_c)
     highest, by_side = _highest(body, degree)

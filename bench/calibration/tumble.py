@@ -50,7 +50,7 @@ HOMES: Final = {
 """The effect of each nonlinear term, in the order of requested terms; K0p and K1p stand for K0' and K1'."""
 
 AS_PARAMETER: Final = {"K1p": ("Kabs", 0.5)}
-"""Terms that are another parameter of their effect, times a factor: (K1'/2) |a_i| = Kabs |a_i|."""
+"""Terms whose effect has another parameter: its name, and the factor from term to parameter, Kabs = K1'/2."""
 
 DEFAULT: Final = ("K2", "K3", "Koq")
 
@@ -152,7 +152,9 @@ def separable(force: Floats, channel: int, terms: Sequence[str], conditions: Con
 NO_PRIOR: Final = 1.0
 """Prior standard deviation of a term, g/g^n: far beyond any plausible size, so that the data decide."""
 OPEN_AT_1_G: Final = 1e-2
-"""Prior in place of `NO_PRIOR` if points above 1 g follow: 500 plausible sizes condition their fit well."""
+"""Prior in place of `NO_PRIOR` if points above 1 g follow: 500 plausible sizes, which keeps their fit well
+conditioned.
+"""
 K: Final = 2.0
 """Coverage factor of U."""
 MOVES: Final = 0.01

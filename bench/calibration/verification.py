@@ -28,7 +28,7 @@ from bench.model.geometry import Block, modulus_slopes
 from bench.readings.table import Readings
 
 HIGHEST_CONDITION: Final = 1e8
-"""Condition number of K above which its inverse is noise: a real block has one near 1."""
+"""Condition number above which the inverse of K is mere noise; that of a real block is near 1."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class VerificationPoint:
 class LimitToPass:
     """Two changes, each of which would make a verification pass: another limit of |delta g|, or another u.
 
-    `limit_g` is that limit, g; `u_times` is the factor on u, None if none suffices. `point` exceeds its
+    `limit_g` is that limit, g; `u_times` is the factor on u, None if no factor suffices. `point` exceeds its
     acceptance limit most.
     """
 
@@ -105,10 +105,10 @@ def _bisected(passes: Callable[[float], bool], good: float, bad: float) -> float
 class Verification:
     """The verdict: |delta g| within the limit, by the decision rule, at every verification point.
 
-    `missing` counts points that were planned or recorded but could not be judged; with one missing nothing is
-    accepted, since (10) applies to every point. `covariance` (n, n) is the covariance of delta g at the points;
-    `contributions` are the parts of this covariance by name. `population` is the prior distribution of delta g,
-    over many blocks.
+    `missing` counts points that were planned or recorded but could not be judged; if one is missing, nothing is
+    accepted, since equation (10) applies to every point. `covariance` (n, n) is the covariance of delta g at the
+    points; `contributions` are the parts of this covariance by name. `population` is the prior distribution of
+    delta g, over many blocks.
     """
 
     limit_g: float
@@ -192,7 +192,7 @@ class Verification:
     def to_pass(self) -> LimitToPass | None:
         """The limit, or the u, with which the verification would pass, all else equal.
 
-        None if it passes or points are missing.
+        None if the verification passes or lacks points.
         """
         if self.passed or self.missing:
             return None

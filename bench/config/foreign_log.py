@@ -64,8 +64,8 @@ class LogColumn(FileModel):
 class LogColumns(FileModel):
     """A mapping from the columns of a log to those of a readings file.
 
-    `time_format` is that of `strptime`, or `iso`. Lines that begin with `comment` are skipped. `constants` maps
-    columns of the readings file to cells that are the same in every row.
+    `time_format` is a format for `strptime`, or `iso`. Lines that begin with `comment` are skipped. `constants`
+    maps columns of the readings file to cells that are the same in every row.
     """
 
     log_columns: Literal["1"]

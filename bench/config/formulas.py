@@ -58,17 +58,17 @@ class _DimensionReading:
         self._known = known
 
     def number(self, value: float, unit: str) -> tuple[float | None, Dimension]:
-        """Return the value of a literal; its number is None if it has a unit."""
+        """Return (number, dimension) of a literal; the number is None for a literal with a unit."""
         return (None if unit else value), unit_of(unit)[1]
 
     def name(self, name: str) -> tuple[float | None, Dimension]:
-        """Return the value of a variable or parameter; its number is None."""
+        """Return (None, dimension) of a variable or parameter."""
         return None, self._known[name]
 
     def operation(
         self, symbol: str, left: tuple[float | None, Dimension], right: tuple[float | None, Dimension]
     ) -> tuple[float | None, Dimension]:
-        """Return the value of a binary operation. Raises `ExpressionError` for incompatible dimensions."""
+        """Return (number, dimension) of the result. Raises `ExpressionError` for incompatible dimensions."""
         of_left, of_right = left[1], right[1]
         if symbol == "*":
             both = None if left[0] is None or right[0] is None else left[0] * right[0]
@@ -99,7 +99,7 @@ class _DimensionReading:
     def call(
         self, name: str, arguments: list[tuple[float | None, Dimension]]
     ) -> tuple[float | None, Dimension]:
-        """Return the value of a function call. Raises `ExpressionError` for arguments of a wrong dimension."""
+        """Return (number, dimension) of the result. Raises `ExpressionError` for arguments of a wrong dimension."""
         of_first = arguments[0][1]
         match name:
             case "abs":
@@ -398,7 +398,7 @@ def _written_parameter(parameter: Parameter) -> Mapping[str, Any]:
 
 
 def _exact(si: float, unit: float) -> float:
-    """Return the number of units with the fewest digits that converts back to exactly the same SI value."""
+    """Return `si` divided by the size `unit`, with the fewest digits that convert back to exactly `si`."""
     plain = si / unit
     near = (float(f"{plain:.{digits}g}") for digits in range(1, 18))
     return next((number for number in near if number * unit == si), plain)

@@ -160,9 +160,7 @@ def load_model(path: Path, installations: Collection[str] = ()) -> ModelFile:
 def mistakes_with_formulas(
     data: Any, installations: Collection[str] = (), place: Place = ()
 ) -> Iterator[tuple[Place, str]]:
-    """Yield place and text of the mistakes in `formulas`, `effects` and `left_open` of the section `data`, at
-    `place`.
-    """
+    """Yield place and text of the mistakes in `formulas`, `effects` and `left_open` of the section at `place`."""
     wrong = list(formula_mistakes(part(data, "formulas"), (*place, "formulas")))
     yield from wrong
     if wrong:
@@ -363,7 +361,7 @@ def write_model_file(
 
 
 def written_effects(effects: Sequence[AppliedEffect]) -> dict[str, Any]:
-    """Return the keys `effects`, and where needed `formulas` and `left_open`, as written in a file."""
+    """Return what a file states of these effects: the keys `effects` and, where needed, `formulas`, `left_open`."""
     content: dict[str, Any] = {}
     formulas = written_formulas(applied.effect for applied in effects)
     if formulas:
@@ -393,7 +391,7 @@ def _written_left_open(applied: AppliedEffect) -> dict[str, Any]:
 
 
 def _said_of_open(effect: InPart, times: float, u: float) -> str:
-    """Return the description of an entry of `left_open`, which lists the changes multiplied by `times` ± `u`."""
+    """Return in words what an entry of `left_open` states: the sizes of its parts, multiplied by `times` ± `u`."""
     listed = []
     for one in effect.parts:
         sizes = [
@@ -450,7 +448,7 @@ def _written_value(parameter: Parameter, value: Any, u: Any) -> str | dict[str, 
 
 UNNAMED: Final = "unnamed_"
 WIDENED: Final = ("tau", "lag")
-"""Shape parameters whose grid in a named effect also has half and twice the value found."""
+"""Shape parameters whose grid, in a named effect, is half the value found, this value and twice this value."""
 
 
 @dataclass(frozen=True)
@@ -503,7 +501,7 @@ def _joined(
         renamed = _new_names(formula, parameters, number if len(chosen) > 1 else 0)
         expressions.append(_with_names(formula.expression, renamed))
         complete = applied.complete_values()
-        # the phase of a wave is arbitrary: each of its sizes may become as large as the largest of them
+        # the phase of a wave is arbitrary: any of its sizes may become as large as the largest
         largest = max(float(np.max(np.abs(complete[p.name]))) for p in formula.parameters if not p.is_shape)
         for parameter in formula.parameters:
             new = renamed[parameter.name]

@@ -24,12 +24,12 @@ def shipped_folder(kind: str) -> Path:
 
 
 def find_procedure(name: str) -> Path:
-    """Return the path of a procedure, by path or shipped name. Raises `FileMistakes` for an unknown one."""
+    """Return the path of a procedure, by path or shipped name. Raises `FileMistakes` for an unknown name."""
     return _find(name, PROCEDURES, "procedure")
 
 
 def find_bench(name: str) -> Path:
-    """Return the path of a bench file, by path or shipped name. Raises `FileMistakes` for an unknown one."""
+    """Return the path of a bench file, by path or shipped name. Raises `FileMistakes` for an unknown name."""
     return _find(name, CONFIG, "bench file")
 
 

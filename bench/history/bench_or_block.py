@@ -34,9 +34,9 @@ FLAT: Final = 1e3
 class Allotment:
     """A Hausman test of the hypothesis that units were assigned to benches at random: `chi2` with `dof`.
 
-    It compares two estimates of the differences between benches. One uses differences within units only; the
-    other also uses the means of units. Only the second estimate is biased by a bench that measures units
-    unlike those of other benches. Source: J. A. Hausman, Econometrica 46 (1978) 1251.
+    The test compares two estimates of the differences between benches. One uses differences within units only; the
+    other also uses the means of units. Only the second estimate is biased by a bench that measures units unlike
+    those of other benches. Source: J. A. Hausman, Econometrica 46 (1978) 1251.
     """
 
     chi2: float
@@ -70,7 +70,7 @@ SHOWN_P: Final = 0.05
 ALLOTTED_P: Final = 0.01
 LITTLE_SCATTER_P: Final = 0.01
 WELL_KNOWN: Final = 0.15
-"""Below this relative u, a size's upper limit is value + 1.645 u; above, it is by profile likelihood."""
+"""Below this relative u, a size's upper limit is value + 1.645 u; above it, the limit is by profile likelihood."""
 ONE_SIDED: Final = 1.645
 
 
@@ -116,7 +116,7 @@ class Sizes:
 
     @property
     def shares(self) -> dict[str, float]:
-        """Each component's fraction of the variance of one calibration about the mean of its type."""
+        """Each component's fraction of the variance of one calibration about the mean of the unit's type."""
         squares = {
             "unit": self.unit.value**2,
             "bench": self.bench.value**2,
@@ -131,8 +131,8 @@ class Sizes:
 class OutlyingEffect:
     """A unit or bench with an outlying effect on one coefficient.
 
-    `effect` is the difference from the mean of its set of benches, or of its type. `p_all_looks` is Holm's
-    p-value, adjusted for all effects examined.
+    `effect` is the difference of a bench from the mean of its connected set, or of a unit from the mean of its
+    type. `p_all_looks` is Holm's p-value, adjusted for all effects examined.
     """
 
     name: str

@@ -34,7 +34,7 @@ LEAST_DAYS: Final = 180
 
 
 LEAST_RUNS: Final = 3
-"""Least number of runs of a unit that show its drift."""
+"""Least number of runs of a unit from which its drift is estimated."""
 
 
 YEAR: Final = np.timedelta64(31_557_600, "s")

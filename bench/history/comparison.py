@@ -102,7 +102,7 @@ class Snapshot:
 
     @property
     def _wander_from_start(self) -> Floats:
-        """The covariance (12, 12) of the wander of the biases between the mean of the run and its start.
+        """The covariance (12, 12) of how far the biases wander between the start of the run and their mean over it.
 
         For a random walk with rms s about its mean over a run, this wander has the standard deviation sqrt(2) s.
         """
@@ -199,7 +199,7 @@ class InNumbers:
 
     @property
     def shown(self) -> tuple[str, ...]:
-        """The names of the numbers that changed in any calibration, each tested alone."""
+        """The names of the numbers that changed significantly in any calibration, each number tested alone."""
         some = np.any([one.changed for one in self.changes], axis=0)
         return tuple(np.array(self.names)[some].tolist())
 
@@ -384,7 +384,7 @@ def _on_meters(snapshots: Sequence[Snapshot]) -> str:
 
 
 def _drifted(first: Snapshot, later: Snapshot) -> float:
-    """Return the fraction of the meters' limits by which they may differ between two calibrations, 0 to 1."""
+    """Return the part (0 to 1) of the meters' limits by which their errors may differ between two calibrations."""
     return drifted((first.meters, first.when), (later.meters, later.when))
 
 
@@ -432,7 +432,9 @@ class Joint:
     block: Ints
 
     def of_sums(self, weights: Floats) -> Floats:
-        """Return the covariance (12, 12) of sums over calibrations, for weights (12, n) by coefficient."""
+        """Return the covariance (12, 12) of weighted sums over calibrations; `weights` (12, n), a row per
+        coefficient.
+        """
         found = np.einsum("kn,ln,nkl->kl", weights, weights, self.own, optimize=True)
         meters = weights.T[:, :, None] * self.meters
         n, size, _ = meters.shape
@@ -466,7 +468,7 @@ def joint_of(snapshots: Sequence[Snapshot]) -> Joint:
 
 
 def _meter_correlation(first: Snapshot, other: Snapshot) -> float:
-    """Return the correlation of the meters' errors, by whole days: 1 within a day, 0 for different meters."""
+    """Return the correlation of the meters' errors after whole days: 1 within a day, 0 for different meters."""
     if not first.meters or first.meters != other.meters or first.when is None or other.when is None:
         return 0.0
     apart = abs(_day(first.when) - _day(other.when))

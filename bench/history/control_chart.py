@@ -61,7 +61,7 @@ def reasons_of(chart: ControlChart, row: int) -> tuple[str, ...]:
 
 
 def _which(chart: ControlChart, z: Floats, limit: float) -> str:
-    """Return the numbers beyond `limit` in words, farthest first; if none is, the farthest number."""
+    """Return in words the numbers whose `z` is beyond `limit`, farthest first; if none is, the farthest number."""
     order = np.argsort(-np.abs(z))
     beyond = [k for k in order if abs(z[k]) > limit]
     named = [f"{chart.names[k]} {z[k]:+.1f} u".replace("-", MINUS) for k in order]
@@ -153,12 +153,12 @@ LEAST_SPAN_YEARS = 7.0 / 365.25
 class CheckRun:
     """A calibration of the check block: `value` (12,), and `covariance` (12, 12) of errors that vary by run.
 
-    `noise` (12,) is the part of u due to reading noise. `s` is the short-term standard deviation of a
-    reading, with `s_dof` degrees of freedom. Runs with the same `design` (plan) have equal covariances,
-    except by chance. `meters` are the identities of the voltmeters; `of_meters` (12, 12) is the covariance
-    due to the limits of the voltmeters; it counts if they were replaced. `lasting` (12, 12) is the covariance
-    of all other errors that do not vary from run to run. `names` are the names of the values if these are
-    neither the twelve coefficients nor the nine intrinsic numbers.
+    `noise` (12,) is the part of u due to reading noise. `s` is the short-term standard deviation of a reading, with
+    `s_dof` degrees of freedom. Runs with the same `design` (plan) have equal covariances, except by chance.
+    `meters` are the identities of the voltmeters; `of_meters` (12, 12) is the covariance due to the limits of the
+    voltmeters, which counts if these were replaced. `lasting` (12, 12) is the covariance of all other errors that
+    do not vary from run to run. `names` are the names of the values if these are neither the twelve coefficients
+    nor the nine intrinsic numbers.
     """
 
     name: str
@@ -266,9 +266,9 @@ class ControlChart:
         """Return the expected values of a further run at the time `when`, and the covariance of deviations.
 
         Both have one entry per number of the block, in the order of `names`: shapes (m,) and (m, m). The expected
-        values are the centre of the chart plus the known drift since `begun`, plus the further drift that the runs
-        show wherever that is significant. The covariance is the sum of three parts: of the centre, between runs,
-        and of the drift. The standard uncertainty of the drift grows in proportion to the time since `begun`.
+        values are the centre of the chart plus the known drift since `begun`, plus any further drift that the runs
+        show significantly. The covariance is the sum of three parts: of the centre, between runs, and of the drift.
+        The standard uncertainty of the drift grows in proportion to the time since `begun`.
         """
         years = (when.timestamp() - self.begun) / SECONDS_PER_YEAR
         lines, value = _Lines(self.begun, self.known), self.centre.value
@@ -370,7 +370,7 @@ def control_chart(
 
 
 class _Pooled:
-    """Covariances by design, pooled over its baseline runs or, if there are none, over its later runs."""
+    """The covariance of each design of run, pooled over its baseline runs or, if there are none, its later runs."""
 
     def __init__(self, baseline: Sequence[CheckRun], later: Sequence[CheckRun]) -> None:
         self._by_design: dict[str, Floats] = {}
@@ -503,8 +503,8 @@ def _drift(
 ) -> DriftSeen | None:
     """Return the drift of the baseline and accepted runs in excess of the known drift.
 
-    Its u includes that of the known drift. The result is None if the runs are too few, their time span is too
-    short, or their meters differ.
+    The u of the result includes the u of the known drift. The result is None if the runs are too few, their time
+    span is too short, or their meters differ.
     """
     kept = [run for run, p in zip(later, shewhart.p_joint, strict=True) if p >= design.alpha]
     runs = [*baseline, *kept]

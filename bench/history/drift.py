@@ -32,7 +32,7 @@ PRIOR_WIDTH: Final = (1.0, 4.0)
 The prior of the walk is wider, because the fitted line absorbs part of a walk.
 """
 FORGOTTEN: Final = 12.0
-"""Grid points are discarded if their log density is less than the maximum minus this."""
+"""Grid points are discarded if their log density is more than this below the maximum."""
 LEVEL: Final = 0.95
 PRODUCTS: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """Index pairs of products: 0 stands for the values, 1 for the level and 2 for the rate of a line."""
@@ -70,8 +70,8 @@ class UnitDrift:
     def predicted(self, date: np.datetime64 | Dates) -> tuple[Floats, Floats]:
         """Return the expected values at dates (…) and their standard uncertainties, (…, 12) each.
 
-        u is that of the result of an error-free calibration on the date, and so includes the scatter between
-        calibrations. Raises `CalibrationError` for a date before the last calibration.
+        The u is for the result of a calibration on the date without errors of its own; it includes the scatter
+        between calibrations. Raises `CalibrationError` for a date before the last calibration.
         """
         days = np.asarray(date, dtype="datetime64[s]")
         years = (days - self.first.astype("datetime64[s]")).astype(float).ravel() / SECONDS_PER_YEAR
@@ -110,8 +110,8 @@ class States:
     def _prediction(self) -> tuple[Floats, Floats]:
         """Coefficients of polynomials in years since the last calibration: mean (2, 12), variance (3, 12).
 
-        They average over all pairs of variances. For each pair the mean is linear and its variance quadratic
-        in time.
+        The polynomials are averages over all pairs of variances. For each pair the mean is linear and its variance
+        quadratic in time.
         """
         at = np.stack([1.0 - self.columns[..., 0], self.last_year - self.columns[..., 1]], axis=-1)
         slope = self.line[..., 1]
@@ -158,7 +158,7 @@ class OfUnit:
 def drift_of_unit(measured: ComparedCalibrations) -> OfUnit:
     """Return the drift of a table's only unit.
 
-    Raises `CalibrationError` as `unit_drift` does, and for several units.
+    Raises `CalibrationError` for a table of several units, and as `unit_drift` does.
     """
     units, benches = (sorted(set(labels.tolist())) for labels in (measured.unit, measured.bench))
     if len(units) > 1:
@@ -291,7 +291,8 @@ class _History:
         """Run the Kalman filter of the walk on the values and on the columns of the line, for variances (12, m).
 
         Return the sums of squares and products of whitened innovations (12, m, 3, 3), the sum of the logarithms of
-        their variances (12, m), the filtered walk of each (12, m, 3), and its variance (12, m).
+        their variances (12, m), the filtered walks of values and columns (12, m, 3), and the variance of a walk
+        (12, m).
         """
         # component by component: arrays (12, m) that stay in the processor's cache
         walked = [np.zeros_like(tau) for _ in range(3)]
@@ -318,7 +319,9 @@ class _History:
 
 
 def _within(nodes: Floats, density: Floats) -> tuple[Floats, Floats]:
-    """Return the lowest and highest relevant nodes, (2, 12) each, extended by one node on either side."""
+    """Return the lowest and the highest node of relevant density, (2, 12) each, extended by one node on either
+    side.
+    """
     top = density.max(axis=(1, 2), keepdims=True)
     counts = density > top - FORGOTTEN
     ends: list[Floats] = []
@@ -349,7 +352,7 @@ DAY: Final = np.timedelta64(1, "D")
 class Due:
     """The due date of a block's next calibration, with its `basis` ("drift" or "interval") and the reason `why`.
 
-    `predicted_g` is the expanded error expected on that day, and `now_g` on the day of the last calibration, in
+    `predicted_g` is the expanded error expected on the due date, and `now_g` on the day of the last calibration, in
     local g; both are None if the basis is the interval. `count` is the number of calibrations; `last` is the time
     of the last calibration.
     """
@@ -380,7 +383,7 @@ def due(
     `covariance` (n, 12, 12) are the stated covariances. `u_meters` (n, 12) is the part of u that recurs with the
     same meters; None if the meters differ. `limit_g` is the permitted error, in g, of a measurement of 1 g in any
     direction. If the history is too short to show drift, `interval_days` determines the date. Raises
-    `CalibrationError` if there is no calibration, or if K of the last one is singular.
+    `CalibrationError` if there is no calibration, or if K of the last calibration is singular.
     """
     if len(when) == 0:
         raise CalibrationError("no calibration has a date, so no due date is known; add dates to the runs")

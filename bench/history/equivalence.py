@@ -54,7 +54,7 @@ class Participants:
 
     @cached_property
     def between_dof(self) -> int:
-        """Degrees of freedom between benches: the number of benches minus that of their connected sets."""
+        """Degrees of freedom between benches: the number of benches minus the number of connected sets."""
         both = np.linalg.matrix_rank(np.concatenate([self.Z_unit, self.Z_bench], axis=1))
         return int(both) - int(self.unit.max()) - 1
 
@@ -313,9 +313,9 @@ def compare_benches(
 ) -> BenchComparison:
     """Return the comparison of benches by their calibrations of common units.
 
-    `there` holds the snapshots of the n calibrations, per g of `STANDARD_GRAVITY`. They supply the errors that
-    calibrations share (of the meters, and K2 and K3 of a block). Raises `CalibrationError` if no common unit links
-    the benches.
+    `there` holds the snapshots of the n calibrations, per g of `STANDARD_GRAVITY`. The snapshots supply the errors
+    that calibrations share (of the meters, and K2 and K3 of a block). Raises `CalibrationError` if no common unit
+    links the benches.
     """
     (units, unit), (benches, bench) = coded(measured.unit), coded(measured.bench)
     days = int((measured.when.max() - measured.when.min()) / np.timedelta64(1, "D"))
@@ -375,7 +375,7 @@ LEAST_LABORATORIES: Final = 3
 
 @dataclass(frozen=True)
 class LaboratoryJudged:
-    """A laboratory's m numbers against the Mandel-Paule consensus of all others.
+    """A laboratory's m numbers compared with the Mandel-Paule consensus of all others.
 
     `difference` (m,) is the laboratory's value minus the consensus. Its standard uncertainty `u` (m,) combines the
     laboratory's stated u with the u of the consensus, which includes the `dark` uncertainty (m,) of the others.
@@ -422,7 +422,7 @@ class Drift:
 
 
 def transport_dark(drifts: Sequence[Drift], names: Sequence[str]) -> Floats:
-    """Return the scatter beyond u, (m,), 1 sigma, of each number of a travelling unit from stop to stop.
+    """Return how far each number of a travelling unit scatters from stop to stop in excess of u, (m,), 1 sigma.
 
     It is the Mandel-Paule solution for changes with the variance u^2 + 2 dark^2, and 0 for changes within u. If
     no change is significant after Holm's correction, it is 0 for all numbers: the scatter of a few returns must

@@ -243,7 +243,7 @@ class MeterRun:
 
 
 def lengths_and_biases(coefficients: Floats) -> tuple[Floats, Floats]:
-    """Return ln |row| of K and bias over |row| by channel, (6,), and derivatives (6, 12) by the coefficients."""
+    """Return ln |row| of K and bias divided by |row|, by channel, (6,), and derivatives (6, 12) by coefficients."""
     rows, bias = coefficients[:9].reshape(3, 3), coefficients[9:]
     length = np.linalg.norm(rows, axis=1)
     slope = np.zeros((6, 12))

@@ -188,7 +188,7 @@ def observed_information(body: RunSums, theta: Floats, beliefs: Beliefs) -> Floa
 NAMED_P: Final = 0.01
 """Significance level of a contradicting run, for all runs together."""
 LOOKED_AT_P: Final = 0.1
-"""Only if a run's preliminary p-value is below this are the variances estimated again without the run."""
+"""If a run's preliminary p-value is below this, the variances are estimated again without the run."""
 MOST_PART: Final = 1 / 3
 """The largest fraction of runs left out; if more contradict, the runs do not share one state of the bench."""
 ANGLES: Final = "its angles of the stand"
@@ -246,7 +246,7 @@ def _angle_test(
 
 
 def _fit(body: RunSums, means: Floats) -> list[Contradiction]:
-    """Return tests of each run's lack of fit, after the head's harmonics, against that of the other runs."""
+    """Test each run's lack of fit, without the part due to the head's harmonics, against that of the other runs."""
     waves = means[len(means) - body.waves :]
     c = body.columns
     H = slice(c, c + body.waves)
@@ -332,14 +332,14 @@ LEAST_RUNS: Final = 2
 SHOWN: Final = 0.1
 """An angle is visible in a run that gives at least this fraction of the stated information on it."""
 ALIKE: Final = 0.9
-"""The cosine between the effects of two angles beyond which they cannot be separated."""
+"""Two angles are inseparable if the cosine between their effects exceeds this."""
 HELD_CENTRE: Final = 0.5
 HELD_SPREAD: Final = 1 / np.sqrt(12.0)
 """Prior mean and standard deviation of an undetermined remount variance: uniform from 0 to the stated variance."""
 MEANS_OF_HELD: Final = 1.0 / HELD_CENTRE
-"""Precision of an angle's mean if its remount variance is undetermined: their variances sum to the stated."""
+"""Precision of an angle's mean if the remount variance is undetermined: both share the stated variance."""
 HALF_ITSELF: Final = 0.5
-"""A variance is undetermined if its u exceeds both this fraction of it and the u of its prior."""
+"""A variance is undetermined if its u exceeds this fraction of the variance, and also the u of the prior."""
 
 
 def learn(

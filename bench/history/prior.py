@@ -1,10 +1,10 @@
 """A prior for an unmeasured unit from calibrated units of its type, and its combination with a calibration.
 
-The means of units scatter by the variation between units and by calibration errors. The covariance between
-units is the covariance of the means minus that of the calibration errors. Its correlations are shrunk, the
-more the fewer the units, and its variances are enlarged for their finite degrees of freedom. Errors that no
-repetition reveals (of a bench or its meters) are included in the uncertainty of the mean. Sources: J.
-Schäfer, K. Strimmer, Stat. Appl. Genet. Mol. Biol. 4 (2005) 32 (shrinkage); JCGM 101:2008, 6.4.9.4.
+The means of units scatter by the variation between units and by calibration errors. The covariance between units is
+the covariance of the means minus that of the calibration errors. Its correlations are shrunk, the more strongly the
+fewer the units; its variances are enlarged for their finite degrees of freedom. Errors that no repetition reveals
+(of a bench or its meters) are included in the uncertainty of the mean. Sources: J. Schäfer, K. Strimmer, Stat.
+Appl. Genet. Mol. Biol. 4 (2005) 32 (shrinkage); JCGM 101:2008, 6.4.9.4.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ class Joined:
 
     `chi2`, with twelve degrees of freedom, and its p-value `p` test whether prior and readings agree. If they do
     not, the calibration is unchanged and `used` is false. `pull` (12,) is the calibration minus the prior mean,
-    over the u of this difference.
+    divided by the u of this difference.
     """
 
     vector: Floats

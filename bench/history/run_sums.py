@@ -151,7 +151,7 @@ class RunSums:
         return int(self.random.shape[1])
 
     def by_mean(self, means: int) -> Floats:
-        """Return the sums for (B, F, y): F adds up the columns of B that share a mean, followed by H."""
+        """Return the sums for (B, F, y): F has the sums of those columns of B that share a mean, then H."""
         key = ("by mean", means)
         if key not in self._kept:
             c, h = self.columns, self.waves
@@ -278,7 +278,7 @@ def _span(columns: Floats) -> Floats:
 
 
 SEEN: Final = 1e-3
-"""An eigenvalue of a run's information on its angles counts as zero below this part of the stated one."""
+"""An eigenvalue of a run's information on the angles counts as zero below this part of the stated information."""
 
 
 def _beyond_repeats(run: RunFit, gram: Floats, variances: Floats, angles: int) -> tuple[float, float]:
@@ -325,7 +325,7 @@ def scatter_of(runs: Sequence[RunFit], variances: Floats) -> tuple[Floats, Float
 
 
 def between_runs(ratio: Floats, dof: Floats) -> tuple[float, float, float]:
-    """Return the mean of ln of mean squares (n,), the variance of ln between runs, and that of the mean.
+    """Return the mean of the logarithms of n mean squares, their variance between runs, and the mean's variance.
 
     The logarithm of a mean square with nu degrees of freedom has the variance psi'(nu/2) (trigamma function).
     """
@@ -368,7 +368,7 @@ def known_noise(runs: Sequence[RunFit], variances: Floats) -> tuple[KnownNoise, 
 
 
 LEAST_SHOWN: Final = 0.01
-"""A setting error that causes less than this fraction of the noise gets the u of one that causes as much."""
+"""A setting error that causes less than this fraction of the noise gets the u of one that causes this fraction."""
 
 
 def _pooled_dof(freedom: Floats, slope: Floats, variances: Floats) -> Floats:
@@ -387,7 +387,7 @@ def _pooled_dof(freedom: Floats, slope: Floats, variances: Floats) -> Floats:
 
 
 def _own(run: RunFit, variances: Floats) -> tuple[Floats, Floats]:
-    """Return a run's variances relative to the pooled ones (4,), and their degrees of freedom (4,)."""
+    """Return a run's own variances relative to the pooled `variances`, (4,), and their degrees of freedom (4,)."""
     own = run.noise()
     if own is None:
         return np.ones(4), np.zeros(4)

@@ -16,7 +16,7 @@ REFERENCE_C: Final = 20.0
 """Default reference temperature for the effects of temperature, °C."""
 
 METER_REFERENCE_C: Final = 23.0
-"""Reference temperature of the voltmeters, °C: that of their specifications (34401A User's Guide, chapter 8)."""
+"""The temperature, °C, to which voltmeter specifications refer (34401A User's Guide, chapter 8)."""
 
 SETTING_S: Final = 120.0
 """Assumed time from one setting to the next in a run without recorded times, s."""
@@ -28,7 +28,7 @@ REMOUNT_S: Final = 1200.0
 class Mounting(NamedTuple):
     """One mounting of the block, during which the stand angles stay constant.
 
-    As text it is the installation, "2"; from the second series on the series is added: "2/3" in series 3.
+    Its text is the installation, "2"; a series after the first is added: "2/3" is installation 2 in series 3.
     """
 
     series: int
@@ -140,8 +140,8 @@ class Conditions:
     def elapsed_s(self) -> Floats:
         """The time since the start of the run, s, shape (n,), estimated where it was not recorded.
 
-        The estimate assumes `SETTING_S` for each setting, and an additional `REMOUNT_S` for each remount. Rows
-        without a time in a run with times are interpolated at this pace. With `began_s`, unknown times stay NaN.
+        The estimate assumes `SETTING_S` for each setting, and an additional `REMOUNT_S` for each remount. In a run
+        with times, rows without a time are interpolated at this pace. With `began_s`, unknown times stay NaN.
         """
         known = np.isfinite(self.time_s)
         if self.began_s is not None:
@@ -217,7 +217,7 @@ class Conditions:
         return found
 
     def select(self, rows: Mask) -> Conditions:
-        """Return the conditions of the rows where the mask (n,) is true; other mountings are dropped."""
+        """Return the conditions of the rows where the mask (n,) is true; mountings without rows are dropped."""
         used, mount = np.unique(self.mount[rows], return_inverse=True)
         kept: dict[str, Any] = {name: column[rows] for name, column in self._columns().items()}
         mounts = tuple(self.mounts[i] for i in used)
@@ -285,7 +285,7 @@ class Conditions:
 
 
 PAST_RAD: Final = np.radians(5.0)
-"""Rotation beyond a setting that is approached from the other side, and before a mounting's first setting, rad."""
+"""Overshoot, rad, before a setting is approached from the other side; also the rotation to a first setting."""
 
 SAME_RAD: Final = 1e-3
 """Settings that differ by less than this, rad, count as equal: the head was not turned."""

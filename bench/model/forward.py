@@ -17,7 +17,7 @@ _UNKNOWN_TURN = np.full((3, 3), np.nan)
 
 @dataclass(frozen=True)
 class ForwardModel:
-    """The installations by label, and the effects that the model contains beyond the paper's own terms.
+    """A forward model: installations by label, and the effects that it contains beyond the paper's own terms.
 
     `name` labels the model in results: "paper" without effects, else the name in the model file. The rows of
     `conditions` must be in the order of measurement, because an effect may depend on earlier rows.
@@ -142,7 +142,9 @@ class ForwardModel:
         return applied.addition(Seen(signal, rows, block))
 
     def _with_turns(self, conditions: Conditions) -> Conditions:
-        """Return the conditions with `turns` filled in, which are cached: a second call returns the same object."""
+        """Return the conditions with `turns` filled in; the result is cached, so a second call returns the same
+        object.
+        """
         kept: tuple[object, Conditions] | None = conditions.memory.get("turned")
         if kept is None or kept[0] is not self.installations:
             kept = self.installations, replace(conditions, turns=self._turns(conditions))

@@ -236,11 +236,11 @@ ZERO = Distribution(0.0)
 
 
 def modulus_slopes(force: Floats, block: Block) -> tuple[Floats, Floats]:
-    """Return the derivatives of |a|, a = K⁻¹ (U - U0), by the 12 coefficients (n, 12) and the signals (n, 3).
+    """Return the derivatives of |a| with respect to the 12 coefficients, (n, 12), and to the signals, (n, 3).
 
-    `force` (n, 3) is a, the measured specific force, g.
+    `force` (n, 3) is the measured specific force a = K⁻¹ (U - U0), g.
     """
-    # d|a|/dU = (a/|a|)^T N, d|a|/dK_ij = -(that)_i a_j, d|a|/dU0 = -(that)
+    # w = d|a|/dU = (a/|a|)^T N; d|a|/dK_ij = -w_i a_j; d|a|/dU0 = -w
     modulus = np.linalg.norm(force, axis=1)
     by_signal = (force / modulus[:, None]) @ np.linalg.inv(block.K)
     by_k = -(by_signal[:, :, None] * force[:, None, :]).reshape(len(force), 9)

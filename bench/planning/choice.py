@@ -149,7 +149,7 @@ def _grained(size: float) -> float:
 
 
 def _scale_of(size: float, dof: int) -> NoiseScale:
-    """Return the noise scale that is estimated as `size` from `dof` degrees of freedom."""
+    """Return the noise scale for an estimate `size` of the ratio with `dof` degrees of freedom."""
     return NoiseScale(size**2 * (BELIEVED + dof) - BELIEVED, dof)
 
 
@@ -157,7 +157,7 @@ BELIEVED: Final = 6.0
 """Prior weight of the stated noise, in degrees of freedom; measured noise soon outweighs it."""
 
 SURE: Final = 0.8
-"""A run leaves a mounting once its visits suffice for the upper noise limit of this confidence level."""
+"""A run leaves a mounting once its visits suffice for the upper limit of the noise at this confidence level."""
 
 
 @dataclass(frozen=True)
@@ -537,7 +537,7 @@ class Chooser:
 MOST: Final = 4
 """Greatest number of settings chosen at once to distinguish effects."""
 WORTH: Final = 0.5
-"""Another setting is chosen only if its information exceeds this fraction of the first one's."""
+"""A further setting is chosen only if its information exceeds this fraction of that of the first setting."""
 
 
 def telling_apart(

@@ -26,7 +26,7 @@ DIRECTIONS: Final = 128
 """Number of directions over which the goals of a measured acceleration are evaluated."""
 WHOLE: Final = 10.0
 LEAST_WHOLE_G: Final = 1e-3
-"""Required uncertainty of the loose goal for the whole block: `WHOLE` times that of others, at least 1 mg."""
+"""The loose goal for the whole block requires `WHOLE` times the uncertainty of the other goals, at least 1 mg."""
 
 
 @dataclass(frozen=True)
@@ -59,9 +59,9 @@ class Goal:
         return self.u(covariance) / self.asked
 
     def relaxed(self, endless: float) -> Goal:
-        """Return the goal; a loose one asks for no less than twice the u in the limit of endless readings.
+        """Return the goal; a loose goal is raised to twice the u that endless readings would give, if it is below.
 
-        `endless` is the variance in this limit.
+        `endless` is the variance that endless readings would give.
         """
         return replace(self, asked=max(self.asked, 2.0 * float(np.sqrt(endless)))) if self.loose else self
 
@@ -121,7 +121,7 @@ def delta_g_goals(
 def modulus_goals(block: Block, magnitude_g: float, asked_g: float) -> list[Goal]:
     """Return goals for the measured modulus of specific forces up to `magnitude_g`, in many directions.
 
-    The variance is convex in the magnitude, so goals at zero and at `magnitude_g` cover all between.
+    The variance is convex in the magnitude, so goals at zero and at `magnitude_g` cover all magnitudes between.
     """
     _require_positive("the modulus", asked_g)
     _require_positive("the magnitude", magnitude_g)
@@ -151,7 +151,7 @@ def vector_goal(block: Block, magnitude_g: float = 1.0, asked_g: float = 1.0) ->
 def whole_goal(block: Block, goals: Sequence[Goal]) -> Goal:
     """Return a goal, loose compared with `goals`, that makes a plan calibrate the whole block.
 
-    Without it, a plan for one coefficient could leave the other coefficients undetermined.
+    Without this goal, a plan for one coefficient could leave the other coefficients undetermined.
     """
     typical = float(np.max(np.abs(block.K)))
     asked = max(goal.asked / (typical if goal.unit.startswith("V") else 1.0) for goal in goals)
@@ -266,7 +266,7 @@ class ExchangeDesign:
     # --- moves --------------------------------------------------------------------------------------
 
     def add_best(self) -> None:
-        """Add a visit to the candidate that lowers the score most."""
+        """Add the visit, to one of the candidates, that lowers the score most."""
         gain = self._after(self.covariance(), 1.0, _POWERS[0])
         self.counts[int(np.argmin(np.where(self.counts < self._most, gain, np.inf)))] += 1
 
@@ -322,7 +322,9 @@ class ExchangeDesign:
         return float(np.sqrt(np.max(variances / self._asked2)))
 
     def _score(self, variances: Floats, power: float) -> Floats:
-        """Return the power mean of the squared ratios of u to required u over the last axis; infinite if one is."""
+        """Return the power mean of the squared ratios of u to required u along the last axis; infinite
+        if any is.
+        """
         ratio = np.maximum(variances, 0.0) / self._asked2
         top = np.max(ratio, axis=-1)
         size = np.where(np.isfinite(top) & (top > 0), top, 1.0)
@@ -363,7 +365,7 @@ def best_of(candidates: SettingPool, goals: Sequence[Goal], mounts: int, setting
 
 
 def fewest(candidates: SettingPool, goals: Sequence[Goal], mounts: int, most: int) -> ExchangeDesign | None:
-    """Return the design with the fewest settings found that reaches all goals; None if that exceeds `most`."""
+    """Return the smallest design found that reaches all goals; None if it needs more than `most` settings."""
     design = ExchangeDesign(candidates, goals)
     if design.limit() > 1:
         return None

@@ -93,7 +93,7 @@ class Sites:
 
 
 def _kinds(model: ForwardModel, mounts: Sequence[Mounting], angle_rad: Floats) -> list[tuple[float, ...]]:
-    """Return a key for each mounting: equal for equivalent ones, but not if the angles are asymmetric."""
+    """Return a key for each mounting, equal for equivalent mountings; asymmetric angles leave none equivalent."""
     turned = np.exp(1j * np.concatenate([angle_rad, -angle_rad, np.pi - angle_rad]))
     if len(np.unique(np.round(turned, 6))) > len(angle_rad):
         return [(float(i),) for i in range(len(mounts))]
@@ -220,7 +220,7 @@ def cheapest(
 
 
 def _floored(stand: Stand, sites: Sites, goals: Sequence[Goal]) -> tuple[list[Goal], list[Goal]]:
-    """Return the goals after loose ones are relaxed, and the same with the floors for readings at all angles.
+    """Return the goals with loose ones relaxed; and these goals with the floors for readings at all angles.
 
     Both lists are the given goals if all settings together do not determine the block.
     """

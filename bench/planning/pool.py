@@ -48,8 +48,8 @@ class Site(NamedTuple):
 class PlannedPoint:
     """A turn of the head with its readings.
 
-    `steps` and `reads` are the indices of all its steps and of its readings. If there are several readings, `site`
-    belongs to the first one. `time_s` is the expected time, s.
+    `steps` are the indices of all steps of the point, `reads` those of its readings. If there are several readings,
+    `site` belongs to the first one. `time_s` is the expected time, s.
     """
 
     steps: tuple[int, ...]
@@ -393,7 +393,7 @@ class Visits(ExchangeDesign):
 
     @property
     def is_full(self) -> bool:
-        """Whether every site has been given its greatest number of visits."""
+        """Whether every site already has the greatest number of visits that the plan allows."""
         return bool(np.all(self.counts >= self._most))
 
     def add_repeat(self) -> bool:
@@ -492,7 +492,7 @@ def _of(grid: Grid, mount: Mounting) -> Ints:
 
 
 def _within(task: DesignTask, ahead: Sequence[Mounting], chosen: Sequence[Mounting]) -> VisitDesign | None:
-    """Return the design restricted to the mountings `chosen` among those `ahead`; None if it cannot suffice."""
+    """Return the design restricted to the mountings `chosen` among those `ahead`; None if none can suffice."""
     left = task.left.copy()
     for mount in ahead:
         if mount not in chosen:

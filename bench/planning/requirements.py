@@ -218,7 +218,7 @@ def _open_of(found: Observability, names: Sequence[str]) -> int:
 
 
 def _menu(settings: Sequence[Setting], model: ForwardModel, cost: Cost) -> list[_Candidate]:
-    """Return the additions to try: verification points in the fit, a pass in another installation, a return."""
+    """Return the additions to try: verification points in the fit, other installations, a return to the first."""
     menu = []
     there = verifying(settings)
     if there:
@@ -439,11 +439,11 @@ class Requirement:
     def balanced(self, names: Sequence[str], weights: Mapping[str, float] | None = None) -> list[Limit]:
         """Return sizes of the named sources with which the accuracy is just met.
 
-        Without weights, each source receives an equal part of the variance that the other sources leave, judged
-        at its worst point. With weights, the cost of a source is its weight divided by its size in units of the
-        bench's own size; the total cost is least if the parts are proportional to (weight × present
-        contribution)^(2/3). A source that stays below its part at any size has no limit; the others share its
-        part. Raises `CalibrationError` if nothing is left to share.
+        Without weights, each named source receives an equal part of the variance that the unnamed sources leave,
+        judged at the point where it contributes most. With weights, the cost of a source is its weight divided by
+        its size in units of the bench's own size; the total cost is least if the parts are proportional to (weight
+        × present contribution)^(2/3). A source that stays below its part at any size has no limit; the others share
+        its part. Raises `CalibrationError` if nothing is left to share.
         """
         own = {s.name: s for s in self.sources}
         parts = self._parts(names, weights)

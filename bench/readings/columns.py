@@ -57,7 +57,7 @@ def _character(escape: str) -> str:
 
 
 OVERLOAD: Final = 9.0e37
-"""Values from here on mean an overloaded meter, V (34401A User's Guide, chapter 3)."""
+"""Readings of this size or more, V, mean an overloaded meter (34401A User's Guide, chapter 3)."""
 
 ABSOLUTE_ZERO_C: Final = -273.15
 HOTTEST_C: Final = 200.0
@@ -85,9 +85,10 @@ def number(
     most: float = math.inf,
     hint: str = "",
 ) -> float:
-    """Return the number in a column of a row `text`, from `least` to `most`; NaN for an empty `optional` cell.
+    """Return the number in a column of the row `text`; NaN for an empty `optional` cell.
 
-    Raises `BadCell` with the text `expected`; `hint` is added if the number is out of range.
+    Raises `BadCell` with the text `expected` for any other text or number; `hint` is added if the number is not
+    from `least` to `most`.
     """
     cell = text.get(column, "")
     if cell == "" and optional:
@@ -261,7 +262,8 @@ ROOM_C: Final = "room_c"
 
 
 def meter_c(extra: Mapping[str, Labels]) -> Floats | None:
-    """Return the temperature of the voltmeters, °C, shape (n,), or else that of the room, NaN where unknown.
+    """Return the temperature of the voltmeters or, if never recorded, of the room: °C, shape (n,), NaN where
+    unknown.
 
     `extra` are the text columns of a table. Returns None if neither temperature is recorded.
     """

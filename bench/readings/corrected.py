@@ -28,7 +28,7 @@ AGAIN: Final = 4
 
 @dataclass(frozen=True)
 class Corrections:
-    """Corrections of head angles, temperatures and signals (x, y, z: U becomes U (1 + `gain`) + `offset_v`).
+    """Corrections of head angles, temperatures and signals; a signal U becomes U (1 + `gain`) + `offset_v`.
 
     `head` lists (angle, correction), rad, periodic over one turn; `thermometer` lists (temperature in °C,
     correction in K), and its end values hold beyond the ends.
@@ -170,7 +170,7 @@ class _MountingLevel:
 
 
 def _mounting_level(seen: Sequence[LevelReading], mounting: tuple[int, str]) -> _MountingLevel | None:
-    """Return the platform's tilt during a mounting from level readings; None if it was not levelled for it."""
+    """Return the platform's tilt during a mounting from level readings; None if it was not levelled before."""
     own = [s for s in seen if s.mounting == mounting]
     last = max((k for k, s in enumerate(own) if s.levelled), default=None)
     if last is None:
@@ -262,7 +262,7 @@ RIGHT: Final = Wiring()
 """The correct wiring: each channel shows its own signal."""
 
 EXCHANGED: Final = tuple(Wiring(order) for order in ((1, 0, 2), (2, 1, 0), (0, 2, 1), (2, 0, 1), (1, 2, 0)))
-"""Wirings with two channels exchanged, or all three in turn."""
+"""Wirings with two channels exchanged, or with all three permuted cyclically."""
 
 REVERSED: Final = tuple(
     Wiring(signs=signs) for signs in ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, -1.0))

@@ -35,7 +35,7 @@ REFERENCE_SD_V: Final = "reference_sd_v"
 """The extra columns with the voltage at a reference input and its standard deviation, V."""
 
 TEMPERATURE_SOURCE: Final = "temperature_source"
-"""The extra column with the sensor that measured the temperature of the block, if it has its own thermometer."""
+"""The extra column with the sensor of the block's own thermometer, if there is one."""
 
 CHAMBER_C: Final = "chamber_c"
 """The extra column with the chamber's air temperature, °C, if the block has its own thermometer."""
@@ -281,7 +281,9 @@ def _clock_s(table: Readings) -> Floats:
 
 
 def _starts(parts: Sequence[JoinedPart]) -> tuple[list[JoinedPart], list[float], bool]:
-    """Return the tables in order of time, the times of their first readings, s, and whether these are measured."""
+    """Return the tables in order of time, the times of their first readings, s, and whether these times are
+    measured.
+    """
     lasts = {id(part): float(np.max(clock_s) - clock_s[0]) for part, clock_s in _clocks(parts)}
     known = [p.began_s + _first_s(p.readings) for p in parts if p.began_s is not None]
     if len(known) == len(parts):

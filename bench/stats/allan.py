@@ -18,7 +18,7 @@ CONFIDENCE: Final = 0.95
 LAGS: Final = 100
 """Greenhall and Riley's J_max: largest number of windows whose correlations are summed one by one."""
 LONG_RECORD: Final = {0: (2.0 / 3.0, 1.0 / 3.0), -1: (0.852, 0.375), -2: (1.079, 0.368)}
-"""Greenhall and Riley's table 2 for second differences: (a0, a1) in 1/edf = (a0 - a1/r)/r, by alpha."""
+"""Greenhall and Riley's table 2 for second differences: (a0, a1) by alpha; 1/edf = (a0 - a1/r)/r, r = windows/m."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,9 @@ def _covariance(t: Floats, alpha: int, width: float) -> Floats:
 
 
 def _kernel(t: Floats, alpha: int) -> Floats:
-    """Return the covariance, up to its sign, of phases t (…) apart: |t|^(3 - alpha), times ln |t| for odd alpha."""
+    """Return |t|^(3 - alpha), times ln |t| for odd alpha: the covariance of phases `t` (…) apart, up to
+    its sign.
+    """
     size = np.abs(t)
     power = size ** (3 - alpha)
     return np.asarray(power if alpha % 2 == 0 else special.xlogy(power, size), dtype=np.float64)
@@ -186,8 +188,8 @@ class NoiseTerms:
     """Fitted noise terms: squares of Q, N, B, K, R (5,) with covariance (5, 5), and the test of the fit.
 
     `freedom` (k,) are the degrees of freedom of the curve's values. `p` is the p-value of the misfit; it is small
-    if the spectrum has lines (vibration), which these terms do not describe. Below 0.001 the covariance is widened
-    by the misfit (Birge ratio).
+    if the spectrum has lines (vibration), which these terms do not describe. If it is below 0.001, the covariance
+    is widened by the misfit (Birge ratio).
     """
 
     squares: Floats

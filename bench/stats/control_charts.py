@@ -32,7 +32,7 @@ LEAST_SMOOTHING: Final = 0.03
 def shewhart_arl(k: float, shift: float = 0.0) -> float:
     """Return the ARL of a two-sided Shewhart chart with limits ±`k`, after a shift by `shift`.
 
-    Both are in standard deviations.
+    `k` and `shift` are in standard deviations.
     """
     return float(1.0 / (special.ndtr(shift - k) + special.ndtr(-shift - k)))
 
@@ -60,8 +60,8 @@ def ewma_arl(smoothing: float, k: float, shift: float = 0.0) -> float:
 def mewma_arl(smoothing: float, limit: float, dimensions: int) -> float:
     """Return the in-control ARL of a multivariate EWMA chart that starts at the centre.
 
-    It signals if Z' V^-1 Z exceeds `limit`, where V is smoothing/(2 - smoothing) times the covariance of one value
-    (Rigdon 1995, equation 8, integrated over the length of Z rather than its square, after Knoth 2017).
+    The chart signals if Z' V^-1 Z exceeds `limit`, where V is smoothing/(2 - smoothing) times the covariance of one
+    value (Rigdon 1995, equation 8, integrated over the length of Z rather than its square, after Knoth 2017).
     """
     if smoothing == 1.0:
         return float(1.0 / special.chdtrc(dimensions, limit))
@@ -97,7 +97,7 @@ def mewma_limit(smoothing: float, arl: float, dimensions: int) -> float:
 
 
 def _root(length: Callable[[float], float], arl: float, most: float) -> float:
-    """Return the limit, below `most`, for which `length` is `arl`; `length` increases with the limit."""
+    """Return the limit, up to about `most`, at which the increasing function `length` has the value `arl`."""
     return float(
         scipy.optimize.brentq(lambda limit: np.log(length(limit) / arl), 0.2 * most, 1.01 * most, xtol=1e-6)
     )
@@ -257,7 +257,7 @@ def judge(
 
 
 def without_one(values: Floats, covariances: Floats, basis: Basis) -> Floats | None:
-    """Return the p-values (m,) of tests of each run of a baseline (m, p) against its other runs.
+    """Test each run of a baseline (m, p) against the other runs of the baseline; return the p-values (m,).
 
     None if the other runs are too few.
     """
@@ -273,7 +273,7 @@ def without_one(values: Floats, covariances: Floats, basis: Basis) -> Floats | N
 
 
 def _filtered(values: Floats, gain: float, weight: float, axis: int) -> Floats:
-    """Return y_t = gain x_t + weight y_{t-1} along an axis."""
+    """Return y_t = gain x_t + weight y_{t-1} along an axis; x are the `values`."""
     filtered: Any = scipy.signal.lfilter([gain], [1.0, -weight], values, axis=axis)
     return np.asarray(filtered)
 
@@ -303,13 +303,13 @@ class ChartDesign:
 
     @property
     def alpha(self) -> float:
-        """False-alarm probability per run, for its T² and also for its short-term standard deviation."""
+        """False-alarm probability per run of T² alone, and of the short-term standard deviation alone."""
         return 1.0 / self.each_arl
 
     def alpha_ewma(self, dimensions: int) -> float:
         """Return the chi-square tail probability at the limit of the EWMA's T².
 
-        The limit is that for which the average run length is `each_arl`.
+        At this limit the average run length is `each_arl`.
         """
         return float(special.chdtrc(dimensions, mewma_limit(self.smoothing, self.each_arl, dimensions)))
 
@@ -353,7 +353,7 @@ class ShortTerm:
 
 
 def short_term(s: Floats, dof: Floats, baseline_s: Floats, baseline_dof: Floats) -> ShortTerm:
-    """Compare standard deviations with the baseline's, which are pooled with their degrees of freedom as weights.
+    """Compare standard deviations `s` with those of the baseline, pooled with their degrees of freedom as weights.
 
     Source: NIST/SEMATECH e-Handbook, 2.2.3.1 and 2.3.5.1.
     """

@@ -184,7 +184,7 @@ class MixedModelEquations:
 
 
 def _sums(crossing: Crossing, weighed: Floats, size: float) -> Floats:
-    """Return (T + B,): sums of values (n,) by group, then `size` times their sums by bench."""
+    """Return the sums of values (n,) by group, (T,), followed by `size` times their sums by bench, (B,)."""
     groups = np.bincount(crossing.group[crossing.unit], weighed, crossing.groups)
     return np.concatenate([groups, size * np.bincount(crossing.bench, weighed, crossing.benches)])
 
@@ -340,8 +340,9 @@ def most(found: Crossed, which: int) -> float:
 
 
 def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
-    """Return rough sizes (3,) of units, the spread of their means, and of benches and excess, that within
-    units.
+    """Return rough sizes (3,) of units, benches and excess.
+
+    The size of units is the spread of their means; the two other sizes are the spread within units.
     """
     count = np.bincount(crossing.unit, minlength=crossing.units)
     mean = np.bincount(crossing.unit, y, crossing.units) / count

@@ -46,7 +46,7 @@ class ComponentColumns:
         return np.asarray(np.add.reduceat(by_column, self.starts, axis=-1))
 
     def sized(self, sizes: Floats) -> sparse.csc_array:
-        """Return the columns times the size (k,) of their component, without those of size zero."""
+        """Return each column multiplied by the size (k,) of its component, without the components of size zero."""
         by_column = np.repeat(sizes, np.diff([*self.starts, self.whole.shape[1]]))
         kept = np.flatnonzero(by_column)
         return sparse.csc_array(self.whole[:, kept] @ sparse.diags_array(by_column[kept]))
@@ -134,8 +134,8 @@ def scoring_step(
 ) -> Floats:
     """Return the variances (…, k), at least `least`, after one more scoring step in their logarithms.
 
-    The diagonal of the information (…, k, k) is raised by a fraction `damping` of itself and `ridge` of the
-    trace. No variance changes by more than a factor of `most_change`; one at `least` stays there if the score is
+    The diagonal of the information (…, k, k) is raised by a fraction `damping` of itself and `ridge` of the trace.
+    No variance changes by more than a factor of `most_change`; a variance at `least` stays there if the score is
     negative.
     """
     slope = score * theta
@@ -178,7 +178,7 @@ class ComponentsAsked:
     """Tests of k components not yet in the model.
 
     `chance` (k,) is the p-value of the score for a variance of zero. `expected` (k,) is the posterior mean of the
-    variance: the prior is flat above zero, the likelihood is normal about one scoring step.
+    variance: the prior is flat above zero, the likelihood is normal about the result of one scoring step.
     """
 
     chance: Floats
@@ -191,9 +191,9 @@ def asked_for(at: Projection, Z: ComponentColumns, inside: int, dof: float) -> C
     The variances of the first `inside` components are estimates from the repeats alone, which do not maximise the
     likelihood. Score and information are therefore corrected for them (the C(alpha) test: J. Neyman, in Probability
     and Statistics: The Harald Cramer Volume (1959) 213). A quadratic form divided by its mean is treated as
-    chi-square divided by its degrees of freedom, which match its mean and variance (Satterthwaite, Biometrics Bull.
-    2 (1946) 110). It is tested as F, with at most `dof` denominator degrees of freedom, because the first variances
-    are estimates.
+    chi-square divided by nu; nu is chosen so that the variances agree (Satterthwaite, Biometrics Bull. 2 (1946)
+    110). The quotient is tested as F, with at most `dof` denominator degrees of freedom, because the first
+    variances are estimates.
     """
     scores, traces, whole = at.moments(Z)
     scale = np.sqrt(np.diag(whole)[:inside])
@@ -206,7 +206,7 @@ def asked_for(at: Projection, Z: ComponentColumns, inside: int, dof: float) -> C
     told = left > 1e-6 * own
     size = np.where(told, score / np.sqrt(np.where(told, left, 1.0)), -np.inf)
     freedom = traces[inside:] ** 2 / (2.0 * own)
-    # denominator degrees of freedom with which an F-distributed score has this part of its information
+    # denominator degrees of freedom at which an F statistic keeps this part of the information of the score
     part = np.clip(np.where(told, left / own, 1.0), 0.0, 1.0 - 1e-6)
     within = np.minimum(freedom * part / (1.0 - part), dof)
     ratio = np.maximum(1.0 + size * np.sqrt(2.0 / freedom + 2.0 / within), 0.0)
@@ -255,7 +255,7 @@ class Profile:
         return float(np.sqrt(self.variances[self.which]))
 
     def lost(self, size: float) -> float:
-        """Return the loss of log likelihood at a size."""
+        """Return how far the log likelihood at a size is below its maximum."""
         moved = self.variances + self.follow * (size**2 - self.variances[self.which])
         return self.greatest - self.likelihood(np.maximum(moved, 0.0))
 

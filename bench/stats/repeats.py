@@ -32,7 +32,7 @@ TermName = Literal["restart", "drift", "scale"]
 
 
 class Ratio(NamedTuple):
-    """The scatter of repeats about their predictions from the others, divided by the u of the prediction.
+    """The scatter of repeats about predictions from the other repeats, divided by the u of the predictions.
 
     `low` and `high` are the ends of a 95 % interval that treats the repeats, not single values, as independent.
     """
@@ -71,7 +71,7 @@ class Repeats:
 
     @property
     def too_small(self) -> bool:
-        """Whether u is too small by more than `TOO_SMALL`, and not by chance."""
+        """Whether u is too small by more than the factor `TOO_SMALL`, and not by chance."""
         held = self.held_before
         return held is not None and held.value > TOO_SMALL and held.low > 1.0
 
@@ -169,7 +169,7 @@ def _size(value: Floats, u: Floats, name: TermName) -> float:
 
 
 def _held_out(value: Floats, u: Floats, name: TermName | None) -> tuple[Floats, float]:
-    """Predict each repeat from the others; return the squared errors over their variances, and ln p.
+    """Predict each repeat from the others; return the squared errors divided by their variances, and ln p.
 
     The squared errors are (g, r, c), NaN without a prediction. p is the joint probability density of the repeats.
     """

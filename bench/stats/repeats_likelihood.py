@@ -1,11 +1,11 @@
 """The restricted likelihood of repeats of readings, maximised for many runs at once.
 
-In each group the deviations of repeats from their mean have a covariance R = diag(v_x, v_y, v_z) + v_phi d d^T.
-Fisher scoring uses the information 1/2 tr(R^-1 R_k R^-1 R_l) and the score 1/2 tr(R^-1 R_k R^-1 (S - f R)), with
-R^-1 in closed form (Sherman and Morrison). A score test of equal sizes decides whether one size is used for all
-channels. Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320, sections 4 and 5; C. R. Rao, Proc. Camb. Phil.
-Soc. 44 (1948) 50; Y. Chung, S. Rabe-Hesketh et al., Psychometrika 78 (2013) 685, for priors that keep sizes from
-zero.
+In each group the deviations of repeats from their mean have a covariance R = diag(v_x, v_y, v_z) + v_phi d d^T. S
+are their sums of squares and products with f degrees of freedom; R_k is the derivative of R by variance k. Fisher
+scoring uses the information 1/2 tr(R^-1 R_k R^-1 R_l) and the score 1/2 tr(R^-1 R_k R^-1 (S - f R)), with R^-1 in
+closed form (Sherman and Morrison). A score test of equal sizes decides whether one size is used for all channels.
+Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320, sections 4 and 5; C. R. Rao, Proc. Camb. Phil. Soc. 44
+(1948) 50; Y. Chung, S. Rabe-Hesketh et al., Psychometrika 78 (2013) 685, for priors that keep sizes from zero.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def sizes_of(
     start: Floats | None = None,
     about: Floats | None = None,
 ) -> Floats:
-    """Return the REML variances of x, y, z (unit^2) and of the head's setting (rad^2), one row a run, (runs, 4).
+    """Return the REML variances of x, y, z (unit^2) and of the head's setting (rad^2), one row per run, (runs, 4).
 
     `scatter` (runs, groups, 3, 3) are sums of squares and products, `freedom` (groups,) their degrees of freedom,
     `slope` (runs, groups, 3) is du/dphi, unit/rad. `floor` (runs,), or one number, is the lower limit of the noise.

@@ -116,9 +116,9 @@ class Within:
 
     @cached_property
     def _data(self) -> list[tuple[SameLength, Floats, Floats]]:
-        """By number of runs: units, contrasts (m, r, 1 + B) of values and benches, and covariance (m, r, r).
+        """For each number of runs: units, contrasts (m, r, 1 + B) of values and benches, and covariance (m, r, r).
 
-        The covariance is that of the contrasts of values, as stated.
+        The covariance is the stated covariance of the contrasts of values.
         """
         y = self.y - np.median(self.y)
         return [
@@ -240,11 +240,11 @@ def _gradient_and_information(
 class CalibrationSpread:
     """Scatter of a laboratory's calibrations without the units' own drift, 1 sigma each.
 
-    `scatter` is the scatter beyond the stated u: the root mean square of possible sizes, weighted by
-    likelihood, so that it is larger for few calibrations. `scatter_least` and `scatter_most` are its 90 %
-    limits. `bench` is the maximum-likelihood spread of the benches, `bench_most` its upper 95 % limit. `rate`
-    (per year) and `walk` (over a year) are the drifts of units, zero unless significant; `p` is the p-value
-    of no drift.
+    `scatter` is the scatter beyond the stated u: the root mean square of possible sizes, weighted by likelihood, so
+    that it is larger for few calibrations. `scatter_least` and `scatter_most` are its 90 % limits. `bench` is the
+    maximum-likelihood spread of the benches, `bench_most` its upper 95 % limit. `rate` (per year) and `walk` (over
+    a year) are the drifts of units, zero unless significant; `p` is the p-value of the hypothesis that units do not
+    drift.
     """
 
     scatter: float

@@ -52,7 +52,7 @@ MAGNITUDES_G: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 class MeasuredAcceleration:
     """Uncertainty of measured accelerations `force` (d, 3), g.
 
-    `by_source` has the part of the covariance (d, 3, 3), g², and `dof` the degrees of freedom of each source.
+    By source, `by_source` has its part of the covariance (d, 3, 3), g², and `dof` its degrees of freedom.
     """
 
     force: Floats
@@ -106,7 +106,7 @@ def measured(
         if reading:
             shared, apart = _of_reading(contribution, budget, force, same_voltmeters=same_voltmeters)
         if not shared.any() and of_coefficients.shape[1] > len(of_coefficients):
-            # twelve components have the same covariance as the many of single readings
+            # twelve columns can have the same covariance as many columns, one for each reading
             of_coefficients = np.asarray(np.linalg.qr(of_coefficients.T, mode="r")).T
         parts = inverse @ np.concatenate([shared - design @ of_coefficients, apart], axis=2)
         by_source[contribution.source.name] = parts @ np.swapaxes(parts, 1, 2)
@@ -145,7 +145,9 @@ def _of_reading(
 
 
 def _of_effect(source: ErrorSource, budget: Budget, force: Floats) -> Floats:
-    """Return the error due to an effect of the block in use, V, (d, 3, 1), at reference time and temperature."""
+    """Return the error, V, (d, 3, 1), that an effect causes when the block is used, at reference time and
+    temperature.
+    """
     unknown, setup = source.effect, budget.setup
     none = np.zeros((1, 3, 1))
     if unknown is None:
@@ -168,7 +170,9 @@ def _of_effect(source: ErrorSource, budget: Budget, force: Floats) -> Floats:
 
 
 def directions(count: int = DIRECTIONS) -> Floats:
-    """Return unit vectors (count + 6, 3): evenly over the sphere (golden spiral), then the six axes."""
+    """Return unit vectors (count + 6, 3): `count` spread evenly over the sphere (golden spiral), then six along the
+    axes.
+    """
     i = np.arange(count) + 0.5
     z, turn = 1.0 - 2.0 * i / count, np.pi * (1.0 + np.sqrt(5.0)) * i
     flat = np.sqrt(1.0 - z**2)
@@ -182,7 +186,7 @@ def magnitudes(range_g: float) -> tuple[float, ...]:
 
 
 class AtMagnitude(ResultModel):
-    """Mean and largest u of vector and modulus over all directions, g, at one magnitude."""
+    """Mean and largest u, g, of vector and modulus, over all directions at one magnitude."""
 
     magnitude_g: float
     u_vector_mean: float
@@ -196,7 +200,7 @@ class AtMagnitude(ResultModel):
 def over_directions(
     budget: Budget, magnitude_g: float, *, reading: bool = True, same_voltmeters: bool = False
 ) -> AtMagnitude:
-    """Return the uncertainty of accelerations of one magnitude, g: mean and largest over directions."""
+    """Return the mean and the largest uncertainty of accelerations of `magnitude_g` over all directions."""
     found = measured(budget, magnitude_g * directions(), reading=reading, same_voltmeters=same_voltmeters)
     even = slice(0, DIRECTIONS)
     u, factor = found.u_modulus, coverage_factor(found.dof_modulus, budget.probability)
@@ -231,7 +235,7 @@ class DeltaG(ResultModel):
 
 
 def delta_g_variances(budget: Budget, *, reading: bool = True) -> Floats:
-    """Return the variances of delta g by source, (v, sources), at the setup's verification points, local g².
+    """Return the variances of delta g, local g², (v, sources), at the v verification points of the setup.
 
     Gain and gravity act alike on calibration and check, and cancel. Without `reading` only the errors of the
     coefficients count.
@@ -331,7 +335,7 @@ def exact_readings(budget: Budget, trials: int, rng: np.random.Generator) -> Flo
 
 
 def _linear(budget: Budget) -> Propagated:
-    """Return coefficients, then delta g, of the linear budget; their cross-covariances are left out."""
+    """Return the coefficients, then delta g, by the linear budget, without covariances between the two."""
     total, variances = budget.combined, delta_g_variances(budget)
     count = len(variances)
     covariance = np.diag(np.concatenate([np.zeros(12), variances.sum(axis=1)]))
@@ -370,7 +374,7 @@ class _Simulation:
         return np.concatenate([coefficients, np.linalg.norm(force, axis=1) - 1.0], axis=1)
 
     def _estimate(self, excess: Floats, gain: Floats) -> Floats:
-        """Return the estimated coefficients of each trial; `excess` is its readings minus error-free readings."""
+        """Return the estimated coefficients of each trial; `excess` is simulated minus error-free readings."""
         flat = excess.reshape(len(excess), -1) @ gain.reshape(len(gain), -1).T
         return self._setup.block.vector + flat
 

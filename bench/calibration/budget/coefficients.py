@@ -135,7 +135,7 @@ class Setup:
 def planned_conditions(plan: Plan, line_hz: float = 50.0) -> Conditions:
     """Return the conditions of a plan's readings at known orientations, in order.
 
-    Times are the expected ones, temperatures the chamber's last set point. Raises `CalibrationError` without any
+    Times are the expected ones, temperatures the chamber's last set point. Raises `CalibrationError` if there is no
     such reading.
     """
     rows: list[tuple[Read, float, float]] = []
@@ -224,7 +224,7 @@ def _task(
 ) -> WeightingTask:
     """Return the input of an estimator's weighting for noise-free readings of the setup.
 
-    The fit in it has the linear map of the last step of a fit to real readings.
+    Its `fit` has the same linear map as the last step of a fit to real readings.
     """
     signal = setup.signal[setup.fitted]
     floor = gls.LEAST_NOISE * float(np.max(np.abs(signal)))
@@ -375,7 +375,7 @@ def _supply(source: ErrorSource, seen: AnyReadings) -> _Patterns:
 
 
 def _unknown_and_recorded(source: ErrorSource, seen: AnyReadings, recorded: Floats) -> _Patterns:
-    """Return patterns for a variation in time: an unknown one within limits, and the `recorded` one (n,)."""
+    """Return the patterns of two variations in time: an unknown one within limits, and the `recorded` one (n,)."""
     courses = list(_unknown(seen.conditions.elapsed_s, source.correlation_s).T)
     known = recorded - recorded.mean()
     if source.u > 0 and np.any(known):
@@ -384,7 +384,7 @@ def _unknown_and_recorded(source: ErrorSource, seen: AnyReadings, recorded: Floa
 
 
 def _turn_on(source: ErrorSource, seen: AnyReadings) -> _Patterns:
-    # the same throughout a run; each time the block is switched on the biases change
+    # constant throughout a run: the biases change each time the block is switched on
     return [
         (
             np.broadcast_to(np.diag(seen.block.K) * source.on_channels, seen.signal.shape),

@@ -1,4 +1,4 @@
-"""Error sources (size, distribution, shared draws), their learned forms, and the tilting foundation."""
+"""Error sources: size, distribution, shared draws; sources learned from other runs; tilt of the foundation."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _SHOWN: Final[Mapping[str, tuple[str, float]]] = {
 
 @dataclass(frozen=True)
 class ErrorSource:
-    """An error source: its distribution in `unit` (SI), and which readings share one draw of it (`common`).
+    """An error source: its distribution in `unit` (SI); `common` says which readings share one random draw.
 
     `origin` says where the size comes from; `prior` marks a plausible size that nobody stated. `factors`
     multiply the error where it acts (temperature coefficients, per K). For a parameter of an effect, `effect`
@@ -99,9 +99,7 @@ class ErrorSource:
         return np.array([float(channel in self.channels) for channel in CHANNELS])
 
     def acting(self, draws: Floats) -> Floats:
-        """Return the effects (..., q) of draws of the source's u, from the effects `draws` of draws of size
-        1.
-        """
+        """Return the effects (..., k) of the source's k draws, from the effects `draws` (..., q) per unit."""
         return self.u * draws if self.root is None else self.u * draws @ np.array(self.root)
 
     def sized(self, u: float) -> ErrorSource:
@@ -116,7 +114,7 @@ LEARNED: Final = message("learned of the bench")
 def learned_sources(
     stated: Sequence[ErrorSource], known: KnownStand, mounts: Sequence[Mounting]
 ) -> tuple[ErrorSource, ...]:
-    """Return the stand's sources for readings in these mountings, with knowledge from other runs.
+    """Return the stand's sources for readings in the mountings `mounts`, given knowledge from other runs.
 
     An angle of a mounting is the sum of a mean, which mountings share, and a deviation of this mounting. The
     deviations keep the names of the `stated` sources; the means form one source with correlated draws.
@@ -145,7 +143,7 @@ def _sources(
 
 
 def _means(kinds: tuple[str, ...], known: KnownStand, labels: Sequence[str]) -> Iterator[ErrorSource]:
-    """Yield one source for the means of all kinds; its draws are by kind, then by mounting."""
+    """Yield one source for the means of all kinds; its draws are ordered by kind, then by mounting."""
     size, axes = np.linalg.eigh(known.covariance)
     half = axes * np.sqrt(np.maximum(size, 0.0))
     places = [known.place(kind, label) for kind in kinds for label in labels]
@@ -193,7 +191,7 @@ NAME = "foundation"
 
 @dataclass(frozen=True)
 class TiltRate:
-    """The rate at which the platform tilts, along the shaft and across it: standard uncertainties, rad/s."""
+    """Standard uncertainties, rad/s, of the rates at which the platform tilts along the shaft and across it."""
 
     along_rad_s: float
     across_rad_s: float

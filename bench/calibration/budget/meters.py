@@ -82,7 +82,7 @@ def size_of(quantity: Quantity, meter: VoltmeterForm, day: datetime.date | None)
 
 
 def may_move(quantity: Quantity, meter: VoltmeterForm) -> float:
-    """Return the standard uncertainty of a meter's relative gain, or zero (V), from drift within 90 days."""
+    """Return the standard uncertainty due to 90 days of drift: of a meter's relative gain, or of its zero in V."""
     found = _certified(quantity, meter)
     drift = _limit(quantity, meter, 0.0) if found is None or found.drift is None else found.drift * DAYS_90
     return drift / math.sqrt(3.0)

@@ -76,7 +76,7 @@ def signed_sources(
 
 
 def _foundation_source(bench: BenchFile) -> Iterator[ErrorSource]:
-    """Yield the tilt rate of the platform if the bench file states one; a calibration prefers its levellings."""
+    """Yield the tilt rate of the platform if the bench file states one; levellings of a run take precedence."""
     stated = foundation_of(None, bench, levelled=False)
     if stated is not None:
         yield stated.source()
@@ -135,7 +135,7 @@ def assumed_stand(bench: BenchFile) -> dict[str, Distribution]:
 def stand_source(
     name: str, distribution: Distribution, dof: float = math.inf, origin: str = "as asked"
 ) -> ErrorSource:
-    """Return the stand error with this name in a bench file, rad or V. Raises `KeyError` for another name."""
+    """Return the source of the stand error `name`, in rad or V. Raises `KeyError` for an unknown name."""
     if name in STAND_ANGLES:
         symbol = {"mounting_offset": "mounting offset"}.get(name, SYMBOLS[name].replace("alpha", "α"))
         return ErrorSource(name, symbol, "rad", distribution, "mounting", "stand", origin, dof)

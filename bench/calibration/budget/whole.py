@@ -1,4 +1,4 @@
-"""The combined uncertainty of a calibration, from its readings and from bench errors that these do not show.
+"""The combined uncertainty of a calibration: from its readings, and from bench errors that no reading shows.
 
 Each error acts on measured readings as on planned ones, and through the estimator's linear map on the
 coefficients. A plan's budget therefore agrees with the calibration of its readings if the noise is the same.
@@ -32,9 +32,9 @@ from bench.readings.table import UNORIENTED, VERIFICATION, Readings
 
 GRAVITY: Final = "gravity"
 METERS: Final = ("voltmeter_gain", "voltmeter_offset")
-"""Errors that are the same wherever the same voltmeters read the block."""
+"""Sources whose error is the same whenever the same voltmeters read the block."""
 OF_BLOCK: Final = ("K2", "K3")
-"""Errors of the block itself, the same in every calibration and check."""
+"""Sources whose error belongs to the block and is the same in every calibration and check."""
 VOLTS: Final = "V"
 
 
@@ -64,7 +64,8 @@ class MeasuredReadings:
 
     @cached_property
     def orientation(self) -> Ints:
-        """Orientation number of each reading, (n,): equal in one installation at the same whole degree.
+        """Orientation number of each reading, (n,): equal in one installation if the angles round to the same
+        degree.
 
         A reading without an orientation has a number of its own.
         """
@@ -92,9 +93,9 @@ def sign(
 ) -> Calibration:
     """Return the calibration with its combined covariance, from readings and from errors that they do not show.
 
-    `readings` is the whole table of the calibration, `day` its date, `meters` the learned errors of the
-    voltmeters. For readings in another unit than volts, whose meters' errors are unknown, only the scatter of the
-    zeros from repeat to repeat is added, and a note.
+    `readings` is the whole table of the calibration, `day` its date, `meters` the learned errors of the voltmeters.
+    For readings in another unit than volts the meters' errors are unknown: only the scatter of the zeros between
+    repeats is added, and a note.
     """
     repeats = tuple(_zero_repeats(calibration, bench))
     if readings.unit != VOLTS:
@@ -191,7 +192,7 @@ def delta_g_elsewhere(
     *, same_meters: bool, day: date | None = None, block_terms: Floats | None = None,
     meters: KnownMeters | None = None,
 ) -> Floats:  # fmt: skip
-    """Return the covariance (v, v) of |a|, local g², at the verification rows for another day's coefficients.
+    """Return the covariance (v, v) of |a|, local g², at verification rows judged by another day's coefficients.
 
     `covariance` (12, 12) and `noise` (3,) belong to the coefficients. With `same_meters`, the meters' gain and
     offset cancel, so `covariance` must exclude them; otherwise the gain and offset errors of today's meters are

@@ -253,9 +253,9 @@ _A: Final[tuple[Place, ...]] = (
 
 
 def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Yield the mistakes in the settings of the block's rails, also against the limits of block and power supply.
+    """Yield place and text of each mistake in the rails' settings, and of each that block or supply do not permit.
 
-    Each is a place and a text. `data` is the bench file as written; any part of it may be missing or malformed.
+    `data` is the bench file as written; any part of it may be missing or malformed.
     """
     if part(data, *_UNIT) is None:
         return

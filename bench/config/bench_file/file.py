@@ -108,7 +108,9 @@ class BenchFile(FileModel):
 
     @property
     def gravity_m_s2(self) -> float | None:
-        """Local gravity, m/s², as stated or by the WGS 84 formula; None if the file states neither."""
+        """Local gravity, m/s², as stated or by the WGS 84 formula; None if the file states neither gravity nor
+        location.
+        """
         if isinstance(self.gravity, Location):
             return normal_gravity_m_s2(self.gravity.latitude, self.gravity.height)
         return self.gravity.value if isinstance(self.gravity, MeasuredGravity) else self.gravity
@@ -153,7 +155,7 @@ class BenchFile(FileModel):
 
     @property
     def head_backoff_rad(self) -> float:
-        """The least rotation, rad, with which the head approaches an angle; 0 for a manual head."""
+        """The least rotation, rad, by which the head approaches an angle; 0 for a manual head."""
         head = self.instruments.head
         return head.backoff if isinstance(head, MotorisedHeadForm) else 0.0
 
@@ -330,7 +332,7 @@ class Standing:
                 yield f"{which}, does not cover the {range_v:g} V range: the data sheet's limits apply there"
 
     def to_json(self, *, why_not: str) -> dict[str, Any]:
-        """Return the certificate as a member of a result; `why_not` says why it is not applied ("" if it is)."""
+        """Return the certificate as a member of a result; `why_not` is the reason if it is not applied, else ""."""
         certificate = self.certificate
         until = certificate.valid_until
         return {

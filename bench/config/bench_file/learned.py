@@ -44,7 +44,7 @@ class RunEntry(FileModel):
 
 
 class MeanEntry(FileModel):
-    """The mean of an angle over all mountings, or those in one `installation`, with its standard uncertainty."""
+    """The mean of an angle over all mountings, or over those in one `installation`, and the u of this mean."""
 
     angle: AngleName
     installation: str = Field("", min_length=0)
@@ -162,7 +162,7 @@ class MetersEntry(FileModel):
 
 
 class LearnedFile(WithEffects):
-    """The errors of a bench as learned from its runs.
+    """A validated learned file: the errors of a bench, as its runs show them.
 
     `sizes`, `contradicting` and `not_identified` are for the reader of the file; nothing is computed from them.
     """
@@ -185,8 +185,8 @@ class LearnedFile(WithEffects):
     not_identified: tuple[str, ...] = ()
 
     def has(self, head: str, readings: Sequence[str]) -> bool:
-        """Whether the file was learned from the record with this chain `head` or from readings with one of these
-        hashes.
+        """Whether the file was learned from the record whose chain has this `head`, or from readings with one of
+        these hashes.
         """
         return any((head and run.head == head) or run.readings in readings for run in self.runs)
 
@@ -249,7 +249,7 @@ class PriorCoefficient(FileModel):
 
 
 class PriorFile(FileModel):
-    """A validated prior file; scale factors are in the signal's unit per g, and g is `per_g_m_s2`."""
+    """A validated prior file; scale factors are in the signal's unit per g, where 1 g is `per_g_m_s2` in m/s²."""
 
     type: str
     signal: str

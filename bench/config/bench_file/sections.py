@@ -47,7 +47,7 @@ from bench.readings.columns import METER_C, ROOM_C
 InstrumentForm = VoltmeterForm | HeadForm | ChamberForm | LevelForm | ThermometerForm | SupplyForm
 
 SURROUNDINGS: Final = {"meter_thermometer": METER_C, "room_thermometer": ROOM_C}
-"""The column of the readings for each thermometer away from the block, by the thermometer's key."""
+"""For each thermometer away from the block, by its key: its column in the readings."""
 
 
 def _around(key: str, *, recorded: bool = False) -> BeforeValidator:
@@ -58,8 +58,8 @@ class InstrumentsSection(FileModel):
     """The instruments of a bench; the `driver` of each determines the other keys of its section.
 
     `thermometer` is at the block. `meter_thermometer` and `room_thermometer` record the temperatures of voltmeters
-    and room with each reading. The word `chamber` instead of a section records the chamber's air, for meters inside
-    the chamber.
+    and room with each reading. For meters inside the chamber, state the word `chamber` in place of a section: it
+    stands for the chamber's air.
     """
 
     voltmeters: Annotated[
@@ -107,7 +107,7 @@ class InstrumentsSection(FileModel):
 
     @property
     def adapters(self) -> dict[str, str]:
-        """The GPIB adapters: instrument name ("adapter", "adapter.2", …) by adapter address."""
+        """The GPIB adapters, by address: their names as instruments ("adapter", "adapter.2", …)."""
         places = [section.place for section in self.all() if isinstance(section, WiredForm)]
         known = dict.fromkeys(place.adapter for place in places if place is not None)
         return {
@@ -226,7 +226,7 @@ class FaultSection(FileModel):
 
 
 class RoomTruth(FileModel):
-    """The simulated room: the swing of its temperature about `ambient_temperature`, and the lag of the meters."""
+    """The simulated room: its temperature swings about `ambient_temperature`, and the meters follow with a lag."""
 
     swing: SizeK = 0.0
     period: Annotated[SpanS, above_zero("state a period above 0, such as '24 h'")] = DAY_S
@@ -243,8 +243,8 @@ class AdapterTruth(FileModel):
 class SimulationSection(WithEffects):
     """The true state of the simulated bench; without `block`, the block has nominal scale factors only.
 
-    `effects`, `formulas` and `left_open` are written as in a model file. They affect the simulated readings; their
-    evaluation does not use them.
+    `effects`, `formulas` and `left_open` are written as in a model file. They affect the simulated readings; the
+    evaluation of these readings does not use them.
     """
 
     block: BlockTruth | None = None
@@ -271,19 +271,19 @@ MOST_ARL: Final = 1e5
 
 
 class DriftSection(FileModel):
-    """The known drift of a coefficient of the check block per year, with its standard uncertainty `u`."""
+    """The known drift per year of a coefficient of the check block, with its standard uncertainty `u`."""
 
     per_year: str
     u: str
 
     def value(self, coefficient: str) -> tuple[float, float]:
-        """Return the drift per year and its u, in V/g or V. Raises `ValueError` for text that states neither."""
+        """Return the drift per year and its u, in V/g or V. Raises `ValueError` for a quantity of another kind."""
         kind = VOLTAGE if coefficient.startswith("U0") else SCALE_FACTOR
         return parse_quantity(self.per_year, kind), parse_quantity(self.u, kind)
 
 
 class BaselineDaysSection(FileModel):
-    """The first and the last day (both included) of the check block runs that form the baseline."""
+    """The first and the last day (both included) of the check block's baseline runs."""
 
     first: Day
     last: Day
@@ -293,8 +293,8 @@ class CheckBlockSection(FileModel):
     """The check block, which is measured before a day's work, and the rules of its control chart.
 
     The block is identified by its serial number and `type` (default: the type in `unit_under_test`). The baseline
-    is its first `baseline` accepted runs on this bench. Instead, it can be the runs of `baseline_days`, or those
-    that `reference` names: runs, or one result of `bench calibrate --json` from elsewhere (a path relative to this
+    is its first `baseline` accepted runs on this bench. `baseline_days` or `reference` replaces these runs.
+    `reference` names other runs, or one result of `bench calibrate --json` from elsewhere (a path relative to this
     file).
 
     The chart gives one false alarm in `arl` runs on average (default 370). With `k` instead, it gives as many false

@@ -477,9 +477,9 @@ _Factor = Annotated[float, Field(ge=0.0)]
 class ZeroRepeats(FileModel):
     """The scatter of the zeros of x, y, z between repeats, as found by `bench diagnose --together`.
 
-    `restart` is the standard deviation of the zeros from repeat to repeat, `drift` that of their change from one
-    repeat to the next, both in g; `scale` holds factors on the u of the readings. Exactly one of the three is
-    stated.
+    `restart` is the standard deviation of the zeros between repeats; `drift` is the standard deviation of their
+    change from one repeat to the next; both are in g. `scale` holds factors on the u of the readings. Exactly one
+    of the three is stated.
     """
 
     restart: tuple[_ZeroG, _ZeroG, _ZeroG] | None = None

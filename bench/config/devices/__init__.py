@@ -3,4 +3,4 @@
 from typing import Final
 
 FOLDERS: Final = "BENCH_DEVICES"
-"""The environment variable that lists folders of devices; defined here, so that importing it loads no driver."""
+"""The environment variable that lists folders of devices; defined here, so that its import loads no driver."""

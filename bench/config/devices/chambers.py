@@ -150,7 +150,7 @@ _WATLOW_F4T = Device(
 
 
 class AimTtiPort(PortSection):
-    """The supply's RS-232 port, or the serial port as which its USB appears on the computer."""
+    """The supply's RS-232 port, or the serial port that the computer shows for its USB connection."""
 
     known: ClassVar = aim.BAUD_RATES
 
@@ -207,8 +207,8 @@ _KEYSIGHT_E36300 = Device(
 class KeysightE3631ASection(WiredSupplyForm):
     """A Keysight E3631A with the outputs P6V, P25V and N25V (negative), which switch together.
 
-    It has no over-voltage protection. `interface` is the one selected at its front panel; over "rs232" the driver
-    first puts the supply into remote mode.
+    It has no over-voltage protection. `interface` is the interface selected at its front panel; over "rs232" the
+    driver first puts the supply into remote mode.
     """
 
     facts: ClassVar = keysight_e3631a

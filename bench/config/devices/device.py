@@ -64,7 +64,7 @@ class DeviceSection(FileModel):
         return cls.sections_of(cls.role) if "role" in cls.__dict__ else ()
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the keyword arguments that the driver has in addition to those of every driver of its role."""
+        """Return the driver's own keyword arguments, in addition to those of every driver of its role."""
         return {}
 
     def simulation_options(self, truth: Any) -> dict[str, Any]:
@@ -473,9 +473,9 @@ Printable = Annotated[str, AfterValidator(_plain)]
 class LineForm(WiredForm):
     """The request and the form of the reply of an instrument that answers with one line of text.
 
-    The whole line must match `pattern`, a regular expression; its group, as in `(?P<angle>...)`, is the number.
-    `example` is a line as the instrument sends it. `errors` maps each line that it sends instead of a number to its
-    meaning. `model` names the instrument in the record.
+    The whole line must match `pattern`, a regular expression; its group, such as `(?P<angle>...)`, matches the
+    number. `example` is a line as the instrument sends it. `errors` maps each line that it sends instead of a
+    number to its meaning. `model` names the instrument in the record.
     """
 
     group: ClassVar[str]

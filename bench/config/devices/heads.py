@@ -98,7 +98,7 @@ def _on_a_wire_it_has(resource: str) -> str:
 
 
 class NewportPort(PortSection):
-    """The controller's RS-232 port, or the serial port as which its USB appears on the computer."""
+    """The controller's RS-232 port, or the serial port that the computer shows for its USB connection."""
 
     known: ClassVar = newport.BAUD_RATES
 
@@ -123,8 +123,8 @@ class NewportSection(MotorisedHeadForm):
         return self.model_dump(include={"axis", "identity", "allow_homing"})
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the simulation's options: speed, axis, range of travel, homed state, and the identity if it is a
-        plain name.
+        """Return the simulation's options: speed, axis, travel, homed state, and the identity if it is a plain
+        name.
         """
         named = {"model": self.identity} if as_stated(self.identity) else {}
         return {
@@ -233,8 +233,9 @@ Axis = Literal["+X", "-X", "+Y", "-Y"]
 class LeicaNivelSection(LevelForm, WiredForm):
     """A Leica Nivel210 (RS-232) or Nivel220 (RS-485), at a serial port or behind a terminal server.
 
-    `sensor` is the sensor's address without the N. `along` and `across` are the sensor axes that, in the first of
-    its two positions, point away along the shaft and to the right, for an observer who faces the end of the shaft.
+    `sensor` is the sensor's address without the N. `along` and `across` name sensor axes in the first of the two
+    positions. For an observer who faces the end of the shaft, `along` points away along the shaft, and `across` to
+    the right.
     """
 
     facts: ClassVar = nivel

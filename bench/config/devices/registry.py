@@ -152,7 +152,7 @@ def _loaded(folders: tuple[str, ...]) -> Devices:
 
 
 def _modules_of(result: Devices, folder: Path) -> Iterator[tuple[str, str]]:
-    """Yield name and path of each module directly in a folder; the folder becomes a package with a unique name."""
+    """Make the folder a package with a unique name; yield name and path of each module directly in it."""
     if not folder.is_dir():
         result.troubles.append(f"there is no folder of devices {folder}")
         return
@@ -262,7 +262,7 @@ def _validated(written: dict[str, Any], role: Role, recorded: bool) -> DeviceSec
 
 
 def _strange(driver: object, names: tuple[str, ...]) -> str | None:
-    """Return the message for a driver name that resembles none of `names`; None if it does, or is no string."""
+    """Return the message for a driver name that resembles none of `names`; None for a similar name or no string."""
     if not isinstance(driver, str) or difflib.get_close_matches(driver, names, n=1, cutoff=0.5):
         return None
     return (

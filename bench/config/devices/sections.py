@@ -235,7 +235,9 @@ class SerialPortForm(VoltmeterForm):
 
 
 def written_channels(voltmeter: Any) -> tuple[str, list[Any]] | None:
-    """Return the key ("channels" or "inputs") and the signals of a written voltmeter section; None without it."""
+    """Return the key "channels" or "inputs" of a written voltmeter section, and its signals; None without such a
+    key.
+    """
     if not isinstance(voltmeter, dict):
         return None
     for key in ("channels", "inputs"):

@@ -82,7 +82,9 @@ class _Context:
         return f"{self.mount}.{self.pass_number}.{self.point}"
 
     def inside(self, document: Document, file: IncludedFile) -> _Context:
-        """Return the context for the steps of an included file, whose own sections override the present ones."""
+        """Return the context for the steps of an included file, whose own sections override those of
+        this context.
+        """
         return replace(
             self,
             document=document,

@@ -79,7 +79,7 @@ class SettleForm(ActionVerb):
         return self
 
     def plan_steps(self, key: Callable[[str], str]) -> Iterator[Step]:
-        """Yield the settling step; the subclass determines the settling quantity."""
+        """Yield the settling step; the subclass determines which quantity settles."""
         what: Settled = getattr(self, "what")  # noqa: B009 - both kinds have it
         yield Settle(key("settle"), what, self.precision, self.window, self.timeout, self.interval)
 

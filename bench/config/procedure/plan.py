@@ -48,7 +48,7 @@ _FIELDS: Final = {kind: tuple(f.name for f in fields(kind)) for kind in KINDS}
 _ADDED: Final[Mapping[str, object]] = {
     "on_failure": OnFailure(), "input_s": OperatorTime().input_s, "scan": "",
 }  # fmt: skip
-"""Fields that plans of earlier versions lack, with the value that their absence means.
+"""Fields that plans of earlier versions lack, with the value that a missing field stands for.
 
 A field with this value is not written, so that recorded plans keep their hash. The values must never change.
 """

@@ -203,7 +203,7 @@ class Settle(Step):
     """The run waits until the signals or the temperature have settled; it fails after `timeout_s`.
 
     A sample is taken every `interval_s`. The quantity has settled when the samples of the last `window_s` span no
-    more than `precision` (V for signals, K for temperature) and one sample is older than that.
+    more than `precision` (V for signals, K for temperature). The first sample must be older than this window.
     """
 
     NAME: ClassVar[str] = "settle"
@@ -285,7 +285,7 @@ class Read(_AtPoint):
 
 @dataclass(frozen=True, slots=True)
 class Ask(Step):
-    """The operator answers a question; its fields are those of `drivers.person.Prompt`."""
+    """The operator answers a question; the step has the fields of `drivers.person.Prompt`."""
 
     NAME: ClassVar[str] = "ask"
     BY_OPERATOR: ClassVar[bool] = True
@@ -416,7 +416,7 @@ def in_scan_order(meters: Sequence[_Meter], scan: str) -> list[_Meter]:
 
 
 def read_order(meters: Sequence[_HasChannels]) -> str:
-    """Return the order in which the channels are read if the meters start in this order, such as "xyz"."""
+    """Return the order, such as "xyz", in which the channels are read if the meters start in the order given."""
     return "".join(channel for meter in meters for channel in meter.channels)
 
 

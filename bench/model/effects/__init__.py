@@ -1,4 +1,4 @@
-"""The catalogue of effects: those of this folder and of installed distributions, and within a context the user's.
+"""The catalogue of effects: of this folder, of installed distributions and, within a context, of the user.
 
 A distribution adds effects by the entry-point group `triaxial_bench.effects`; each entry is an `Effect`, a
 subclass of it, or a module with subclasses. The user's own effects are formulas from a file; they are known
@@ -39,7 +39,7 @@ MODULES: Final = ("block", "stand", "voltmeter")
 """The modules of this folder that define effects, in the order of the catalogue."""
 
 TEMPERATURE_EFFECTS: Final = ("thermal_bias", "thermal_scale", "thermal_settling", "thermal_emf")
-"""Effects that describe the influence of temperature, so that a fit does not absorb it in the coefficients."""
+"""Effects of temperature; without them, a fit absorbs the influence of temperature in the coefficients."""
 
 GROUP: Final = "triaxial_bench.effects"
 

@@ -191,7 +191,7 @@ def lag_of(*minutes: int) -> Parameter:
 
 
 def play(signal: Floats, width: float) -> Floats:
-    """Return a signal (n,) as transmitted with mechanical play of half-width `width`.
+    """Return a signal (n,) after a mechanical play of half-width `width`.
 
     At the first value the signal is at the centre of the play.
     """
@@ -302,7 +302,7 @@ PART: Final = "part"
 class InPart(Effect):
     """An uncertain part of the shape of the effect `of`; a fit may estimate its one parameter, a size.
 
-    It adds this size times the sum of `parts`, which are effects with fixed values.
+    The effect adds this size times the sum of `parts`, which are effects with fixed values.
     """
 
     name: str

@@ -37,7 +37,7 @@ class QuadraticNonlinearity(BlockEffect):
     shown_by = "12 or more angles in a turn; a centrifuge above 1 g"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii K2_i a_i^2 in volts, shape (n, 3)."""
+        """Return the quadratic term K_ii K2_i a_i^2 in volts, shape (n, 3)."""
         return seen.scale * values["K2"] * seen.signal**2
 
 
@@ -52,7 +52,7 @@ class CubicNonlinearity(BlockEffect):
     shown_by = "12 or more angles in a turn; a centrifuge above 1 g"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii K3_i a_i^3 in volts, shape (n, 3)."""
+        """Return the cubic term K_ii K3_i a_i^3 in volts, shape (n, 3)."""
         return seen.scale * values["K3"] * seen.signal**3
 
 
@@ -65,7 +65,7 @@ class OddQuadraticNonlinearity(BlockEffect):
     shown_by = "12 or more angles in a turn; a centrifuge above 1 g"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii Koq_i a_i |a_i| in volts, shape (n, 3)."""
+        """Return the odd quadratic term K_ii Koq_i a_i |a_i| in volts, shape (n, 3)."""
         return seen.scale * values["Koq"] * seen.signal * np.abs(seen.signal)
 
 
@@ -78,7 +78,7 @@ class ScaleAsymmetry(BlockEffect):
     shown_by = "12 or more angles in a turn"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii Kabs_i |a_i| in volts, shape (n, 3)."""
+        """Return the asymmetric term K_ii Kabs_i |a_i| in volts, shape (n, 3)."""
         return seen.scale * values["Kabs"] * np.abs(seen.signal)
 
 
@@ -91,7 +91,7 @@ class CrossCoupling(BlockEffect):
     shown_by = "installations in which all three axes of the block feel gravity; a remount turned by 90 deg"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii (Kip_i a_i a_j + Kio_i a_i a_k + Kpo_i a_j a_k) in volts, shape (n, 3)."""
+        """Return the products K_ii (Kip_i a_i a_j + Kio_i a_i a_k + Kpo_i a_j a_k) in volts, shape (n, 3)."""
         a_j, a_k = _others(seen.signal)
         products = (
             values["Kip"] * seen.signal * a_j + values["Kio"] * seen.signal * a_k + values["Kpo"] * a_j * a_k
@@ -110,7 +110,7 @@ class CrossQuadratic(BlockEffect):
     shown_by = "a third installation; at 1 g it is the same as a square along the own axis and a bias"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii (Kpp_i a_j^2 + Koo_i a_k^2) in volts, shape (n, 3)."""
+        """Return the squares K_ii (Kpp_i a_j^2 + Koo_i a_k^2) in volts, shape (n, 3)."""
         a_j, a_k = _others(seen.signal)
         return seen.scale * (values["Kpp"] * a_j**2 + values["Koo"] * a_k**2)
 
@@ -120,7 +120,9 @@ ROUNDED_G: Final = 0.01
 
 
 class BiasAsymmetry(BlockEffect):
-    """Asymmetry (K0'/2) sign(a_i) of the bias. A dead band of half-width w looks like K0' = -2 w beyond it."""
+    """Asymmetry (K0'/2) sign(a_i) of the bias. Outside a dead band of half-width w, the signal is as with K0' = -2
+    w.
+    """
 
     name = "bias_asymmetry"
     parameters = (_size("K0p", "ug", 20e-6),)
@@ -128,7 +130,9 @@ class BiasAsymmetry(BlockEffect):
     shown_by = "12 or more angles in a turn"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii (K0p_i / 2) sign(a_i) in volts, shape (n, 3), with the sign smoothed over `ROUNDED_G`."""
+        """Return the bias K_ii (K0p_i / 2) sign(a_i) in volts, shape (n, 3), with the sign smoothed over
+        `ROUNDED_G`.
+        """
         return seen.scale * values["K0p"] / 2 * np.tanh(seen.signal / ROUNDED_G)
 
 
@@ -162,7 +166,7 @@ class Hysteresis(BlockEffect):
     needs_path = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii size_i state_i in volts, shape (n, 3), with the channel's `state` from -1 to 1.
+        """Return the deviation K_ii size_i state_i in volts, shape (n, 3), with the channel's `state` from -1 to 1.
 
         Raises `ValueError` if `Conditions.turns` is None.
         """
@@ -215,7 +219,7 @@ def _extremes(start: Floats, end: Floats, sine: Floats, cosine: Floats) -> Float
     """Return the forces at the turning points and the end of each rotation, in g, shape (3, m, 3).
 
     Between turning points the force is monotonic, so no other points are needed to follow a play. A rotation of
-    slightly more than half a turn has at most two turning points; missing ones are replaced by the end.
+    slightly more than half a turn has at most two turning points; missing turning points are replaced by the end.
     """
     amplitude, phase = np.hypot(sine, cosine), np.arctan2(sine, cosine)
     sense = np.sign(end - start)[:, None]
@@ -240,7 +244,7 @@ class ThermalBias(BlockEffect):
     needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii b_T_i T in volts, shape (n, 3)."""
+        """Return the change of bias K_ii b_T_i T in volts, shape (n, 3), for the temperature difference T."""
         warmth = lagged(seen.conditions.warmth_k, seen.conditions.elapsed_s, float(values["lag"]))
         return warmth[:, None] * (seen.scale * values["b_T"])
 
@@ -255,7 +259,7 @@ class ThermalScale(BlockEffect):
     needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii k_T_i T a_i in volts, shape (n, 3)."""
+        """Return the change of signal K_ii k_T_i T a_i in volts, shape (n, 3), for the temperature difference T."""
         warmth = lagged(seen.conditions.warmth_k, seen.conditions.elapsed_s, float(values["lag"]))
         return warmth[:, None] * seen.signal * (seen.scale * values["k_T"])
 
@@ -269,7 +273,7 @@ class ThermalNonlinearity(BlockEffect):
     shown_by = "12 or more angles in a turn at two temperatures; a centrifuge at two temperatures"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii (K2_T_i a_i^2 + K3_T_i a_i^3) T in volts, shape (n, 3)."""
+        """Return K_ii (K2_T_i a_i^2 + K3_T_i a_i^3) T in volts, shape (n, 3), for the temperature difference T."""
         a, warmth = seen.signal, seen.conditions.warmth_k[:, None]
         return warmth * (seen.scale * (values["K2_T"] * a**2 + values["K3_T"] * a**3))
 
@@ -285,7 +289,7 @@ class ThermalMisalignment(BlockEffect):
     shown_by = "the same settings in both installations at two temperatures"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii (m_j_i a_j + m_k_i a_k) T in volts, shape (n, 3)."""
+        """Return K_ii (m_j_i a_j + m_k_i a_k) T in volts, shape (n, 3), for the temperature difference T."""
         a_j, a_k = _others(seen.signal)
         warmth = seen.conditions.warmth_k[:, None]
         return warmth * (seen.scale * (values["m_j"] * a_j + values["m_k"] * a_k))
@@ -308,7 +312,7 @@ class WarmUp(BlockEffect):
     shown_by = "a return to installation 1 at the end; more passes; a longer soak makes it smaller"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii A_i exp(-t / tau) in volts, shape (n, 3)."""
+        """Return the bias K_ii A_i exp(-t / tau) at each reading's time t, in volts, shape (n, 3)."""
         left = np.exp(-seen.conditions.switched_on_s / float(values["tau"]))
         return left[:, None] * (seen.scale * values["A"])
 
@@ -322,7 +326,7 @@ class BiasDrift(BlockEffect):
     shown_by = "a return to installation 1 at the end; more passes"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii r_i t in volts, shape (n, 3)."""
+        """Return the drift K_ii r_i t of the bias at each reading's time t, in volts, shape (n, 3)."""
         return seen.conditions.elapsed_s[:, None] * (seen.scale * values["rate"])
 
 
@@ -335,7 +339,7 @@ class ScaleDrift(BlockEffect):
     shown_by = "a return to installation 1 at the end; a reference voltage at the inputs in each pass"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii r_i t a_i in volts, shape (n, 3)."""
+        """Return the change of signal K_ii r_i t a_i at each reading's time t, in volts, shape (n, 3)."""
         return seen.conditions.elapsed_s[:, None] * seen.signal * (seen.scale * values["rate"])
 
 
@@ -351,7 +355,7 @@ class TurnOnShift(BlockEffect):
     needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii times the step in volts, shape (n, 3)."""
+        """Return the step of bias in volts, that is, times K_ii, shape (n, 3)."""
         return np.broadcast_to(seen.scale * values["step"], seen.signal.shape)
 
 
@@ -367,7 +371,7 @@ class ScaleStep(BlockEffect):
     outlasts_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii step_i a_i in volts, shape (n, 3)."""
+        """Return the change of signal K_ii step_i a_i in volts, shape (n, 3)."""
         return seen.signal * (seen.scale * values["step"])
 
 
@@ -391,7 +395,7 @@ class ThermalSettling(BlockEffect):
     needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii A_i exp(-t / tau) in volts, shape (n, 3)."""
+        """Return the bias K_ii A_i exp(-t / tau) at each reading's time t, in volts, shape (n, 3)."""
         left = np.exp(-seen.conditions.since_mounting_s / float(values["tau"]))
         return left[:, None] * (seen.scale * values["A"])
 
@@ -420,7 +424,9 @@ class SupplySensitivity(BlockEffect):
     shown_by = "the same settings with the rail a little above and a little below its nominal voltage"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii (b_S_i + k_S_i a_i) v in volts, shape (n, 3); zero if the rail's voltage was not recorded."""
+        """Return the change of signal K_ii (b_S_i + k_S_i a_i) v, V, shape (n, 3); zero without a recorded rail
+        voltage.
+        """
         number = round(float(values["rail"]))
         above_v = seen.conditions.above_nominal_v
         if not 1 <= number <= above_v.shape[1]:

@@ -61,7 +61,7 @@ class ZeroOffset(ConstantAngle):
 
 
 class MountingError(ConstantAngle):
-    """The mounting error alpha3 beyond its limits: it tilts by -alpha3 sin(phi) out of the plane of rotation."""
+    """The mounting error alpha3 beyond its limits: a tilt of -alpha3 sin(phi) out of the plane of rotation."""
 
     name = "mounting_error"
     column = "mounting_error"
@@ -81,7 +81,7 @@ class MountingOffset(ConstantAngle):
 
 
 class MountingRoll(ConstantAngle):
-    """The third mounting angle alpha5, which tilts by alpha5 cos(phi) out of the plane of rotation."""
+    """The third mounting angle alpha5: a tilt of alpha5 cos(phi) out of the plane of rotation."""
 
     name = "mounting_roll"
     column = "mounting_roll"
@@ -106,7 +106,7 @@ class HeadEccentricity(HeadEffect):
     shown_by = "a second reading of the circle opposite the first; a polygon and autocollimator"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return e_c cos(phi) + e_s sin(phi) in rad, shape (n,)."""
+        """Return the angle error e_c cos(phi) + e_s sin(phi) at the head angles phi, rad, shape (n,)."""
         return wave(values, seen.conditions.angle_rad)
 
 
@@ -120,7 +120,7 @@ class HeadEllipticity(HeadEffect):
     shown_by = "a remount turned by 90 deg on the platform; a polygon and autocollimator"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return e_c cos(2 phi) + e_s sin(2 phi) in rad, shape (n,)."""
+        """Return the angle error e_c cos(2 phi) + e_s sin(2 phi) at the head angles phi, rad, shape (n,)."""
         return wave(values, 2 * seen.conditions.angle_rad)
 
 
@@ -140,7 +140,7 @@ class HeadGraduation(HeadEffect):
 
 
 class Backlash(HeadEffect):
-    """Backlash b: the angle differs by b between the directions of approach; no effect if that is unknown."""
+    """Backlash b: the angles of the two directions of approach differ by b; no effect for an unknown direction."""
 
     name = "backlash"
     parameters = (angle("play", 10),)
@@ -148,7 +148,9 @@ class Backlash(HeadEffect):
     shown_by = "both directions of approach"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return d b / 2 in rad, shape (n,), where d is the direction of approach: +1, -1, or 0 if unknown."""
+        """Return half the backlash, d b / 2, rad, shape (n,); d is the direction of approach: +1, -1, or 0 if
+        unknown.
+        """
         return seen.conditions.direction * values["play"] / 2
 
 
@@ -174,7 +176,7 @@ class AxisWobble(StandEffect):
 
 
 class BracketTilt(ConstantAngle):
-    """A tilt alpha1 out of the plane of rotation, constant during a mounting and changed by each remount."""
+    """A tilt alpha1 out of the plane of rotation, constant during a mounting; each remount changes it."""
 
     name = "bracket_tilt"
     column = "axis_tilt"
@@ -308,9 +310,9 @@ class MetersExchanged(VoltmeterEffect):
     outlasts_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return gain U + zero, V, shape (n, 3), for channels with exchanged meters, zero for others.
+        """Return the error gain U + zero, V, shape (n, 3), of channels with exchanged meters, zero for others.
 
-        It is positive in one channel of each pair and negative in the other.
+        The error is positive in one channel of each pair and negative in the other.
         """
         added = np.zeros_like(seen.signal)
         for one, other in PAIRS:

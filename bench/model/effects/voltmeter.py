@@ -36,7 +36,7 @@ class VoltmeterNonlinearity(VoltmeterEffect):
     shown_by = "a ladder of reference voltages at the inputs, such as 0, 1 and 2 V of both signs"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the error in volts, shape (n, 3)."""
+        """Return the error due to the nonlinearity at the voltages U, in volts, shape (n, 3)."""
         part = seen.signal / NORMAL_V
         return values["q2"] * part**2 + values["q3"] * part**3
 
@@ -50,7 +50,7 @@ class VoltmeterDrift(VoltmeterEffect):
     shown_by = "a shorted input in each pass"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the rate times t in volts, shape (n, 3)."""
+        """Return the rate of drift times the time t of each reading, in volts, shape (n, 3)."""
         return np.broadcast_to((values["rate"] * seen.conditions.elapsed_s)[:, None], seen.signal.shape)
 
 
@@ -71,7 +71,7 @@ class VoltmeterWarmUp(VoltmeterEffect):
     shown_by = "a shorted input in each pass; a longer warm-up of the meters makes it smaller"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return A exp(-t / tau) in volts, shape (n, 3)."""
+        """Return the zero error A exp(-t / tau) at each reading's time t, in volts, shape (n, 3)."""
         left = values["A"] * np.exp(-seen.conditions.elapsed_s / float(values["tau"]))
         return np.broadcast_to(left[:, None], seen.signal.shape)
 
@@ -110,7 +110,7 @@ class VoltmeterThermalGain(VoltmeterEffect):
     needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return gain_i T U_i in volts, shape (n, 3)."""
+        """Return the change gain_i T U_i of the voltages U_i, in volts, shape (n, 3)."""
         return _followed(values, seen)[:, None] * seen.signal * values["gain"]
 
 
@@ -129,12 +129,14 @@ class VoltmeterThermalOffset(VoltmeterEffect):
     needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return offset_i T in volts, shape (n, 3)."""
+        """Return the change offset_i T of the zeros, in volts, shape (n, 3)."""
         return _followed(values, seen)[:, None] * np.broadcast_to(values["offset"], seen.signal.shape)
 
 
 class VoltmeterMove(VoltmeterEffect):
-    """A jump of the zero of each channel's meter, as if it was moved, at the time `at` after the run began."""
+    """A jump of the zero of each channel's meter at the time `at` after the run began, as if the meter
+    was moved.
+    """
 
     name = "voltmeter_move"
     parameters = (
@@ -148,7 +150,7 @@ class VoltmeterMove(VoltmeterEffect):
     shown_by = "a shorted input before and after the move"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return step_i in volts from the time `at` on, shape (n, 3)."""
+        """Return the jump step_i of each zero from the time `at` on, else zero, in volts, shape (n, 3)."""
         after = seen.conditions.elapsed_s >= float(values["at"])
         return np.where(after[:, None], values["step"], np.zeros_like(seen.signal))
 
@@ -168,7 +170,9 @@ class ReferenceSupply(VoltmeterEffect):
     shown_by = "the supply of the reference swept up and down, twice"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return s v in volts at the reference input, shape (n, 3); zero at other inputs."""
+        """Return the change s v of the voltage at the reference input, zero at other inputs, in volts, shape (n,
+        3).
+        """
         conditions, number = seen.conditions, round(float(values["rail"]))
         if not 1 <= number <= conditions.above_nominal_v.shape[1]:
             return np.zeros_like(seen.signal)
@@ -191,7 +195,7 @@ class RangeOffset(VoltmeterEffect):
     shown_by = "a fixed range; a reference voltage below 1.2 V, read on both ranges"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return offset + gain U in volts where |U| < 1.2 V, else zero, shape (n, 3)."""
+        """Return the error offset + gain U where |U| < 1.2 V, else zero, in volts, shape (n, 3)."""
         return np.where(
             np.abs(seen.signal) < LOW_RANGE_V, values["offset"] + values["gain"] * seen.signal, 0.0
         )
@@ -210,7 +214,7 @@ class ChannelCrosstalk(VoltmeterEffect):
     needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return fraction (U_before - U) in volts, shape (n, 3); zero for the very first reading."""
+        """Return the crosstalk fraction × (U_before - U), V, shape (n, 3); zero for the very first reading."""
         order = seen.conditions.scan_order
         scanned = np.take_along_axis(seen.signal, order, axis=1).ravel()
         step = np.diff(-scanned, prepend=-scanned[:1]).reshape(seen.signal.shape)
@@ -228,12 +232,12 @@ class VoltmeterGain(VoltmeterEffect):
     shown_by = "a reference voltage at the inputs; the voltmeters' calibration"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the gain error times U in volts, shape (n, 3)."""
+        """Return the gain error times the voltages U, in volts, shape (n, 3)."""
         return values["gain"] * seen.signal
 
 
 class ReferenceStep(VoltmeterEffect):
-    """A step of a gain common to all channels: from a remount or pass onwards, or in a single pass."""
+    """A step of the gain, equal in all channels: from a remount or pass onwards, or in a single pass."""
 
     name = "reference_step"
     parameters = (Parameter("step", "ppm", 1e-6, plausible=20e-6, per_channel=False),)
@@ -247,7 +251,7 @@ class ReferenceStep(VoltmeterEffect):
     outlasts_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the size of the step times U in volts, shape (n, 3)."""
+        """Return the step of the gain times the voltages U, in volts, shape (n, 3)."""
         return values["step"] * seen.signal
 
 
