@@ -76,7 +76,9 @@ STATED = UncertaintySection.model_validate(
 
 @dataclass
 class Calibrator:
-    """Calibrates as `bench calibrate` does, without files; `wandering`: with `STATED` in the bench file."""
+    """A calibration like that of `bench calibrate`, without files; if `wandering`, the bench file has
+    `STATED`.
+    """
 
     wandering: bool = False
 
@@ -170,9 +172,11 @@ def show(case: str, parts: list[Any], runs: int) -> list[str]:
 
 
 def pairs(case: str, seed: int, numbers: range) -> tuple[int, int, int, int, int]:
-    """Return how many pairs were compared, said to differ, changed by 6 u in one of the nine, and so found.
+    """Return five counts of pairs: compared, found to differ unchanged, changed, found changed, and by the
+    twelve.
 
-    The last count is of unchanged pairs that the twelve coefficients say to differ. In each calibration the
+    Each pair is first compared unchanged. Some are then changed by 6 u in one of the nine numbers. The last
+    count is of unchanged pairs that differ by the test of the twelve coefficients. In each calibration the
     block is turned by 0 to 2 degrees, equally in both installations.
     """
     differ = changed = found = by_twelve = 0

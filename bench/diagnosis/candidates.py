@@ -533,7 +533,7 @@ class KnownBench:
         return {name: why[name] for name in CATALOGUE if why.get(name)}
 
     def not_judged(self, readings: Readings) -> str:
-        """Return a sentence on the effects searched only because the bench is unknown; "" without such."""
+        """Return a sentence on the effects searched only because the bench is unknown; "" if there are none."""
         unknown = {
             "range_offset": self.fixed_ranges is None and not _ranges(readings),
             "channel_crosstalk": self.own_meters is None,

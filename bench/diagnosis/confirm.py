@@ -220,8 +220,9 @@ def _chi2(linear: LinearSystem, noise: NoiseSize) -> float:
 def _now(linear: LinearSystem, diagnosis: Diagnosis | FreeDiagnosis) -> tuple[EffectNow, ...]:
     """Estimate the effects from these readings alone, and compare them with the model.
 
-    The parts of their shapes with uncertain size (`InPart`) keep the model's values, as these readings alone
-    determine them no better. Raises `CalibrationError` if the readings could show none of the effects.
+    An `InPart` effect (a part of a shape, of uncertain size) keeps its value from the model, as these
+    readings alone determine this value no better. Raises `CalibrationError` if the readings could show none
+    of the effects.
     """
     model = linear.model
     whole = [not isinstance(model.effects[one.effect].effect, InPart) for one in linear.problem.effects]
@@ -264,9 +265,9 @@ def judged(
 ) -> tuple[EffectNow, ...]:
     """Return the verdict on each effect of a model, in the order of its effects.
 
-    `unknowns` say which effect, parameter and channel each of the m entries of `of` belongs to. Parts of
-    other shapes (`InPart`) are skipped. Raises `CalibrationError` if the readings could not show any of the
-    effects.
+    `unknowns` say which effect, parameter and channel each of the m entries of `of` belongs to. `InPart`
+    effects (parts of the shape of another effect) have no verdict of their own and are skipped. Raises
+    `CalibrationError` if the readings could not show any of the effects.
     """
     known = np.sqrt(np.diag(of.covariance))
     effects, seen = [], []

@@ -98,10 +98,9 @@ class FreeRows:
         return columns
 
     def change(self, of: Sequence[int], sensor: int, channel: int) -> Floats:
-        """Return the change of |a| (N,), g, if one coefficient grows by the size of its scale factor.
+        """Return the change of |a| (N,), g, if one coefficient grows by the scale factor of the `channel`.
 
-        The coefficient has the index `of[channel]` among the nine of the `sensor`; the scale factor is that
-        of the `channel`.
+        This coefficient has the index `of[channel]` among the nine of the `sensor`.
         """
         size = abs(float(self.block[sensor].K[channel, channel]))
         return -size * self.coefficients[:, OWN * sensor + of[channel]]
@@ -403,7 +402,10 @@ def _zeros(signal: Floats) -> tuple[Floats, Floats] | None:
 
 
 def _common(change: Floats, full: Floats) -> Floats:
-    """Return the fraction (3,) of the variance of `change` (sensors, records, 3) common to all sensors."""
+    """Return the fraction (3,) of the variance of `change` (sensors, records, 3) common to all sensors.
+
+    Only records that determine the biases of every sensor (`full`, (sensors, records)) count.
+    """
     whole = full.all(axis=0)
     sensors = len(change)
     if sensors < 2 or whole.sum() < 2:

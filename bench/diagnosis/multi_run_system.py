@@ -500,7 +500,9 @@ def _name_in_all_and_each(
 
 
 def _stays(whitened: Whitened, data: Data, naming: Naming, one: FoundEffect) -> bool:
-    """Return whether a single-run find stays: likely given all other finds, or replaced by another form."""
+    """Return whether a single-run find stays: it is likely given all other finds, or `naming` no longer has
+    its form.
+    """
     if one.variant not in [found.variant for found in naming.found]:
         return True
     others = [i for found in naming.found if found.variant != one.variant for i in found.variant.columns]

@@ -345,7 +345,11 @@ class _Bill:
     def _answers(
         self, before: Mapping[tuple[str, str], float], after: Mapping[tuple[str, str], float]
     ) -> float:
-        """Return the probability that every tie is resolved."""
+        """Return the probability that every tie is resolved.
+
+        `before` and `after` have the divergence D of each find from each of its ties, by the two names,
+        without and with the readings of the procedure.
+        """
         whole = 1.0
         for effect in self._diagnosis.effects:
             gained = {

@@ -479,7 +479,8 @@ def is_rounded(digit: float, sigma: float) -> bool:
 
 
 def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSystem:
-    """Return the system, with the rounding error that repeats of a setting share as noise unless negligible.
+    """Return the system; its noise includes the rounding error that repeats of a setting share, unless
+    negligible.
 
     `digit` is the step of the last digit; `sigma` is the noise from repeats, at least that of rounding.
     """

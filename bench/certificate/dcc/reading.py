@@ -364,8 +364,7 @@ def _rows(
 
 
 def _checked(stated: dict[str, Any], values: list[dict[str, str]]) -> Iterator[str]:
-    """Yield a sentence for each reason, at most five, why a bench file cannot contain these values unchanged.
-    """
+    """Yield a sentence for each reason, at most five, why a bench file cannot contain these values unchanged."""
     if not values:
         return
     form = HeadCertificate if "angle" in values[0] else ChamberCertificate

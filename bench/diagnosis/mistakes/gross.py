@@ -143,7 +143,8 @@ class GrossSearch:
     def _best(self, table: OrientedRows, supposed: Sequence[Reinterpretation], odds: Floats) -> int:
         """Return the index of the likeliest supposition; `odds` are ln of their odds.
 
-        Those of a changed unit that does not bring its channels to the data sheet are set to minus infinity.
+        A supposition of another unit is rejected if it does not bring its channels to the data sheet; its
+        entry in `odds` becomes minus infinity.
         """
         while True:
             best = int(np.argmax(odds))
@@ -185,9 +186,7 @@ class GrossSearch:
         return GrossFit(block, float(misfit), np.sum(((found - mean) / u) ** 2, axis=0))
 
     def _may_be_wrong(self, table: OrientedRows, kept: Mask, enough: float) -> bool:
-        """Return whether a map that explained all `kept` rows would have odds of which ln reaches
-        `enough`.
-        """
+        """Return whether ln of the odds of a map that explained all `kept` rows would exceed `enough`."""
         fit = self.fit(table, kept)
         return bool(fit.misfit + np.sum(fit.sheet) > 2.0 * enough)
 
@@ -277,9 +276,11 @@ def _positions(table: OrientedRows, supposed: Reinterpretation, kept: Mask) -> t
 
 
 def _products(columns: Floats, kept: Mask, position: Ints) -> Products:
-    """Return the products of the `kept` rows of `columns` (n, 7): means over repeats, and deviations from these.
+    """Return the products of the `kept` rows of `columns` (n, 7): means over repeats, and deviations from
+    these.
 
-    `position` has the number of each kept row's position. For the deviations, m = 0.
+    `position` has the number of each kept row's position. The deviations have the key 0 in the result, the
+    means of m repeats the key m.
     """
     columns, repeats = columns[kept], np.bincount(position)
     mean = np.zeros((len(repeats), columns.shape[1]))

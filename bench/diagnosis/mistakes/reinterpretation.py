@@ -201,9 +201,10 @@ class Reinterpretation:
         return corrected.select(~np.isin(np.arange(len(readings)), table.rows[self.source < 0]))
 
     def _also_scaled(self, readings: Readings, table: OrientedRows) -> Ints:
-        """Return the verification and free rows that were in the same wrong unit as a part of a run.
+        """Return the indices of verification and free rows in the same wrong unit as this part of the run.
 
-        The factor of the unit brings their modulus nearer to the usual modulus.
+        They are the rows whose modulus is clearly wrong, and nearer to the usual modulus with the factor of
+        the unit.
         """
         if not self.scales or self.scope.whole:
             return np.zeros(0, dtype=np.int64)
@@ -305,7 +306,7 @@ def _other_label(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation
 
 
 def _swapped_installations(table: OrientedRows) -> list[Reinterpretation]:
-    """Return suppositions that two installations were exchanged, in the whole run or all passes of a
+    """Return suppositions that two installations were exchanged, in the whole run or in all passes with one
     number.
     """
     found = []

@@ -280,8 +280,8 @@ class _Pass:
         return cls(table, rows, max(RATIOS, key=lambda ratio: table.seen(ratio, [free]).log_evidence))
 
     def seen(self, columns: Floats, beyond: Floats | float = 0.0) -> ProjectedReadings:
-        """Return the readings, with changes `columns` (n, 3, p) of the pass and N(0, 1) amplitudes in the
-        model.
+        """Return the readings projected with changes of the pass in the model: `columns` (n, 3, p) with N(0,
+        1) amplitudes.
 
         `beyond` (n, 3) is added to the predicted signals of the pass.
         """
