@@ -74,8 +74,8 @@ def scores(found: Learned, bench: Bench) -> list[tuple[str, float, float, float]
 def next_blocks(
     rng: np.random.Generator, bench: Bench, found: Learned, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return z (count, 12) of further runs with the learned sizes, and the ratio (12,) of their u to u
-    without these.
+    """Return z (count, 12) of further runs with the learned sizes, and the ratio (12,) of u with and without
+    them.
     """
     runs = simulate(rng, bench, count)
     with_it, without = ([calibrated(one, known) for one in runs.tables()] for known in (found.known, None))

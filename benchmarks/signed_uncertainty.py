@@ -172,12 +172,11 @@ def show(case: str, parts: list[Any], runs: int) -> list[str]:
 
 
 def pairs(case: str, seed: int, numbers: range) -> tuple[int, int, int, int, int]:
-    """Return five counts of pairs: compared, found to differ unchanged, changed, found changed, and by the
-    twelve.
+    """Return five numbers of pairs, counted by the joint test of the nine intrinsic numbers.
 
-    Each pair is first compared unchanged. Some are then changed by 6 u in one of the nine numbers. The last
-    count is of unchanged pairs that differ by the test of the twelve coefficients. In each calibration the
-    block is turned by 0 to 2 degrees, equally in both installations.
+    They are: all pairs, unchanged pairs that differ, changed pairs, changed pairs that differ, and unchanged
+    pairs that differ by the test of the twelve coefficients. A change is one of 6 u in one of the nine
+    numbers. In each calibration the block is turned by 0 to 2 degrees, equally in both installations.
     """
     differ = changed = found = by_twelve = 0
     for k in numbers:

@@ -137,7 +137,7 @@ def sync(
 
 
 def _orphaned(row: Row) -> bool:
-    """Return whether the folder of a row is a copy of a run folder that no longer exists."""
+    """Return whether the folder of a row is a copy, and the original run folder no longer exists."""
     reason = row["reason"] or ""
     original = reason.removeprefix(_COPY).removesuffix(_COUNTED)
     return reason.startswith(_COPY) and not Path(original, MANIFEST).exists()

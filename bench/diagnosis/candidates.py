@@ -29,8 +29,8 @@ Cell = tuple[str, int]
 def spells(readings: Readings, *, lasting: bool) -> Iterator[tuple[str, ...]]:
     """Yield each set of passes or mountings in which an effect may act, as a tuple of their labels.
 
-    The sets are: the passes of a mounting from any but its first onwards, each single pass, and each whole
-    mounting. A whole mounting is yielded only if its installation was mounted more than once, because
+    The sets are: all passes of a mounting from its second or a later one onwards, each single pass, and each
+    whole mounting. A whole mounting is yielded only if its installation was mounted more than once, because
     otherwise the mounting angles describe the same change. If the effect outlasts a remount (`lasting`),
     every mounting is yielded, and also everything from each later pass onwards, verification points included.
     If a set contains all passes of a mounting, it has the label of the mounting in place of those of the

@@ -210,7 +210,7 @@ def _left(linear: LinearSystem, noise: NoiseSize) -> tuple[Model, float]:
 
 
 def _chi2(linear: LinearSystem, noise: NoiseSize) -> float:
-    """Return the least sum of squares of readings and priors, in units of the noise."""
+    """Return the chi-square of a fit: the least sum of squares of the residuals of readings and priors."""
     nothing = np.zeros((len(linear), 0))
     fitted = posterior(linear, nothing, noise)
     white = whiten_rows(linear, noise, (linear.response - linear.design(nothing) @ fitted.mean)[:, None])
@@ -310,14 +310,14 @@ def judged(
 def _shown(
     estimated: EstimatedEffects, places: Sequence[int], *, apart: bool = True
 ) -> tuple[float, float, float, float]:
-    """Return four numbers: the parameters' size in the model, the least that would show, `p_same` and `p_none`.
+    """Return four numbers: the parameters' size in the model, the least that would show, `p_same` and
+    `p_none`.
 
     The sizes are in units of noise. The parameters, which have the indices `places`, are judged in the
     directions that the readings determine. A direction is an eigenvector of their covariance: a sum or a
     difference of parameters may be determined although no parameter is. `apart` is false if the values of
-    several mountings are judged together. The model's values are then correlated like those of these
-    readings, but a model file states no correlations; for each direction, the model's u is therefore limited
-    to the u of these readings.
+    several mountings are judged together. The values in the model are then correlated, but a model file
+    states no correlations. Therefore the u of the model in each direction is at most the u of these readings.
     """
     use = np.array(places, dtype=np.int64)
     variance, turned = np.linalg.eigh(estimated.covariance[np.ix_(use, use)])
@@ -339,7 +339,9 @@ def _shown(
 def _estimated(
     linear: LinearSystem, own: Floats, found: Floats, diagnosis: Diagnosis | FreeDiagnosis
 ) -> tuple[Floats, Floats]:
-    """Return the change of the effects from the values `found` (m,), and its covariance, in plausible sizes.
+    """Return the change of the effects from the values `found` (m,), and its covariance.
+
+    Both are in units of the plausible sizes.
 
     Additional effects found in these readings are estimated as well. An additional effect that would hide the
     model's effects is left out, because it would represent their change.

@@ -473,8 +473,9 @@ class NoiseFinding:
     """Noise that is significantly larger than stated.
 
     `what` is "reading" for the noise of a reading, "setting" for the setting error. `found` and `stated` are
-    in `unit`, and `factor` is their ratio. `source` says in words who states it. `p` is the probability that
-    chance gives this ratio in any run. `series` are the series of the run concerned, empty for all runs.
+    in `unit`, and `factor` is their ratio. `source` names in words what states the noise. `p` is the
+    probability that chance gives this ratio in any run. `series` are the series of the run concerned, empty
+    for all runs.
     """
 
     what: str

@@ -411,8 +411,7 @@ def beside(
 
 
 def channels_of(whitened: Whitened, data: Data, naming: Naming) -> dict[int, Floats]:
-    """Return the probability (3,) that each channel has the effect, for finds in the catalogue, by their
-    index.
+    """Return, by the index of each find of the catalogue, the probability (3,) that it acts in each channel.
 
     It follows from the evidence of the forms of the effect.
     """

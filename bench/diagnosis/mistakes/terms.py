@@ -280,10 +280,10 @@ class _Pass:
         return cls(table, rows, max(RATIOS, key=lambda ratio: table.seen(ratio, [free]).log_evidence))
 
     def seen(self, columns: Floats, beyond: Floats | float = 0.0) -> ProjectedReadings:
-        """Return the readings projected with changes of the pass in the model: `columns` (n, 3, p) with N(0,
-        1) amplitudes.
+        """Return the readings, projected with changes of the pass in the model.
 
-        `beyond` (n, 3) is added to the predicted signals of the pass.
+        The changes are `columns` (n, 3, p) with standard normal amplitudes. `beyond` (n, 3) is added to the
+        predicted signals of the pass.
         """
         table = replace(self.table, left=self.table.left - beyond * self.rows[:, None])
         return table.seen(self.ratio, more=[columns * self.rows[:, None, None]])
