@@ -158,7 +158,7 @@ def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Conf
     for number, (applied, course) in enumerate(zip(effects, courses, strict=True)):
         mine = [i for i, one in enumerate(unknowns) if one.effect == number]
         if course is not None and mine:
-            # each effect as the record alone gives it, the others at the model's values
+            # estimate each effect from this record alone, with the others at the model's values
             size, u_size = left.less(-record.added(applied)).sizes([course])
             at = [0 if (c := unknowns[i].channel) is None else record.channels.index(c) for i in mine]
             of.change[mine], of.covariance[mine, mine] = size[at] - of.found[mine], u_size[at] ** 2

@@ -150,7 +150,7 @@ class FreeSystem(LinearSystem):
         for view, block in zip(self.positions.views, self.positions.block, strict=True):
             change = view.own(self.model, (everywhere,), block)
             changes.append(view.rows_of(change[:, :, None] * np.eye(3)))
-        # what needs a time or a temperature that is not given does nothing here
+        # an effect is zero where the time or temperature that it needs is missing
         whole = np.nan_to_num(np.concatenate(changes))
         return whole * self.rows_in(applied.installations)[:, None] if applied.installations else whole
 
@@ -233,7 +233,7 @@ def make_rows(
     """
     if len({table.unit for table in tables}) > 1:
         raise CalibrationError("signals in different units cannot be evaluated together; use one unit")
-    # of one sensor no two are side by side, whatever their times
+    # tables of one sensor are different records, even if their times agree
     records = list(range(len(tables))) if one_sensor else _records(tables)
     sensors = _sensors(tables, records, one_sensor)
     names = list(dict.fromkeys(sensors))
@@ -286,7 +286,7 @@ def _sensors(tables: Sequence[Readings], records: Sequence[int], one_sensor: boo
     for group in groups[1:]:
         means = np.stack([features[members].mean(axis=0) for members in known])
         far = np.sqrt(np.mean((features[group][:, None] - means) ** 2, axis=2))
-        # side by side: who is who is settled by all of them at once
+        # assign all tables of a record at once: each is of a different sensor
         for row, column in zip(*linear_sum_assignment(far), strict=True):
             number = int(column)
             if far[row, column] > ANOTHER and len(groups[0]) == 1:

@@ -371,7 +371,7 @@ def _add_by_run(collector: Collector, run: Ints, unit: float) -> None:
         places: dict[int, tuple[int, ...]] = {}
         for channel in range(3):
             coefficient = first + channel if family == ZERO_BY_RUN else 4 * channel
-            # the column of the coefficient is the derivative by it: of a size that the noise has
+            # the derivative by the coefficient, scaled so that its largest element equals the noise
             whole = linear.fixed[:, coefficient::12].sum(axis=1)
             scale = unit / max(float(np.max(np.abs(whole))), 1e-300)
             columns = [whole * scale * (run == number) for number in np.unique(run)]
@@ -481,7 +481,7 @@ def _name_in_all_and_each(
     if naming.found:
         in_all = _common(linear, whitened, data, naming)
         grown, more = _look_in_each(whitened.candidates, runs, in_all, of_one)
-    else:  # the runs are what they were
+    else:  # without common finds, the first result remains valid
         grown, more = at_first
     if not alone and not more:
         return whitened, naming

@@ -123,7 +123,7 @@ def following(first: Readings, plan: Plan, model: ForwardModel, block: Block, li
     warmth = float(known[-1]) if len(known) else float("nan")
     planned = planned_readings(plan, model, block, temperature_c=warmth, line_hz=line_hz, unit=first.unit)
     both = together([JoinedPart(first), JoinedPart(planned)])
-    # after a run the clock goes on: what is settled by then stays so
+    # the clock continues after the first run, so that effects which have settled stay settled
     return both if first.began_s is not None else replace(both, began_s=None)
 
 
@@ -368,7 +368,7 @@ class _Bill:
         diagnosis, linear = self._diagnosis, self._linear(plan)
         result = {}
         for index, effect in enumerate(diagnosis.effects):
-            # what has no name has no forms that a further run would show in a way of their own
+            # a family outside the catalogue has no forms with which to predict a further run
             others = [other for other in effect.cannot_tell_from if other in CATALOGUE]
             if not others or not effect.in_catalogue:
                 continue

@@ -374,9 +374,9 @@ def _in_channels(
     freedom = len(linear) - linear.fixed.shape[1]
     more = 0.5 * np.sum(np.log(weight), axis=1) - 0.5 * freedom * np.log(rest / (left @ left))
     best = int(np.argmax(more))
-    # the mean over all sizes, and of one channel one of three
+    # the likelihood is averaged over all sizes and, for a single channel, over the choice among three
     cost = float(special.logsumexp(more) - np.log(len(SIZES) * (3 if len(channels) == 1 else 1)) - more[best])
-    # white noise beside it is smaller than what was found without it
+    # with slow noise in the model, the white noise is smaller than `sigma`
     size = float(SIZES[best]) * sigma * math.sqrt(float(rest[best]) / freedom)
     return SlowNoise(channels, size, float(more[best]) + cost, cost, size * columns)
 

@@ -313,7 +313,7 @@ def _integrated(supposed: Sequence[Products], mean: Floats, u: Floats, errors_g:
     # (5, 5, 3, H, sizes): many small matrices are eliminated much faster side by side than by LAPACK one by one
     whole = np.ascontiguousarray(np.moveaxis(centred, (3, 4), (0, 1))) @ (1.0 / variance)
     whole[range(4), range(4)] += u[:, :, None, None] ** -2
-    # rounding, where signals are far too large, or there is none
+    # keeps the last pivot positive in spite of rounding, or if there are no readings
     whole[4, 4] += 1e-9 * (1.0 + whole[4, 4])
     for k in range(4):
         whole[k + 1 :, k + 1 :] -= whole[k + 1 :, k, None] * (whole[k, k + 1 :] / whole[k, k])

@@ -275,9 +275,9 @@ def _reversed_polarity(_: OrientedRows, scope: Scope) -> Iterator[Reinterpretati
 
 def _other_unit(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
     where = "" if scope.whole else str(scope).replace("in ", " of ", 1)
-    # the channels of one voltmeter, of two, or all
+    # all channels, a single one, or two
     sets = [chosen for size in (3, 1, 2) for chosen in combinations(range(3), size)]
-    # one or two unit prefixes, or as many digits by a wrong range or decimal point
+    # a wrong unit by one or two prefixes, or a decimal point moved by one or two digits
     for chosen, digits, many in product(sets, (round(PREFIX), 1), filter(None, PREFIXES)):
         tens = digits * many
         factor = np.ones(3)
@@ -337,7 +337,7 @@ def _shifted(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
             "stop that has none"
         )
         source = _rows_aside(runs, scope.mask, step)
-        if np.mean(source[scope.mask] >= 0) > MOSTLY:  # what has lost most of its rows fits anything
+        if np.mean(source[scope.mask] >= 0) > MOSTLY:  # with too few rows left, any supposition fits
             yield Reinterpretation(MistakeName.SHIFTED_POINTS, scope, words, source=source)
     stop = _stop_rad(table, scope.mask)
     if stop is not None:
@@ -370,7 +370,7 @@ def _stop_rad(table: OrientedRows, mask: Mask) -> Floats | None:
         steps = np.diff(table.angle_rad[own])
         if not len(steps):
             continue
-        # whole minutes: the scatter of the settings does not belong to a stop
+        # rounded to minutes of arc, which removes the scatter of the settings
         stops[own] = np.radians(np.round(np.degrees(np.median(steps)) * 60) / 60)
         widths += [*np.abs(steps), float(np.abs(np.median(steps)))]
         if np.ptp(np.sign(steps)):

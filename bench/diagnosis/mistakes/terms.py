@@ -356,7 +356,7 @@ def _bent(one: _Pass, columns: Floats, unit: float) -> Floats:
     """
     force, K = one.table.force, one.table.block.K
     bent = np.zeros_like(one.table.left)
-    for _ in range(3):  # each step leaves a hundredth of a rotation of 1°
+    for _ in range(3):  # for a rotation of 1°, each step leaves a hundredth of the error
         seen = one.seen(columns, bent)
         inside = seen.table.whiten(columns * one.rows[:, None, None], seen.white)
         angle = (inside.T @ seen.pull)[:3]
