@@ -192,10 +192,10 @@ class Collector:
         shape: tuple[tuple[str, float], ...],
         mounts: tuple[str, ...],
     ) -> dict[int | None, Floats]:
-        """Return `plausible_columns`, from an earlier computation where possible.
+        """Return the result of `plausible_columns`, from an earlier computation where possible.
 
-        An effect that does not depend on earlier readings is computed once for all rows. Where it acts in some
-        mountings only, its column is the same with zeros in the rows of all other mountings.
+        An effect that does not depend on earlier readings is computed once for all rows. If it acts in some
+        mountings only, its column has zeros in the rows of all other mountings.
         """
         if not mounts or effect.needs_history or effect.needs_path or effect.lasts:
             return plausible_columns(self.linear, effect, parameter, shape, mounts)

@@ -313,11 +313,12 @@ def _shown(
     """Return four numbers: the parameters' size in the model, the least that would show, `p_same` and
     `p_none`.
 
-    The sizes are in units of noise. The parameters, which have the indices `places`, are judged in the
-    directions that the readings determine. A direction is an eigenvector of their covariance: a sum or a
-    difference of parameters may be determined although no parameter is. `apart` is false if the values of
-    several mountings are judged together. The values in the model are then correlated, but a model file
-    states no correlations. Therefore the u of the model in each direction is at most the u of these readings.
+    The p-values are those of `EffectNow`. The sizes are in units of noise. The parameters, which have the
+    indices `places`, are judged in the directions that the readings determine. A direction is an eigenvector
+    of their covariance: a sum or a difference of parameters may be determined although no parameter is.
+    `apart` is false if the values of several mountings are judged together. The values in the model are then
+    correlated, but a model file states no correlations. Therefore the u of the model in each direction is at
+    most the u of these readings.
     """
     use = np.array(places, dtype=np.int64)
     variance, turned = np.linalg.eigh(estimated.covariance[np.ix_(use, use)])

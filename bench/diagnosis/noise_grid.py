@@ -42,11 +42,11 @@ RATIO_SPREAD: Final = 1.0
 
 @dataclass(frozen=True)
 class Span:
-    """A subspace of some of the rows (n of them) that is fitted: by coefficients or by unknowns with a prior.
+    """A subspace in n of the rows that a fit absorbs: that of coefficients, or of unknowns with a prior.
 
-    `rows` are the indices of its n rows. `basis` (n, k) are the k orthonormal directions of the subspace. `kept`
-    (k,) is the fraction of each direction that remains in the residuals because of the prior; it is 0 for
-    coefficients, which have no prior.
+    `rows` are the indices of its n rows. `basis` (n, k) are the k orthonormal directions of the subspace.
+    `kept` (k,) is the fraction of each direction that remains in the residuals because of the prior; it is 0
+    for coefficients, which have no prior.
     """
 
     rows: slice | Ints

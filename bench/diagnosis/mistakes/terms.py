@@ -366,7 +366,9 @@ def _bent(one: _Pass, columns: Floats, unit: float) -> Floats:
 
 
 def _stuck(one: _Pass, channel: int) -> float:
-    """Return ln of the evidence that a `channel` (0, 1, 2) has one unknown reading throughout the pass."""
+    """Return ln of the evidence that a `channel` (0, 1, 2) gives one unknown value in all readings of the
+    pass.
+    """
     table = one.table
     deaf = np.outer(one.rows, np.eye(3)[channel]) == 1.0
     hearing = replace(
