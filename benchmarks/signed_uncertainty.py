@@ -111,8 +111,8 @@ def own(case: str) -> Calibrator:
 def run(case: str, seed: int, numbers: range) -> tuple[Floats, ...]:
     """Return arrays over runs of a case.
 
-    They are errors, u, u of the readings (runs, 12), delta g and its u (runs, 8); of the case's source: the
-    changes of the estimates and the variances that it adds to u^2 (runs, 12).
+    They are: errors, u, and u of the readings (runs, 12); delta g and its u (runs, 8); for the source of the
+    case, the changes of the estimates, and the variances that the source adds to u^2 (runs, 12).
     """
     rows: list[list[Floats]] = []
     names = KNOWN.get(case, ())

@@ -113,9 +113,9 @@ class Column:
 class Variant:
     """One form that a family may take: in which channels and mountings it acts, and with which shape.
 
-    `columns` are the indices of the variant's columns in `Candidates.columns`. `shape` has the name and the SI
-    value of each shape parameter. For an unnamed family, `where` says in words where it acts, and `term` holds
-    its formula, if it has one.
+    `columns` are the indices of the variant's columns in `Candidates.columns`. `shape` has the name and the
+    SI value of each shape parameter. For an unnamed family, `where` says in words where the variant acts;
+    `term` has its formula, or is None.
     """
 
     family: str

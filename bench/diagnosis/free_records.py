@@ -126,9 +126,9 @@ class FreeRows:
 class FreeSystem(LinearSystem):
     """Free positions as a linear system: |a| - 1 in g, with nine coefficients for each sensor.
 
-    The effects of the given model are subtracted from the response, and the `random` columns estimate them again.
-    In place of mountings, an effect names the sensors on which it acts ("sensor 1"); if it names none, it acts on
-    all.
+    The effects of the given model are subtracted from the response, and the `random` columns estimate them
+    again. In place of mountings, an effect names the sensors on which it acts ("sensor 1"); an effect that
+    names none acts on all sensors.
     """
 
     positions: FreeRows
@@ -225,11 +225,12 @@ def make_rows(
 ) -> FreeRows:
     """Return the free positions of several tables, assigned to sensors and records.
 
-    Each of `tables` is from one sensor in one record. Tables with the same times are of the same record, and so
-    of different sensors. `one_sensor` is True if all tables are of one sensor, and False if each is of another;
-    if it is None, the coefficients show which tables are of the same sensor. The effects of `model` are kept for
-    `make_system`. Raises `CalibrationError` if the positions of a sensor do not determine its coefficients, if
-    units differ, or if an effect of the model needs an angle, time or temperature that the tables lack.
+    Each of `tables` is from one sensor in one record. Tables with the same times are of the same record, and
+    so of different sensors. `one_sensor` is True if all tables are of one sensor, and False if each table is
+    of a different sensor. If `one_sensor` is None, the coefficients show which tables are of the same sensor.
+    The effects of `model` are kept for `make_system`. Raises `CalibrationError` if the positions of a sensor
+    do not determine its coefficients, if units differ, or if an effect of the model needs an angle, time or
+    temperature that the tables lack.
     """
     if len({table.unit for table in tables}) > 1:
         raise CalibrationError("signals in different units cannot be evaluated together; use one unit")

@@ -461,8 +461,8 @@ def _name_in_all_and_each(
 ) -> tuple[Whitened, Naming]:
     """Return the finds in all runs and in single runs, with the whitened candidates that contain them.
 
-    Effects of a few single runs are searched first, as they could be mistaken for common effects; with them
-    in the model, common effects follow, and at last effects of single runs beside these.
+    Effects of a few single runs are searched first, as they could be mistaken for common effects. With them
+    in the model, common effects are searched, and then further effects of single runs.
     """
     response = linear.response[:, None]
     data = whitened.reduce(response)

@@ -175,15 +175,16 @@ class Chance:
 
 
 def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) -> float:
-    """Return the probability that further readings give one name of a tie a posterior of at least 1 - `OFTEN`.
+    """Return the probability that further readings give one name of a tie a posterior of at least 1 -
+    `OFTEN`.
 
     `first` is the name of the effect found; the other names are its rivals. `odds` maps each name, `first`
-    included, to its present posterior probability. `gained` maps each rival to the increase of its divergence D
-    from `first` by the further readings, or to -inf if they cannot distinguish it from `first`.
+    included, to its present posterior probability. `gained` maps each rival to the increase of its divergence
+    D from `first` by the further readings, or to -inf if these readings cannot distinguish the two.
 
-    If one of two names is true, ln of its odds against the other grows by a normally distributed number of mean D
-    and variance 2 D. If there are several rivals, the one that is hardest to separate from the true name decides.
-    The divergence between two rivals is not considered.
+    If one of two names is true, ln of its odds against the other grows by a normally distributed number of
+    mean D and variance 2 D. If there are several rivals, the one that is hardest to separate from the true
+    name decides. The divergence between two rivals is not considered.
     """
     enough = math.log((1.0 - OFTEN) / OFTEN)
 
@@ -385,8 +386,8 @@ class _Bill:
     def showing(self) -> Proposal | None:
         """Return the shortest of the procedures that show the most hidden effects; None if none shows any.
 
-        An effect counts as hidden, too, if its plausible size is below the noise. A procedure shows it if half of
-        all runs then find it at twice its plausible size.
+        An effect counts as hidden, too, if its plausible size is below the noise. A procedure shows an effect
+        if half of all runs then find the effect at twice its plausible size.
         """
         diagnosis = self._diagnosis
         half = half_power(diagnosis.whitened, diagnosis.registered.threshold)

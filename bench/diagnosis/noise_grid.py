@@ -63,9 +63,9 @@ class Span:
 class Whitener:
     """A linear map of N rows to numbers with independent noise of equal variance.
 
-    `blocks` has an entry for each size n of a set of rows with correlated noise. The entry is a pair for the b
-    sets of this size: the indices of their b n rows, one set after the other, and the inverse Cholesky factors
-    (b, n, n) of their covariances. `fitted` are the subspaces that the map removes; they are orthogonal, and each
+    `blocks` has a pair for each size n of a set of rows with correlated noise. For the b sets of this size,
+    the pair is: the indices (b n,) of the rows, set after set, and the inverse Cholesky factors (b, n, n) of
+    the covariances. `fitted` are the subspaces that the map removes; they are orthogonal, and each
     accelerometer block has its own. Apply the map with `@`.
     """
 

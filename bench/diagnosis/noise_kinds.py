@@ -1,9 +1,9 @@
 """Hypotheses on the noise, compared by evidence: by channel, run or place, heavy-tailed, slow, or larger.
 
-A hypothesis changes the covariance of the readings; it competes with missing effects in explaining the readings.
-For heavy tails each row has its own precision, with the prior that makes its noise t-distributed (Tipping and
-Lawrence, Neurocomputing 69 (2005) 123); its evidence is the lower bound of that paper. The last part compares the
-noise with what the bench file and the samples state.
+A hypothesis changes the covariance of the readings; it competes with missing effects in explaining the
+readings. For heavy tails, each row has its own precision, with a prior that makes the noise t-distributed.
+The evidence of heavy tails is the lower bound of Tipping and Lawrence, Neurocomputing 69 (2005) 123. The last
+part compares the noise with what the bench file and the samples state.
 """
 
 from __future__ import annotations

@@ -191,9 +191,9 @@ class FarReading:
 def far_readings(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[FarReading, ...]:
     """Return the readings that are far from the final model, the farthest first.
 
-    `effects` (N, m) are the columns of the effects in this model. The distances are deletion residuals: each
-    reading is compared with the model fitted without it (Cook and Weisberg, Residuals and Influence in
-    Regression, 1982, section 2.2), in units of the noise of its channel.
+    `effects` (N, m) are the columns of the effects in this model. The distances are deletion residuals in
+    units of the noise of the channel: each reading is compared with the model fitted without this reading.
+    Source: Cook and Weisberg, Residuals and Influence in Regression, 1982, section 2.2.
     """
     heavy = linear.by_row is not None
     rows = replace(linear.with_random(KNOWN_SIZE * effects), by_row=None)

@@ -81,8 +81,8 @@ MODEL_COUNTS_FROM_C: Final = 20.0
 def coefficients_at(temperature_c: float, seed: int, row: Row, index: int) -> Floats:
     """Return K row by row, V/g, and U0, V, shape (12,), at a temperature.
 
-    The trial's temperature effects are zero at `REFERENCE_TEMPERATURE_C`. A model may refer to another temperature;
-    its coefficients then contain their values there.
+    The trial's temperature effects are zero at `REFERENCE_TEMPERATURE_C`. The coefficients of a model that
+    refers to another temperature contain the effects' values at that temperature.
     """
     run, truths = hidden_in(seed, row, index)
     weather = replace(run.weather, start=run.weather.start + temperature_c - REFERENCE_TEMPERATURE_C)

@@ -143,8 +143,8 @@ class GrossSearch:
     def _best(self, table: OrientedRows, supposed: Sequence[Reinterpretation], odds: Floats) -> int:
         """Return the index of the likeliest supposition; `odds` are ln of their odds.
 
-        A supposition of another unit is rejected if it does not bring its channels to the data sheet; its
-        entry in `odds` becomes minus infinity.
+        A supposition of another unit must bring the channels to the data sheet; otherwise its entry in `odds`
+        becomes minus infinity.
         """
         while True:
             best = int(np.argmax(odds))
@@ -161,8 +161,8 @@ class GrossSearch:
 
         It is the number of suppositions tried (ln: `log_looks`) divided by the odds of the copy, at most 1.
         The priors of the block are in the corrected unit. `log_scaling` is ln of the factor by which the
-        correction enlarges a volume of signals, so that the densities compared are both those of the recorded
-        signals.
+        correction enlarges a volume of signals; this factor converts the probability density of the copy to
+        one of the recorded signals.
         """
         copy, record = OrientedRows.of(right), OrientedRows.of(recorded)
         odds = [self._log_evidence(table, [nothing(table)], copy, table.every)[0] for table in (copy, record)]

@@ -221,8 +221,8 @@ class Table:
     def points(self) -> Floats:
         """Indicator columns (n, 3, p): a free value of each channel at each angle that a mounting repeats.
 
-        A reading within `NEAR_DEG` of the median angle of its repeats counts as one of them, so that a wrong
-        setting stays with its repeats.
+        Readings within `NEAR_DEG` of their median angle are repeats, so that a wrong setting stays with its
+        repeats.
         """
         conditions = self.problem.conditions
         angle, repeats = np.degrees(conditions.angle_rad), repeat_groups(conditions)
