@@ -399,7 +399,7 @@ def _recorded(seal: Seal, runs: Path) -> Run | None:
 
 
 def _asked(shown: ShownValues) -> VerdictOptions:
-    """Return verdict options with the decision rule of the certificate; that of the record may differ."""
+    """Return verdict options with the decision rule of the certificate; the rule in the record may differ."""
     try:
         told = json.loads(shown.files["result.json"])["verification"]
         rule = DecisionRule.of_json(told) if told else DecisionRule()

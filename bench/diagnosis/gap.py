@@ -363,7 +363,9 @@ def _fold(
     label: str,
     held: Mask,
 ) -> Fold:
-    """Search rows outside the mask `held` (N,); predict those in it with and without the effects found."""
+    """Search the rows outside the mask `held` (N,); predict the held-out rows with and without the effects
+    found.
+    """
     part, candidates = restrict(linear, ~held), whitened.candidates
     kept = replace_columns(candidates, candidates.columns[~held])
     grid = make_noise_grid(part, whitened.grid.sigma, setting_rad, near_ratios(linear, noise))

@@ -259,10 +259,10 @@ def find_mistakes_in_each(
 
 
 def _searched_together(readings: Readings, model: ForwardModel) -> Iterator[tuple[Mask, int]]:
-    """Yield the mask (n,) of each run's rows, and the index of the run's block.
+    """Yield the mask (n,) of the rows that are searched together, and the index of their block.
 
-    A run that does not determine the coefficients of its block joins the first run that does, or else the
-    other runs.
+    These are the rows of one run that determines the coefficients of its block. Runs that do not determine
+    them join the first run that does; if no run does, all runs of the block are searched together.
     """
     run = readings.run
     block = np.zeros(len(readings), dtype=np.int64) if readings.block is None else readings.block

@@ -30,7 +30,8 @@ class UnexplainedScatter:
     """Scatter about the model that exceeds the noise of repeats: a standard deviation, unit of the signal.
 
     `value` is its estimate, `u` its standard uncertainty, `upper` its upper 95 % limit, and `p` the
-    probability that chance gives as much. `u` and `upper` are infinite if all readings are repeats.
+    probability that chance gives at least this much. `u` and `upper` are infinite if all readings are
+    repeats.
     """
 
     value: float

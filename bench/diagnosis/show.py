@@ -256,7 +256,9 @@ def _test(problem: Problem, fit: gls.Fit, left: Floats) -> LackOfFit:
 
 
 def _points(readings: Readings, problem: Problem, fit: gls.Fit) -> tuple[ModulusPoint, ...]:
-    """Return |a| - 1 at the verification points, computed with the effects; its u covers all that was estimated."""
+    """Return |a| - 1 at the verification points, computed with the effects; u includes the u of all
+    estimates.
+    """
     chosen = readings.installation == VERIFICATION
     rows = readings.select(chosen)
     if not len(rows):
