@@ -282,7 +282,7 @@ def _scpi(rng: random.Random) -> list[tuple[str, str]]:
 
 
 def _answers(rng: random.Random) -> list[tuple[str, str]]:
-    """Answer prompts: an accepted answer must fit; others must be asked again, be a wish, or be refused."""
+    """Answer a prompt, well and badly: an answer that the program accepts must suit the prompt."""
     from bench.base.tables import Screen
     from bench.run.person import OperatorWish, ask
     from bench.run.terminal import TerminalPerson

@@ -105,7 +105,7 @@ def _bench_case(rng: random.Random) -> Case:
 
 
 def _several_case(rng: random.Random) -> Case:
-    """Return three sources of which one cannot be evaluated; the others must be."""
+    """Return three sources, one of which cannot be evaluated; the program must still evaluate the other two."""
     good = as_csv(readings())
     cut, renamed = good[: rng.randrange(200)], good.replace(b"ux_v", b"u")
     bad = rng.choice((b"", b"\xff", b"installation\n", cut, renamed))

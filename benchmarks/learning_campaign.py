@@ -74,7 +74,9 @@ def scores(found: Learned, bench: Bench) -> list[tuple[str, float, float, float]
 def next_blocks(
     rng: np.random.Generator, bench: Bench, found: Learned, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return z (count, 12) of further runs with the learned sizes, and u (12,) divided by u without them."""
+    """Return z (count, 12) of further runs with the learned sizes, and the ratio (12,) of u with and without
+    them.
+    """
     runs = simulate(rng, bench, count)
     with_it, without = ([calibrated(one, known) for one in runs.tables()] for known in (found.known, None))
     u, plain = (np.array([one.u for one in each]) for each in (with_it, without))
@@ -88,7 +90,9 @@ def calibrated(readings: Readings, known: KnownStand | None = None) -> Calibrati
 
 
 def exchanged_meters(rng: np.random.Generator, benches: int, runs: int, extra: float) -> np.ndarray:
-    """Return z, and u relative to u of the limits, for differences of two gains and two zeros (benches, 4).
+    """Return z and relative u of the differences of two gains, then of two zeros, (benches, 4).
+
+    u is relative to the u that follows from the limits of the meters alone.
 
     The block's rows and biases change from run to run by `extra` times the scatter of the readings.
     """

@@ -379,7 +379,9 @@ class Writer:
 
 
 def meters_of(bench: int, year: int) -> tuple[str, ...]:
-    """Return the serial numbers of a bench's meters; every third year the first moves to the next bench."""
+    """Return the serial numbers of a bench's meters; every third year the first meter moves to the next
+    bench.
+    """
     moved = (year - FIRST_DAY.year) // 3
     return f"MY54{(bench - moved) % 100:03}1", f"MY54{bench:03}2", f"MY54{bench:03}3"
 

@@ -76,7 +76,9 @@ STATED = UncertaintySection.model_validate(
 
 @dataclass
 class Calibrator:
-    """Calibrates as `bench calibrate` does, without files; `wandering`: with `STATED` in the bench file."""
+    """A calibration like that of `bench calibrate`, without files; if `wandering`, the bench file has
+    `STATED`.
+    """
 
     wandering: bool = False
 
@@ -109,8 +111,8 @@ def own(case: str) -> Calibrator:
 def run(case: str, seed: int, numbers: range) -> tuple[Floats, ...]:
     """Return arrays over runs of a case.
 
-    They are errors, u, u of the readings (runs, 12), delta g and its u (runs, 8); of the case's source: the
-    changes of the estimates and the variances that it adds to u^2 (runs, 12).
+    They are: errors, u, and u of the readings (runs, 12); delta g and its u (runs, 8); for the source of the
+    case, the changes of the estimates, and the variances that the source adds to u^2 (runs, 12).
     """
     rows: list[list[Floats]] = []
     names = KNOWN.get(case, ())
@@ -170,10 +172,11 @@ def show(case: str, parts: list[Any], runs: int) -> list[str]:
 
 
 def pairs(case: str, seed: int, numbers: range) -> tuple[int, int, int, int, int]:
-    """Return how many pairs were compared, said to differ, changed by 6 u in one of the nine, and so found.
+    """Return five numbers of pairs, counted by the joint test of the nine intrinsic numbers.
 
-    The last count is of unchanged pairs that the twelve coefficients say to differ. In each calibration the
-    block is turned by 0 to 2 degrees, equally in both installations.
+    They are: all pairs, unchanged pairs that differ, changed pairs, changed pairs that differ, and unchanged
+    pairs that differ by the test of the twelve coefficients. A change is one of 6 u in one of the nine
+    numbers. In each calibration the block is turned by 0 to 2 degrees, equally in both installations.
     """
     differ = changed = found = by_twelve = 0
     for k in numbers:

@@ -334,8 +334,8 @@ def ratio_of(chooser: Chooser, covariance: np.ndarray) -> np.ndarray:
 class Stopped:
     """The results of runs that stop along one order of points: z (runs, 12), and settings (runs,).
 
-    z is given at the stop, for a fixed number of settings, and for known noise; `reached` says whether the goal
-    was.
+    The three z are those at the stop, for a fixed number of settings, and for known noise. `reached` says
+    whether a run reached the goal.
     """
 
     z: np.ndarray

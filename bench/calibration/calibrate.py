@@ -223,7 +223,7 @@ def _notes_on_rows(
     if not count or len(chosen.free):
         return ()
     why = message(f"the estimator {estimator} needs oriented readings") if join_free else message("as asked")
-    return (message(f"{count} free positions are not used: {why}"),)
+    return (message(f"{count} free position{' is' if count == 1 else 's are'} not used: {why}"),)
 
 
 def _on_levels(problem: Problem) -> tuple[str, ...]:

@@ -41,7 +41,7 @@ Row = dict[str, Any]
 
 
 def instruments_of(bench: BenchFile | None, run: int, started: Mapping[str, Any]) -> dict[str, list[Row]]:
-    """Return the rows of the instruments of a run, their uses and certificates, by table.
+    """Return, by table, the rows of a run's instruments, of their uses and of their certificates.
 
     `started` are the data of the event with which the run began, such as reported identities and serial
     numbers.

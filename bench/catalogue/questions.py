@@ -143,7 +143,7 @@ def _row_of(table: Table, *conditions: Condition) -> Condition:
 
 
 def _size(column: ColumnElement[Any], table: Table | None = None) -> Build:
-    """Return the builder for a numerical key on a column, whose unit the values have."""
+    """Return the builder for a numerical key on a column; values are in the unit of the column."""
 
     def build(operator: str, value: str) -> Condition:
         try:

@@ -137,7 +137,7 @@ def sync(
 
 
 def _orphaned(row: Row) -> bool:
-    """Return whether the folder of a row is a copy of a run folder that no longer exists."""
+    """Return whether the folder of a row is a copy, and the original run folder no longer exists."""
     reason = row["reason"] or ""
     original = reason.removeprefix(_COPY).removesuffix(_COUNTED)
     return reason.startswith(_COPY) and not Path(original, MANIFEST).exists()
@@ -411,9 +411,9 @@ class WalkResult:
 def scan(root: str, now_ns: int, most: int | None = None) -> tuple[WalkResult, list[Place]]:
     """Walk a folder that is or contains run folders, at any depth; symbolic links below it are not followed.
 
-    Folders inside run folders, and hidden folders, are not entered. When more than `most` folders wait, the
-    walk ends and returns them too; `scan_all` can continue from them in any process. Raises `OSError` if
-    `root` cannot be read.
+    Folders inside run folders, and hidden folders, are not entered. As soon as more than `most` folders
+    remain, the walk ends; the remaining folders are returned too, and `scan_all` continues from them in any
+    process. Raises `OSError` if `root` cannot be read.
     """
     seen = WalkResult()
     with os.scandir(root):

@@ -187,7 +187,7 @@ def _reckon(
 
 
 def _keep(catalogue: Catalogue, found: Reckoned, asked: str) -> None:
-    """Cache the due dates in `found`, except of units whose data have changed since these were computed."""
+    """Cache the due dates in `found`, except those of units whose data changed after the computation."""
     with suppress(Refused), catalogue.writing() as connection:  # read-only users get no cache
         for name, told, mark in found:
             if mark and _mark(connection, name) == mark:
@@ -288,7 +288,8 @@ def _name_of(catalogue: Catalogue, unit: str) -> str:
 
 
 def _compared(table: CoefficientTable, notes: list[str]) -> tuple[CoefficientTable, bool]:
-    """Return the comparable calibrations, per g of the last one, and whether they are simulated.
+    """Return the comparable calibrations, converted to the local g of the last one, and whether they are
+    simulated.
 
     Notes on the calibrations left out are appended to `notes`.
     """

@@ -118,8 +118,8 @@ class Instrument:
 class Contribution:
     """A source of uncertainty that does not show in the scatter of the readings.
 
-    `most_in` names the coefficient in whose u the source has the largest share; `u` is that contribution, in
-    `unit`. `prior` says that nobody stated the `size` for this bench.
+    `most_in` names the coefficient to whose u the source contributes most, and `u` (in `unit`) is this
+    contribution. `prior` says that nobody stated the `size` for this bench.
     """
 
     name: str
@@ -369,9 +369,9 @@ def stated(of: Verification) -> tuple[Statement, tuple[Statement, ...]]:
 
 
 def uncertified(found: RunFindings) -> tuple[str, ...]:
-    """Return the names of those voltmeters (and head) that had no valid certificate of their own on the day.
+    """Return the names of the voltmeters, and of the head, without a valid certificate on the day of the run.
 
-    Their certificate is missing, expired or belongs to another instrument.
+    A certificate that is missing, has expired or belongs to another instrument is not valid.
     """
     return tuple(
         one.name

@@ -88,7 +88,9 @@ def _house_rule(laboratory: Laboratory | None) -> DecisionRule | None:
 
 
 def texts_for(laboratory: Laboratory | None) -> tuple[Texts, ...]:
-    """Return the texts in each language of a laboratory, with its wordings; English without a laboratory."""
+    """Return the certificate's texts in each language of the laboratory, with its wordings; by default in
+    English.
+    """
     if laboratory is None:
         return (texts_of(_FIRST_LANGUAGE),)
     return tuple(

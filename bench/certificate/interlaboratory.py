@@ -39,8 +39,10 @@ SHA256: Final = re.compile(r"[0-9a-f]{64}")
 
 @dataclass(frozen=True)
 class Stop:
-    """A stop of the block: blind `code`, laboratory, whether this is the pilot, and the seal of the result,
-    if given.
+    """A stop of the block: blind `code`, laboratory (`pilot`: the pilot laboratory), and the seal of its
+    result.
+
+    `seal` is empty until the result is sealed.
     """
 
     code: str
@@ -143,10 +145,10 @@ def evaluate_kit(
     """Return the evaluation of results, given by code: files of `calibrate --json`, or DCCs (XML, PDF) of any
     program.
 
-    `g_m_s2` is the local gravity (m/s²) of certificates that do not state it. `checks` are monitors at each
-    stop, by code, in order of time. Changes of the block, between monitors or the pilot's stops, that exceed
-    their u widen the u of each difference. Raises `Refused` if a seal is missing or broken, or a stop has no
-    result.
+    `g_m_s2` is the local gravity (m/s²) of certificates that do not state it. `checks` are the monitor runs
+    at each stop, by code, in order of time. If the block changed by more than u between monitor runs or
+    between the pilot's stops, the u of each difference is widened. Raises `Refused` if a seal is missing or
+    broken, or a stop has no result.
     """
     problems = [f"{s.code}: no result is given" for s in kit.stops if s.code not in given]
     problems += [
@@ -203,7 +205,9 @@ def _between_pilots(pilots: Sequence[str], there: Mapping[str, Snapshot]) -> Ite
 
 
 def _between_checks(kit: Kit, checks: Mapping[str, Sequence[str]]) -> Iterator[_Seen]:
-    """Yield the change of the block between successive monitors at one stop, and between the pilot's stops."""
+    """Yield the change of the block between successive monitor runs at one stop, and between the pilot's
+    stops.
+    """
     before: tuple[str, CheckRun] | None = None
     for stop in sorted(kit.stops, key=lambda stop: not stop.pilot):
         of_stop = Request(list(checks.get(stop.code, ())), runs_folder(None))

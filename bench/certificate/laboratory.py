@@ -72,8 +72,8 @@ def texts_of(language: str) -> Texts:
 class OnCertificate:
     """A mark for a field of a laboratory or order file: the certificate shows the field under its own name.
 
-    `page` is the page of the PDF. With `otherwise`, a key in `words.yaml`, the row is always printed, before
-    other rows; its text is that of the key if the file does not state the field.
+    `page` is the page of the PDF. `otherwise` is the key in `words.yaml` of a text to print if the file does
+    not state the field. A row with `otherwise` is always printed, before the rows without.
     """
 
     page: Literal["front", "method", "conditions"]

@@ -323,7 +323,8 @@ def signed(
 def made_again(register: Register, number: str, runs: Path) -> Bodies:
     """Reproduce the unsigned forms of an issued certificate from its record and its stored inputs.
 
-    Raises `Refused` if a stored input or the record has changed; else raises like the issue of a certificate.
+    Raises `Refused` if a stored input or the record has changed, and all errors of `certificate_of` and
+    `bodies_of`.
     """
     entry = issued(register, number).entry
     kept = entry.data["made_from"]

@@ -1,4 +1,4 @@
-"""The register of issued certificates: an append-only file whose lines contain the previous line's hash.
+"""The register of issued certificates: an append-only file; each line contains the hash of the line before.
 
 Writing the line issues the certificate. Before that, the certificate's files have temporary names; they are
 renamed afterwards, or when the register is next opened. After an interruption, a number therefore exists with

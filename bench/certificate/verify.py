@@ -277,7 +277,7 @@ def _agree(verdict: Verdict, shown: ShownValues, attached: dict[str, bytes], tit
 def _verify_pdf_beside(verdict: Verdict, file: bytes, document: bytes, name: str) -> None:
     """Verify the PDF in the folder of an XML, and compare the XML inside the PDF with that XML.
 
-    Raises `NotIntact`.
+    Raises `NotIntact` if the PDF is not intact or the two differ.
     """
     apart = Verdict(name)
     try:
@@ -403,7 +403,7 @@ def _recorded(seal: Seal, runs: Path) -> Run | None:
 
 
 def _asked(shown: ShownValues) -> VerdictOptions:
-    """Return verdict options with the decision rule of the certificate; that of the record may differ."""
+    """Return verdict options with the decision rule of the certificate; the rule in the record may differ."""
     try:
         told = json.loads(shown.files["result.json"])["verification"]
         rule = DecisionRule.of_json(told) if told else DecisionRule()

@@ -29,8 +29,8 @@ Cell = tuple[str, int]
 def spells(readings: Readings, *, lasting: bool) -> Iterator[tuple[str, ...]]:
     """Yield each set of passes or mountings in which an effect may act, as a tuple of their labels.
 
-    The sets are: the passes of a mounting from any but its first onwards, each single pass, and each whole
-    mounting. A whole mounting is yielded only if its installation was mounted more than once, because
+    The sets are: all passes of a mounting from its second or a later one onwards, each single pass, and each
+    whole mounting. A whole mounting is yielded only if its installation was mounted more than once, because
     otherwise the mounting angles describe the same change. If the effect outlasts a remount (`lasting`),
     every mounting is yielded, and also everything from each later pass onwards, verification points included.
     If a set contains all passes of a mounting, it has the label of the mounting in place of those of the
@@ -113,9 +113,9 @@ class Column:
 class Variant:
     """One form that a family may take: in which channels and mountings it acts, and with which shape.
 
-    `columns` are the indices of the variant's columns in `Candidates.columns`. `shape` has the name and the SI
-    value of each shape parameter. For an unnamed family, `where` says in words where it acts, and `term` holds
-    its formula, if it has one.
+    `columns` are the indices of the variant's columns in `Candidates.columns`. `shape` has the name and the
+    SI value of each shape parameter. For an unnamed family, `where` says in words where the variant acts;
+    `term` has its formula, or is None.
     """
 
     family: str
@@ -192,10 +192,10 @@ class Collector:
         shape: tuple[tuple[str, float], ...],
         mounts: tuple[str, ...],
     ) -> dict[int | None, Floats]:
-        """Return `plausible_columns`, from an earlier computation where possible.
+        """Return the result of `plausible_columns`, from an earlier computation where possible.
 
-        An effect that does not depend on earlier readings is computed once for all rows. Where it acts in some
-        mountings only, its column is the same with zeros in the rows of all other mountings.
+        An effect that does not depend on earlier readings is computed once for all rows. If it acts in some
+        mountings only, its column has zeros in the rows of all other mountings.
         """
         if not mounts or effect.needs_history or effect.needs_path or effect.lasts:
             return plausible_columns(self.linear, effect, parameter, shape, mounts)
@@ -533,7 +533,7 @@ class KnownBench:
         return {name: why[name] for name in CATALOGUE if why.get(name)}
 
     def not_judged(self, readings: Readings) -> str:
-        """Return a sentence on the effects searched only because the bench is unknown; "" without such."""
+        """Return a sentence on the effects searched only because the bench is unknown; "" if there are none."""
         unknown = {
             "range_offset": self.fixed_ranges is None and not _ranges(readings),
             "channel_crosstalk": self.own_meters is None,

@@ -158,7 +158,7 @@ def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Conf
     for number, (applied, course) in enumerate(zip(effects, courses, strict=True)):
         mine = [i for i, one in enumerate(unknowns) if one.effect == number]
         if course is not None and mine:
-            # each effect as the record alone gives it, the others at the model's values
+            # estimate each effect from this record alone, with the others at the model's values
             size, u_size = left.less(-record.added(applied)).sizes([course])
             at = [0 if (c := unknowns[i].channel) is None else record.channels.index(c) for i in mine]
             of.change[mine], of.covariance[mine, mine] = size[at] - of.found[mine], u_size[at] ** 2
@@ -210,7 +210,7 @@ def _left(linear: LinearSystem, noise: NoiseSize) -> tuple[Model, float]:
 
 
 def _chi2(linear: LinearSystem, noise: NoiseSize) -> float:
-    """Return the least sum of squares of readings and priors, in units of the noise."""
+    """Return the chi-square of a fit: the least sum of squares of the residuals of readings and priors."""
     nothing = np.zeros((len(linear), 0))
     fitted = posterior(linear, nothing, noise)
     white = whiten_rows(linear, noise, (linear.response - linear.design(nothing) @ fitted.mean)[:, None])
@@ -220,8 +220,9 @@ def _chi2(linear: LinearSystem, noise: NoiseSize) -> float:
 def _now(linear: LinearSystem, diagnosis: Diagnosis | FreeDiagnosis) -> tuple[EffectNow, ...]:
     """Estimate the effects from these readings alone, and compare them with the model.
 
-    The parts of their shapes with uncertain size (`InPart`) keep the model's values, as these readings alone
-    determine them no better. Raises `CalibrationError` if the readings could show none of the effects.
+    An `InPart` effect (a part of a shape, of uncertain size) keeps its value from the model, as these
+    readings alone determine this value no better. Raises `CalibrationError` if the readings could show none
+    of the effects.
     """
     model = linear.model
     whole = [not isinstance(model.effects[one.effect].effect, InPart) for one in linear.problem.effects]
@@ -264,9 +265,9 @@ def judged(
 ) -> tuple[EffectNow, ...]:
     """Return the verdict on each effect of a model, in the order of its effects.
 
-    `unknowns` say which effect, parameter and channel each of the m entries of `of` belongs to. Parts of
-    other shapes (`InPart`) are skipped. Raises `CalibrationError` if the readings could not show any of the
-    effects.
+    `unknowns` say which effect, parameter and channel each of the m entries of `of` belongs to. `InPart`
+    effects (parts of the shape of another effect) have no verdict of their own and are skipped. Raises
+    `CalibrationError` if the readings could not show any of the effects.
     """
     known = np.sqrt(np.diag(of.covariance))
     effects, seen = [], []
@@ -309,14 +310,15 @@ def judged(
 def _shown(
     estimated: EstimatedEffects, places: Sequence[int], *, apart: bool = True
 ) -> tuple[float, float, float, float]:
-    """Return four numbers: the parameters' size in the model, the least that would show, `p_same` and `p_none`.
+    """Return four numbers: the parameters' size in the model, the least that would show, `p_same` and
+    `p_none`.
 
-    The sizes are in units of noise. The parameters, which have the indices `places`, are judged in the
-    directions that the readings determine. A direction is an eigenvector of their covariance: a sum or a
-    difference of parameters may be determined although no parameter is. `apart` is false if the values of
-    several mountings are judged together. The model's values are then correlated like those of these
-    readings, but a model file states no correlations; for each direction, the model's u is therefore limited
-    to the u of these readings.
+    The p-values are those of `EffectNow`. The sizes are in units of noise. The parameters, which have the
+    indices `places`, are judged in the directions that the readings determine. A direction is an eigenvector
+    of their covariance: a sum or a difference of parameters may be determined although no parameter is.
+    `apart` is false if the values of several mountings are judged together. The values in the model are then
+    correlated, but a model file states no correlations. Therefore the u of the model in each direction is at
+    most the u of these readings.
     """
     use = np.array(places, dtype=np.int64)
     variance, turned = np.linalg.eigh(estimated.covariance[np.ix_(use, use)])
@@ -338,7 +340,9 @@ def _shown(
 def _estimated(
     linear: LinearSystem, own: Floats, found: Floats, diagnosis: Diagnosis | FreeDiagnosis
 ) -> tuple[Floats, Floats]:
-    """Return the change of the effects from the values `found` (m,), and its covariance, in plausible sizes.
+    """Return the change of the effects from the values `found` (m,), and its covariance.
+
+    Both are in units of the plausible sizes.
 
     Additional effects found in these readings are estimated as well. An additional effect that would hide the
     model's effects is left out, because it would represent their change.

@@ -176,8 +176,8 @@ class Search:
 
     `inverse` (ratios, known, known) is the inverse Cholesky factor of the Gram matrix of the known columns,
     including their prior (1 sigma: `KNOWN_SIZE` plausible sizes). `half` (ratios, known, P) is `inverse`
-    times the scalar products of the known columns with all P columns. `log_det` (ratios,) is that
-    contribution of the known columns to ln of the evidence which is the same for all data.
+    times the scalar products of the known columns with all P columns. `log_det` (ratios,) is the part of ln
+    of the evidence that depends on the known columns, but not on the data.
     """
 
     whitened: Whitened

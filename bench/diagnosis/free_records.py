@@ -98,10 +98,9 @@ class FreeRows:
         return columns
 
     def change(self, of: Sequence[int], sensor: int, channel: int) -> Floats:
-        """Return the change of |a| (N,), g, if one coefficient grows by the size of its scale factor.
+        """Return the change of |a| (N,), g, if one coefficient grows by the scale factor of the `channel`.
 
-        The coefficient has the index `of[channel]` among the nine of the `sensor`; the scale factor is that
-        of the `channel`.
+        This coefficient has the index `of[channel]` among the nine of the `sensor`.
         """
         size = abs(float(self.block[sensor].K[channel, channel]))
         return -size * self.coefficients[:, OWN * sensor + of[channel]]
@@ -127,9 +126,9 @@ class FreeRows:
 class FreeSystem(LinearSystem):
     """Free positions as a linear system: |a| - 1 in g, with nine coefficients for each sensor.
 
-    The effects of the given model are subtracted from the response, and the `random` columns estimate them again.
-    In place of mountings, an effect names the sensors on which it acts ("sensor 1"); if it names none, it acts on
-    all.
+    The effects of the given model are subtracted from the response, and the `random` columns estimate them
+    again. In place of mountings, an effect names the sensors on which it acts ("sensor 1"); an effect that
+    names none acts on all sensors.
     """
 
     positions: FreeRows
@@ -151,7 +150,7 @@ class FreeSystem(LinearSystem):
         for view, block in zip(self.positions.views, self.positions.block, strict=True):
             change = view.own(self.model, (everywhere,), block)
             changes.append(view.rows_of(change[:, :, None] * np.eye(3)))
-        # what needs a time or a temperature that is not given does nothing here
+        # an effect is zero where the time or temperature that it needs is missing
         whole = np.nan_to_num(np.concatenate(changes))
         return whole * self.rows_in(applied.installations)[:, None] if applied.installations else whole
 
@@ -226,15 +225,16 @@ def make_rows(
 ) -> FreeRows:
     """Return the free positions of several tables, assigned to sensors and records.
 
-    Each of `tables` is from one sensor in one record. Tables with the same times are of the same record, and so
-    of different sensors. `one_sensor` is True if all tables are of one sensor, and False if each is of another;
-    if it is None, the coefficients show which tables are of the same sensor. The effects of `model` are kept for
-    `make_system`. Raises `CalibrationError` if the positions of a sensor do not determine its coefficients, if
-    units differ, or if an effect of the model needs an angle, time or temperature that the tables lack.
+    Each of `tables` is from one sensor in one record. Tables with the same times are of the same record, and
+    so of different sensors. `one_sensor` is True if all tables are of one sensor, and False if each table is
+    of a different sensor. If `one_sensor` is None, the coefficients show which tables are of the same sensor.
+    The effects of `model` are kept for `make_system`. Raises `CalibrationError` if the positions of a sensor
+    do not determine its coefficients, if units differ, or if an effect of the model needs an angle, time or
+    temperature that the tables lack.
     """
     if len({table.unit for table in tables}) > 1:
         raise CalibrationError("signals in different units cannot be evaluated together; use one unit")
-    # of one sensor no two are side by side, whatever their times
+    # tables of one sensor are different records, even if their times agree
     records = list(range(len(tables))) if one_sensor else _records(tables)
     sensors = _sensors(tables, records, one_sensor)
     names = list(dict.fromkeys(sensors))
@@ -287,7 +287,7 @@ def _sensors(tables: Sequence[Readings], records: Sequence[int], one_sensor: boo
     for group in groups[1:]:
         means = np.stack([features[members].mean(axis=0) for members in known])
         far = np.sqrt(np.mean((features[group][:, None] - means) ** 2, axis=2))
-        # side by side: who is who is settled by all of them at once
+        # assign all tables of a record at once: each is of a different sensor
         for row, column in zip(*linear_sum_assignment(far), strict=True):
             number = int(column)
             if far[row, column] > ANOTHER and len(groups[0]) == 1:
@@ -403,7 +403,10 @@ def _zeros(signal: Floats) -> tuple[Floats, Floats] | None:
 
 
 def _common(change: Floats, full: Floats) -> Floats:
-    """Return the fraction (3,) of the variance of `change` (sensors, records, 3) common to all sensors."""
+    """Return the fraction (3,) of the variance of `change` (sensors, records, 3) common to all sensors.
+
+    Only records that determine the biases of every sensor (`full`, (sensors, records)) count.
+    """
     whole = full.all(axis=0)
     sensors = len(change)
     if sensors < 2 or whole.sum() < 2:

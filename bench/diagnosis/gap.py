@@ -298,9 +298,9 @@ def _tell(
     """Return whether the readings outside each held-out part show every find and determine its form.
 
     The remaining readings show a find if they contain `MOSTLY` of the square of its signature. They do not
-    determine its form if another form of the family explains the signature in them (leaves at most `ALIAS`),
-    but not in all readings (leaves more than `LEAST_FALL`): chance would then choose the form that predicts
-    the part.
+    determine the form of a find if they admit another form of the family (which leaves at most `ALIAS` of the
+    signature unexplained) that all readings exclude (it leaves more than `LEAST_FALL`). Chance would then
+    choose the form that predicts the held-out part.
     """
     amplitudes = posterior(linear, candidates.columns[:, list(naming.columns)], noise).amplitudes
     every = np.ones(len(linear), dtype=bool)
@@ -363,7 +363,9 @@ def _fold(
     label: str,
     held: Mask,
 ) -> Fold:
-    """Search rows outside the mask `held` (N,); predict those in it with and without the effects found."""
+    """Search the rows outside the mask `held` (N,); predict the held-out rows with and without the effects
+    found.
+    """
     part, candidates = restrict(linear, ~held), whitened.candidates
     kept = replace_columns(candidates, candidates.columns[~held])
     grid = make_noise_grid(part, whitened.grid.sigma, setting_rad, near_ratios(linear, noise))

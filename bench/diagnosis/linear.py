@@ -474,10 +474,11 @@ def own_column(problem: Problem, block: Block, view: View, number: int) -> Float
 def _columns(
     problem: Problem, block: Block, unit: Floats, view: View, label: NDArray[np.str_], unstated: Ints
 ) -> tuple[Floats, Floats]:
-    """Return the columns of the coefficients (N, 12), and those of the other unknowns times their prior u (N, q).
+    """Return two arrays: the columns of the coefficients (N, 12), and of the other unknowns times prior u (N,
+    q).
 
-    A modulus does not depend on the angles of the stand. `unstated` are the indices of the readings of references
-    with an unstated value.
+    A modulus does not depend on the angles of the stand. `unstated` are the indices of the readings of
+    references with an unstated value.
     """
     jacobian = problem.jacobian(block, problem.prior_mean)
     jacobian[:, :, FIXED:] *= problem.prior_u

@@ -259,10 +259,10 @@ def find_mistakes_in_each(
 
 
 def _searched_together(readings: Readings, model: ForwardModel) -> Iterator[tuple[Mask, int]]:
-    """Yield the mask (n,) of each run's rows, and the index of the run's block.
+    """Yield the mask (n,) of the rows that are searched together, and the index of their block.
 
-    A run that does not determine the coefficients of its block joins the first run that does, or else the
-    other runs.
+    These are the rows of one run that determines the coefficients of its block. Runs that do not determine
+    them join the first run that does; if no run does, all runs of the block are searched together.
     """
     run = readings.run
     block = np.zeros(len(readings), dtype=np.int64) if readings.block is None else readings.block
@@ -371,7 +371,7 @@ def _add_by_run(collector: Collector, run: Ints, unit: float) -> None:
         places: dict[int, tuple[int, ...]] = {}
         for channel in range(3):
             coefficient = first + channel if family == ZERO_BY_RUN else 4 * channel
-            # the column of the coefficient is the derivative by it: of a size that the noise has
+            # the derivative by the coefficient, scaled so that its largest element equals the noise
             whole = linear.fixed[:, coefficient::12].sum(axis=1)
             scale = unit / max(float(np.max(np.abs(whole))), 1e-300)
             columns = [whole * scale * (run == number) for number in np.unique(run)]
@@ -461,8 +461,8 @@ def _name_in_all_and_each(
 ) -> tuple[Whitened, Naming]:
     """Return the finds in all runs and in single runs, with the whitened candidates that contain them.
 
-    Effects of a few single runs are searched first, as they could be mistaken for common effects; with them
-    in the model, common effects follow, and at last effects of single runs beside these.
+    Effects of a few single runs are searched first, as they could be mistaken for common effects. With them
+    in the model, common effects are searched, and then further effects of single runs.
     """
     response = linear.response[:, None]
     data = whitened.reduce(response)
@@ -481,7 +481,7 @@ def _name_in_all_and_each(
     if naming.found:
         in_all = _common(linear, whitened, data, naming)
         grown, more = _look_in_each(whitened.candidates, runs, in_all, of_one)
-    else:  # the runs are what they were
+    else:  # without common finds, the first result remains valid
         grown, more = at_first
     if not alone and not more:
         return whitened, naming
@@ -500,7 +500,9 @@ def _name_in_all_and_each(
 
 
 def _stays(whitened: Whitened, data: Data, naming: Naming, one: FoundEffect) -> bool:
-    """Return whether a single-run find stays: likely given all other finds, or replaced by another form."""
+    """Return whether a single-run find stays: it is likely given all other finds, or `naming` no longer has
+    its form.
+    """
     if one.variant not in [found.variant for found in naming.found]:
         return True
     others = [i for found in naming.found if found.variant != one.variant for i in found.variant.columns]

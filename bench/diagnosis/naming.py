@@ -168,7 +168,7 @@ class Scored:
         share = np.exp(np.array(list(evidence.values())) - evidence[best])
         rivals = [i for i, part in zip(evidence, share, strict=True) if part > OFTEN * share.sum()]
         if not by_pass and any(variants[i].mounts != variants[best].mounts for i in rivals):
-            # which mounting has it cannot be told: each gets a value of its own, with the u that this deserves
+            # the readings do not determine the mounting: each gets its own value, with a large u
             best = max(rivals, key=lambda i: (len(variants[i].columns), evidence[i]))
         return variants[best]
 

@@ -123,7 +123,7 @@ def following(first: Readings, plan: Plan, model: ForwardModel, block: Block, li
     warmth = float(known[-1]) if len(known) else float("nan")
     planned = planned_readings(plan, model, block, temperature_c=warmth, line_hz=line_hz, unit=first.unit)
     both = together([JoinedPart(first), JoinedPart(planned)])
-    # after a run the clock goes on: what is settled by then stays so
+    # the clock continues after the first run, so that effects which have settled stay settled
     return both if first.began_s is not None else replace(both, began_s=None)
 
 
@@ -175,15 +175,16 @@ class Chance:
 
 
 def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) -> float:
-    """Return the probability that further readings give one name of a tie a posterior of at least 1 - `OFTEN`.
+    """Return the probability that further readings give one name of a tie a posterior of at least 1 -
+    `OFTEN`.
 
     `first` is the name of the effect found; the other names are its rivals. `odds` maps each name, `first`
-    included, to its present posterior probability. `gained` maps each rival to the increase of its divergence D
-    from `first` by the further readings, or to -inf if they cannot distinguish it from `first`.
+    included, to its present posterior probability. `gained` maps each rival to the increase of its divergence
+    D from `first` by the further readings, or to -inf if these readings cannot distinguish the two.
 
-    If one of two names is true, ln of its odds against the other grows by a normally distributed number of mean D
-    and variance 2 D. If there are several rivals, the one that is hardest to separate from the true name decides.
-    The divergence between two rivals is not considered.
+    If one of two names is true, ln of its odds against the other grows by a normally distributed number of
+    mean D and variance 2 D. If there are several rivals, the one that is hardest to separate from the true
+    name decides. The divergence between two rivals is not considered.
     """
     enough = math.log((1.0 - OFTEN) / OFTEN)
 
@@ -345,7 +346,11 @@ class _Bill:
     def _answers(
         self, before: Mapping[tuple[str, str], float], after: Mapping[tuple[str, str], float]
     ) -> float:
-        """Return the probability that every tie is resolved."""
+        """Return the probability that every tie is resolved.
+
+        `before` and `after` have the divergence D of each find from each of its ties, by the two names,
+        without and with the readings of the procedure.
+        """
         whole = 1.0
         for effect in self._diagnosis.effects:
             gained = {
@@ -364,7 +369,7 @@ class _Bill:
         diagnosis, linear = self._diagnosis, self._linear(plan)
         result = {}
         for index, effect in enumerate(diagnosis.effects):
-            # what has no name has no forms that a further run would show in a way of their own
+            # a family outside the catalogue has no forms with which to predict a further run
             others = [other for other in effect.cannot_tell_from if other in CATALOGUE]
             if not others or not effect.in_catalogue:
                 continue
@@ -381,8 +386,8 @@ class _Bill:
     def showing(self) -> Proposal | None:
         """Return the shortest of the procedures that show the most hidden effects; None if none shows any.
 
-        An effect counts as hidden, too, if its plausible size is below the noise. A procedure shows it if half of
-        all runs then find it at twice its plausible size.
+        An effect counts as hidden, too, if its plausible size is below the noise. A procedure shows an effect
+        if half of all runs then find the effect at twice its plausible size.
         """
         diagnosis = self._diagnosis
         half = half_power(diagnosis.whitened, diagnosis.registered.threshold)

@@ -42,11 +42,11 @@ RATIO_SPREAD: Final = 1.0
 
 @dataclass(frozen=True)
 class Span:
-    """A subspace of some of the rows (n of them) that is fitted: by coefficients or by unknowns with a prior.
+    """A subspace in n of the rows that a fit absorbs: that of coefficients, or of unknowns with a prior.
 
-    `rows` are the indices of its n rows. `basis` (n, k) are the k orthonormal directions of the subspace. `kept`
-    (k,) is the fraction of each direction that remains in the residuals because of the prior; it is 0 for
-    coefficients, which have no prior.
+    `rows` are the indices of its n rows. `basis` (n, k) are the k orthonormal directions of the subspace.
+    `kept` (k,) is the fraction of each direction that remains in the residuals because of the prior; it is 0
+    for coefficients, which have no prior.
     """
 
     rows: slice | Ints
@@ -63,9 +63,9 @@ class Span:
 class Whitener:
     """A linear map of N rows to numbers with independent noise of equal variance.
 
-    `blocks` has an entry for each size n of a set of rows with correlated noise. The entry is a pair for the b
-    sets of this size: the indices of their b n rows, one set after the other, and the inverse Cholesky factors
-    (b, n, n) of their covariances. `fitted` are the subspaces that the map removes; they are orthogonal, and each
+    `blocks` has a pair for each size n of a set of rows with correlated noise. For the b sets of this size,
+    the pair is: the indices (b n,) of the rows, set after set, and the inverse Cholesky factors (b, n, n) of
+    the covariances. `fitted` are the subspaces that the map removes; they are orthogonal, and each
     accelerometer block has its own. Apply the map with `@`.
     """
 
@@ -159,7 +159,7 @@ def make_noise_grid(
     scaled2 = (linear.slope / linear.relative)[oriented] ** 2
     slope2 = np.bincount(linear.setting[oriented], scaled2, linear.settings).astype(np.float64)
     if not len(slope2):
-        slope2, ratios = np.ones(1), ratios[:1]  # where nothing is set, no setting has an error
+        slope2, ratios = np.ones(1), ratios[:1]  # without settings there is no setting error
     typical = float(np.sqrt(np.mean(slope2)))
     known = np.log(max(setting_rad * typical / sigma, 1e-2)) if setting_rad > 0 else None
     wide = _wide(linear)
@@ -257,11 +257,11 @@ def _fitted(half: Whitener, fixed: Floats, wide: Floats) -> tuple[tuple[Span, ..
     white = half @ fixed
     spans = []
     log_det = 0.0
-    # the coefficients of one block share rows as soon as a setting has an error
+    # a setting error couples the rows of all channels, and so all coefficients of a block
     parts = coupled(white) if white.shape[1] > FIXED else [tuple(map(np.flatnonzero, _used(white)))]
     for rows, columns in parts:
         if not len(rows):
-            continue  # a coefficient of which no row tells
+            continue  # no row depends on these coefficients
         q, r = np.linalg.qr(white[np.ix_(rows, columns)])
         log_det -= float(np.sum(np.log(np.abs(np.diag(r)))))
         spans.append(Span(_as_slice(rows), q, np.zeros(q.shape[1])))
@@ -411,7 +411,7 @@ def _about_model(linear: LinearSystem) -> float:
     slope = linear.slope[oriented].reshape(-1, 3)
     unit = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-300)
     across = rest - np.sum(rest * unit, axis=1, keepdims=True) * unit
-    # of unequal channels what is left across du/dphi is that of the two that turn least with it
+    # with unequal channels, the residual across du/dphi has mainly the noise of those that change least
     share = np.mean(np.sum(linear.by_channel**2 * (1.0 - unit**2), axis=1)) / 2
     return float(np.sqrt(np.sum(across**2) / (2 * max(len(rest) - 4, 1)) / share))
 
@@ -479,7 +479,8 @@ def is_rounded(digit: float, sigma: float) -> bool:
 
 
 def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSystem:
-    """Return the system, with the rounding error that repeats of a setting share as noise unless negligible.
+    """Return the system; its noise includes the rounding error that repeats of a setting share, unless
+    negligible.
 
     `digit` is the step of the last digit; `sigma` is the noise from repeats, at least that of rounding.
     """
@@ -491,7 +492,7 @@ def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSys
     moduli = np.flatnonzero(linear.rows.channel == MODULUS)
     columns = np.zeros((len(linear), int(key.max()) + 1 + len(moduli)))
     columns[oriented, key] = size
-    # a verification point is read once, so that nothing of its rounding error averages out
+    # a verification point has no repeats, so that its whole rounding error is noise of its own
     columns[moduli, int(key.max()) + 1 + np.arange(len(moduli))] = size
     return linear.with_noise(columns)
 

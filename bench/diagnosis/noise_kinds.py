@@ -1,9 +1,9 @@
 """Hypotheses on the noise, compared by evidence: by channel, run or place, heavy-tailed, slow, or larger.
 
-A hypothesis changes the covariance of the readings; it competes with missing effects in explaining the readings.
-For heavy tails each row has its own precision, with the prior that makes its noise t-distributed (Tipping and
-Lawrence, Neurocomputing 69 (2005) 123); its evidence is the lower bound of that paper. The last part compares the
-noise with what the bench file and the samples state.
+A hypothesis changes the covariance of the readings; it competes with missing effects in explaining the
+readings. For heavy tails, each row has its own precision, with a prior that makes the noise t-distributed.
+The evidence of heavy tails is the lower bound of Tipping and Lawrence, Neurocomputing 69 (2005) 123. The last
+part compares the noise with what the bench file and the samples state.
 """
 
 from __future__ import annotations
@@ -374,9 +374,9 @@ def _in_channels(
     freedom = len(linear) - linear.fixed.shape[1]
     more = 0.5 * np.sum(np.log(weight), axis=1) - 0.5 * freedom * np.log(rest / (left @ left))
     best = int(np.argmax(more))
-    # the mean over all sizes, and of one channel one of three
+    # the likelihood is averaged over all sizes and, for a single channel, over the choice among three
     cost = float(special.logsumexp(more) - np.log(len(SIZES) * (3 if len(channels) == 1 else 1)) - more[best])
-    # white noise beside it is smaller than what was found without it
+    # with slow noise in the model, the white noise is smaller than `sigma`
     size = float(SIZES[best]) * sigma * math.sqrt(float(rest[best]) / freedom)
     return SlowNoise(channels, size, float(more[best]) + cost, cost, size * columns)
 
@@ -473,8 +473,9 @@ class NoiseFinding:
     """Noise that is significantly larger than stated.
 
     `what` is "reading" for the noise of a reading, "setting" for the setting error. `found` and `stated` are
-    in `unit`, and `factor` is their ratio. `source` says in words who states it. `p` is the probability that
-    chance gives this ratio in any run. `series` are the series of the run concerned, empty for all runs.
+    in `unit`, and `factor` is their ratio. `source` names in words what states the noise. `p` is the
+    probability that chance gives this ratio in any run. `series` are the series of the run concerned, empty
+    for all runs.
     """
 
     what: str

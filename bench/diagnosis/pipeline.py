@@ -114,7 +114,7 @@ def diagnose(
     far = far_readings(prepared.linear, columns, estimated.noise)
     if any(one.p < BY_CHANCE for one in far) and all(e.in_catalogue for e in effects):
         effects = (*effects, _apart(far[0].p, "; ".join(one.words for one in far[:LISTED_IN_SENTENCE])))
-    if gap.shrinks is False:  # what held-out readings do not confirm excuses no reading
+    if gap.shrinks is False:  # unconfirmed effects must not explain a reading that is far off
         far = far_readings(prepared.linear, columns[:, :0], estimated.noise)
     form = _form(prepared, naming, estimated, gap, setting_rad)
     verdict = verdict_of(effects, findings, gap)
@@ -436,7 +436,7 @@ def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
     linear, candidates = diagnosis.linear, diagnosis.candidates
     fixed = linear.fixed.shape[1]
     u = np.sqrt(np.diag(diagnosis.fitted.covariance))[:fixed]
-    # with the same wide prior as each rival, or the priors would pass for a difference
+    # with the same wide prior as the rivals, so that the difference is not due to priors
     found = posterior(linear, candidates.columns[:, list(naming.columns)], diagnosis.noise)
     coefficients = found.mean[:fixed]
     rankings = []
@@ -535,7 +535,7 @@ def diagnose_fully(
         diagnosis=replace(diagnosis, notes=(*diagnosis.notes, *told)),
         shown=shown,
         ranking=rivals(diagnosis),
-        # a proposal is for one block: which of several would be measured again, nobody said
+        # a proposal is for one block; with several, the block to measure again is unknown
         next_measurement=propose(diagnosis, bench) if len(blocks) == 1 else None,
         blocks=blocks if len(blocks) > 1 else (),
     )

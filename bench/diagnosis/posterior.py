@@ -160,7 +160,7 @@ def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -
     """Return, for each part, the indices of the prior sizes (`SIZES`) over which to average.
 
     If there are many parts, only the `MOST_EFFECTS` parts whose size is least certain have all indices; each
-    other part has that of its likeliest size.
+    other part has only the index of its likeliest size.
     """
     every = tuple(range(len(SIZES)))
     if len(parts) <= MOST_EFFECTS:
@@ -179,7 +179,9 @@ def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -
 def _of_sizes(
     precision: Floats, right: Floats, parts: Sequence[slice], sizes: Sequence[int]
 ) -> tuple[float, Floats, Floats]:
-    """Return ln of the probability of the prior `sizes`, and mean and covariance of amplitudes with them."""
+    """Return ln of the probability of the prior `sizes`, and mean and covariance of the amplitudes for these
+    sizes.
+    """
     prior = np.ones(len(right))
     for size, mine in zip(sizes, parts, strict=True):
         prior[mine] = 1.0 / SIZES[size] ** 2
@@ -192,7 +194,7 @@ def _of_sizes(
 def _normal(
     linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mask | None = None
 ) -> tuple[Floats, Floats]:
-    """Return normal matrix and right-hand side of a fit; columns `effects` (N, m) have no prior in it."""
+    """Return normal matrix and right-hand side of a fit, in which the columns `effects` (N, m) have no prior."""
     mine = slice(None) if rows is None else rows
     columns = np.column_stack([linear.design(effects), linear.response])[mine]
     white = whiten_rows(linear, noise, columns, rows)
@@ -409,7 +411,7 @@ def beside(
 
 
 def channels_of(whitened: Whitened, data: Data, naming: Naming) -> dict[int, Floats]:
-    """Return, by index of a find in the catalogue, the probability (3,) that each channel has the effect.
+    """Return, by the index of each find of the catalogue, the probability (3,) that it acts in each channel.
 
     It follows from the evidence of the forms of the effect.
     """
@@ -511,7 +513,8 @@ def left_open(
     """Return the parts (`InPart`) of the effects found that the readings leave uncertain, for a model file.
 
     `others` are, for each effect found, its possible parts with other shapes (`beside`). `linear` is the
-    system without these parts; `fitted` are the estimates with all of them, after the other random columns.
+    system without these parts; `fitted` are the estimates with all these parts, which follow the other random
+    columns.
     """
     start = linear.fixed.shape[1] + linear.random.shape[1]
     first = len(fitted.mean) - fitted.effects

@@ -187,8 +187,8 @@ def _channel(
 ) -> ChannelCalibration:
     """Return gain, offset and drift of a `channel`.
 
-    `mean` has, in its first column, the deviation at the mean level, the slope in time and, for several
-    levels, gain - 1; in the others, their changes by errors of one u. `spread` is their covariance.
+    The first column of `mean` has the deviation at the mean level, the slope in time and, for several levels,
+    gain - 1; each further column has their changes by an error of one u. `spread` is their covariance.
     """
     several, has_gain = len(mean) > 2, len(mean) > 2 or abs(level) >= ZERO_V
     per_hour = 2.0 / float(record.time_h[-1])

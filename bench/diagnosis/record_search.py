@@ -125,9 +125,11 @@ class RecordWork:
         ]
 
     def log_odds(self, found: Sequence[Variant], targets: Sequence[Floats]) -> tuple[Floats, Floats]:
-        """Return ln of the Bayes factor of each of h variants (h, d), and ln of the posterior odds of each family.
+        """Return ln of the Bayes factor of each of h variants (h, d), and ln of the posterior odds of each
+        family.
 
-        `found` is in the model already. `targets` has, for each component, d data sets as columns (n, d).
+        The variants `found` are in the model already. `targets` has, for each component, d data sets as
+        columns (n, d).
         """
         every = self.candidates.variants
         columns = self.candidates.columns[:, [one.columns[0] for one in every]]

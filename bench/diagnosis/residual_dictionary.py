@@ -364,7 +364,9 @@ def _of_time(conditions: Conditions) -> Iterator[TimeCourse]:
 
 
 def _frequencies(time_s: Floats) -> range:
-    """Return numbers of half waves over a run, of waves that readings sample at least twice a period."""
+    """Return the possible numbers of half waves in a run; readings sample each wave at least twice per
+    period.
+    """
     steps = np.diff(np.unique(time_s))
     if not len(steps):
         return range(0)
@@ -373,7 +375,7 @@ def _frequencies(time_s: Floats) -> range:
 
 
 def _between(time_s: Floats) -> Floats:
-    """Return the times between consecutive readings."""
+    """Return the times midway between consecutive readings."""
     ordered = np.unique(time_s)
     return (ordered[1:] + ordered[:-1]) / 2
 

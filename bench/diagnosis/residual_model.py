@@ -30,7 +30,8 @@ class UnexplainedScatter:
     """Scatter about the model that exceeds the noise of repeats: a standard deviation, unit of the signal.
 
     `value` is its estimate, `u` its standard uncertainty, `upper` its upper 95 % limit, and `p` the
-    probability that chance gives as much. `u` and `upper` are infinite if all readings are repeats.
+    probability that chance gives at least this much. `u` and `upper` are infinite if all readings are
+    repeats.
     """
 
     value: float
@@ -41,14 +42,16 @@ class UnexplainedScatter:
     @classmethod
     def of(cls, noise: NoiseSize, repeats: Repeats) -> UnexplainedScatter:
         """Return the noise about the model with all effects, in excess of the noise of repeats (F test)."""
-        of_repeats = 2 * repeats.freedom  # of three channels, those across the turn of the head
+        of_repeats = (
+            2 * repeats.freedom
+        )  # per setting, two directions of the signals are perpendicular to du/dphi
         beyond = noise.freedom - of_repeats
         all2, repeats2 = noise.reading**2, repeats.sigma**2
         value = float(np.sqrt(max(all2 - repeats2, 0.0)))
         if beyond <= 0:
             return cls(value, np.inf, np.inf, 1.0)
         lack = max(noise.freedom * all2 - of_repeats * repeats2, 0.0) / beyond / repeats2
-        # scatter that chance made small is no proof of less than the repeats can tell
+        # a ratio below 1 is chance, and must not lower the limit
         largest = max(lack, 1.0) / float(special.fdtri(beyond, of_repeats, OFTEN))
         upper = float(np.sqrt(max(largest - 1.0, 0.0) * repeats2 * beyond / noise.freedom))
         variance = 2 * all2**2 / noise.freedom + 2 * repeats2**2 * (1 / of_repeats - 2 / noise.freedom)

@@ -254,7 +254,8 @@ OF_TEMPERATURE = ("thermal_bias", "thermal_scale")
 
 
 def at_reference(found: Iterable[Effect]) -> Iterator[str]:
-    """Yield a sentence on the temperature at which the coefficients hold, if effects depend on it.
+    """Yield a sentence on the temperature at which the coefficients hold, if any effect depends on
+    temperature.
 
     `found` are the effects in the model.
     """

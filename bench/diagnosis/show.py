@@ -184,7 +184,7 @@ def _simulate(
         model=bench,
         calibration=calibrate(readings, model, stand_u, g_m_s2, join_verification=joined),
         test=_test(problem, fit, rows.signal - still),
-        # its noise is fresh in every reading: nothing that repeats share is there to be found
+        # the simulated noise is independent in every reading, so repeats share no error
         repeated=calibrate(noisy, weak, stand_u, g_m_s2, find_shared=False),
         effects=effects,
         points=_points(readings, problem, fit),
@@ -202,7 +202,7 @@ def _fitted(
     free = _modulus_rows(readings, chosen) if chosen.any() else None
     problem = make_problem(model, rows.conditions(), stand_u, free)
     start = first_guess(problem, rows.signal, rows.resolution)
-    # the null model of a diagnosis has one size for all channels, as its thresholds have
+    # one noise size for all channels, as in the null model and the thresholds of a diagnosis
     return problem, gls.fit(problem, rows.signal, start, None, rows.resolution, one_size=True)
 
 
@@ -256,7 +256,9 @@ def _test(problem: Problem, fit: gls.Fit, left: Floats) -> LackOfFit:
 
 
 def _points(readings: Readings, problem: Problem, fit: gls.Fit) -> tuple[ModulusPoint, ...]:
-    """Return |a| - 1 at the verification points, computed with the effects; its u covers all that was estimated."""
+    """Return |a| - 1 at the verification points, computed with the effects; u includes the u of all
+    estimates.
+    """
     chosen = readings.installation == VERIFICATION
     rows = readings.select(chosen)
     if not len(rows):
@@ -264,7 +266,7 @@ def _points(readings: Readings, problem: Problem, fit: gls.Fit) -> tuple[Modulus
     start = np.concatenate([fit.block.vector, fit.others])
     conditions = readings.conditions()
     stand = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))
-    # rows of no known force have at the inputs what was read: effects may look back at them
+    # if the force is unknown, the input voltage is that read: effects may depend on earlier rows
     unknown = ~np.isin(readings.installation, [VERIFICATION, *problem.model.installations])
     voltage_v = np.where(unknown[:, None], readings.signal, np.nan)
 
@@ -284,7 +286,7 @@ def _points(readings: Readings, problem: Problem, fit: gls.Fit) -> tuple[Modulus
     force, size = modulus(start)
     steps = np.full(len(start), 1e-4 * float(np.max(np.abs(fit.block.K))))
     steps[FIXED:] = [problem.other_step(j)[j] for j in range(len(fit.others))]
-    columns = np.zeros((len(rows), len(start)))  # a modulus depends on no angle of the stand
+    columns = np.zeros((len(rows), len(start)))  # a modulus does not depend on the stand's angles
     for j in [*range(FIXED), *range(FIXED + len(problem.stand), len(start))]:
         change = steps * (np.arange(len(start)) == j)
         columns[:, j] = (modulus(start + change)[1] - modulus(start - change)[1]) / (2 * steps[j])

@@ -1,4 +1,4 @@
-"""The search for effects in one run, linearised again about the effects found until it is accurate."""
+"""The search for effects in one run; the system is linearised again about the effects found until accurate."""
 
 from __future__ import annotations
 
@@ -196,7 +196,7 @@ def search_run(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]:
 
 
 def _beside_shapes(task: SearchTask, prepared: Prepared, naming: Naming) -> Naming:
-    """Drop the finds that are not found once the largest effect may have parts of other shapes.
+    """Return the finds that the search still makes if the largest effect may have parts of other shapes.
 
     A large effect whose shape lies between two shapes of the catalogue's grid leaves residuals, which other
     effects would explain.

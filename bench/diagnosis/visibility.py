@@ -94,7 +94,7 @@ def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, 
 def _smallest_of(gram: Floats, own: Sequence[Parameter], half: float) -> Smallest | None:
     scale = np.array([p.plausible / p.si_per_unit for p in own])
     shows, directions = np.linalg.eigh(gram / np.outer(scale, scale))
-    # in plausible sizes, so that a direction beyond belief is one in every unit
+    # in plausible sizes, so that the judgement does not depend on the unit
     reach = half / np.sqrt(np.maximum(shows, 1e-300))
     beyond = reach * np.linalg.norm(directions / scale[:, None], axis=0) > BEYOND_BELIEF
     if np.all(beyond):

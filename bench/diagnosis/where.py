@@ -69,11 +69,11 @@ def find_places(
     while len(places) < LISTED:
         bases = [np.linalg.qr(columns) for columns in seen]
         square = np.array([np.sum((q.T @ left) ** 2) for q, _ in bases]) / sigma**2
-        # what earlier patterns explain is no other pattern
+        # leave out patterns that the earlier ones explain
         told = np.array([np.min(np.diag(r) ** 2) for _, r in bases]) <= INSEPARABLE * np.square(whole)
         wide = np.diff(starts)
         p_each = np.where(told, np.inf, special.fdtrc(wide, freedom, square / wide))
-        # where p underflows the size of the statistic still orders
+        # if p underflows, the size of the statistic decides
         best = int(np.lexsort((-square / wide, p_each))[0])
         p = float(p_each[best])
         if p * len(looks) > BY_CHANCE:
@@ -92,7 +92,7 @@ def _looks(linear: LinearSystem) -> Iterator[Look]:
     rows, readings = linear.rows, linear.readings
     label = readings.installation[rows.reading]
     run = readings.run[rows.reading]
-    # of several runs, what is the same in all of them
+    # with several runs, patterns common to all of them
     series = np.ones_like(run) if run.any() else readings.series[rows.reading]
     mounts = np.array([i if s == 1 else f"{i}/{s}" for s, i in zip(series, label, strict=True)])
     oriented = linear.setting >= 0
@@ -191,9 +191,9 @@ class FarReading:
 def far_readings(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[FarReading, ...]:
     """Return the readings that are far from the final model, the farthest first.
 
-    `effects` (N, m) are the columns of the effects in this model. The distances are deletion residuals: each
-    reading is compared with the model fitted without it (Cook and Weisberg, Residuals and Influence in
-    Regression, 1982, section 2.2), in units of the noise of its channel.
+    `effects` (N, m) are the columns of the effects in this model. The distances are deletion residuals in
+    units of the noise of the channel: each reading is compared with the model fitted without this reading.
+    Source: Cook and Weisberg, Residuals and Influence in Regression, 1982, section 2.2.
     """
     heavy = linear.by_row is not None
     rows = replace(linear.with_random(KNOWN_SIZE * effects), by_row=None)

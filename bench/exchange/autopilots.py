@@ -217,7 +217,7 @@ ARDUPILOT: Final = Autopilot(
 def _tested(of: Autopilot, result: BlockResult, sensor: Sensor, values: dict[str, float]) -> list[str]:
     """Return comment lines: the drawing of axes and signs, the check vectors, and the test in the file.
 
-    The accelerations follow, in double precision, from the values as written, without cross-axis terms.
+    Accelerations are computed in double precision from the values as written, without cross-axis terms.
     """
     written = {name: float(f"{value:.9g}") for name, value in values.items()}
     off, by = (np.array([written[name.format(axis)] for axis in "XYZ"]) for name in (of.offset, of.scale))

@@ -25,6 +25,24 @@ from drivers.interfaces import Identity
 _NAME: Final = 19
 """Width of the column of names; the whole line then has 80 characters."""
 _SAID: Final = ("answered", "answer_refused")
+_LABELS: Final = {
+    "format": "format of the record",
+    "imported": "imported from",
+    "imported_from": "imported from",
+    "living": "questions answered by a person",
+    "operator_person": "operator in the register",
+    "bench": "bench file",
+    "bench_why": "choice of the bench file",
+    "plan_hash": "SHA-256 of the plan",
+    "versions": "versions of the programs",
+    "devices": "sources of drivers",
+    "default_rule": "decision rule if none is stated",
+    "verdict": "limit and rule of the run",
+    "until": "goals of the run",
+    "check_block": "check block at the start",
+    "files": "SHA-256 of the files",
+}
+"""The label in `bench show` of each member of a manifest whose name does not explain it."""
 
 
 class RunPart(ResultModel):
@@ -116,10 +134,12 @@ class ShowResult(RunPart):
 
     def print_on(self, run: Run, supply: str, out: Console, *, verified: bool) -> None:
         """Print the manifest, and then the events or, with `verified`, what the record proves."""
-        summary = {name: getattr(self, name) for name in RunPart.model_fields}
-        for name, value in {**summary, **run.manifest}.items():
+        summary = {name: getattr(self, name) for name in RunPart.model_fields if name != "to_go_on"}
+        summary["command to resume"] = self.to_go_on
+        labelled = {**summary, **{_LABELS.get(name, name): value for name, value in run.manifest.items()}}
+        for label, value in labelled.items():
             if value not in ("", None):
-                out.print(f"{name.replace('_', ' ')}: {_text(value)}")
+                out.print(f"{label.replace('_', ' ')}: {_text(value)}")
         if supply:
             out.print(f"supply of the block: {supply}")
         if verified:
@@ -142,6 +162,8 @@ class ShowResult(RunPart):
 
 def _text(value: object) -> str:
     """Return a value of the manifest as text, and a mapping as "name value, name value"."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     if isinstance(value, dict):
         return ", ".join(f"{name} {part}" for name, part in value.items())
     return str(value)

@@ -240,7 +240,8 @@ def risk_in_words(result: Verification) -> str:
 
 def verdict_line(name: str, result: Verification) -> str:
     """Return the verdict on a source called `name` in one line."""
-    missing = f"{result.missing} verification points are missing" if result.missing else ""
+    count = result.missing
+    missing = f"{count} verification point{' is' if count == 1 else 's are'} missing" if count else ""
     return ", ".join(filter(None, (outcome_in_words(name, result), basis_in_words(result), missing)))
 
 
@@ -300,8 +301,8 @@ def advice(result: Verification) -> tuple[str, ...]:
     if result.missing:
         found.append(
             message(
-                f"{result.missing} verification points are missing; measure them, as nothing is accepted "
-                f"without them"
+                f"{result.missing} verification point{' is' if result.missing == 1 else 's are'} missing; "
+                "measure what is missing, as nothing is accepted without it"
             )
         )
     return (*found, *_to_pass(result))

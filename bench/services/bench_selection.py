@@ -263,7 +263,8 @@ class BenchTaken:
     @property
     def reason(self) -> str:
         """The reason for this bench file, and the reason why the run was begun with this file."""
-        return ": ".join(filter(None, (self.why, self.chosen)))
+        chosen = f"; chosen at the start as {self.chosen.removeprefix('as ')}" if self.chosen else ""
+        return f"{self.why}{chosen}"
 
     def part(self) -> BenchPart:
         """Return name, path, reason and SHA-256 of the bench file as a part of a result."""

@@ -176,7 +176,7 @@ def _temperature(data: Any) -> str:
     used = [
         effect for effect in TEMPERATURE_EFFECTS if any(str(n).partition(".")[0] == effect for n in names)
     ]
-    return f"{' and '.join(used)} of its model, with which the coefficients count" if used else ""
+    return f"{' and '.join(used)} of its model, for which the coefficients are corrected" if used else ""
 
 
 def require_temperature(results: Sequence[BlockResult], *, without: bool) -> None:

@@ -1,4 +1,4 @@
-"""Certificates: issued from a record, changed, refused, revoked."""
+"""Checks of certificates: one is issued from a record, verified, changed and revoked."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ _SHOWN = 5
 
 
 def compared(now: Mapping[str, Any], before: Mapping[str, Any]) -> Finding:
-    """Return the finding on two mappings that must be equal; names changed, added and removed keys."""
+    """Return the finding on two mappings that must be equal; it names changed, added and removed keys."""
     changed = sorted(name for name in now.keys() & before.keys() if now[name] != before[name])
     added, gone = sorted(now.keys() - before.keys()), sorted(before.keys() - now.keys())
     parts = [

@@ -162,7 +162,7 @@ def clock(context: Context) -> Iterator[Finding]:
 
 
 def _newest(context: Context) -> tuple[float, str]:
-    """Return time (s) and path of the newest record in the folders, or (without one) of a new file."""
+    """Return time (s) and path of the newest record in the folders or, if there is no record, of a new file."""
     probe = context.scratch / "now"
     probe.write_bytes(b"")
     found = [(probe.stat().st_mtime, str(probe))]

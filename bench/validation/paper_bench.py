@@ -1,4 +1,5 @@
-"""The paper's bench for tests: its numbers (11), its 54 readings, and an independent simulation.
+"""The paper's bench for tests: its coefficients (equation 11), its 54 readings, and an independent
+simulation.
 
 Nothing of `bench.model` is used here. The geometry turns the block's axes as vectors, with scipy's rotations,
 and computes the upward component of each. An error in the application's geometry can therefore not cancel.

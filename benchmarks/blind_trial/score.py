@@ -81,8 +81,8 @@ MODEL_COUNTS_FROM_C: Final = 20.0
 def coefficients_at(temperature_c: float, seed: int, row: Row, index: int) -> Floats:
     """Return K row by row, V/g, and U0, V, shape (12,), at a temperature.
 
-    The trial's temperature effects are zero at `REFERENCE_TEMPERATURE_C`. A model may refer to another temperature;
-    its coefficients then contain their values there.
+    The trial's temperature effects are zero at `REFERENCE_TEMPERATURE_C`. The coefficients of a model that
+    refers to another temperature contain the effects' values at that temperature.
     """
     run, truths = hidden_in(seed, row, index)
     weather = replace(run.weather, start=run.weather.start + temperature_c - REFERENCE_TEMPERATURE_C)
@@ -289,9 +289,10 @@ def _judge_kind(
 
 
 def _lone_name(answer: Answer, cosine: float, verdict: str) -> Marks:
-    """Return whether a single name was given, by how much the nearest catalogue effect leaves.
+    """Return the mark on whether a single name was given, in the column of the unexplained part.
 
-    What it leaves is in units of noise; below `SOME_LEFT` there is no mark.
+    This is the part of the effect that the nearest catalogue effect leaves, in units of noise; below
+    `SOME_LEFT` there is no mark.
     """
     left = answer.effects[0].rho * np.sqrt(max(0.0, 1.0 - cosine**2))
     if left < SOME_LEFT:
@@ -305,10 +306,10 @@ MUCH_LEFT: Final = 7.0
 
 
 def _judge_form(case: Case, answer: Answer, diagnosis: Diagnosis) -> Marks:
-    """Return whether an effect with a mean form is found, and whether the form found closes the gap.
+    """Return whether an effect with a mean form is detected, and whether the form found closes the gap.
 
-    It must close 80 % of what the true form with a fitted size closes, on held-out readings in excess of
-    noise.
+    The gap is the excess over noise on held-out readings. The form found must close 80 % of what the true
+    form with a fitted size closes.
     """
     if answer.names[0] in WITHOUT_MEAN:
         return {}

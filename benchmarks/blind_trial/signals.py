@@ -1,4 +1,4 @@
-"""Signals of the trial's voltmeter: geometry, the paper's block (11), voltmeter; visibility of effects."""
+"""Signals of the trial: geometry, the paper's block (equation 11), voltmeter; visibility of effects."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

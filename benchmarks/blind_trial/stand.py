@@ -1,8 +1,8 @@
 """The stand of the trial: its geometry, the runs carried out on it, and the action of effects.
 
-The geometry is exact, in rotations of frames around a fixed vertical. The specific force of a block at rest is 1 g
-upwards; its components are followed through the frames: level ground, shaft, head, platform, bracket, block. It
-agrees with the paper's (3)-(4) to second order in the angles.
+The geometry is exact, in rotations of frames around a fixed vertical. The specific force of a block at rest
+is 1 g upwards; its components are followed through the frames: level ground, shaft, head, platform, bracket,
+block. It agrees with the paper's equations (3) and (4) to second order in the angles.
 """
 
 from __future__ import annotations

@@ -47,8 +47,8 @@ def in_set(one: Record) -> set[str]:
 def true_name(one: Record) -> str:
     """Return the true name of a case's effect, `UNNAMED` for a form without a name, "" for a null case.
 
-    For a form outside the catalogue, it is the first name found, if that leaves less than a unit of noise
-    unexplained or, for a name that this trial does not know, closes the gap.
+    For a form outside the catalogue, the first name found counts as true if it leaves less than a unit of
+    noise unexplained or, if this trial does not know the name, closes the gap.
     """
     if one["group"] != "outside":
         return str(one["name"])

@@ -82,29 +82,28 @@ class NewportHead(MotorisedHead):
     def start(self, target_rad: float) -> None:
         """Begin to move to an angle."""
         degrees = round(math.degrees(target_rad), facts.DEMAND_DECIMALS) + 0.0  # never -0
-        self._tell(f"{self._axis}PA{degrees:.{facts.DEMAND_DECIMALS}f}")
+        self._tell(f"PA{degrees:.{facts.DEMAND_DECIMALS}f}", f"move the axis to {degrees:.10g}°")
 
     def moving(self) -> bool:
         """Return whether the axis is moving. Raises `InstrumentRefused` for an error, or if the motor is off."""
         turns = self._turns()
-        self._refuse_error("reports", self._oldest_error())
+        self._refuse_error("reports error", self._oldest_error())
         if not self._motor_on():
             raise InstrumentRefused(self.name, "its motor went off on the way", _CHECK_HEAD)
         return turns
 
     def stop(self) -> None:
         """Decelerate and stop. Raises `InstrumentRefused` if the controller reports an error."""
-        told = f"{self._axis}ST"
-        reply = self._session.urgent(f"{told};TB?", _ERROR, _ERROR_EXAMPLE)
-        self._refuse_error(f"reports after {told}", reply)
+        reply = self._session.urgent(f"{self._axis}ST;TB?", _ERROR, _ERROR_EXAMPLE)
+        self._refuse_error("was told to stop and reports error", reply)
 
     def _home(self) -> None:
         if not self._allow_homing:
             raise InstrumentRefused(
                 self.name, "its motor is off: it may have lost its reference, which it cannot report", _HOME
             )
-        self._tell(f"{self._axis}MO")
-        self._tell(f"{self._axis}OR1")
+        self._tell("MO", "switch the motor on")
+        self._tell("OR1", "home the axis")
         self._mover.wait_while(self.moving, self._travel.time_limit_s(2.0 * math.tau))
 
     # --- proof --------------------------------------------------------------------------------------
@@ -113,9 +112,9 @@ class NewportHead(MotorisedHead):
         """Identify the controller; set the speed; verify speed, unit and the resolution of angles."""
         model, version = self._introduced()
         self._forget_errors()
-        speed = f"{math.degrees(self._travel.speed_rad_s):.{facts.DEMAND_DECIMALS}f}"
-        self._tell(f"{self._axis}VA{speed}")
-        self._refuse_other_settings(f"did not accept {self._axis}VA{speed}")
+        speed_deg_s = math.degrees(self._travel.speed_rad_s)
+        self._tell(f"VA{speed_deg_s:.{facts.DEMAND_DECIMALS}f}", f"set the speed to {speed_deg_s:.10g} deg/s")
+        self._refuse_other_settings("did not accept the speed")
         decimals = len(self._angle_text().partition(".")[2])
         shown_rad = math.radians(10.0**-decimals)
         if shown_rad > self._travel.tolerance_rad:
@@ -187,12 +186,12 @@ class NewportHead(MotorisedHead):
             error = self._oldest_error()
             if _code(error) == facts.NO_ERROR:
                 return
-        self._refuse_error("reports without end", error)
+        self._refuse_error("reports errors without end, at last", error)
 
-    def _tell(self, command: str) -> None:
-        """Send a command once. Raises `InstrumentRefused` if the controller then reports an error."""
-        reply = self._session.command(f"{command};TB?", _ERROR, _ERROR_EXAMPLE)
-        self._refuse_error(f"answers {command} with", reply)
+    def _tell(self, command: str, purpose: str) -> None:
+        """Send a command to the axis once. Raises `InstrumentRefused`, stating its purpose, if an error follows."""
+        reply = self._session.command(f"{self._axis}{command};TB?", _ERROR, _ERROR_EXAMPLE)
+        self._refuse_error(f"was told to {purpose} and reports error", reply)
 
     def _refuse_error(self, how: str, error: str) -> None:
         code = _code(error)
@@ -203,7 +202,7 @@ class NewportHead(MotorisedHead):
         remedy = _AXIS_REMEDIES.get(of_axis) if axis else None
         raise InstrumentRefused(
             self.name,
-            f"the controller {how} error {code}, {text}",
+            f"the controller {how} {code}, {text}",
             remedy or "check the axis in the bench file and, by its manual, the controller's settings",
         )
 

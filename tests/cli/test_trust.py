@@ -29,7 +29,7 @@ def test_a_verification_point_that_is_missing_is_not_passed_over(bench, measured
     lines[-2] = re.sub(r",-?\d+\.\d+,", ",9.9E37,", lines[-2], count=1)
     lines[-2] = ",".join([*lines[-2].split(",")[:10], "9.9E37", *lines[-2].split(",")[11:]])
     Path("v.csv").write_text("\n".join(lines))
-    printed(bench("verify", "v.csv", "--skip-bad-rows"), "1 verification points are missing", status=1)
+    printed(bench("verify", "v.csv", "--skip-bad-rows"), "1 verification point is missing", status=1)
     assert json.loads(bench("verify", "v.csv", "--skip-bad-rows", "--json", "-")[1])["missing"] == 1
 
 

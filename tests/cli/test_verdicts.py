@@ -1,6 +1,7 @@
 """One verdict wherever it is told: limit and rule of the bench file, or those that the command names."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -184,7 +185,10 @@ def test_a_run_is_judged_as_it_was_begun(bench):
     assert (status, own["limit_g"], own["rule"], own["guard_band"]) == (1, 4e-4, "guarded", 3.0)
     assert "limit 400 µg\n" in out
     assert "rule: guarded (w = 3 U)" in out
-    assert "chain of hashes complete" in bench("show", "one", "--verify")[1]
+    chosen = "the shipped one, because no file was named"
+    assert own["bench"]["why"] == f"as the run recorded it; chosen at the start as {chosen}"
+    shown = printed(bench("show", "one", "--verify"), "hashes complete", "verdict: conditional pass", chosen)
+    assert re.search(r"^limit and rule of the run: .*guarded", shown, re.MULTILINE)
     assert told(bench, "verify", "one", "--json", "-") == (1, own)
     assert not Path("runs/one/what-if").exists()
     assert told(bench, "verify", "one", "--rule", "simple", "--json", "-")[1]["limit_g"] == 4e-4

@@ -71,7 +71,7 @@ def test_the_verdict_is_said_first_and_in_words(calibration):
     failed = render_report(ReportContent("T", calibration, verification_of(calibration, 5e-4)))
     assert "Verification passed" in passed
     assert "Verification failed" in failed
-    assert "4 of 4 verification points lie outside the limit" in failed
+    assert "outside the limit: 4 of 4 verification points." in failed
     assert failed.index("Verification failed") < failed.index("Model and coefficients")
     missing = render_report(ReportContent("T", calibration, verification_of(calibration, missing=2)))
     assert "Verification not complete" in missing

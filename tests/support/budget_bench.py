@@ -1,4 +1,6 @@
-"""The paper's bench as a `Setup`: block (11), 54 readings, 4 verification points turned by psi about z."""
+"""The paper's bench as a `Setup`: its block (equation 11), 54 readings, 4 verification points turned by psi
+about z.
+"""
 
 from collections.abc import Mapping, Sequence
 

@@ -105,8 +105,8 @@ def run(seed: int, numbers: range, noise_v: float, passes: int = 3) -> Runs:
 class FewRuns:
     """Errors and u of the readings (runs, 12) of runs with few readings, and what the program said of them.
 
-    `refused` are messages of refused runs. `rests` (runs,): a note says that u rests on the bench file;
-    `disagrees`: it says that the readings disagree with the file.
+    `refused` are messages of refused runs. `rests` (runs,) says whether a note states that u depends on the
+    bench file; `disagrees` (runs,), whether the note states that the readings disagree with this file.
     """
 
     error: Floats

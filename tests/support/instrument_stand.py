@@ -87,7 +87,7 @@ class Mute(Between):
 
 
 def taking(wanted: str, instead: str) -> Callable[[Any], Between]:
-    """Return a class whose instruments read the number `wanted` in any message as the number `instead`."""
+    """Return a class whose instruments take the number `wanted` in any message as the number `instead`."""
     number = re.compile(rf"(?<![\d.]){wanted}(?=\.0*(?!\d)|(?![\d.]))".encode())
 
     class Taking(Between):

@@ -34,7 +34,9 @@ def until(pairs: Pairs, command: str) -> Pairs:
 
 
 class ScriptedSession:
-    """Expects all `parts` in order; None is no reply. An exception or a malformed reply disconnects."""
+    """A session that expects all `parts` in order; None is no reply. An exception or a malformed reply
+    disconnects.
+    """
 
     resource = "TCPIP::192.0.2.5::9888::SOCKET"
     timeout_s = 3.0

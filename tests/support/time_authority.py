@@ -95,7 +95,7 @@ def certificate(name: str, key: Key, issuer: tuple[x509.Certificate, Key] | None
 
 
 class Authority:
-    """Answers requests by `answer`, which a test may replace; by default it is `stamp`."""
+    """An authority that answers requests by `answer`, which a test may replace; by default it is `stamp`."""
 
     def __init__(self) -> None:
         root_key, self._key = ec.generate_private_key(ec.SECP256R1()), ec.generate_private_key(ec.SECP256R1())

@@ -94,7 +94,9 @@ def read_unit(text: str) -> tuple[float, dict[str, int]]:
 
 
 def _parts(text: str) -> list[tuple[int, str, int]]:
-    """Return power of ten (prefix), name and exponent of each unit in a D-SI text. Raises `ValueError`."""
+    """Return power of ten (prefix), name and exponent of each unit in a D-SI text. Raises `ValueError` for
+    any other text.
+    """
     parts: list[tuple[int, str, int]] = []
     scale, sign = 0, 1
     for word, power in _WORD.findall(text):
@@ -312,7 +314,7 @@ def _lists(root: Node) -> Iterator[str]:
 
 
 def _covariances(root: Node) -> Iterator[str]:
-    """Yield a fault for each covariance not square, not positive semidefinite, or contradicting U / k."""
+    """Yield a fault for each covariance that is not square or positive semidefinite, or contradicts U / k."""
     for element in root.iter(f"{{{SI}}}realListXMLList"):
         columns = element.findall(".//si:covarianceXMLList/si:valueXMLList", NAMESPACES)
         if not columns:

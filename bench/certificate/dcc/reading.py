@@ -173,7 +173,9 @@ def _about(root: Node) -> dict[str, str]:
 
 
 def said(root: Node, path: str) -> str:
-    """Return the text at `path` in a document as one line with control characters visible; "" without one."""
+    """Return the text at `path` in a document as one line with control characters visible; "" if there is
+    none.
+    """
     return " ".join(visible(root.findtext(path, "", NAMESPACES)).split())
 
 
@@ -195,9 +197,10 @@ def _others(
     g_m_s2: float | None,
     noise_v: float | None,
 ) -> DocumentReading:
-    """Return the coefficients that another program `listed` as a result with K in V/g.
+    """Return the result, with K in V/g, made from the coefficients that another program's document `listed`.
 
-    Raises `Refused` if gravity or noise are not given, or if the units or uncertainties in the list do not suffice.
+    Raises `Refused` if gravity or noise are not given, or if the units or uncertainties in the list do not
+    suffice.
     """
     wanting = [] if g_m_s2 is not None else ["--g, the local gravity for which K is to be stated (m/s²)"]
     wanting += [] if noise_v is not None else ["--noise, the noise of a reading (V), which a check needs"]
@@ -344,7 +347,7 @@ def _tables(root: Node) -> Iterator[tuple[RealList, RealList]]:
 def _rows(
     key: str, unit: str, small: str, axis: RealList, error: RealList, per: float, per_small: float
 ) -> Iterator[dict[str, str]]:
-    """Yield a row for each error in a table: the correction (the error, negative) with U for k = 2.
+    """Yield a row for each error in a table: the correction (the negated error) with U for k = 2.
 
     `per` converts values on the axis from SI to `unit`; `per_small` converts errors from SI to `small`.
     """
@@ -361,7 +364,7 @@ def _rows(
 
 
 def _checked(stated: dict[str, Any], values: list[dict[str, str]]) -> Iterator[str]:
-    """Yield a sentence for each mistake that these values would be in a bench file."""
+    """Yield a sentence for each reason, at most five, why a bench file cannot contain these values unchanged."""
     if not values:
         return
     form = HeadCertificate if "angle" in values[0] else ChamberCertificate

@@ -357,8 +357,8 @@ class ShownValues:
     """The values in a certificate.
 
     `covariance` is the covariance of the coefficients, `files` maps names to attachments. `release` is the
-    version of the program that wrote it. `says_signed` is what the certificate says of itself: signed (True),
-    unsigned (False) or nothing (None).
+    version of the program that wrote the certificate. `says_signed` is what the certificate says of itself:
+    signed (True), unsigned (False) or nothing (None).
     """
 
     says: CertificateSays

@@ -143,7 +143,8 @@ class GrossSearch:
     def _best(self, table: OrientedRows, supposed: Sequence[Reinterpretation], odds: Floats) -> int:
         """Return the index of the likeliest supposition; `odds` are ln of their odds.
 
-        Those of a changed unit that does not bring its channels to the data sheet are set to minus infinity.
+        A supposition of another unit must bring the channels to the data sheet; otherwise its entry in `odds`
+        becomes minus infinity.
         """
         while True:
             best = int(np.argmax(odds))
@@ -160,8 +161,8 @@ class GrossSearch:
 
         It is the number of suppositions tried (ln: `log_looks`) divided by the odds of the copy, at most 1.
         The priors of the block are in the corrected unit. `log_scaling` is ln of the factor by which the
-        correction enlarges a volume of signals, so that the densities compared are both those of the recorded
-        signals.
+        correction enlarges a volume of signals; this factor converts the probability density of the copy to
+        one of the recorded signals.
         """
         copy, record = OrientedRows.of(right), OrientedRows.of(recorded)
         odds = [self._log_evidence(table, [nothing(table)], copy, table.every)[0] for table in (copy, record)]
@@ -185,9 +186,7 @@ class GrossSearch:
         return GrossFit(block, float(misfit), np.sum(((found - mean) / u) ** 2, axis=0))
 
     def _may_be_wrong(self, table: OrientedRows, kept: Mask, enough: float) -> bool:
-        """Return whether a map that explained all `kept` rows would have odds of which ln reaches
-        `enough`.
-        """
+        """Return whether ln of the odds of a map that explained all `kept` rows would exceed `enough`."""
         fit = self.fit(table, kept)
         return bool(fit.misfit + np.sum(fit.sheet) > 2.0 * enough)
 
@@ -277,9 +276,11 @@ def _positions(table: OrientedRows, supposed: Reinterpretation, kept: Mask) -> t
 
 
 def _products(columns: Floats, kept: Mask, position: Ints) -> Products:
-    """Return the products of the `kept` rows of `columns` (n, 7): means over repeats, and deviations from these.
+    """Return the products of the `kept` rows of `columns` (n, 7): means over repeats, and deviations from
+    these.
 
-    `position` has the number of each kept row's position. For the deviations, m = 0.
+    `position` has the number of each kept row's position. The deviations have the key 0 in the result, the
+    means of m repeats the key m.
     """
     columns, repeats = columns[kept], np.bincount(position)
     mean = np.zeros((len(repeats), columns.shape[1]))
@@ -312,7 +313,7 @@ def _integrated(supposed: Sequence[Products], mean: Floats, u: Floats, errors_g:
     # (5, 5, 3, H, sizes): many small matrices are eliminated much faster side by side than by LAPACK one by one
     whole = np.ascontiguousarray(np.moveaxis(centred, (3, 4), (0, 1))) @ (1.0 / variance)
     whole[range(4), range(4)] += u[:, :, None, None] ** -2
-    # rounding, where signals are far too large, or there is none
+    # keeps the last pivot positive in spite of rounding, or if there are no readings
     whole[4, 4] += 1e-9 * (1.0 + whole[4, 4])
     for k in range(4):
         whole[k + 1 :, k + 1 :] -= whole[k + 1 :, k, None] * (whole[k, k + 1 :] / whole[k, k])

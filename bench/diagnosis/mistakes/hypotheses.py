@@ -111,12 +111,13 @@ class ProjectedReadings:
 
 @dataclass(frozen=True)
 class Table:
-    """n readings minus the prediction for a first guess of the block, `left` (n, 3), linearised there.
+    """The deviations `left` (n, 3) of n readings from the prediction, linearised at a first guess of the
+    block.
 
-    `slope` (n, 3) are the derivatives of the signals by the head angle, per rad; `coefficients` (n, 3, 12), by
-    the coefficients; `stand` (n, 3, p), by the p other unknowns of the `problem`, times their prior standard
-    deviations. `unit` is the noise of a reading, from the median of the residuals. All are in the unit of the
-    signal.
+    `slope` (n, 3) are the derivatives of the signals by the head angle, per rad; `coefficients` (n, 3, 12),
+    by the coefficients; `stand` (n, 3, p), by the p other unknowns of the `problem`, times their prior
+    standard deviations. `unit` is the noise of a reading, from the median of the residuals. All are in the
+    unit of the signal.
     """
 
     problem: Problem
@@ -221,8 +222,8 @@ class Table:
     def points(self) -> Floats:
         """Indicator columns (n, 3, p): a free value of each channel at each angle that a mounting repeats.
 
-        A reading within `NEAR_DEG` of the median angle of its repeats counts as one of them, so that a wrong
-        setting stays with its repeats.
+        Readings within `NEAR_DEG` of their median angle are repeats, so that a wrong setting stays with its
+        repeats.
         """
         conditions = self.problem.conditions
         angle, repeats = np.degrees(conditions.angle_rad), repeat_groups(conditions)

@@ -201,9 +201,10 @@ class Reinterpretation:
         return corrected.select(~np.isin(np.arange(len(readings)), table.rows[self.source < 0]))
 
     def _also_scaled(self, readings: Readings, table: OrientedRows) -> Ints:
-        """Return the verification and free rows that were in the same wrong unit as a part of a run.
+        """Return the indices of verification and free rows in the same wrong unit as this part of the run.
 
-        The factor of the unit brings their modulus nearer to the usual modulus.
+        They are the rows whose modulus is clearly wrong, and nearer to the usual modulus with the factor of
+        the unit.
         """
         if not self.scales or self.scope.whole:
             return np.zeros(0, dtype=np.int64)
@@ -274,9 +275,9 @@ def _reversed_polarity(_: OrientedRows, scope: Scope) -> Iterator[Reinterpretati
 
 def _other_unit(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
     where = "" if scope.whole else str(scope).replace("in ", " of ", 1)
-    # the channels of one voltmeter, of two, or all
+    # all channels, a single one, or two
     sets = [chosen for size in (3, 1, 2) for chosen in combinations(range(3), size)]
-    # one or two unit prefixes, or as many digits by a wrong range or decimal point
+    # a wrong unit by one or two prefixes, or a decimal point moved by one or two digits
     for chosen, digits, many in product(sets, (round(PREFIX), 1), filter(None, PREFIXES)):
         tens = digits * many
         factor = np.ones(3)
@@ -305,7 +306,7 @@ def _other_label(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation
 
 
 def _swapped_installations(table: OrientedRows) -> list[Reinterpretation]:
-    """Return suppositions that two installations were exchanged, in the whole run or all passes of a
+    """Return suppositions that two installations were exchanged, in the whole run or in all passes with one
     number.
     """
     found = []
@@ -336,7 +337,7 @@ def _shifted(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
             "stop that has none"
         )
         source = _rows_aside(runs, scope.mask, step)
-        if np.mean(source[scope.mask] >= 0) > MOSTLY:  # what has lost most of its rows fits anything
+        if np.mean(source[scope.mask] >= 0) > MOSTLY:  # with too few rows left, any supposition fits
             yield Reinterpretation(MistakeName.SHIFTED_POINTS, scope, words, source=source)
     stop = _stop_rad(table, scope.mask)
     if stop is not None:
@@ -369,7 +370,7 @@ def _stop_rad(table: OrientedRows, mask: Mask) -> Floats | None:
         steps = np.diff(table.angle_rad[own])
         if not len(steps):
             continue
-        # whole minutes: the scatter of the settings does not belong to a stop
+        # rounded to minutes of arc, which removes the scatter of the settings
         stops[own] = np.radians(np.round(np.degrees(np.median(steps)) * 60) / 60)
         widths += [*np.abs(steps), float(np.abs(np.median(steps)))]
         if np.ptp(np.sign(steps)):

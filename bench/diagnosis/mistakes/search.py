@@ -1,9 +1,9 @@
 """The search for mistakes of procedure and wiring, which are corrected one after the other in a copy.
 
 The likeliest mistake is corrected in a copy of the record, and the copy is searched again until no mistake is
-left. The record itself is never changed. Other meanings of the record, which move readings by volts, are
-tried before wrong settings and outliers: these are linear changes about a block, and no fit gives that block
-while a gross mistake is left.
+left. The record itself is never changed. Other meanings of the record are tried first, because these gross
+mistakes move readings by volts. Only when they are corrected does a fit give a block about which wrong
+settings and outliers are linear changes.
 """
 
 from __future__ import annotations

@@ -280,10 +280,10 @@ class _Pass:
         return cls(table, rows, max(RATIOS, key=lambda ratio: table.seen(ratio, [free]).log_evidence))
 
     def seen(self, columns: Floats, beyond: Floats | float = 0.0) -> ProjectedReadings:
-        """Return the readings, with changes `columns` (n, 3, p) of the pass and N(0, 1) amplitudes in the
-        model.
+        """Return the readings, projected with changes of the pass in the model.
 
-        `beyond` (n, 3) is added to the predicted signals of the pass.
+        The changes are `columns` (n, 3, p) with standard normal amplitudes. `beyond` (n, 3) is added to the
+        predicted signals of the pass.
         """
         table = replace(self.table, left=self.table.left - beyond * self.rows[:, None])
         return table.seen(self.ratio, more=[columns * self.rows[:, None, None]])
@@ -356,7 +356,7 @@ def _bent(one: _Pass, columns: Floats, unit: float) -> Floats:
     """
     force, K = one.table.force, one.table.block.K
     bent = np.zeros_like(one.table.left)
-    for _ in range(3):  # each step leaves a hundredth of a rotation of 1°
+    for _ in range(3):  # for a rotation of 1°, each step leaves a hundredth of the error
         seen = one.seen(columns, bent)
         inside = seen.table.whiten(columns * one.rows[:, None, None], seen.white)
         angle = (inside.T @ seen.pull)[:3]
@@ -366,7 +366,9 @@ def _bent(one: _Pass, columns: Floats, unit: float) -> Floats:
 
 
 def _stuck(one: _Pass, channel: int) -> float:
-    """Return ln of the evidence that a `channel` (0, 1, 2) has one unknown reading throughout the pass."""
+    """Return ln of the evidence that a `channel` (0, 1, 2) gives one unknown value in all readings of the
+    pass.
+    """
     table = one.table
     deaf = np.outer(one.rows, np.eye(3)[channel]) == 1.0
     hearing = replace(

@@ -424,7 +424,7 @@
     const told = BenchPlots.outside(points, kOfBand);
     const none = state.warnings.length ? "" : _("No early warning. ");
     if (!told.values) return none.trim();
-    return none + _(`${told.outside} of ${told.values} values lie outside ± ${kOfBand}·u; about ${told.expected} are expected by chance.`);
+    return none + _(`Outside ± ${kOfBand}·u: ${told.outside} of ${told.values} values; about ${told.expected} are expected by chance.`);
   };
 
   const askOutcome = async () => {
