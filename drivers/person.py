@@ -126,10 +126,12 @@ class LevelPlatform(TypedDict):
 class Say(TypedDict):
     """A task without any setting: read a thermometer or the head's scale, answer, wait, see that a path is clear.
 
+    "confirm_reading": say whether an unexpected reading is right.
+
     `of` is "meter" or "room" for a thermometer that is neither at the block nor the chamber's.
     """
 
-    do: Literal["read_temperature", "read_head", "answer", "ask", "wait", "stand_clear"]
+    do: Literal["read_temperature", "read_head", "confirm_reading", "answer", "ask", "wait", "stand_clear"]
     of: NotRequired[str]
 
 

@@ -116,7 +116,7 @@ def typing_help(prompt: Prompt, wishes: Collection[Wish]) -> str:
     answer = _ANSWERS[prompt.kind]
     if prompt.choices:
         answer = message(f"one of: {', '.join(prompt.choices)}")
-    if prompt.kind is PromptKind.CONFIRM and prompt.action["do"] in ("ask", "answer"):
+    if prompt.kind is PromptKind.CONFIRM and prompt.action["do"] in ("ask", "answer", "confirm_reading"):
         answer = message("yes, or no")
     if prompt.kind is PromptKind.NUMBER:
         answer += message(f" in {prompt.unit}") if prompt.unit else ""

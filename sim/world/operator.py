@@ -130,6 +130,8 @@ class ScriptedOperator:
         elif action["do"] in ("set_supply", "switch_supply", "read_supply"):
             self._pass_time(self._settings.display_time_s)
             text = work_supply(self._world, action) or _confirmation(prompt)
+        elif action["do"] == "confirm_reading":
+            text = _confirmation(prompt)  # what was typed is what the display shows
         else:
             text = _default(prompt)
         return Answer(prompt.id, text)
