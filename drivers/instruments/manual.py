@@ -155,7 +155,7 @@ class ManualHead(ByHand):
             "direction": direction,
             "tolerance_rad": self._tolerance_rad,
         }
-        if by_way_of_rad is not None:
+        if by_way_of_rad is not None and not trouble:  # after a wrong reading the head is back already
             away = message(f"First turn the head away to {scale_text(by_way_of_rad)}, roughly.")
             task, action["by_way_of_rad"] = f"{away} {task}", by_way_of_rad
         return Prompt(

@@ -73,6 +73,7 @@ def test_a_head_that_is_turned_away_and_back_is_read_after_its_return() -> None:
     )
     assert person.prompts[0].action["by_way_of_rad"] == pytest.approx(math.radians(5.0))
     assert "above the target" in person.prompts[1].text
+    assert "away" not in person.prompts[1].text
 
 
 def test_the_angle_read_comes_back_not_the_target() -> None:

@@ -245,10 +245,17 @@ def test_at_a_terminal_the_line_stands_above_what_is_typed():
             answers = io.TextIOWrapper(raw, encoding="utf-8")
             shown = io.StringIO()
             person = TerminalPerson(answers, Console(file=shown, force_terminal=True, width=60))
-            person.meanwhile = lambda: (person.show_live("live: " + 80 * "x"), os.write(main, b"yes\n"))
+
+            def look():
+                person.show_live("live: " + 80 * "x")
+                os.write(main, b"yes\n")
+                person.show_live("too late: the cursor has left the line")
+
+            person.meanwhile = look
             person.slice_s = 0.01
             assert person.ask(prompt()).text == "yes"
             assert "\x1b7\x1b[1A\r\x1b[2K  live: " + 51 * "x" + "\x1b8" in shown.getvalue()
+            assert "too late" not in shown.getvalue()
             shown.truncate(0)
     finally:
         os.close(main)

@@ -13,6 +13,7 @@ from bench.run.assembly.served import dry_evening
 from bench.run.commission.session import CommissioningPerson
 from bench.run.events import Wish
 from bench.run.person import OperatorWish, RunControl
+from drivers.interfaces import InstrumentLost
 from tests.support.check_runs import measured, write_bench
 from tests.support.commands import printed, refused
 from tests.support.schemas import keeps_to
@@ -153,6 +154,21 @@ def test_skipped_inputs_end_no_other_check(morning, evenings):
     assert by_check["inputs"]["said"] == "no shorts here"
     assert by_check.keys() == (BY_HAND | {"inputs"}) - {"noise, inputs shorted", "reference"}
     assert "inputs not checked: no shorts here" in out.splitlines()[-1]
+
+
+def test_nobody_is_asked_for_anything_if_no_voltmeter_responds(morning, evenings):
+    def unplugged(evening):
+        for meter in evening.instruments.voltmeters:
+            meter.open = lambda name=meter.name: (_ for _ in ()).throw(
+                InstrumentLost(name, "no answer", "plug it in")
+            )
+        evening.person = None
+
+    evenings.prepare = unplugged
+    result, by_check, out = morning(by_hand(60), status=2)
+    assert by_check.keys() == {"identity"}
+    assert result["ended"] == "no voltmeter responds, so nothing else was checked"
+    assert "voltmeter.z: identity: no answer; plug it in" in out.splitlines()[-1]
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from bench.readings.reading import Reading
 from bench.run.commission import meters
 from bench.run.commission.course import BENCH, IDENTITY, who
 from bench.run.commission.devices import MANUAL_WAY_RAD
-from bench.run.commission.session import CommissioningSession, Figure, Finding, Skipped, State
+from bench.run.commission.session import CommissioningSession, Figure, Finding, SessionEnded, Skipped, State
 from bench.run.expectation import ReadingJudgement
 from drivers.angles import format_dms, wrapped_rad
 from drivers.interfaces import Direction, HeadPosition, Instrument, SelfTesting, Voltmeter
@@ -60,7 +60,10 @@ class MorningCourse:
     no_chart: str = ""
 
     def __call__(self, evening: CommissioningSession) -> None:
-        """Carry out all checks. Raises `SessionEnded` if the person ends them, and `KeyboardInterrupt`."""
+        """Carry out all checks.
+
+        Raises `SessionEnded` if the person ends them or no voltmeter responds, and `KeyboardInterrupt`.
+        """
         head = evening.instruments.head
         form = evening.section(head.name)
         with_head = partial(
@@ -70,6 +73,8 @@ class MorningCourse:
         returned_rad: list[float] = []
         for instrument in evening.instruments.all():
             evening.carry_out(IDENTITY, instrument, partial(who, evening, instrument))
+        if not any(meter.name in evening.identities for meter in evening.instruments.voltmeters):
+            raise SessionEnded("no voltmeter responds, so nothing else was checked")
         if not isinstance(form, MotorisedHeadForm):
             with_head(HOME, look=partial(_at_home, evening, stands))
         jobs = _jobs(
