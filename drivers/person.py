@@ -32,12 +32,16 @@ class MountBlock(TypedDict):
 
 
 class TurnHead(TypedDict):
-    """Turn the head and read its scale; the reading may differ from the target by `tolerance_rad`, if given."""
+    """Turn the head and read its scale; the reading may differ from the target by `tolerance_rad`, if given.
+
+    With `by_way_of_rad` the head is first turned there, without reading its scale.
+    """
 
     do: Literal["turn"]
     target_rad: float
     direction: Direction
     tolerance_rad: NotRequired[float]
+    by_way_of_rad: NotRequired[float]
     read_by: NotRequired[Literal["encoder"]]
     """Given if an encoder reads the angle; the head must then approach it from at least `backoff_rad` away."""
     backoff_rad: NotRequired[float]
@@ -120,12 +124,14 @@ class LevelPlatform(TypedDict):
 
 
 class Say(TypedDict):
-    """A task without any setting: read a thermometer, answer, wait, see that the head's path is clear.
+    """A task without any setting: read a thermometer or the head's scale, answer, wait, see that a path is clear.
+
+    "confirm_reading": say whether an unexpected reading is right.
 
     `of` is "meter" or "room" for a thermometer that is neither at the block nor the chamber's.
     """
 
-    do: Literal["read_temperature", "answer", "ask", "wait", "stand_clear"]
+    do: Literal["read_temperature", "read_head", "confirm_reading", "answer", "ask", "wait", "stand_clear"]
     of: NotRequired[str]
 
 

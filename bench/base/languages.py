@@ -249,7 +249,7 @@ class Catalogue:
                 return told
             if lowered != text and (told := look(lowered)) is not None:
                 return told[:1].upper() + told[1:]
-        for separator in (r"\n", r"  ", r"(?<=[.?!]) (?=[A-Z(])"):
+        for separator in (r"\n", r"  ", r"(?<=[.?!]) (?=[A-Z(]|[-−]?\d)"):
             if len(parts := re.split(separator, text)) > 1:
                 return re.search(separator, text)[0].join(map(self.translate, parts))  # type: ignore[index]
         if (around := _AROUND.fullmatch(text)) is not None and around[2] != text:

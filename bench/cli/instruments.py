@@ -131,14 +131,17 @@ def _commission(request: InstrumentsRequest, target: str | None) -> int:
     file = load_bench(path)
     console = printing.console(json=target)
     folder = request.out or free_folder(utc_now())
-    console.print(
+    printing.in_words(
+        console,
         f"commissioning of {file.name} ({path}), {'SIMULATED' if request.dry_run else 'on the bench'}; "
-        "type :skip REASON at a question to leave out a check, :abort to end; Ctrl-C makes the bench safe"
+        "type :skip REASON at a question to leave out a check, :abort to end; Ctrl-C makes the bench safe",
     )
     person = None if request.dry_run else TerminalPerson(sys.stdin, console, wishes=WISHES)
-    result = commission(
-        CommissioningPlan(file, path, folder, person, request.seed, lambda line: console.print(visible(line)))
-    )
+
+    def tell(line: str) -> None:
+        printing.in_words(console, visible(line))
+
+    result = commission(CommissioningPlan(file, path, folder, person, request.seed, tell))
     printing.write_json([result], target)
     for name, what in result["to_do"].items():
         printing.aside(f"bench: still to do: {name}: {what}")

@@ -67,11 +67,11 @@ def _morning(request: Check, json: str | None) -> int:
         )
     out = printing.console(json=json)
     person = None if request.dry_run else TerminalPerson(sys.stdin, out, wishes=WISHES)
-    result, folder = morning(request, person, lambda line: out.print(visible(line)))
+    result, folder = morning(request, person, lambda line: printing.in_words(out, visible(line)))
     printing.write_json([result], json)
     printing.written("page", folder / PAGE, out)
     status = 1 if result["to_do"] else int(result["status"])
-    out.print(line_of(result), style="bold red" if status else "bold green")
+    printing.in_words(out, line_of(result), style="bold red" if status else "bold green")
     return status
 
 

@@ -43,6 +43,11 @@ def console(*, json: str | None = None) -> Console:
     return Screen(highlight=False, soft_wrap=True, markup=False, stderr=aside, width=WIDTH)
 
 
+def in_words(out: Console, text: str, style: str = "") -> None:
+    """Print a text. A terminal wraps it between words, where it would break lines within words."""
+    out.print(text, style=style, soft_wrap=not out.is_terminal)
+
+
 def table(*headings: str, no_wrap: bool = False) -> Table:
     """Return an empty table; a heading that begins with ">" is for a column of numbers, aligned to the right."""
     from bench.base import tables

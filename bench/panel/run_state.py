@@ -81,7 +81,7 @@ def _buttons(told: Mapping[str, Any]) -> list[dict[str, str]]:
     match told["kind"]:
         case PromptKind.CONFIRM if told["do"] != "wait":
             pressed = [("yes", message("Yes, it is done")), ("no", message("No, not yet"))]
-            if told["do"] in {"answer", "ask"}:
+            if told["do"] in {"answer", "ask", "confirm_reading"}:
                 pressed = [("yes", "Yes"), ("no", "No")]
             return buttons + [{"text": text, "label": label} for text, label in pressed if text != default]
         case PromptKind.CHOOSE:

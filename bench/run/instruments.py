@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Final, Literal
 
 from bench.base.languages import message
 from bench.base.text import listed
 from bench.run.events import EventType
-from bench.run.person import RunControl, Stopped, agree
+from bench.run.person import MOST_ATTEMPTS, NO, RunControl, Stopped, agree, ask
 from bench.run.power import UnitPower
 from drivers import interfaces
 from drivers.interfaces import (
@@ -104,50 +104,107 @@ def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str,
         agree(person, Prompt(id="identities", kind=PromptKind.CONFIRM, text=text, action={"do": "ask"}))
 
 
-def told_at_mounting(instruments: Instruments, key: str) -> float | None:
+ROOM_C: Final = 23.0
+ROOM_K: Final = 10.0
+"""A room is expected within `ROOM_K` of `ROOM_C`; so is a block whose chamber was not set."""
+UNEXPECTED_K: Final = 5.0
+"""A typed temperature may differ so far from the expected one, K: ten times the limit of a usual thermometer."""
+
+
+@dataclass(frozen=True)
+class MakeSure:
+    """Asks a person about a temperature that was entered far from what is expected, °C.
+
+    Expected is `last_c`, the temperature entered before, else `demanded_c`, the set point, else a room.
+    """
+
+    person: Person
+    last_c: float | None = None
+    demanded_c: float | None = None
+
+    def __call__(self, read: Callable[[str], float], key: str) -> float:
+        """Return the temperature that the person enters when `read` asks, as often as the person takes it back."""
+        shown_c = read(key)
+        for again in range(1, MOST_ATTEMPTS):
+            question = self._question(shown_c)
+            prompt = Prompt(
+                id=f"{key}/right{again}",
+                kind=PromptKind.CONFIRM,
+                text=question,
+                action={"do": "confirm_reading"},
+            )
+            if not question or ask(self.person, prompt).lower() not in NO:
+                break
+            shown_c = read(f"{key}/again{again}")
+        return shown_c
+
+    def _question(self, shown_c: float) -> str:
+        """Return the question about a temperature, empty if it is expected."""
+        if self.last_c is not None and abs(off_k := shown_c - self.last_c) > UNEXPECTED_K:
+            return message(
+                f"{shown_c:g} °C: {abs(off_k):.3g} °C from the {self.last_c:g} °C read before. Is that right?"
+            )
+        if self.last_c is not None:
+            return ""
+        if self.demanded_c is not None and abs(off_k := shown_c - self.demanded_c) > UNEXPECTED_K:
+            return message(
+                f"{shown_c:g} °C: {abs(off_k):.3g} °C from the {self.demanded_c:g} °C set. Is that right?"
+            )
+        if self.demanded_c is None and abs(off_k := shown_c - ROOM_C) > ROOM_K:
+            return message(
+                f"{shown_c:g} °C: {abs(off_k):.3g} °C from the {ROOM_C:g} °C of a usual room. Is that right?"
+            )
+        return ""
+
+
+def told_at_mounting(instruments: Instruments, key: str, sure: MakeSure) -> float | None:
     """Return the block's temperature, °C, that a person enters at a mounting; None if no person enters it.
 
-    Raises `BenchError`.
+    `sure` asks about an unexpected temperature. Raises `BenchError`.
     """
     chamber, thermometer = instruments.chamber, instruments.thermometer
     if thermometer is not None:
-        return thermometer.block_c(key) if thermometer.asks_person else None
-    return chamber.temperature(key) if chamber is not None and chamber.asks_person else None
+        return sure(thermometer.block_c, key) if thermometer.asks_person else None
+    return sure(chamber.temperature, key) if chamber is not None and chamber.asks_person else None
 
 
 def told_at_reading(
-    instruments: Instruments, known_c: float | None, key: str
+    instruments: Instruments, known_c: float | None, key: str, sure: MakeSure
 ) -> tuple[float | None, float | None]:
     """Return the temperatures of block and chamber air, °C; the second is None if only one is measured.
 
-    `known_c` is the block's temperature, if known; a person is then not asked for it. Raises `BenchError`.
+    `known_c` is the block's temperature, if known; a person is then not asked for it. `sure` asks about an
+    unexpected temperature that a person enters. Raises `BenchError`.
     """
     chamber, thermometer = instruments.chamber, instruments.thermometer
-    by_controller = chamber is not None and not chamber.asks_person
-    if thermometer is not None:
-        air_c = chamber.temperature(key) if chamber is not None and by_controller else None
-        asked = known_c is None or not thermometer.asks_person
-        return thermometer.block_c(key) if asked else known_c, air_c
-    if chamber is not None and (known_c is None or by_controller):
-        return chamber.temperature(key), None
-    return known_c, None
+    air_c = chamber.temperature(key) if chamber is not None and not chamber.asks_person else None
+    if thermometer is not None and not thermometer.asks_person:
+        return thermometer.block_c(key), air_c
+    if thermometer is None and air_c is not None:
+        return air_c, None
+    return told_at_mounting(instruments, key, sure) if known_c is None else known_c, air_c
 
 
 def told_around(
-    instruments: Instruments, known: Mapping[str, float], air_c: float | None, key: str
+    instruments: Instruments,
+    known: Mapping[str, float],
+    air_c: float | None,
+    key: str,
+    sure: Callable[[str], MakeSure],
 ) -> dict[str, float]:
     """Return the temperatures of meters and room, °C, by column; `air_c` is the chamber's air, if known.
 
-    `known` holds values already entered in this mounting; a person is not asked for them again. Raises
-    `BenchError`.
+    `known` holds values already entered in this mounting; a person is not asked for them again. `sure` of a
+    column asks about an unexpected temperature that a person enters. Raises `BenchError`.
     """
+
+    def told(column: str, by: interfaces.Thermometer) -> float:
+        if not by.asks_person:
+            return by.block_c(key)
+        return known[column] if column in known else sure(column)(by.block_c, key)
+
     by_column = {
-        column: air_c
-        if by == "chamber"
-        else known[column]
-        if by.asks_person and column in known
-        else by.block_c(key)
-        for column, by in instruments.around.items()
+        column: air_c if by == "chamber" else told(column, by) for column, by in instruments.around.items()
     }
     return {column: shown_c for column, shown_c in by_column.items() if shown_c is not None}
 

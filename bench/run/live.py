@@ -15,6 +15,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from bench.base.arrays import ARCSEC, CHANNELS
+from bench.base.languages import message, translated
 from bench.config.procedure.plan import Plan, Read
 from bench.readings.reading import Reading
 from bench.run.early_warning import EarlyWarning
@@ -92,19 +93,25 @@ class LiveValue:
         if self.off_arcsec is None or self.expanded_arcsec is None:
             return ""
         if abs(self.off_arcsec) <= self.expanded_arcsec:
-            return f"there, within {self.expanded_arcsec:.0f}″"
-        beyond = "too far" if self.off_arcsec > 0 else "to go"
-        if abs(self.off_arcsec) > LINEAR_ARCSEC:
-            return f"more than {LINEAR_ARCSEC / 3600.0:.0f}° {beyond}"
-        return f"{_angle(abs(self.off_arcsec))} {beyond} (± {self.expanded_arcsec:.0f}″)"
+            return message(f"there, within {self.expanded_arcsec:.0f}″")
+        too_far, off = self.off_arcsec > 0, abs(self.off_arcsec)
+        if off > LINEAR_ARCSEC:
+            most = f"{LINEAR_ARCSEC / 3600.0:.0f}°"
+            return message(f"more than {most} too far") if too_far else message(f"more than {most} to go")
+        u = f"{self.expanded_arcsec:.0f}″"
+        return (
+            message(f"{_angle(off)} too far (± {u})") if too_far else message(f"{_angle(off)} to go (± {u})")
+        )
 
     def in_a_line(self) -> str:
-        """Return the value as one line for the terminal."""
+        """Return the value as one line for the terminal, in the language of the prompts."""
+        live = translated(message("live"))
         if self.signals_v is None:
-            return f"live: {self.why}"
+            return f"{live}: {translated(self.why)}"
         signals = "  ".join(f"{c} {v:+.{SHOWN_V}f}" for c, v in zip(CHANNELS, self.signals_v, strict=True))
-        state = {None: "", True: "settled", False: "moving"}[self.settled]
-        return "; ".join(filter(None, [f"live: {signals} V", self.to_go, state]))
+        state = {None: "", True: message("settled"), False: message("moving")}[self.settled]
+        parts = (translated(part) for part in (self.to_go, state) if part)
+        return "; ".join([f"{live}: {signals} V", *parts])
 
 
 def _angle(arcsec: float) -> str:

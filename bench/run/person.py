@@ -397,6 +397,8 @@ def problem_with_answer(prompt: Prompt, text: str) -> str:
         return str(trouble).rstrip(".")
     match prompt.kind:
         case PromptKind.CONFIRM:
+            if not given:
+                return message("nothing was typed: answer yes or no")
             return "" if given.lower() in YES | NO else message(f"answer yes or no, not {given!r}")
         case PromptKind.CHOOSE:
             return _problem_with_choice(prompt, given)

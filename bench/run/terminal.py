@@ -58,6 +58,11 @@ class LineReader:
                 continue
             return "" if late else line.decode(self._answers.encoding or "utf-8", "backslashreplace")
 
+    @property
+    def waits(self) -> bool:
+        """Whether a typed line waits to be read."""
+        return self._descriptor is not None and bool(select.select([self._descriptor], [], [], 0.0)[0])
+
     def _rest_of_line(self, descriptor: int, meanwhile: Callable[[], None] | None, slice_s: float) -> bytes:
         # byte by byte, because `select` would not report bytes that a buffered stream had already read
         while not self._begun.endswith(b"\n"):
@@ -116,7 +121,7 @@ def typing_help(prompt: Prompt, wishes: Collection[Wish]) -> str:
     answer = _ANSWERS[prompt.kind]
     if prompt.choices:
         answer = message(f"one of: {', '.join(prompt.choices)}")
-    if prompt.kind is PromptKind.CONFIRM and prompt.action["do"] in ("ask", "answer"):
+    if prompt.kind is PromptKind.CONFIRM and prompt.action["do"] in ("ask", "answer", "confirm_reading"):
         answer = message("yes, or no")
     if prompt.kind is PromptKind.NUMBER:
         answer += message(f" in {prompt.unit}") if prompt.unit else ""
@@ -282,8 +287,11 @@ class TerminalPerson:
         return line
 
     def show_live(self, line: str) -> None:
-        """Show a line above the one being typed, at a terminal; the cursor stays where it is."""
-        if self._has_live_line:
+        """Show a line above the one being typed, at a terminal; the cursor stays where it is.
+
+        After Enter the cursor is already one line below, and the typed answer must stay.
+        """
+        if self._has_live_line and not self._reader.waits:
             cut = line[: max(self._console.width - 3, 0)]
             self._console.file.write(f"\x1b7\x1b[1A\r\x1b[2K  {cut}\x1b8")
             self._console.file.flush()

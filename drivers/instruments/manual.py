@@ -6,7 +6,15 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
-from drivers.angles import format_dms, read_angle, scale_text, typed_bubble, typed_temperature
+from drivers.angles import (
+    format_dms,
+    parse_angle,
+    read_angle,
+    scale_text,
+    typed_bubble,
+    typed_temperature,
+    wrapped_rad,
+)
 from drivers.interfaces import (
     BadReading,
     Direction,
@@ -19,7 +27,7 @@ from drivers.interfaces import (
     LimitExceeded,
     message,
 )
-from drivers.person import APPROACH, ATTEMPTS, Person, Prompt, PromptKind, ask_until
+from drivers.person import APPROACH, ATTEMPTS, Person, Prompt, PromptKind, TurnHead, ask_until
 
 
 class ByHand:
@@ -72,11 +80,51 @@ class ManualHead(ByHand):
         A reading outside the tolerance is never accepted: the question is repeated with the probable mistake.
         Raises `LimitExceeded` after the last attempt, `NoAnswer` if nobody can answer.
         """
+        return self._turned(target_rad, direction, key, None)
+
+    def return_to(
+        self, target_rad: float, direction: Direction, key: str, *, by_way_of_rad: float
+    ) -> HeadPosition:
+        """Ask the person to turn to `by_way_of_rad`, then as `move` does; only the last angle is read.
+
+        Raises the errors of `move`.
+        """
+        return self._turned(target_rad, direction, key, by_way_of_rad)
+
+    def stands_at(self, key: str) -> float:
+        """Ask for the angle at which the head stands, within half a turn of 0, rad; nobody turns it.
+
+        Raises `BadReading` after the last attempt, `NoAnswer` if nobody can answer.
+        """
+
+        def prompt(prompt_id: str, trouble: str) -> Prompt:
+            task = message("Leave the head as it stands; read its scale and type the angle read.")
+            text = f"{trouble} {task}".lstrip()
+            return Prompt(prompt_id, PromptKind.ANGLE, text, unit="° ′ ″", action={"do": "read_head"})
+
+        def read(typed: str) -> float:
+            if not typed:
+                raise ValueError(message("Nothing was typed: read the scale and type what it shows."))
+            try:
+                return wrapped_rad(parse_angle(typed))
+            except ValueError as error:
+                raise ValueError(f"{error}.") from None
+
+        try:
+            return ask_until(self._person, key, prompt, read, self._max_attempts)
+        except ValueError as trouble:
+            raise BadReading(
+                self.name, f"no angle in {self._max_attempts} attempts ({trouble})", "read its scale again"
+            ) from None
+
+    def _turned(
+        self, target_rad: float, direction: Direction, key: str, by_way_of_rad: float | None
+    ) -> HeadPosition:
         try:
             angle_rad = ask_until(
                 self._person,
                 key,
-                partial(self._prompt, target_rad, direction),
+                partial(self._prompt, target_rad, direction, by_way_of_rad),
                 lambda typed: read_angle(typed, target_rad, self._tolerance_rad),
                 self._max_attempts,
             )
@@ -89,23 +137,34 @@ class ManualHead(ByHand):
             ) from None
         return HeadPosition(angle_rad, direction)
 
-    def _prompt(self, target_rad: float, direction: Direction, prompt_id: str, trouble: str) -> Prompt:
+    def _prompt(
+        self,
+        target_rad: float,
+        direction: Direction,
+        by_way_of_rad: float | None,
+        prompt_id: str,
+        trouble: str,
+    ) -> Prompt:
         target = scale_text(target_rad)
         task = message(
             f"Turn the head to {target}: {APPROACH[direction]}; clamp; read again and type the angle read."
         )
+        action: TurnHead = {
+            "do": "turn",
+            "target_rad": target_rad,
+            "direction": direction,
+            "tolerance_rad": self._tolerance_rad,
+        }
+        if by_way_of_rad is not None and not trouble:  # after a wrong reading the head is back already
+            away = message(f"First turn the head away to {scale_text(by_way_of_rad)}, roughly.")
+            task, action["by_way_of_rad"] = f"{away} {task}", by_way_of_rad
         return Prompt(
             id=prompt_id,
             kind=PromptKind.ANGLE,
             text=f"{trouble} {task}".lstrip(),
             default=target if self._enter_accepts_target else None,
             unit="° ′ ″",
-            action={
-                "do": "turn",
-                "target_rad": target_rad,
-                "direction": direction,
-                "tolerance_rad": self._tolerance_rad,
-            },
+            action=action,
         )
 
 

@@ -107,6 +107,9 @@ class ScriptedOperator:
             world = self._world
             shown = {"meter": world.meters_c, "room": world.room_c}.get(action.get("of", ""))
             text = f"{world.block_c if shown is None else shown():.2f}"
+        elif action["do"] == "read_head":
+            self._pass_time(self._settings.second_look_s)
+            text = scale_text(self._on_scale(self._world.scale_angle_rad) / ARCSEC)
         elif action["do"] == "select_input":
             self._pass_time(self._settings.task_time_s)
             self._world.select_input(action["source"], action.get("reference_v"))
@@ -127,6 +130,8 @@ class ScriptedOperator:
         elif action["do"] in ("set_supply", "switch_supply", "read_supply"):
             self._pass_time(self._settings.display_time_s)
             text = work_supply(self._world, action) or _confirmation(prompt)
+        elif action["do"] == "confirm_reading":
+            text = _confirmation(prompt)  # what was typed is what the display shows
         else:
             text = _default(prompt)
         return Answer(prompt.id, text)
@@ -160,24 +165,30 @@ class ScriptedOperator:
         generator = self._generator("turn", step)
         deviation_rad = float(generator.normal(0.0, settings.setting_deviation_rad))
         duration_s = float(generator.uniform(*settings.turn_time_s))
-        scale_steps = round((action["target_rad"] + deviation_rad) / settings.resolution_rad)
-        read_arcsec = scale_steps * settings.resolution_rad / ARCSEC
+        set_rad = self._on_scale(action["target_rad"] + deviation_rad)
         slips = attempt in ("", "1") and generator.random() < settings.slip_probability
         if "read_by" in action:
             side = -1.0 if slips and prompt.kind is PromptKind.CONFIRM else 1.0
             way_rad = side * action["direction"] * action.get("backoff_rad", 0.0)
-            self._approach(scale_steps * settings.resolution_rad, way_rad, duration_s)
+            self._approach(set_rad, way_rad, duration_s)
             if action.get("hands_free"):
                 self._wait_for_encoder()
         elif self._turned_for == step:
             self._pass_time(settings.second_look_s)
         else:
+            if "by_way_of_rad" in action:
+                self._world.turn(action["by_way_of_rad"], action["direction"])
+                self._pass_time(settings.second_look_s)
             self._pass_time(duration_s)
-            self._world.turn(scale_steps * settings.resolution_rad, action["direction"])
+            self._world.turn(set_rad, action["direction"])
             self._turned_for = step
         if prompt.kind is PromptKind.CONFIRM:
             return _confirmation(prompt)
-        return scale_text(read_arcsec + (float(generator.choice(_SLIPS_ARCSEC)) if slips else 0.0))
+        return scale_text(set_rad / ARCSEC + (float(generator.choice(_SLIPS_ARCSEC)) if slips else 0.0))
+
+    def _on_scale(self, angle_rad: float) -> float:
+        """Return an angle rounded to the step of the scale, rad."""
+        return round(angle_rad / self._settings.resolution_rad) * self._settings.resolution_rad
 
     def _approach(self, angle_rad: float, backoff_rad: float, duration_s: float) -> None:
         """Turn the head as an encoder requires: to twice `backoff_rad` before an angle, then to the angle.

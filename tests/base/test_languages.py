@@ -30,6 +30,14 @@ def ukrainian():
         yield
 
 
+def test_a_sentence_that_begins_with_a_number_is_translated_beside_another(ukrainian):
+    doubt = "44 °C: 21 °C from the 23 °C set. Is that right?"
+    assert translated(f"Answer yes or no, not 'x'. {doubt}") == (
+        f"Відповідайте так або ні, а не 'x'. {translated(doubt)}"
+    )
+    assert "задано" in translated(doubt)
+
+
 def test_english_texts_come_back_byte_for_byte():
     text = message("✓ Verification passed, 0.12 V")
     assert translated(text) is text

@@ -96,6 +96,26 @@ def test_a_typed_angle_is_where_the_simulated_head_stands_and_a_wrong_one_is_ref
 
 
 @pytest.mark.slow
+def test_a_temperature_unlike_a_room_s_is_asked_about_and_the_confirmation_is_on_record(points):
+    class Warm(Hands):
+        def _act(self, prompt):
+            self._leave(prompt.id, "44" if prompt.kind == "number" else answer_to(prompt))
+
+    run, (status, _, _) = points(
+        "one", *RUN, "--name", "one", "--answers", "folder", hands=Warm(Path("runs/one"), None, None)
+    )
+    assert status == 0
+    events = run.history.events
+    asked = {event.data["id"]: event.data["text"] for event in events if event.type == "asked"}
+    answered = [event.data for event in events if event.type == "answered"]
+    doubts = [data for data in answered if "Is that right?" in asked[data["id"]]]
+    assert [(asked[data["id"]], data["answer"], data["by"]) for data in doubts] == [
+        ("44 °C: 21 °C from the 23 °C of a usual room. Is that right?", "yes", "Ann")
+    ]
+    assert run.readings().temperature_c[0] == 44.0
+
+
+@pytest.mark.slow
 def test_a_run_that_was_stopped_in_the_panel_goes_on_with_a_living_person(points):
     class Stopping(Hands):
         def _act(self, prompt):

@@ -53,6 +53,29 @@ def chamber(*answers: str | Answer) -> tuple[ManualChamber, Script]:
 # --- head -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(("typed", "seconds"), [("359 59 58", -2.0), ("0,001", 3.6), ("90", 324000.0)])
+def test_a_head_that_stands_is_read_and_not_turned(typed: str, seconds: float) -> None:
+    h, person = head("", "0 0 75", typed)
+    assert h.stands_at("m") == pytest.approx(seconds * SECOND, abs=1e-9)
+    assert [prompt.action["do"] for prompt in person.prompts] == ["read_head"] * 3
+    assert person.prompts[1].text.startswith("Nothing was typed")
+    assert "60 or more" in person.prompts[2].text
+    with pytest.raises(BadReading, match="no angle in 2 attempts"):
+        head("", "x", max_attempts=2)[0].stands_at("m")
+
+
+def test_a_head_that_is_turned_away_and_back_is_read_after_its_return() -> None:
+    h, person = head("5 00 00", "0 00 03")
+    position = h.return_to(0.0, 1, "m", by_way_of_rad=math.radians(5.0))
+    assert position.angle_rad == pytest.approx(3 * SECOND, abs=1e-9)
+    assert person.prompts[0].text.startswith(
+        "First turn the head away to 5°00′00″, roughly. Turn the head to 0°"
+    )
+    assert person.prompts[0].action["by_way_of_rad"] == pytest.approx(math.radians(5.0))
+    assert "above the target" in person.prompts[1].text
+    assert "away" not in person.prompts[1].text
+
+
 def test_the_angle_read_comes_back_not_the_target() -> None:
     h, person = head("45 00 04")
     position = h.move(math.radians(45.0), 1, "12/turn")

@@ -122,7 +122,13 @@ def test_what_is_stale_double_ill_fitting_or_garbage_is_refused_on_record_and_th
         with (run.folder / ANSWERS).open("a") as file:
             file.write("yes\n")
 
-    run.plan = [run.answer("yes", "1/old@1"), run.answer("perhaps"), garbage, run.answer("yes")]
+    run.plan = [
+        run.answer("yes", "1/old@1"),
+        run.answer("perhaps"),
+        garbage,
+        run.answer(""),
+        run.answer("yes"),
+    ]
     confirm(away, MOUNT)
     first = run.told("answered")[0]["id"]
     run.plan = [run.answer("yes", first), run.answer("yes")]
@@ -131,9 +137,10 @@ def test_what_is_stale_double_ill_fitting_or_garbage_is_refused_on_record_and_th
         "it answers another question than the open one",
         "answer yes or no, not 'perhaps'",
         "line 3 of answers.jsonl is not an answer",
+        "nothing was typed: answer yes or no",
         "the question was answered already by Ann",
     ]
-    assert [answered["line"] for answered in run.told("answered")] == [4, 6]
+    assert [answered["line"] for answered in run.told("answered")] == [5, 7]
     assert len({asked["id"] for asked in run.told("asked")}) == len(run.told("asked")) == 2
 
 

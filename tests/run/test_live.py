@@ -11,6 +11,7 @@ import pytest
 from rich.console import Console
 
 from bench.base.arrays import ARCSEC
+from bench.base.languages import speaking
 from bench.run import live as live_module
 from bench.run.expectation import ExpectedSignals
 from bench.run.folder import Run
@@ -115,6 +116,15 @@ def test_where_no_signal_depends_on_the_angle_nothing_is_known():
 )
 def test_the_way_to_go_is_said_as_an_angle(off, words):
     assert LiveValue("1", "", (0.0, 0.0, 0.0), off, 2.0).to_go == words
+
+
+def test_the_line_speaks_the_language_of_the_prompts():
+    value = LiveValue("1", "", (-1.5, 0.25, 2.0), -150000.0, 2.0, settled=False)
+    assert value.in_a_line() == ("live: x -1.50000  y +0.25000  z +2.00000 V; more than 1° to go; moving")
+    with speaking("uk"):
+        assert value.in_a_line() == (
+            "наживо: x -1.50000  y +0.25000  z +2.00000 V; лишилося більше ніж 1°; змінюється"
+        )
 
 
 # --- looks ----------------------------------------------------------------------------------------------
@@ -247,10 +257,17 @@ def test_at_a_terminal_the_line_stands_above_what_is_typed():
             answers = io.TextIOWrapper(raw, encoding="utf-8")
             shown = io.StringIO()
             person = TerminalPerson(answers, Console(file=shown, force_terminal=True, width=60))
-            person.meanwhile = lambda: (person.show_live("live: " + 80 * "x"), os.write(main, b"yes\n"))
+
+            def look():
+                person.show_live("live: " + 80 * "x")
+                os.write(main, b"yes\n")
+                person.show_live("too late: the cursor has left the line")
+
+            person.meanwhile = look
             person.slice_s = 0.01
             assert person.ask(prompt()).text == "yes"
             assert "\x1b7\x1b[1A\r\x1b[2K  live: " + 51 * "x" + "\x1b8" in shown.getvalue()
+            assert "too late" not in shown.getvalue()
             shown.truncate(0)
     finally:
         os.close(main)

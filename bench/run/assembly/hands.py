@@ -89,7 +89,7 @@ class SimulatedHands:
         if action["do"] == "turn":
             self._turn(action)
             self._tell(f"turned the head to {math.degrees(action['target_rad']):g}°")
-        elif action["do"] not in ("answer", "wait"):
+        elif action["do"] not in ("answer", "confirm_reading", "wait"):
             answer_text = self._operator.ask(prompt).text
             read = action["do"].startswith("read_")
             self._tell(f"{action['do'].replace('_', ' ')}: {answer_text if read else 'done'}")

@@ -49,7 +49,7 @@ from sim.world.clock import ScaledClock, VirtualClock
 from sim.world.operator import ScriptedOperator
 from sim.world.world import World
 
-_LOOKED_AT: Final = frozenset({"read_temperature", "read_level", "read_supply"})
+_LOOKED_AT: Final = frozenset({"read_temperature", "read_head", "read_level", "read_supply"})
 _DONE: Final = frozenset(
     {
         "mount",
@@ -315,12 +315,21 @@ TASK_TIME_S = 30.0
 
 
 class ScriptedHand:
-    """A `Person` at a simulated bench who handles cables; the scripted operator does all other tasks."""
+    """A `WatchingPerson` at a simulated bench who handles cables; the scripted operator does all other tasks."""
 
-    def __init__(self, operator: Person, simulated: SimulatedBench) -> None:
+    def __init__(self, operator: WatchingPerson, simulated: SimulatedBench) -> None:
         self._operator = operator
         self._world = simulated.world
         self._control = BenchControl(simulated)
+
+    @property
+    def meanwhile(self) -> Callable[[], None] | None:
+        """The function called repeatedly while the scripted operator works."""
+        return self._operator.meanwhile
+
+    @meanwhile.setter
+    def meanwhile(self, look: Callable[[], None] | None) -> None:
+        self._operator.meanwhile = look
 
     def ask(self, prompt: Prompt) -> Answer:
         """Carry out the task in the prompt and confirm it; other prompts go to the scripted operator."""
@@ -361,7 +370,7 @@ def dry_evening(
     watch = WireWatch(log)
     with dry_bench(file, model, seed, watch, haste) as assembly:
         simulated, clock, computer = assembly.simulated, assembly.clock, SystemClock()
-        if simulated is None:
+        if simulated is None or not isinstance(assembly.person, WatchingPerson):
             raise BenchError("simulation", "there is no simulated bench", "start again")
         watch.time_s = lambda: clock.now_s() + computer.now_s()
         yield _evening(file, assembly, ScriptedHand(assembly.person, simulated), watch)

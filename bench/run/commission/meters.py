@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Final, Protocol, runtime_checkable
@@ -21,6 +21,10 @@ TIME: Final = "time of a reading"
 TOGETHER: Final = "together"
 NOISE: Final = "noise, inputs shorted"
 
+SHORT_INPUTS: Final = (
+    "Take the signals off the voltmeters and short their inputs, HI to LO, with copper and no longer than "
+    "needed"
+)
 TIMED_SAMPLES: Final = 10
 NOISE_SAMPLES: Final = 30
 SLOW_NPLC: Final = 10.0
@@ -224,7 +228,10 @@ def _one_set(evening: CommissioningSession, meters: Sequence[Voltmeter]) -> Timi
 
 def check_noise(evening: CommissioningSession) -> None:
     """Ask for shorted inputs; compare mean and scatter of each channel with the data sheet's limits."""
-    short_inputs(evening)
+    evening.confirm(
+        f"{SHORT_INPUTS}; wait two minutes. Are all inputs shorted?",
+        action={"do": "select_input", "source": "short"},
+    )
     measure_noise(evening)
     evening.confirm(
         "Take the shorts off and connect the signals again. Done?",
@@ -232,25 +239,72 @@ def check_noise(evening: CommissioningSession) -> None:
     )
 
 
-def short_inputs(evening: CommissioningSession) -> None:
-    """Ask for shorted inputs."""
-    evening.confirm(
-        "Take the signals off the voltmeters and short their inputs, HI to LO, with copper and no longer than "
-        "needed; wait two minutes. Are all inputs shorted?",
-        action={"do": "select_input", "source": "short"},
-    )
+class SharedReading:
+    """A reading of `samples` samples by all voltmeters, which start together."""
+
+    def __init__(self, evening: CommissioningSession, samples: int) -> None:
+        self._evening = evening
+        self._samples = samples
+        self._begun: dict[str, tuple[VoltmeterSettings, float] | Exception] = {}
+
+    def checks(self, check: str, look: Callable[[Voltmeter, SharedReading], Finding]) -> None:
+        """Carry out one check of each voltmeter, which looks at its part of this reading."""
+        also: Sequence[Voltmeter] = self._opened
+        for meter in self._evening.instruments.voltmeters:
+            others = [one for one in also if one is not meter]
+            self._evening.carry_out(check, meter, partial(look, meter, self), also=others, by_answers=False)
+            also = ()
+
+    def of(self, meter: Voltmeter) -> tuple[VoltmeterSettings, Mapping[Channel, tuple[float, ...]], float]:
+        """Return the settings of a meter, its samples, V, and the duration of its reading, s.
+
+        The first call starts all meters that are open. Raises the errors of the meter.
+        """
+        if meter.name not in self._begun:
+            self._start([meter, *(one for one in self._opened if one is not meter)])
+        begun = self._begun[meter.name]
+        if isinstance(begun, Exception):
+            raise begun
+        settings, begun_s = begun
+        asked_s = self._evening.time_s()
+        samples = meter.fetch()
+        # Samples that were ready while another meter was fetched did not take longer than expected.
+        expected_s = expected_time_s(self._evening, meter, settings) or math.inf
+        return settings, samples, min(asked_s - begun_s, expected_s) + self._evening.time_s() - asked_s
+
+    @property
+    def _opened(self) -> list[Voltmeter]:
+        evening = self._evening
+        return [
+            meter
+            for meter in evening.instruments.voltmeters
+            if meter.name in evening.identities and meter.name not in self._begun and evening.present(meter)
+        ]
+
+    def _start(self, meters: Sequence[Voltmeter]) -> None:
+        ready: list[tuple[Voltmeter, VoltmeterSettings]] = []
+        for meter in meters:
+            settings = slow(self._evening, meter, self._samples)
+            try:
+                meter.configure(settings)
+                ready.append((meter, settings))
+            except Exception as error:  # the check of this meter reports it
+                self._begun[meter.name] = error
+        for meter, settings in ready:
+            self._begun[meter.name] = settings, self._evening.time_s()
+            try:
+                meter.start()
+            except Exception as error:
+                self._begun[meter.name] = error
 
 
 def measure_noise(evening: CommissioningSession) -> None:
     """Compare mean and scatter of each channel, whose input is shorted, with the data sheet's limits."""
-    for meter in evening.instruments.voltmeters:
-        evening.carry_out(NOISE, meter, partial(_noise, evening, meter), by_answers=False)
+    SharedReading(evening, NOISE_SAMPLES).checks(NOISE, partial(_noise, evening))
 
 
-def _noise(evening: CommissioningSession, meter: Voltmeter) -> Finding:
-    settings = slow(evening, meter, NOISE_SAMPLES)
-    meter.configure(settings)
-    samples, took_s = reading(evening, meter)
+def _noise(evening: CommissioningSession, meter: Voltmeter, shared: SharedReading) -> Finding:
+    settings, samples, took_s = shared.of(meter)
     limit_v = zero_limit_v(evening, meter)
     stated_v = evening.file.stand_distributions()["voltmeter_error"].limit
     sigma_v = scatter_limit_v(evening, meter, settings.nplc)

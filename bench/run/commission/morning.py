@@ -6,27 +6,37 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Final
+from typing import Final, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.base.text import degrees
-from bench.config.devices.sections import MotorisedHeadForm
+from bench.config.devices.sections import HeadForm, MotorisedHeadForm
 from bench.readings.reading import Reading
 from bench.run.commission import meters
-from bench.run.commission.course import IDENTITY, who
+from bench.run.commission.course import BENCH, IDENTITY, who
 from bench.run.commission.devices import MANUAL_WAY_RAD
-from bench.run.commission.session import CommissioningSession, Figure, Finding, State
+from bench.run.commission.session import CommissioningSession, Figure, Finding, SessionEnded, Skipped, State
 from bench.run.expectation import ReadingJudgement
-from drivers.interfaces import Instrument, SelfTesting, Voltmeter
+from drivers.angles import format_dms, wrapped_rad
+from drivers.interfaces import Direction, HeadPosition, Instrument, SelfTesting, Voltmeter
+from drivers.person import SwitchInputs, watching
 
 SELF_TEST: Final = "self-test"
 REFERENCE: Final = "reference"
+INPUTS: Final = "inputs"
+HOME: Final = "home"
+TURN: Final = "away and back"
 RETURN: Final = "home and back"
 CHECK_BLOCK: Final = "check block"
 
 WAY_RAD: Final = math.radians(45.0)
+KEY: Final = "morning/head"
+SHORTED_S: Final = 120.0
+"""Time after which the noise with shorted inputs is read, s: the hand has warmed their contacts."""
+LOOK_S: Final = 1.0
+"""Interval at which the program looks for something to do while the person turns the head, s."""
 SAMPLES: Final = 10
 SIGMAS: Final = 3.0
 """After the head's return, a difference of more than this many standard deviations is reported."""
@@ -50,76 +60,220 @@ class MorningCourse:
     no_chart: str = ""
 
     def __call__(self, evening: CommissioningSession) -> None:
-        """Carry out all checks. Raises `SessionEnded` if the person ends them, and `KeyboardInterrupt`."""
-        for instrument in evening.instruments.all():
-            evening.carry_out(IDENTITY, instrument, partial(who, evening, instrument))
-        meters.short_inputs(evening)
-        for instrument in evening.instruments.all():
-            if isinstance(instrument, SelfTesting) and not evening.section(instrument.name).by_hand:
-                evening.carry_out(SELF_TEST, instrument, partial(_tested, instrument), by_answers=False)
-        meters.measure_noise(evening)
-        if self.reference_v is not None:
-            self._reference(evening, self.reference_v)
-        evening.confirm(
-            "Connect the signals of the block again. Done?",
-            action={"do": "select_input", "source": "signal"},
-        )
-        if self.serial:
-            evening.confirm(
-                f"Is check block {self.serial} mounted in installation {self.installation}?",
-                action={"do": "mount", "installation": self.installation, "series": 1},
-            )
-        self._head(evening)
+        """Carry out all checks.
 
-    def _reference(self, evening: CommissioningSession, volts: float) -> None:
-        evening.confirm(
-            f"Take the shorts off and connect the reference of {volts:g} V to all inputs. Done?",
-            action={"do": "select_input", "source": "reference", "reference_v": volts},
-        )
-        for meter in evening.instruments.voltmeters:
-            evening.carry_out(REFERENCE, meter, partial(_held, evening, meter, volts), by_answers=False)
-
-    def _head(self, evening: CommissioningSession) -> None:
-        """Turn the head home, away and home again; compare the last reading with the check block's chart."""
-        last: list[Reading] = []
-        head, voltmeters = evening.instruments.head, evening.instruments.voltmeters
-        evening.carry_out(
-            RETURN, head, partial(self._returned, evening, last), also=voltmeters, by_answers=False
-        )
-        if not self.serial:
-            return
-        if self.judge is None or not last:
-            why = self.no_chart or "not measured, because the head did not return"
-            state = State.SKIPPED if self.no_chart else State.COULD_NOT
-            evening.note(Finding(CHECK_BLOCK, self.serial, state, why))
-        else:
-            evening.note(_judged(self.serial, last[0], self.judge(last[0])))
-
-    def _returned(self, evening: CommissioningSession, last: list[Reading]) -> Finding:
+        Raises `SessionEnded` if the person ends them or no voltmeter responds, and `KeyboardInterrupt`.
+        """
         head = evening.instruments.head
         form = evening.section(head.name)
-        home, way = 0.0, MANUAL_WAY_RAD
-        if isinstance(form, MotorisedHeadForm):
-            home = min(max(home, form.minimum + form.backoff), form.maximum - form.backoff)
-            way = min(WAY_RAD, form.maximum - home)
-            evening.confirm(
-                f"The head will turn to {degrees(home)}, {degrees(home + way)} and back. Is the way clear?",
-                action={"do": "stand_clear"},
-            )
-        found = []
-        for number, target in enumerate((home, home + way, home), start=1):
-            position = head.move(target, 1, f"morning/head-{number}")
-            if target == home:
-                found.append((position.angle_rad, _signals(evening)))
-        (first_rad, first_v), (second_rad, second_v) = found
-        last.append(
-            Reading(
-                installation=self.installation, series=1, pass_number=1, point=1,
-                target_deg=math.degrees(home), angle_deg=math.degrees(second_rad), direction=1,
-                mean=(second_v[0], second_v[1], second_v[2]),
-            )
+        with_head = partial(
+            evening.carry_out, instrument=head, also=evening.instruments.voltmeters, by_answers=False
+        )
+        stands: list[_Stand] = []
+        returned_rad: list[float] = []
+        for instrument in evening.instruments.all():
+            evening.carry_out(IDENTITY, instrument, partial(who, evening, instrument))
+        if not any(meter.name in evening.identities for meter in evening.instruments.voltmeters):
+            raise SessionEnded("no voltmeter responds, so nothing else was checked")
+        if not isinstance(form, MotorisedHeadForm):
+            with_head(HOME, look=partial(_at_home, evening, stands))
+        jobs = _jobs(
+            evening,
+            shorted=_connected(evening, f"{meters.SHORT_INPUTS}. Are all inputs shorted?", "short"),
+        )
+        if stands:
+            look = partial(_there_and_back, evening, stands[0].angle_rad, returned_rad)
+            _meanwhile(evening, jobs, partial(evening.carry_out, TURN, head, look))
+        for job in jobs:
+            job.wait_and_carry_out(evening)
+        if self.reference_v is not None:
+            self._reference(evening, self.reference_v)
+        block = (
+            f"check block {self.serial} in installation {self.installation}" if self.serial else "the block"
+        )
+        if _connected(evening, f"Connect the signals of {block} again. Done?", "signal"):
+            if isinstance(form, MotorisedHeadForm):
+                with_head(RETURN, look=partial(_moved, evening, form, stands))
+            elif returned_rad:
+                with_head(RETURN, look=partial(_back, evening, stands, returned_rad[0]))
+        if self.serial:
+            evening.note(self._check_block(stands))
+
+    def _reference(self, evening: CommissioningSession, volts: float) -> None:
+        text = f"Take the shorts off and connect the reference of {volts:g} V to all inputs. Done?"
+        if _connected(evening, text, "reference", volts):
+            meters.SharedReading(evening, SAMPLES).checks(REFERENCE, partial(_held, evening, volts))
+
+    def _check_block(self, stands: list[_Stand]) -> Finding:
+        """Return the finding on the check block at the last of two stands."""
+        if self.judge is None or len(stands) < 2:
+            why = self.no_chart or "not measured, because the head did not return"
+            return Finding(CHECK_BLOCK, self.serial, State.SKIPPED if self.no_chart else State.COULD_NOT, why)
+        last = stands[-1]
+        x, y, z = last.signals_v
+        reading = Reading(
+            installation=self.installation, series=1, pass_number=1, point=1,
+            target_deg=math.degrees(last.target_rad), angle_deg=math.degrees(last.angle_rad), direction=1,
+            mean=(x, y, z),
         )  # fmt: skip
-        return _compared(evening, second_rad - first_rad, second_v - first_v)
+        return _judged(self.serial, reading, self.judge(reading))
+
+
+@runtime_checkable
+class _TurnedByPerson(Protocol):
+    """A head whose scale a person reads (`drivers.instruments.manual.ManualHead`)."""
+
+    def stands_at(self, key: str) -> float:
+        """Ask for the angle at which the head stands, rad."""
+        ...
+
+    def return_to(
+        self, target_rad: float, direction: Direction, key: str, *, by_way_of_rad: float
+    ) -> HeadPosition:
+        """Ask the person to turn to `by_way_of_rad`, then to `target_rad`; return the last angle."""
+        ...
+
+
+@runtime_checkable
+class _WithScale(Protocol):
+    """A head whose angle can be read without moving it."""
+
+    def position_rad(self) -> float:
+        """Return the angle read back, rad."""
+        ...
+
+
+@dataclass(frozen=True)
+class _Stand:
+    """The head at rest near `target_rad`: the angle read, rad, and the three signals there, V."""
+
+    target_rad: float
+    angle_rad: float
+    signals_v: Floats
+
+
+@dataclass(frozen=True)
+class _Job:
+    """A check that needs no person, to be carried out at the time `due_s` of the clock or later."""
+
+    due_s: float
+    carry_out: Callable[[], object]
+
+    def wait_and_carry_out(self, evening: CommissioningSession) -> None:
+        """Wait until the check is due, and carry it out."""
+        left_s = self.due_s - evening.clock.now_s()
+        if left_s > 0.0:
+            evening.tell(f"Waiting {left_s:.0f} s: the shorted inputs take the temperature of the room.")
+            evening.clock.sleep(left_s)
+        self.carry_out()
+
+
+def _jobs(evening: CommissioningSession, *, shorted: bool) -> list[_Job]:
+    """Return the checks of the voltmeters that need no person: self-tests, and noise if the inputs are shorted."""
+    jobs = [
+        _Job(0.0, partial(evening.carry_out, SELF_TEST, one, partial(_tested, one), by_answers=False))
+        for one in evening.instruments.all()
+        if isinstance(one, SelfTesting) and not evening.section(one.name).by_hand
+    ]
+    if shorted:
+        jobs.append(_Job(evening.clock.now_s() + SHORTED_S, partial(meters.measure_noise, evening)))
+    return jobs
+
+
+def _connected(
+    evening: CommissioningSession,
+    text: str,
+    source: Literal["signal", "short", "reference"],
+    reference_v: float | None = None,
+) -> bool:
+    """Ask the person to connect the inputs of the voltmeters; return whether it is done."""
+    action: SwitchInputs = {"do": "select_input", "source": source}
+    if reference_v is not None:
+        action["reference_v"] = reference_v
+    try:
+        evening.confirm(text, action=action)
+    except Skipped as why:
+        evening.note(Finding(INPUTS, BENCH, State.SKIPPED, str(why)))
+        return False
+    return True
+
+
+def _meanwhile(evening: CommissioningSession, jobs: list[_Job], ask: Callable[[], object]) -> None:
+    """Ask; do the first jobs while the person is busy, and remove them. What they tell is shown afterwards.
+
+    A head with an encoder is watched instead: a job would make the program blind to its approach.
+    """
+    if not isinstance(evening.instruments.head, _TurnedByPerson):
+        ask()
+        return
+    told: list[str] = []
+    tell, evening.tell = evening.tell, told.append
+
+    def look() -> None:
+        if jobs and jobs[0].due_s <= evening.clock.now_s():
+            jobs.pop(0).carry_out()
+
+    try:
+        with watching(evening.person, look, LOOK_S, evening.clock):
+            ask()
+    finally:
+        evening.tell = tell
+        for line in told:
+            tell(line)
+
+
+# --- the head ---------------------------------------------------------------------------------------
+
+
+def _at_home(evening: CommissioningSession, stands: list[_Stand]) -> Finding:
+    """Read the signals at 0°. A head that was left there is not turned."""
+    head = evening.instruments.head
+    form = evening.section(head.name)
+    angle_rad = math.inf
+    if isinstance(head, _TurnedByPerson):
+        angle_rad = head.stands_at(f"{KEY}-0")
+    elif isinstance(head, _WithScale):
+        angle_rad = wrapped_rad(head.position_rad())
+    if not isinstance(form, HeadForm) or abs(angle_rad) > form.tolerance:
+        angle_rad = head.move(0.0, 1, f"{KEY}-1").angle_rad
+    stands.append(_Stand(0.0, angle_rad, _signals(evening)))
+    return Finding(HOME, head.name, State.WORKS, f"stands at {format_dms(angle_rad)}")
+
+
+def _there_and_back(evening: CommissioningSession, home_rad: float, returned_rad: list[float]) -> Finding:
+    """Have the head turned away and back to the angle at which it stood; note the angle read then."""
+    head = evening.instruments.head
+    if isinstance(head, _TurnedByPerson):
+        position = head.return_to(home_rad, 1, f"{KEY}-2", by_way_of_rad=MANUAL_WAY_RAD)
+    else:
+        if not isinstance(head, _WithScale):  # an encoder itself sees that the head leaves its angle
+            head.move(MANUAL_WAY_RAD, 1, f"{KEY}-2")
+        position = head.move(home_rad, 1, f"{KEY}-3")
+    returned_rad.append(position.angle_rad)
+    said = f"was turned away and back to {format_dms(position.angle_rad)}"
+    return Finding(TURN, head.name, State.WORKS, said)
+
+
+def _back(evening: CommissioningSession, stands: list[_Stand], angle_rad: float) -> Finding:
+    """Read the signals after the return, and compare them with those before."""
+    stands.append(_Stand(0.0, angle_rad, _signals(evening)))
+    return _compared(evening, *stands)
+
+
+def _moved(evening: CommissioningSession, form: MotorisedHeadForm, stands: list[_Stand]) -> Finding:
+    """Move a motorised head home, away and home again; read the signals at home both times, and compare."""
+    head = evening.instruments.head
+    home = min(max(0.0, form.minimum + form.backoff), form.maximum - form.backoff)
+    way = min(WAY_RAD, form.maximum - home)
+    evening.confirm(
+        f"The head will turn to {degrees(home)}, {degrees(home + way)} and back. Is the way clear?",
+        action={"do": "stand_clear"},
+    )
+    for number, target in enumerate((home, home + way, home), start=1):
+        position = head.move(target, 1, f"{KEY}-{number}")
+        if target == home:
+            stands.append(_Stand(home, position.angle_rad, _signals(evening)))
+    return _compared(evening, *stands)
 
 
 def _tested(instrument: Instrument) -> Finding:
@@ -130,10 +284,11 @@ def _tested(instrument: Instrument) -> Finding:
     return Finding(SELF_TEST, instrument.name, State.OTHER, f"failed: {said}", remedy=remedy)
 
 
-def _held(evening: CommissioningSession, meter: Voltmeter, volts: float) -> Finding:
-    """Return the finding on the errors of a meter's channels at the reference voltage `volts`."""
-    meter.configure(meters.slow(evening, meter, SAMPLES))
-    samples, _ = meters.reading(evening, meter)
+def _held(
+    evening: CommissioningSession, volts: float, meter: Voltmeter, shared: meters.SharedReading
+) -> Finding:
+    """Return the finding on whether the channels of a meter at the reference voltage are within limits of error."""
+    _, samples, _ = shared.of(meter)
     stated_v = evening.file.stand_distributions()["voltmeter_error"].limit
     limit_v = max(meters.limit_v(evening, meter, volts), stated_v)
     off = {channel: float(np.mean(values)) - volts for channel, values in samples.items()}
@@ -156,23 +311,17 @@ def _held(evening: CommissioningSession, meter: Voltmeter, volts: float) -> Find
 
 def _signals(evening: CommissioningSession) -> Floats:
     """Return the means of the three channels, V."""
+    shared = meters.SharedReading(evening, SAMPLES)
     means: dict[str, float] = {}
     for meter in evening.instruments.voltmeters:
-        meter.configure(meters.slow(evening, meter, SAMPLES))
-        meter.start()
-        means |= {channel: float(np.mean(values)) for channel, values in meter.fetch().items()}
+        _, samples, _ = shared.of(meter)
+        means |= {channel: float(np.mean(values)) for channel, values in samples.items()}
     return np.array([means[channel] for channel in CHANNELS])
 
 
-def _compared(
-    evening: CommissioningSession,
-    turned_rad: float,
-    changed_v: Floats,
-) -> Finding:
-    """Return the finding on the head's return home, from the changes since the start.
-
-    `turned_rad` is the change of the angle read, `changed_v` (3,) the change of the signals.
-    """
+def _compared(evening: CommissioningSession, first: _Stand, second: _Stand) -> Finding:
+    """Return the finding on the head's return home, from the changes of angles read and signals."""
+    turned_rad, changed_v = second.angle_rad - first.angle_rad, second.signals_v - first.signals_v
     stand = evening.file.stand_distributions()
     setting_rad = stand["setting_error"].u
     scale = np.abs(evening.file.unit_under_test.scale_factors.values)
@@ -199,7 +348,10 @@ def _compared(
     said = f"came back with an error of {turned_rad * arcsec:+.1f}″" + (
         f"; {', '.join(beyond)} changed" if beyond else ""
     )
-    remedy = "check the clamping of block and head, and let block and voltmeters warm up; then check again"
+    remedy = (
+        "check the clamping of block and head and the cables of the signals, and let block and voltmeters warm "
+        "up; then check again"
+    )
     return Finding(RETURN, name, State.OTHER, said, figures, remedy)
 
 

@@ -173,6 +173,30 @@ def test_time_passes_for_what_a_person_does() -> None:
     assert world.clock.now_s() - begun_s == pytest.approx(1200.0)
 
 
+def test_a_head_is_turned_away_and_back_in_one_turn_and_a_look_and_read_without_a_turn() -> None:
+    world = a_world()
+    turns: list[float] = []
+    turn = world.turn
+    world.turn = lambda angle_rad, direction: (turns.append(angle_rad), turn(angle_rad, direction))[1]
+    operator = ScriptedOperator(world, EXACT)
+    prompt = turn_prompt("1/turn#1", math.radians(1.0))
+    operator.ask(replace(prompt, action={**prompt.action, "by_way_of_rad": math.radians(5.0)}))
+    assert [round(math.degrees(angle_rad), 9) for angle_rad in turns] == [5.0, 1.0]
+    begun_s = world.clock.now_s()
+    assert 60.0 <= begun_s - EXACT.second_look_s <= 180.0
+    read = Prompt("2/read#1", PromptKind.ANGLE, "Read", action={"do": "read_head"})
+    assert operator.ask(read).text == "1 00 00"
+    assert world.clock.now_s() - begun_s == EXACT.second_look_s
+    assert len(turns) == 2
+
+
+def test_an_unexpected_reading_is_confirmed_at_once() -> None:
+    world = a_world()
+    doubt = Prompt("t/right1#1", PromptKind.CONFIRM, "Is that right?", action={"do": "confirm_reading"})
+    assert ScriptedOperator(world).ask(doubt).text == "yes"
+    assert world.clock.now_s() == 0.0
+
+
 def test_mounting_with_a_series() -> None:
     world = a_world()
     action = {"do": "mount", "installation": "2", "series": 3}
