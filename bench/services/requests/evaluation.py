@@ -37,7 +37,7 @@ Given = str | Path | Calibrated | None
 memory."""
 
 SourceField = Annotated[
-    Data, Option("Run (name or path) or readings file.", argument=True, completes="sources", typed=str)
+    Data, Option("Run (name or path) or readings file.", argument=True, completes="sources")
 ]
 _SOURCES = Option(
     "Runs (name or path) or readings files.",
@@ -63,7 +63,7 @@ class Calibrate(OnReadings):
     join_free: JoinFreeField = True
     join_verification: JoinVerificationField = False
     prior: str | Path | None = option(
-        None, "Prior for units of this type, from 'bench fleet prior'.", metavar="FILE"
+        None, "Prior for units of this type, from 'bench fleet prior'.", rare=True
     )
 
     @property
@@ -96,11 +96,7 @@ class Verify(Judging):
     _: KW_ONLY
     effects: Effects = None
     coefficients: Given = option(
-        None,
-        "Earlier result of 'calibrate --json' to verify with.",
-        metavar="FILE",
-        typed=Path | None,
-        common=True,
+        None, "Earlier result of 'calibrate --json' to verify with.", metavar="FILE", typed=Path | None
     )
 
 
@@ -117,12 +113,7 @@ class Coefficients(OnReadings):
 
     sources: Annotated[
         Sequence[str],
-        Option(
-            "Results of calibrate --json, runs or readings files.",
-            metavar="SOURCE…",
-            argument=True,
-            typed=list[str],
-        ),
+        Option("Results of calibrate --json, runs or readings files.", metavar="SOURCE…", argument=True),
     ]
     _: KW_ONLY
     model: ModelField = None
@@ -131,17 +122,16 @@ class Coefficients(OnReadings):
         "json, csv, c, excel, kalibr, px4, ardupilot or all; repeatable (default: json).",
         flags=("--as",),
         metavar="FORM",
-        typed=list[str] | None,
-        common=True,
     )
     nominal: str | None = option(
         None,
         "Nominal scale factors, unit/g (9.80665 m/s²), for kalibr, px4 and ardupilot "
         "(default: the block's, rounded).",
         metavar="X,Y,Z",
+        rare=True,
     )
     without_temperature: bool = option(
-        False, "Write a result whose model takes temperature out without it; the file says so."
+        False, "Write a result whose model takes temperature out without it; the file says so.", rare=True
     )
 
 
@@ -151,11 +141,11 @@ class Compensate(OnReadings):
 
     sources: SourcesField
     _: KW_ONLY
-    reference: float = option(23.0, "Reference temperature of the polynomials.", metavar="DEGC", common=True)
-    degree: str = option(
-        "auto", "Degree of all polynomials, or chosen from the data.", metavar="auto|N", common=True
+    reference: float = option(23.0, "Reference temperature of the polynomials.", metavar="DEGC")
+    degree: str = option("auto", "Degree of all polynomials, or chosen from the data.", metavar="auto|N")
+    step: float | None = option(
+        None, "Temperature step of the table (default: from u).", metavar="K", rare=True
     )
-    step: float | None = option(None, "Temperature step of the table (default: from u).", metavar="K")
 
 
 @dataclass(frozen=True)
@@ -168,12 +158,9 @@ class Tumble(OnReadings):
         "K2,K3,Koq",
         "Nonlinear terms from K2, K3, Koq, Kip, Kio, Kpo, Kpp, Koo, K0p (K0′), K1p (K1′).",
         metavar="TERM,…",
-        common=True,
     )
     centrifuge: str | Path | None = option(
-        None,
-        "Points above 1 g that join the fit (CSV: ax_ms2, …, u_ms2, u_relative, ux_v, …).",
-        metavar="FILE",
+        None, "Points above 1 g that join the fit (CSV: ax_ms2, …, u_ms2, u_relative, ux_v, …).", rare=True
     )
 
 
@@ -183,20 +170,11 @@ class Confirm(OnReadings):
 
     source: Annotated[
         Data,
-        Option(
-            "New readings: a run or a readings file.",
-            metavar="NEW",
-            argument=True,
-            completes="sources",
-            typed=str,
-        ),
+        Option("New readings: a run or a readings file.", metavar="NEW", argument=True, completes="sources"),
     ]
     _: KW_ONLY
     model: Annotated[
-        str | Path,
-        Option(
-            "Model file that 'diagnose' found in other readings.", metavar="FOUND", typed=Path, common=True
-        ),
+        str | Path, Option("Model file that 'diagnose' found in other readings.", metavar="FOUND")
     ]
 
 
@@ -213,15 +191,19 @@ class Diagnose(OnReadings):
         None,
         "With --together: runs of one block, or of a block each (default: by names and readings).",
         flags=("--one-block/--a-block-each",),
+        rare=True,
     )
     accept_first: bool = option(
-        False, "If the data cannot decide, write the model with the likeliest effect.", common=True
+        False, "If the data cannot decide, write the model with the likeliest effect."
     )
     report: bool | None = option(
-        None, "Write the HTML page (default: for a single source).", flags=("--report/--no-report",)
+        None,
+        "Write the HTML page (default: for a single source).",
+        flags=("--report/--no-report",),
+        rare=True,
     )
     model: ModelField = None
-    out: str | Path | None = option(None, "Folder for the result files.", metavar="DIR", common=True)
+    out: str | Path | None = option(None, "Folder for the result files.", metavar="DIR")
     effects: Effects = None
     write: bool = False
 
@@ -236,16 +218,11 @@ class Accept:
     """Options of `bench accept`: give a name and a description to unnamed terms of a model file."""
 
     model: Annotated[
-        Path,
-        Option("Model file with unnamed terms (unnamed_1, …).", metavar="MODEL", argument=True),
+        Path, Option("Model file with unnamed terms (unnamed_1, …).", metavar="MODEL", argument=True)
     ]
     _: KW_ONLY
-    name: Annotated[str, Option("Name of the effect: lower-case letters, digits, _.", common=True)]
-    sentence: Annotated[str, Option("Description of the effect, for reports.", common=True)]
-    term: list[str] | None = option(
-        None, "Term of the effect; repeatable (default: all unnamed terms).", common=True
-    )
-    shown_by: str | None = option(None, "Measurement that would show the effect.", metavar="TEXT")
-    out: Path | None = option(
-        None, "File for the effect (default: NAME.yaml beside MODEL).", metavar="FILE", common=True
-    )
+    name: Annotated[str, Option("Name of the effect: lower-case letters, digits, _.")]
+    sentence: Annotated[str, Option("Description of the effect, for reports.")]
+    term: list[str] | None = option(None, "Term of the effect; repeatable (default: all unnamed terms).")
+    shown_by: str | None = option(None, "Measurement that would show the effect.", metavar="TEXT", rare=True)
+    out: Path | None = option(None, "File for the effect (default: NAME.yaml beside MODEL).")
