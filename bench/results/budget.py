@@ -474,9 +474,7 @@ def figures(result: BudgetResult) -> tuple[BudgetFigure, ...]:
 
 
 def contributions(result: BudgetResult) -> BudgetFigure:
-    """Return a bar chart of each coefficient's combined u, divided among the sources in proportion to their
-    variances.
-    """
+    """Return a bar chart of each coefficient's u, divided among the sources in proportion to variance."""
     names = result.order
     u = np.array([result.coefficients[name].u for name in names])
     parts = {name: np.array(source.contribution_u) ** 2 for name, source in result.sources.items()}

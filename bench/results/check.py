@@ -279,11 +279,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """A pattern of `period` steps from index `start` on, carried out `times` times at various points and
-    angles.
-
-    Blocks of equal `shape` differ only in point, angle and pass.
-    """
+    """`period` steps from index `start` on, `times` times; equal `shape`: only point, angle and pass differ."""
 
     start: int
     period: int
@@ -322,8 +318,8 @@ def _blocks(steps: Sequence[Step]) -> Iterator[_Block]:
 def _folded(shapes: Sequence[object], fewest: int) -> Iterator[tuple[int, int, int]]:
     """Yield start index, period and number of repetitions of each pattern in the sequence `shapes`.
 
-    At each element, the pattern that covers most elements is chosen, if it repeats at least `fewest` times.
-    Otherwise the element is yielded alone, with period and repetitions 1.
+    At each element, the pattern that covers most elements is chosen, if it repeats at least `fewest` times;
+    otherwise period and repetitions are 1.
     """
     numbers: dict[object, int] = {}
     codes = [numbers.setdefault(shape, len(numbers)) for shape in shapes]
@@ -360,7 +356,6 @@ def _shape(step: Step, without: frozenset[str]) -> tuple[Any, ...]:
 
 
 def _block_in_words(steps: Sequence[Step], block: _Block) -> str:
-    """Return a description of a block of steps."""
     if block.times == 1 and block.period == 1:
         return steps[block.start].describe()
     unit = steps[block.start : block.start + block.period]

@@ -242,9 +242,7 @@ def print_checks(checks: Sequence[tuple[float, Verification]], out: Console) -> 
 
 
 def _coefficient_table(model: TemperatureModel) -> Table:
-    """Return a table of each coefficient: its value and slope at the reference temperature, and its span over
-    temperature.
-    """
+    """Return a table of value and slope at the reference temperature, and the span over temperature."""
     shown = table(
         "coefficient", ">at the reference", ">u", ">per K there", ">u", ">degree", ">over the range", ""
     )

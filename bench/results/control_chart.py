@@ -336,14 +336,11 @@ def _counted(runs: Sequence[object]) -> str:
 
 
 def _in_u(z: float | None) -> str:
-    """Return a deviation in units of its u, with its sign; a dash for None."""
     return "–" if z is None else f"{z:+.1f}".replace("-", MINUS)
 
 
 def _run_cells(result: ChartResult, run: ChartedRun) -> list[str]:
-    """Return the cells of a run: start time, T² of the nine numbers, T² of their EWMA, short-term s by that
-    of the baseline.
-    """
+    """Return start time, T² of the nine, T² of their EWMA, and s divided by that of the baseline, as text."""
     f, nine = run.short_term.f, result.intrinsic.runs[run.run]
     ewma_t2 = "–" if nine.ewma_t2 is None else f"{nine.ewma_t2:.1f}"
     return [
@@ -382,11 +379,7 @@ def _numbers_table(
     parts: ComponentsPart | None,
     signal: str,
 ) -> Table:
-    """Return a table with a row for each number of a run.
-
-    The columns: deviation from the centre line; its u; deviation divided by its u; EWMA divided by its u;
-    scatter of the baseline divided by the stated u, with its p-value if below 0.01.
-    """
+    """Return a table with a row for each number of a run: its deviation, and the scatter of the baseline."""
     shown = table(
         run, ">off the centre", ">u", f">in u (≤ {limits.single:.1f})",
         f">EWMA in u (≤ {limits.single_ewma:.1f})", ">scatter / stated u", ">",

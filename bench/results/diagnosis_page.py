@@ -68,10 +68,7 @@ STATES: Final = {"agrees": "passed", "named": "none", "confounded": "none"}
 def render_diagnosis(
     full: FullDiagnosis, files: Files, title: str, limit_g: float, provenance: Mapping[str, str]
 ) -> str:
-    """Return the HTML page; the same content always gives the same text.
-
-    `limit_g` is the limit of |Δg| at the verification points. `provenance` maps names to text.
-    """
+    """Return the HTML page, always the same for the same content; `limit_g` is the limit of |Δg|."""
     diagnosis, shown = full.diagnosis, full.shown
     unit = shown.before.calibration.unit
     return page(
@@ -127,10 +124,7 @@ def render_alone(
     provenance: Mapping[str, str],
     **content: Any,
 ) -> str:
-    """Return the page of a diagnosis of free positions or of a record.
-
-    `content` holds the template's values that exist for only one of these two.
-    """
+    """Return the page of free positions or of a record; `content` holds what only one of the two has."""
     lines = [(words.effect_title(one), one, list(words.parameters_in_words(one))) for one in found.effects]
     return page(
         template,
@@ -167,10 +161,7 @@ def _ranking(full: FullDiagnosis, number: int, effect: NamedEffect) -> Markup | 
 
 
 def held_out_rows(gap: Gap) -> list[Row]:
-    """Return a table row for each set of held-out readings.
-
-    Cells: the effects named from the other readings, and the reduced chi-square before and after.
-    """
+    """Return for each set of held-out readings: effects named without it, reduced chi-square before and after."""
     rows = [
         Row(
             fold.label,
@@ -234,10 +225,7 @@ def _residuals(shown: ModelComparison) -> tuple[list[Markup], list[Markup]]:
 
 
 def _apart(diagnosis: Diagnosis) -> list[Effect]:
-    """Return the catalogue entries of all effects that are tied with others.
-
-    Each entry states the measurement that would separate its effect from the others.
-    """
+    """Return the catalogue entries of all tied effects; each states the measurement that would separate it."""
     names = dict.fromkeys(
         name
         for effect in diagnosis.effects
@@ -251,10 +239,7 @@ def _apart(diagnosis: Diagnosis) -> list[Effect]:
 
 
 def columns_of(shown: ModelComparison) -> list[tuple[str, Calibration]]:
-    """Return the title and calibration of each column of the figures.
-
-    The columns are the fit before, the fit after (if an effect was named), and the simulation.
-    """
+    """Return title and calibration of each column: fit before, fit after (if there is one), simulation."""
     after = [] if shown.after is None else [(message("after"), shown.after.calibration)]
     return [
         (message("before") if after else message("readings"), shown.before.calibration),
@@ -270,10 +255,7 @@ def common_scale(shown: ModelComparison) -> Scale:
 
 
 def residuals_of_mount(shown: ModelComparison, mount: int) -> str:
-    """Return a plot of residuals against head angle in one mounting: a row per channel, a column per model.
-
-    The stand's angles are at their estimates. The band is two standard deviations of a single reading.
-    """
+    """Return a plot of residuals against head angle in one mounting: a row per channel, a column per model."""
     columns = [(title, c, [mounts_of(c)[mount][1]]) for title, c in columns_of(shown)]
     name = str(mounts_of(shown.before.calibration)[mount][0])
     titles = ", ".join(title for title, _, _ in columns)
@@ -291,10 +273,7 @@ def in_time(shown: ModelComparison) -> str:
 
 
 def gap_bars(gap: Gap) -> str:
-    """Return a bar chart of the reduced chi-square of each set of held-out readings, before and after.
-
-    Noise alone gives 1.
-    """
+    """Return a bar chart of the reduced chi-square of each set of held-out readings, before and after."""
     folds = gap.folds
     names = [fold.label.replace(" and ", "\nand ") for fold in folds]
     places = np.arange(len(folds), dtype=float)
@@ -449,12 +428,10 @@ def overlay(
     *,
     found: bool,
 ) -> str:
-    """Return a plot of measured and simulated signals, a row per channel; `place` (such as a mounting) is in its
-    title.
+    """Return a plot of measured and simulated signals, a row per channel; `place` is in its title.
 
-    The left column has the signals. The right column has both minus the simulation by the given model: what
-    that model lacks, and how far the effects found explain this. `draw_channel` draws a channel into its
-    axes.
+    The left column has the signals, the right one both minus the simulation by the given model: what that model
+    lacks, and how far the effects found explain it. `draw_channel` draws a channel into its axes.
     """
     whose = (
         message("simulated with the effects found") if found else message("simulated with the given model")
@@ -492,7 +469,6 @@ def _wave(angle_deg: Floats, values: Floats, at_deg: Floats) -> Floats:
 
 
 def _joined(axes: Axes, angle_deg: Floats, values: Floats, rows: Mask, passes: Any) -> None:
-    """Draw a line through the values of each pass, in order of angle."""
     for number in np.unique(passes[rows]):
         mine = np.flatnonzero(rows & (passes == number))
         ordered = mine[np.argsort(angle_deg[mine])]

@@ -190,10 +190,10 @@ def place_in_words(place: ResidualPattern) -> str:
 
 
 def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
-    """Return each effect that the readings can show, and the size at which half of all runs reveal it.
+    """Return each effect that the readings can show, and the size that half of all runs reveal.
 
-    The size, in the effect's unit, is for the variant that is easiest to find. For several parameters, such
-    as the two phases of a wave, it is their norm in the direction that is hardest to find.
+    The size is for the variant that is easiest to find. For several parameters, such as the two phases of a
+    wave, it is their norm in the direction that is hardest to find.
     """
     sizes = []
     for name, factor in diagnosis.detectable.items():
@@ -241,10 +241,9 @@ def lead(diagnosis: AnyDiagnosis) -> str:
 def closed_in_words(
     part: float | None, before_g: float, after_g: float, noise_g: float, unit: str = "g"
 ) -> str:
-    """Return the closed fraction of a gap, at most 100 %, and the root mean squares before and after.
+    """Return the closed fraction of a gap, and the root mean squares before, after and by noise alone.
 
-    Example: "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)". `part` is the fraction, None if
-    there was no gap. The root mean squares of the residuals before, after and by noise alone are in `unit`.
+    "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)"; `part` is None if there was no gap.
     """
     before, after, noise = (
         micro_g(v) if unit == "g" else quantity(v, unit) for v in (before_g, after_g, noise_g)
@@ -307,10 +306,7 @@ def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
 
 
 def odds_in_words(effect: NamedEffect) -> str:
-    """Return the posterior probabilities of an effect's names: "97 % cubic_nonlinearity, 2 % scale_asymmetry".
-
-    Only the JSON has names below 1 %.
-    """
+    """Return the names of an effect that have 1 % or more: "97 % cubic_nonlinearity, 2 % scale_asymmetry"."""
     shown = [one for one in effect.odds if one.probability >= BY_CHANCE]
     return ", ".join(f"{_percent(one.probability)} {one.name}" for one in shown)
 
@@ -370,7 +366,6 @@ def what_to_do(full: FullDiagnosis, files: Files) -> Iterator[str]:
 
 
 def _of_copy_in_words(diagnosis: Diagnosis) -> str:
-    """Return in words what the search found in the corrected copy of the readings."""
     if diagnosis.of_copy == "agrees":
         return message("it agrees with the model within the noise")
     if diagnosis.of_copy == "unknown":
@@ -420,9 +415,7 @@ def mountings_of(block: ModelComparison) -> str:
 
 
 def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
-    """Return the coefficient that would change most if `other` were the cause, and its change; "" if `other`
-    is no rival.
-    """
+    """Return which coefficient changes most, and how far, if `other` is the cause; "" if it is no rival."""
     for rival in ranking:
         if rival.family == other:
             coefficient, in_u = rival.largest_shift
@@ -440,10 +433,7 @@ def why_no_model(diagnosis: AnyDiagnosis) -> str:
 
 
 def joined_in_words(shown: ModelComparison) -> Iterator[str]:
-    """Yield a sentence if some of the effects found are visible only at the verification points.
-
-    These points were then included in the fit, so that they no longer check the result.
-    """
+    """Yield a sentence if verification points joined the fit, because only they show some effect found."""
     if shown.after is None or not shown.after.joined:
         return
     without, with_it = shown.before.worst_g, shown.after.worst_g
@@ -497,7 +487,6 @@ def evidence_in_words(full: FullDiagnosis, file_of_copy: Path | None) -> dict[st
 
 
 def _evidence_for_form(form: FreeForm) -> dict[str, str]:
-    """Return the evidence for the unnamed terms, by title."""
     closed = (
         "not measured"
         if form.gap.closed is None
@@ -517,10 +506,7 @@ def less_certain(coefficients: Mapping[str, CoefficientChange]) -> list[str]:
 
 
 def term_in_words(term: FormTerm) -> str:
-    """Return a line on a term of an unnamed effect.
-
-    Example: "unnamed_1: A * (time > t), added at the block output; A of y = 70 ± 4 µg (u)".
-    """
+    """Return a line such as "unnamed_1: A * (time > t), added at the block output; A of y = 70 ± 4 µg (u)"."""
     effect = term.effect
     added = f" to {effect.adds_to}" if effect.adds_to else ""
     sizes = [parameter_in_words(size, "") for size in values_of((term.applied,)) if size.u is not None]
@@ -589,10 +575,7 @@ def _dark_in_words(dark: UnexplainedScatter, unit: str) -> str:
 
 
 def dark_for_model(form: FreeForm) -> str | None:
-    """Return the scatter that unnamed terms leave unexplained, as a model file states it: "41 uV with u 6 uV".
-
-    None if no term is applied, or if the readings do not determine the scatter.
-    """
+    """Return the unexplained scatter for a model file: "41 uV with u 6 uV"; None without terms or if unknown."""
     if not form.applied or not isfinite(form.dark.upper):
         return None
     if form.dark.there:

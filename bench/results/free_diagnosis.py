@@ -197,8 +197,8 @@ MARKS: Final = "osD^vP*X"
 def overlay_of_sensor(found: FreeDiagnosis, sensor: int) -> str:
     """Return a plot of a sensor's signals in order of measurement, measured over simulated, a row per channel.
 
-    The orientations are unknown. Each position is therefore simulated in the direction that its signals
-    indicate, and only errors of the modulus are visible.
+    Orientations are unknown: each position is simulated in the direction that its signals indicate, so that
+    only errors of the modulus are visible.
     """
     rows = found.rows
     mine = rows.sensor == sensor
@@ -226,9 +226,7 @@ def overlay_of_sensor(found: FreeDiagnosis, sensor: int) -> str:
 
 
 def modulus_in_time(found: FreeDiagnosis) -> str:
-    """Return a plot of |a| - 1 g against time since the start of a record, before and after the effects
-    found.
-    """
+    """Return a plot of |a| - 1 g against the time in a record, before and after the effects found."""
     rows = found.rows
     fits = [("given model", found.before), ("with the effects found", found.after)][: 1 + bool(found.effects)]
     scale = scale_for(float(np.max(np.abs(found.before.left))), "g")

@@ -104,10 +104,7 @@ class LearnResult(ResultModel):
 
 
 def learn_result(found: Learned, **made_from: Any) -> LearnResult:
-    """Return the errors learned from the runs of a bench, as `--json` writes them.
-
-    `made_from` holds the members that describe these runs.
-    """
+    """Return the errors learned from the runs of a bench; `made_from` holds the members on these runs."""
     return LearnResult(
         runs=list(found.runs),
         contradicting=found.contradicting,

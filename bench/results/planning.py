@@ -226,11 +226,7 @@ class PlanPointsResult(ResultModel):
 def plan_points_result(
     points: ChosenPoints, u_paper: dict[str, float], bench: BenchPart, procedure: str | None, *, asked: bool
 ) -> PlanPointsResult:
-    """Return the result for the chosen test points.
-
-    `u_paper` maps the name of each goal to the u that the paper's points give. `asked` says whether the user
-    stated goals.
-    """
+    """Return the result for the chosen points; `u_paper` is u of each goal by the paper's points, by name."""
     return PlanPointsResult(
         bench=bench.name,
         bench_file=bench,

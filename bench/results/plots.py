@@ -70,10 +70,7 @@ Columns = Sequence[tuple[str, Calibration, Sequence[Mask]]]
 
 
 def residuals_by_angle(calibration: Calibration) -> str:
-    """Return a plot of residuals against head angle: a row per channel, a column per installation.
-
-    The band is two standard deviations of a single reading, from reading noise and setting error.
-    """
+    """Return a plot of residuals against head angle: a row per channel, a column per installation."""
     columns = [
         (message(f"installation {mount}"), calibration, [rows]) for mount, rows in mounts_of(calibration)
     ]
@@ -287,8 +284,8 @@ def mounts_of(calibration: Calibration) -> list[tuple[Mounting, Mask]]:
 def sd_of_reading(calibration: Calibration, rows: Mask, angle_rad: Floats) -> Floats:
     """Return the standard deviation (m, 3) of a single reading at head angles (m,), in the signal's unit.
 
-    It combines reading noise with the setting error times the slope du/dphi. The slope comes from a sine and
-    a cosine of the angle, fitted to the readings `rows` of one mounting.
+    It combines reading noise and setting error times slope du/dphi. The slope is that of a sine and a cosine of
+    the angle, fitted to the readings `rows` of one mounting.
     """
     angle = calibration.fitted.angle_rad[rows]
     predicted = calibration.fitted.signal[rows] - calibration.residuals[rows]
@@ -331,7 +328,7 @@ def residual_points(
     scale: Scale,
     name: str = "readings",
 ) -> None:
-    """Draw the residuals of one channel in one mounting: colour and fill show the pass, shape the direction.
+    """Draw the residuals of a channel in a mounting: colour and fill show the pass, shape the direction.
 
     `name` keeps the marks' identifiers distinct from those of other calibrations in the same figure.
     """

@@ -73,10 +73,7 @@ def result_of(found: RecordDiagnosis, files: Files = NO_FILES, **made_from: Any)
 
 
 def _gap_part(gap: Gap) -> GapPart:
-    """Return the part on the gap of held-out readings.
-
-    The members in µg are null, because a record has no scale factor to convert volts to g.
-    """
+    """Return the part on the gap; members in µg are null, because a record has no scale factor."""
     in_g = dict.fromkeys(("before_rms_ug", "after_rms_ug"))
     part = gap_part(gap)
     held_out = [fold.model_copy(update=in_g) for fold in part.held_out]
@@ -171,8 +168,7 @@ def evidence_in_words(found: RecordDiagnosis) -> dict[str, str]:
 def course_figure(time_h: Floats, courses: Sequence[tuple[str, Floats, Floats]]) -> str:
     """Return a plot of signal minus reference against time, with a row for each channel.
 
-    `time_h` (n,) is in h. `courses` has for each channel its name, and the difference (n,) in V, before and
-    after.
+    `courses` has for each channel its name, and the difference (n,) in V before and after.
     """
     scale = scale_for(max(float(abs(before).max()) for _, before, _ in courses), "V")
 

@@ -66,9 +66,7 @@ def _ratio(of: Ratio | None) -> RatioPart | None:
 
 
 def repeats_told(found: Repeats, where: str, sizes: Sequence[str]) -> str:
-    """Return a sentence on the scatter of repeats. `where` names the repeats; `sizes` are the sizes, in
-    words, of the term added to u.
-    """
+    """Return a sentence on the scatter of the repeats `where`; `sizes` are those of the added term, in words."""
     text = f"repeats {where} scatter {found.scatter:.2g} × u"
     if found.term is None or found.held_before is None or found.held_after is None:
         return text + ("; too few to leave one out" if found.held_before is None else ": u is honest")

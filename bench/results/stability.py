@@ -184,10 +184,7 @@ def _term(terms: NoiseTerms, k: int, unit: str) -> str:
 
 
 def allan_figure(found: Stability, *, inline: bool = False) -> str:
-    """Return an SVG file: the Allan deviation with 95 % limits and fitted noise terms; the spectrum.
-
-    With `inline`, return an SVG element for a page.
-    """
+    """Return a plot of Allan deviation, noise terms and spectrum: an SVG file, or an element if `inline`."""
     curves, terms, tau_s = found.curves, found.terms, found.longest_s
     scale = scale_for(min(float(curve.deviation.min()) for curve in curves), found.record.unit)
 

@@ -59,9 +59,7 @@ class Row:
 
 
 def symbol(name: str) -> Markup:
-    """Return the name of a coefficient or intrinsic number as HTML, its indices as subscripts: "Kxy" ->
-    K<sub>xy</sub>.
-    """
+    """Return the name of a coefficient or intrinsic number as HTML: "Kxy" -> <i>K</i><sub>xy</sub>."""
     if name.startswith("U0"):
         return Markup("<i>U</i><sub>0{}</sub>").format(name[2:])
     if name.startswith("theta_"):
@@ -265,10 +263,7 @@ def verification(result: Verification) -> list[Row]:
 
 
 def free(calibration: Calibration) -> tuple[str, list[Row]] | None:
-    """Return the unit and a row for each free position in the fit: installation, pass, point, |a| - 1 g.
-
-    None if there was none.
-    """
+    """Return the unit and a row for each free position in the fit, with |a| - 1 g; None if there was none."""
     of = calibration.free
     if of is None:
         return None
@@ -309,10 +304,7 @@ def outliers(calibration: Calibration) -> list[Row]:
 
 
 def readings(calibration: Calibration) -> tuple[str, list[Row]]:
-    """Return the unit of the residuals and a row for each fitted reading, in the order of measurement.
-
-    Cells: mounting, pass, point, angle, direction, time, temperature, three signals, three residuals.
-    """
+    """Return the unit of the residuals, and a row for each fitted reading in the order of measurement."""
     if not len(calibration.fitted):
         return "", []
     fitted = calibration.fitted
@@ -358,10 +350,7 @@ def _each(sizes: tuple[float, float, float], unit: str) -> str:
 
 
 def sources(calibration: Calibration) -> dict[str, Any]:
-    """Return the table of error sources that readings do not show, and u of gravity; empty without any.
-
-    Cells: u of the source, its largest contribution to scale factors, cross-axis terms and biases, and its origin.
-    """
+    """Return the table of error sources that readings do not show, and u of gravity; empty without any."""
     if not calibration.sources:
         return {}
     largest = max(float(u_of(s.covariance).max()) for s in calibration.sources)
@@ -393,10 +382,7 @@ def noise(calibration: Calibration) -> dict[str, str]:
 
 
 def page(name: str, **content: Any) -> str:
-    """Render a template of the folder `templates` with `content`; return the HTML page.
-
-    Content is escaped, and control characters are made visible. A name missing from `content` is an error.
-    """
+    """Return a rendered template: content escaped, control characters visible. A missing name is an error."""
     return visible(_templates(language()).get_template(name).render(**content))
 
 

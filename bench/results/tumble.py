@@ -203,5 +203,4 @@ def _left_out(view: TumbleView) -> Iterator[str]:
 
 
 def _moved(moved: Mapping[str, float]) -> str:
-    """Return how far an unfitted term shifts other terms, in words: "K0 by +0.50"."""
     return ", ".join(f"{name} by {fixed(by, 2, sign=True)}" for name, by in moved.items())

@@ -63,10 +63,7 @@ def whole_body(request: Diagnose) -> Body:
 
 
 def single_bodies(request: Diagnose) -> list[Body | Failed]:
-    """Return each source as a separate body, or as a `Failed` if it cannot be read.
-
-    If there is only one source, its error is raised instead.
-    """
+    """Return each source as a body, or as a `Failed` if it cannot be read; a single source raises its error."""
     with knowing_effects_in(request.effects):
         loaded = load_each(reading(request, *request.sources))
         return [one if isinstance(one, Failed) else body_of([one], request.one_block) for one in loaded]
@@ -176,10 +173,7 @@ class _Named:
 
 
 def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
-    """Return a source's readings, corrected for mistakes that the early warning found, and these mistakes.
-
-    The readings are returned unchanged if the early warning found no sign of a mistake during the run.
-    """
+    """Return a source's readings, corrected for mistakes that the early warning found, and these mistakes."""
     run, readings = source.run, source.readings
     if run is None or run.imported or not run.history.progress.signs:
         return readings, ()
@@ -280,10 +274,7 @@ class _Copy:
         return [*mistakes, *(self._leave_out(mount, one) for one in left)]
 
     def _move(self, mount: tuple[int, str], actual: str, told: Sequence[_Named]) -> Mistake:
-        """Move the rows of a mounting to the installation `actual`; return the mistake.
-
-        The rows join the preceding mounting if that is in the installation `actual`.
-        """
+        """Move a mounting's rows to installation `actual`, or to the mounting before it if that is there."""
         rows = self._rows(mount)
         first = int(np.flatnonzero(rows)[0])
         before = self.mount(first - 1) if first else (0, "")

@@ -39,12 +39,10 @@ OVER_TEMPERATURE: Final = ("temperature", "thermometer")
 
 @dataclass(frozen=True)
 class SignedModel:
-    """A temperature model with its combined covariance, and the same for use with the meters of the
-    calibration.
+    """A temperature model with combined covariance, and the same for use with the meters of the calibration.
 
-    The covariance of `same_meters` omits the errors that cancel if the same meters are used again. `sources`
-    are the errors that the readings cannot show. They are equal at all temperatures; so only the covariance
-    of the terms at the reference temperature contains them.
+    `same_meters` omits the errors that cancel with these meters. `sources` are the errors that readings cannot
+    show; being equal at all temperatures, they enter only the terms at the reference temperature.
     """
 
     combined: TemperatureModel
@@ -53,10 +51,7 @@ class SignedModel:
 
 
 def sign_model(model: TemperatureModel, source: Source) -> SignedModel:
-    """Return the model; its covariance then includes the bench errors that no reading shows.
-
-    These errors are computed from one `source`, because they are equal at all temperatures.
-    """
+    """Return the model with the errors that no reading shows; one `source` of several gives them."""
     found = calibrate(
         source.readings,
         source.model,
@@ -112,8 +107,7 @@ class Compensation:
 def compensated(request: Compensate, loaded: Sequence[Source]) -> Compensation:
     """Return the coefficients of several sources as polynomials of the temperature.
 
-    Raises `Refused` for sources with different local gravity and for an invalid degree, `CalibrationError` if the
-    readings do not determine the polynomials.
+    Raises `Refused` for sources with different local gravity, `CalibrationError` if readings are too few.
     """
     first, names = loaded[0], tuple(source.name for source in loaded)
     strangers = [source.name for source in loaded if source.g_m_s2 != first.g_m_s2]
@@ -174,9 +168,9 @@ def _checks(source: Source, model: TemperatureModel) -> Iterator[tuple[float, Ve
 def tumble_of(
     source: Source, terms: Sequence[str] = DEFAULT, above: CentrifugePoints | None = None
 ) -> TumbleView:
-    """Return the tumble of each axis of a source with the nonlinear `terms` (such as "K2"), by IEEE 1293.
+    """Return the tumble of each axis with the nonlinear `terms` (IEEE 1293); points `above` 1 g join the fit.
 
-    Points `above` 1 g join the fit. Raises `CalibrationError` if the readings do not determine the terms.
+    Raises `CalibrationError` if the readings do not determine the terms.
     """
     view = tumble_view(
         source.readings,
@@ -224,10 +218,7 @@ tumble = python_call(Tumble, _tumble)
 
 @dataclass(frozen=True)
 class CalibrationToWrite:
-    """A calibration that is to be written in other forms, and the place of these files.
-
-    `source` is None for a `result` from a JSON file; `stem` is then the path of the files without suffix.
-    """
+    """A calibration to be written in other forms; files are named after `source` or, for a JSON file, `stem`."""
 
     result: BlockResult
     stem: Path

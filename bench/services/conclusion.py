@@ -78,10 +78,7 @@ class Conclusion:
 
 
 def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
-    """Return the results of a finished run.
-
-    A signal such as Ctrl-C raises `Refused`; `bench resume` then computes the results.
-    """
+    """Return the results of a finished run. After a signal, it raises `Refused`; `bench resume` makes them then."""
     kept = f"all readings are kept in {run.folder}"
     again = (
         f"stopped before the results were ready; {kept}, and 'bench resume {name_to_type(run.folder)}' computes "
@@ -95,11 +92,7 @@ def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
 
 
 def conclude(run: Run) -> Conclusion:
-    """Calibrate, verify, report and chart a finished run, and write the results into its folder.
-
-    If the readings give no calibration, the conclusion states why. Raises `Refused` if a result cannot be
-    written.
-    """
+    """Calibrate, verify, report and chart a finished run; write the results into its folder. Raises `Refused`."""
     (source,) = load_sources(Request([str(run.folder)], run.folder.parent))
     again = f"free disk space, then 'bench resume {name_to_type(run.folder)}' computes its results"
     with refusing(f"the run is finished and kept; {again}"):
@@ -118,7 +111,6 @@ def _looks(run: Run) -> tuple[str, ...]:
 
 
 def _is_short(run: Run) -> bool:
-    """Return whether a run ended without reaching its goals."""
     try:
         chosen = run.history.progress.chosen
     except RecordError:
@@ -183,11 +175,7 @@ class Exported(NamedTuple):
 
 
 def export_readings(request: asked.ExportReadings) -> Exported:
-    """Return the readings of a run as a readings file, and write it unless the file is "-".
-
-    Without a name, the file is RUN.csv in the working directory; only an earlier export is overwritten.
-    Raises `Refused`.
-    """
+    """Return the readings of a run as a readings file, and write it unless the file is "-". Raises `Refused`."""
     (source,) = load_sources(Request([request.run], runs_folder(request.runs)))
     text = format_csv(source.as_read)
     if request.csv == "-":
@@ -237,11 +225,10 @@ def preview_log(request: asked.ImportReadings) -> ConvertedLog:
 def import_readings(
     request: asked.ImportReadings, announce: Callable[[BenchTaken, Sequence[str]], None]
 ) -> Run:
-    """Create a run from readings that were measured elsewhere; before that, `announce` receives bench file
-    and notes.
+    """Create a run from readings that were measured elsewhere; `announce` receives bench file and notes first.
 
-    Raises `Refused` for a file that cannot be read, `ReadingsError` for bad rows, `FileMistakes` for a mapping of
-    columns with mistakes, `RecordError` for a name that is taken.
+    Raises `Refused` for a file that cannot be read, `ReadingsError` for bad rows, `FileMistakes` for a mapping
+    of columns with mistakes, `RecordError` for a name that is taken.
     """
     file = request.file
     content = _given(file)

@@ -20,10 +20,7 @@ _MOST_SENTENCES: Final = 2
 
 
 def ending(found: Conclusion) -> list[str]:
-    """Return the lines to print at the end of a run: the verdict, its basis, the files, and what to do next.
-
-    If the run measured the check block, the verdict on the check block comes first.
-    """
+    """Return the lines at the end of a run: verdict (that on the check block first), basis, files, what to do."""
     chart = [] if found.chart is None else [found.chart.sentence()]
     lines = [*chart, _verdict(found), *_basis(found)]
     if found.no_chart:

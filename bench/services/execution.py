@@ -78,10 +78,7 @@ MOST_RECALLED: Final = 500
 
 @dataclass(frozen=True)
 class NewRun:
-    """A checked run that has not begun: its folder, its manifest, and its input files (content by name).
-
-    `notes` are sentences for the person who begins the run.
-    """
+    """A checked run that has not begun: folder, manifest, input files (content by name), notes for the person."""
 
     folder: Path
     manifest: Manifest
@@ -96,10 +93,7 @@ class NewRun:
 
 
 def new_run(request: RunRequest) -> NewRun:
-    """Check a procedure against a bench and return the run to begin.
-
-    Raises `FileMistakes` or `Refused`, with all mistakes found.
-    """
+    """Check a procedure against a bench; return the run to begin. Raises `FileMistakes`, `Refused`."""
     dry_run, unit = request.dry_run, request.unit
     operator, person = operator_of(request.operator, request.laboratory, needed=not dry_run)
     procedure_path, bench_file_path = find_procedure(str(request.procedure)), bench_path(request.bench)
@@ -178,7 +172,6 @@ def _judged(request: RunRequest, bench: Path) -> VerdictAsked | None:
 
 
 def _other_unit(stated: str, serial: str, bench: str) -> tuple[str, ...]:
-    """Return a note if the bench file names another block than the one to be measured."""
     if serial == stated:
         return ()
     return (f"this run is of unit {serial}, as --unit says; the bench file {bench} names unit {stated}",)
@@ -228,10 +221,7 @@ def asker_of(
 def started(
     request: RunRequest, out: Console, announce: Callable[[NewRun], None]
 ) -> Iterator[tuple[Run, Interrupts]]:
-    """Carry out a new run and yield it when it is finished, while signals are still handled.
-
-    `announce` receives the run before it begins.
-    """
+    """Carry out a new run and yield it finished, while signals are handled; `announce` receives it before."""
     away = is_away(request.answers, panel=request.panel)
     new = new_run(request)
     who = None if away else acting_at(TERMINAL, request.operator, request.laboratory)
@@ -250,9 +240,9 @@ def started(
 def resumed(
     request: ResumeRequest, out: Console, announce: Callable[[Run], None]
 ) -> Iterator[tuple[Run, Interrupts]]:
-    """Resume a run and yield it when it is finished, while signals are still handled.
+    """Resume a run and yield it finished, while signals are handled; `announce` receives it before.
 
-    `announce` receives the run before it is resumed. A finished run without results is yielded unchanged.
+    A finished run without results is yielded unchanged.
     """
     away = is_away(request.answers, panel=request.panel)
     who = None if away else acting_at(TERMINAL, request.operator)
@@ -388,10 +378,7 @@ def _live(run: Run, bench: BenchFile, watcher: EarlyWarning, asker: Asker | None
 def _on_certificates(
     bench: BenchFile, *, simulated: bool
 ) -> Callable[[Mapping[str, str]], Sequence[str]] | None:
-    """Return the function that maps serial numbers to remarks on certificates; None if it is not needed.
-
-    It is None if a simulated run has no certificates. With certificates, such a run compares no serial numbers.
-    """
+    """Return the function from serial numbers to remarks on certificates; None if a simulation has none."""
     if simulated and all(section.certificate is None for section in bench.instruments.all()):
         return None
     return lambda serials: remarks(bench, None if simulated else serials)
@@ -501,7 +488,7 @@ def _kept(record: Record) -> str:
 
 
 def unfinished_run(name: str | None, runs: Path, *, results_too: bool = False) -> Run:
-    """Return the run `name`, or the latest run, that can be resumed. Raises `Refused` where there is none.
+    """Return the run `name`, else the latest that can be resumed. Raises `Refused` if there is none.
 
     With `results_too`, a finished run that lacks results is returned if no other run can be resumed.
     """
@@ -527,10 +514,9 @@ def taken_up(
     *,
     results_too: bool = False,
 ) -> tuple[Record, History]:
-    """Open the record of an unfinished run for writing; return it with its history.
+    """Open the record of an unfinished run, or of one without results (`results_too`), for writing.
 
-    With `results_too`, a finished run that lacks results is opened as well. Raises `Refused` for any other run
-    that has ended, `RecordError` as `Record.reopen`.
+    Raises `Refused` for any other run that has ended, `RecordError` as `Record.reopen`.
     """
     record, history = Record.reopen(run.folder, utc_now, shield)
     if history.state in ENDED and not (results_too and _lacks_results(run, history.state)):
@@ -567,10 +553,9 @@ def refuse_missing_devices(run: Run) -> None:
 
 
 def give_up(run: Run, who: WishAuthor = NOBODY_KNOWN) -> tuple[str, ...]:
-    """End an unfinished run for good; return a sentence on each task that remains.
+    """End an unfinished run for good; return the tasks that remain, a sentence each.
 
-    Raises `Refused` for a run that has ended, `RecordError` if another program writes its record or the record
-    was changed.
+    Raises `Refused` for a run that has ended, `RecordError` if its record is being written or was changed.
     """
     record, history = taken_up(run)
     try:

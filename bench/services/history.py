@@ -126,7 +126,7 @@ class LearningResult:
     def write(self, path: str | Path) -> None:
         """Write the learned file.
 
-        Raises `OSError`, and `Refused` if the file exists or over a third of the runs contradict the others.
+        Raises `OSError`, and `Refused` if it exists or over a third of the runs contradict the others.
         """
         path = Path(path)
         if path.exists():
@@ -191,11 +191,11 @@ class LearningResult:
 def learning_of(request: Learn, sources: Sequence[Source] | None = None) -> LearningResult:
     """Return the sizes of the errors that all runs of a bench share, as `bench learn` estimates them.
 
-    The method `write` of the result writes the learned file. `model` is a model file with effects of the bench,
-    found in many runs together; the learned file contains them. `by_installation` gives each installation its own
-    mean angles. The file is valid until `expires` (a year by default). The other parameters are those of
-    `calibrate`. `sources` are the sources of the request if they are already read. Raises `Refused` for runs of
-    several benches, `CalibrationError` as `bench.history.learning.learn` does.
+    `model` is a model file with effects of the bench, found in many runs together; the learned file contains
+    them. `by_installation` gives each installation its own mean angles. The file is valid until `expires` (a
+    year by default). The other parameters are those of `calibrate`; `sources` are those of the request, if
+    already read. Raises `Refused` for runs of several benches, `CalibrationError` as
+    `bench.history.learning.learn` does.
     """
     made = utc_now().date()
     until = _until(request.expires, made)
@@ -218,10 +218,7 @@ learn = python_call(Learn, learning_of, "learn")
 
 
 def _until(expires: datetime.date | str | None, made: datetime.date) -> datetime.date:
-    """Return the last valid day of a learned file: the date `expires`, or that many days after `made`.
-
-    With None, it is `USUAL_DAYS` after `made`. Raises `Refused` for a day that is not after `made`.
-    """
+    """Return the last valid day of a learned file: `expires`, or as many days after `made`. Raises `Refused`."""
     if expires is None:
         return made + datetime.timedelta(days=USUAL_DAYS)
     if isinstance(expires, str):
@@ -239,18 +236,13 @@ def _until(expires: datetime.date | str | None, made: datetime.date) -> datetime
 
 
 def _certified(source: Source) -> Source:
-    """Return a source corrected by certificates alone; its model has only the effects of a requested model
-    file.
-    """
+    """Return a source corrected by certificates alone; its model has only effects of a requested file."""
     plain = source.model if source.request.model else ForwardModel(source.bench.installation_models())
     return replace(source.as_certified(), model=plain)
 
 
 def _effects_of_model(sources: Sequence[Source]) -> tuple[AppliedEffect, ...]:
-    """Return the effects of the model file of the request, with their u; none if the request has no model.
-
-    Raises `Refused` for an effect of a block or of a single mounting, which is no property of the bench.
-    """
+    """Return the effects of the requested model file, with u. Raises `Refused` for one that is not of the bench."""
     if sources[0].request.model is None:
         return ()
     # read from the file, because a source in which the model was found has the values without u
@@ -326,8 +318,7 @@ NOT_VOLTS: Final = "differences between the voltmeters: the signals are in {unit
 def differences_of(sources: Sequence[Source]) -> MeterDifferences | str:
     """Return the differences between the voltmeters of a bench, or why these runs do not determine them.
 
-    The differences are computed from calibrations with the stand's limits from the bench file; these limits
-    hardly affect the lengths of the rows of K.
+    They follow from calibrations with the bench file's limits, which hardly affect the lengths of K's rows.
     """
     if sources[0].readings.unit != "V":
         return NOT_VOLTS.format(unit=sources[0].readings.unit)
@@ -353,7 +344,6 @@ def _by_channel(source: Source) -> tuple[str, str, str] | None:
 
 
 def _day(source: Source) -> float | None:
-    """Return the start of a run in days since 1970-01-01; None if it is not recorded."""
     try:
         return datetime.datetime.fromisoformat(source.made_at or "").timestamp() / 86400.0
     except ValueError:
@@ -377,8 +367,7 @@ def _meter_run(source: Source, meters: tuple[str, str, str], day: float) -> Mete
 def written_meters(found: MeterDifferences) -> dict[str, Any]:
     """Return the voltmeters' section of a learned file.
 
-    Each covariance is multiplied by ν/(ν − 2), where ν is the smallest degrees of freedom of the meters'
-    differences, or `FEW_DOF` if that is larger; the factor is 1 if ν is infinite.
+    Covariances are multiplied by ν/(ν − 2), ν being the smallest degrees of freedom, at least `FEW_DOF`.
     """
     return {
         "meters": list(found.meters),
@@ -428,7 +417,7 @@ class ComparisonResult:
 
 
 def compared(request: asked.Compare) -> ComparisonResult:
-    """Compare results, runs and readings files of one block.
+    """Compare calibrations of one block.
 
     Raises `Refused` for invalid dates, `CalibrationError` if there is nothing to compare.
     """
@@ -443,10 +432,7 @@ compare = python_call(asked.Compare, compared, "compare")
 
 
 def _snapshots(name: str, request: asked.Compare, taken: list[tuple[str, BenchTaken]]) -> list[Snapshot]:
-    """Return the calibration of the run or readings file `name`, or those in a result of `calibrate --json`.
-
-    The bench file used for readings is appended to `taken`.
-    """
+    """Return the calibrations that `name` stands for; `taken` receives the bench file used for readings."""
     if is_result(Path(name)):
         return snapshots_in(Path(name))
     (source,) = load_sources(reading(request, name))

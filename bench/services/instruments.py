@@ -80,8 +80,7 @@ class Nobody:
 class InstrumentLook:
     """The findings on one instrument; `failure` is the first fault.
 
-    `samples` is the number of samples requested from a voltmeter; `to_do` is what a person must do about an
-    instrument that was not left safe.
+    `samples` is the number asked of a voltmeter, `to_do` what a person must do if it was not left safe.
     """
 
     name: str
@@ -125,10 +124,7 @@ class InstrumentLook:
 
 
 def look_at(file: BenchFile, wire: WireLog | None, haste: Haste | None = None) -> list[InstrumentLook]:
-    """Open, test, read and close all instruments of a bench in parallel; return the findings on each.
-
-    `haste`, once requested, ends the wait for instruments that do not answer.
-    """
+    """Open, test, read and close all instruments at once; `haste` ends the wait for those that do not answer."""
     assembly = real_bench(file, Nobody(), wire, haste)
     instruments = assembly.instruments.all()
     rows = [_row(file, instrument) for instrument in instruments]
@@ -268,8 +264,8 @@ def free_folder(now: datetime, what: str = "commissioning") -> Path:
 def commission(setting: CommissioningPlan) -> dict[str, Any]:
     """Carry out a commissioning; write result, page and wire log into its folder, and return the result.
 
-    The bench is left safe and the page written whatever happens. Raises `Refused` for a folder that cannot be
-    used, `BenchError` for a bench that cannot be simulated.
+    The bench is left safe and the page written whatever happens. Raises `Refused`, and `BenchError` for a bench
+    that cannot be simulated.
     """
     _take(setting.folder)
     began = utc_now()
@@ -294,10 +290,7 @@ def commission(setting: CommissioningPlan) -> dict[str, Any]:
 
 
 def _take(folder: Path) -> None:
-    """Create the folder of a commissioning.
-
-    Raises `Refused` if it cannot be created, or already holds a commissioning.
-    """
+    """Create the folder of a commissioning. Raises `Refused`, also if it already holds one."""
     if (folder / PAGE).exists() or (folder / WIRE_LOG).exists():
         raise Refused(f"{folder}: already holds a commissioning; name another folder with --out")
     with refusing("name another folder with --out", folder):
@@ -310,7 +303,7 @@ def _gone_through(
 ) -> str:
     """Carry out a session of checks; return why it stopped early, "" if it was completed.
 
-    Afterwards SIGINT and the like raise no exception, so that the bench is left safe and the page is written.
+    Afterwards SIGINT raises no exception, so that the bench is left safe and the page is written.
     """
     try:
         try:

@@ -41,7 +41,7 @@ class Monitored:
 
 
 def monitored(request: Monitor) -> Monitored:
-    """Return the control chart of runs of `monitor-2` or `monitor-4`; the first `baseline` runs set limits.
+    """Return the chart of runs of a monitor; the first `baseline` runs set limits.
 
     Raises `Refused` for a source without a date, `CalibrationError` for too few runs or runs of different axes.
     """

@@ -27,9 +27,9 @@ from drivers.person import Person
 def morning(
     request: Check, person: Person | None, tell: Callable[[str], None]
 ) -> tuple[dict[str, Any], Path]:
-    """Carry out the morning check of a bench; return its result and the folder of its page.
+    """Carry out the morning check, simulated without a `person`; return its result and folder.
 
-    Without a `person` the bench is simulated. Raises `Refused` for a folder that cannot be used, `FileMistakes`.
+    Raises `Refused` for a folder that cannot be used, `FileMistakes`.
     """
     path = bench_path(request.bench)
     file = load_bench(path)

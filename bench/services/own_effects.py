@@ -51,10 +51,7 @@ def effects_for_record() -> dict[str, bytes]:
 
 
 def knowing_effects_on_record(run: Run) -> AbstractContextManager[None]:
-    """Return a context in which the effects recorded with a run are registered.
-
-    Raises `FileMistakes` if a known effect of the same name differs.
-    """
+    """Return a context with the effects recorded with a run. Raises `FileMistakes` if one is known otherwise."""
     file = run.folder / EFFECTS
     return CATALOGUE.also(load_effects(file) if file.is_file() else ())
 
@@ -62,8 +59,7 @@ def knowing_effects_on_record(run: Run) -> AbstractContextManager[None]:
 def accept_terms(request: Accept) -> tuple[Path, Path]:
     """Write an effect file with the newly named terms, and a model file that uses it; return both paths.
 
-    Raises `Refused` for invalid terms or an invalid name and if a file exists, `FileMistakes` for an invalid
-    model file.
+    Raises `Refused` for invalid terms or names and if a file exists, `FileMistakes` for an invalid model file.
     """
     model, name = request.model, request.name
     file = load_model(model)

@@ -87,9 +87,10 @@ MOST_ANGLES: Final = 72
 
 
 def planned(request: PlanPoints) -> PlannedPoints:
-    """Return the test points that reach goals in the least bench time, or the least uncertainty in a given time.
+    """Return the points that reach goals in the least time, or the least uncertainty in a given time.
 
-    Raises `Refused` for invalid options, `CalibrationError` for goals that no test points reach, `FileMistakes`.
+    Raises `Refused` for invalid options, `CalibrationError` for goals that no test points reach,
+    `FileMistakes`.
     """
     _refuse_contradictions(request)
     taken = find_bench_file(request.bench)
@@ -143,8 +144,8 @@ def stand_of(
 ) -> Stand:
     """Return the stand for planning on a bench, with all errors that a calibration states.
 
-    `known` are learned sizes of stand and noise. `day` is the day of the readings; drift counts from the
-    certificates to that day. Raises `CalibrationError` for a bench file that states no noise.
+    `known` are learned sizes. Drift counts from the certificates to `day`. Raises `CalibrationError` if the
+    bench file states no noise.
     """
     sizes = {name: d.u for name, d in (bench.stand_distributions() | assumed_stand(bench)).items()}
     hidden = signed_sources(bench, model, day)
@@ -166,10 +167,7 @@ def _goals(request: PlanPoints, stand: Stand, bench: BenchFile) -> list[Goal]:
 
 
 def delta_g_of(stand: Stand, asked_g: float, option: str) -> list[Goal]:
-    """Return a goal for u(Δg) at each verification point of the bench: at most `asked_g`, in g.
-
-    Raises `Refused`, naming the `option`, if the bench file has no installation V.
-    """
+    """Return a goal u(Δg) ≤ `asked_g` (g) at each verification point. Raises `Refused` if the bench has none."""
     if VERIFICATION not in stand.model.installations:
         raise Refused(
             f"{option} needs the installation V of the verification points; add it to the bench file"
@@ -196,7 +194,6 @@ def duration_s(option: str, text: str) -> float:
 
 
 def _times(request: PlanPoints) -> Times:
-    """Return how long each kind of step takes, by the request. Raises `Refused` for an invalid time."""
     times = Times(
         duration_s("--cost-setting", request.cost_setting),
         duration_s("--cost-remount", request.cost_remount),
@@ -455,10 +452,7 @@ def _up_to_g(up_to: str | None, bench: BenchFile) -> float:
 
 
 def _costs(share: str, given: Sequence[str], names: Sequence[str]) -> dict[str, float] | None:
-    """Return the stated weight of the cost of each error, by name; None for equal parts of the variance.
-
-    Raises `Refused` for invalid weights.
-    """
+    """Return the weight of each error's cost by name; None for equal parts. Raises `Refused`."""
     if share not in {"equal", "cost"}:
         raise Refused(f"--share: give equal or cost, not {share!r}")
     if given and share != "cost":

@@ -130,8 +130,7 @@ class SealResult:
 def seal_run(request: SealRun, passphrase: Callable[[], bytes]) -> SealResult:
     """Seal a run that has ended; if the server gives no time stamp, the seal is written without one.
 
-    Raises `RecordError` for a run that cannot be sealed or an unusable key, `Refused` if the seal cannot be
-    written.
+    Raises `RecordError` for an unusable run or key, `Refused` if the seal cannot be written.
     """
     run, key, server = find_run(request.run, runs_folder(request.runs)), request.key, request.timestamp
     if server is not None:
@@ -152,9 +151,8 @@ def seal_run(request: SealRun, passphrase: Callable[[], bytes]) -> SealResult:
 def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
     """Return the evidence that a record is unchanged, and the problems with it, a sentence each.
 
-    The record is checked against its seal and, as far as the user states them, against a record head (hash of
-    its last line), a public key and a time-stamp authority. Raises `Refused` for an invalid head,
-    `RecordError` for a key that cannot be read.
+    Evidence is the seal and, if the user states them, a noted head, a public key and a time-stamp authority.
+    Raises `Refused` for an invalid head, `RecordError` for a key that cannot be read.
     """
     head, key, authority = request.head, request.key, request.authority
     if head is not None and re.fullmatch(r"[0-9a-f]{64}", head.lower()) is None:

@@ -66,8 +66,7 @@ LEAST_GRAVITY, MOST_GRAVITY = 9.75, 9.85
 class Request:
     """The sources of an analysis, and the options that replace the defaults.
 
-    `runs` is the folder in which runs are found by name. `bench` is a bench file, as path, name or content. `out`
-    is a folder for files derived from the readings.
+    `runs` is the folder of runs found by name, `out` a folder for files derived from the readings.
     """
 
     sources: Sequence[Given]
@@ -156,9 +155,7 @@ class Source:
 
     @property
     def what_if(self) -> bool:
-        """Whether a run is evaluated with other options than it recorded; the results then go to a separate
-        folder.
-        """
+        """Whether a run is evaluated otherwise than it recorded; its results then go to a separate folder."""
         if self.run is None:
             return False
         asked = self.request
@@ -168,10 +165,7 @@ class Source:
 
     @property
     def stand_u(self) -> dict[str, float]:
-        """Standard uncertainties (rad) of the stand's errors by name; "voltmeter_error" is in V.
-
-        For signals in other units, "voltmeter_error" is 0.
-        """
+        """Standard uncertainties (rad) of the stand's errors; "voltmeter_error" in V (0 without signals in V)."""
         sizes = {name: d.u for name, d in self.bench.stand_distributions().items()}
         return sizes if self.readings.unit == VOLTS else sizes | {"voltmeter_error": 0.0}
 
@@ -204,9 +198,8 @@ class Source:
     def output(self, command: str, suffix: str, *, what_if: bool = False) -> Path:
         """Return the path of the file that a command writes for this source.
 
-        The file lies in the folder of `--out`, else in the run's folder, else in a folder named after the
-        command, next to the readings file. With `what_if`, it lies in the folder `what-if` of the run, unless
-        `--out` is given.
+        It is in the folder of `--out`, else of the run, else in one named after the command beside the readings
+        file. With `what_if`, it is in the folder `what-if` of the run, unless `--out` is given.
         """
         file = _output(self.name, self.run, self.request.out, command, suffix)
         aside = what_if and self.run is not None and self.request.out is None
@@ -251,10 +244,7 @@ def _hash(readings: Readings, *, to_the_bit: bool = True) -> str:
 
 
 def _knows(stated: str | None, readings: Readings) -> bool:
-    """Return whether the hashes `stated` in a model file include that of these readings.
-
-    Hashes of earlier versions, made in another way, also count.
-    """
+    """Return whether the hashes in a model file include one of these readings, of this or an earlier version."""
     hashes = (stated or "").split()
     return bool(hashes) and (data_sha256(readings) in hashes or _hash(readings) in hashes)
 
@@ -376,11 +366,7 @@ def _readings_of(given: Given, run: Run | None, bench: BenchFile, *, skip_bad_ro
 def _of_model_file(
     file: ModelFile, readings: Readings, plain: ForwardModel
 ) -> tuple[ForwardModel, tuple[str, ...]]:
-    """Return the model of a model file, with notes.
-
-    If the model was found in these same readings, its values are estimated again; used as priors, they would
-    count the readings twice.
-    """
+    """Return the model of a model file, with notes; values found in these same readings are estimated again."""
     model = replace(plain, effects=file.applied_effects(), name=file.name)
     dark: tuple[str, ...] = ()
     if file.dark_uncertainty is not None:
@@ -441,10 +427,7 @@ def attempted(name: str, work: Callable[[], R]) -> R | Failed:
 
 
 def load_each(request: Request) -> list[Source | Failed]:
-    """Read each source separately; return a `Failed` for one that cannot be read.
-
-    If there is only one source, its error is raised.
-    """
+    """Return each source, or a `Failed` if it cannot be read; a single source raises its error."""
     if len(request.sources) == 1:
         return [*load_sources(request)]
     check_gravity(request.g_m_s2)
@@ -456,10 +439,7 @@ def load_each(request: Request) -> list[Source | Failed]:
 
 
 def each(loaded: Sequence[Source | Failed], work: Callable[[Source], R]) -> list[R | Failed]:
-    """Return for each source the result of `work`, or a `Failed`.
-
-    If there is only one source, its error is raised.
-    """
+    """Return for each source the result of `work`, or a `Failed`; a single source raises its error."""
     if len(loaded) == 1:
         return [work(source) for source in done(loaded)]
     return [

@@ -96,10 +96,7 @@ _PARTS_TOLD: Final = 3
 
 
 def stated_aim(texts: Sequence[str], stand: Stand, bench: BenchFile) -> Aim:
-    """Return the goals in the `texts` of `--until`; a text may hold several goals, separated by commas.
-
-    Raises `Refused` with all mistakes.
-    """
+    """Return the goals in the `texts` of `--until`, separated by commas. Raises `Refused` with all mistakes."""
     wanted: list[UntilGoal] = []
     limit_s: float | None = None
     sizes: dict[bool, dict[str, float]] = {False: {}, True: {}}
@@ -166,10 +163,9 @@ def _asked(size: float) -> float:
 def chooser_of(
     plan: Plan, bench: BenchFile, texts: Sequence[str], learned: LearnedTaken = NOTHING_LEARNED
 ) -> Chooser:
-    """Return the object that chooses the next settings for these goals (`texts`).
+    """Return the chooser of settings for goals, with `learned` sizes as a calibration uses them.
 
-    The object uses the `learned` sizes as a calibration does. Raises `Refused` for invalid goals, and for a
-    goal that no readings can reach.
+    Raises `Refused` for invalid goals, and for a goal that no readings can reach.
     """
     model = with_effects(ForwardModel(bench.installation_models()), learned.effects)
     try:
@@ -222,10 +218,7 @@ def _refuse_too_short(aim: Aim, pool: Pool) -> None:
 
 
 class Until:
-    """The chooser of a run's next settings.
-
-    The choices depend on the run's record alone, so that a resumed run makes the same ones.
-    """
+    """The chooser of a run's next settings; it depends on the record alone, so that a resumed run repeats it."""
 
     def __init__(self, run: Run, bench: BenchFile) -> None:
         self._run = run
@@ -311,10 +304,7 @@ class Until:
 
 
 def noted_goals(manifest: Manifest, plan: Plan, bench: BenchFile, texts: Sequence[str]) -> tuple[str, ...]:
-    """Note the goals in the manifest; return sentences on the learned sizes used and on the expected duration.
-
-    Raises `Refused` for invalid goals.
-    """
+    """Note the goals in the manifest; return notes on learned sizes and duration. Raises `Refused`."""
     manifest["until"] = [*texts]
     learned = learned_for_run(
         bench, Path(manifest["bench"]), manifest["created"], simulated=bool(manifest["dry_run"])
@@ -325,16 +315,13 @@ def noted_goals(manifest: Manifest, plan: Plan, bench: BenchFile, texts: Sequenc
 def outlook_until(
     plan: Plan, bench: BenchFile, texts: Sequence[str], learned: LearnedTaken = NOTHING_LEARNED
 ) -> TimeOutlook:
-    """Return the expected duration of a run with these goals.
-
-    It follows from the learned noise or, without that, from the noise that the bench file states.
-    """
+    """Return the expected duration of a run with these goals, by the learned noise, else the bench file's."""
     found = time_outlook(chooser_of(plan, bench, texts, learned))
     return replace(found, learned=learned.known is not None and learned.known.noise is not None)
 
 
 def look_ahead(request: Check) -> Findings:
-    """Return the findings of `bench check`: the plan of a procedure on a bench, and its expected outcome.
+    """Return the findings of `bench check`: a procedure's plan on a bench, and its expected outcome.
 
     Raises `Refused` with the mistakes of both files, and for goals that cannot be reached.
     """

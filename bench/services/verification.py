@@ -141,7 +141,7 @@ def judgement_of(
 
 
 def own_judgement(source: Source, *asked: VerdictOptions, agreed: DecisionRule | None = None) -> Judgement:
-    """Return the basis of the verdict on a source: the options `asked`, else those of its run or bench file.
+    """Return the basis of a source's verdict: `asked`, else as its run or bench file says.
 
     `agreed` is the decision rule if none of these names a rule.
     """
@@ -264,8 +264,8 @@ def judged(
 ) -> VerificationResult:
     """Return the verification of a source with the coefficients `taken`.
 
-    `own` is the calibration that gave them, if it is from the source's own readings. Raises
-    `CalibrationError` if there is no verification point.
+    `own` is their calibration, if it is of the source's own readings. Raises `CalibrationError` if there is no
+    verification point.
     """
     said: tuple[str, ...] = ()
     if own is None:
@@ -292,8 +292,7 @@ def judged(
 def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[str, ...]]:
     """Return the covariance of |a| at the points by coefficients of an earlier day, and a sentence on it.
 
-    If the same meters are used, their errors cancel; the longer since the calibration, the less, because
-    meters drift.
+    Errors of the same meters cancel, but the less, the longer ago the calibration, because meters drift.
     """
     known = taken.covariance if taken.same_meters is None else taken.same_meters
     part = drifted((taken.meters, _when(taken.made_at)), (source.meters, _when(source.made_at)))

@@ -68,11 +68,7 @@ class Calibrate(OnReadings):
 
     @property
     def otherwise(self) -> bool:
-        """Whether any option that affects the coefficients differs from its default.
-
-        If it is true, a run's stored result, computed with the defaults, cannot be reused. The model is not
-        considered.
-        """
+        """Whether an option other than the model changes the coefficients that a run stores by default."""
         usual = (self.estimator, self.nominal_angles, self.join_free, self.join_verification, self.prior)
         return usual != ("gls", False, True, False, None)
 

@@ -106,10 +106,7 @@ def runs_folder(runs: str | Path | None) -> Path:
 
 
 def name_to_type(run: Path) -> str:
-    """Return the shortest text by which commands find a run.
-
-    It is the run's name if the run is in the default folder of runs, else its path.
-    """
+    """Return what commands call a run: its name if it is in the default folder of runs, else its path."""
     return run.name if run.parent.absolute() == runs_folder(None).absolute() else str(run)
 
 
