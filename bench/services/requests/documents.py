@@ -9,20 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 from bench.base.requests import Option, option
-from bench.services.requests.shared import (
-    EstimatorField,
-    GuardBandField,
-    JoinFreeField,
-    JoinVerificationField,
-    LimitField,
-    ModelField,
-    NominalField,
-    OnReadings,
-    PopulationField,
-    RuleField,
-    RunField,
-    RunsField,
-)
+from bench.services.requests import shared
 
 CatalogueField = Annotated[
     str | None,
@@ -101,7 +88,7 @@ class DueUnits(_Dated):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Batch(OnReadings):
+class Batch(shared.OnReadings):
     """Options of every `bench batch`: the runs to evaluate again, and the folder for the results."""
 
     over: Annotated[
@@ -112,7 +99,7 @@ class Batch(OnReadings):
         ),
     ]
     out: Annotated[Path, Option("Folder of the batch; the same command resumes it.", metavar="FOLDER")]
-    model: ModelField = None
+    model: shared.ModelField = None
     workers: int | None = option(None, "Number of processes (default: one per core).", metavar="N", least=1)
     scheduler: str | None = option(
         None,
@@ -127,13 +114,13 @@ class Batch(OnReadings):
 class BatchCalibrate(Batch):
     """Options of `bench batch calibrate`: compute coefficients and verdicts of many runs again."""
 
-    estimator: EstimatorField = "gls"
-    nominal_angles: NominalField = False
-    join_free: JoinFreeField = True
-    join_verification: JoinVerificationField = False
-    limit: LimitField = None
-    rule: RuleField = None
-    guard_band: GuardBandField = None
+    estimator: shared.EstimatorField = "gls"
+    nominal_angles: shared.NominalField = False
+    join_free: shared.JoinFreeField = True
+    join_verification: shared.JoinVerificationField = False
+    limit: shared.LimitField = None
+    rule: shared.RuleField = None
+    guard_band: shared.GuardBandField = None
     strict: bool = option(False, "Accept no changed judgement of a fit.")
 
 
@@ -148,10 +135,10 @@ class BatchDiagnose(Batch):
 class BatchReport(Batch):
     """Options of `bench batch report`: write reports of many runs into the folder of the batch."""
 
-    limit: LimitField = None
-    rule: RuleField = None
-    guard_band: GuardBandField = None
-    population: PopulationField = None
+    limit: shared.LimitField = None
+    rule: shared.RuleField = None
+    guard_band: shared.GuardBandField = None
+    population: shared.PopulationField = None
 
 
 # --- certificates -------------------------------------------------------------------------------------
@@ -178,7 +165,7 @@ class Issuing:
     schema: Path | None = option(
         None, "Folder of schemas (DCC 3.3.0, D-SI 2.2.1) to check against.", metavar="DIR", rare=True
     )
-    runs: RunsField = None
+    runs: shared.RunsField = None
 
 
 @dataclass(frozen=True)
@@ -200,7 +187,7 @@ class AmendCertificate(Issuing):
     """Options of `bench certificate amend`: issue a certificate that replaces a valid one."""
 
     number: NumberField
-    run: RunField
+    run: shared.RunField
     _: KW_ONLY
     reason: ReasonField
     replace: bool = option(False, "Replace the whole certificate: another run, other results.")
@@ -226,7 +213,7 @@ class CheckRegister:
     laboratory: LaboratoryField = None
     out: Path | None = option(None, "Copy the files of certificate NUMBER into this folder.", metavar="DIR")
     again: bool = option(False, "Regenerate the unsigned certificates from their records and compare.")
-    runs: RunsField = None
+    runs: shared.RunsField = None
 
 
 @dataclass(frozen=True)
@@ -239,7 +226,7 @@ class VerifyCertificate:
     laboratory: Path | None = option(
         None, "Laboratory file with the register (default: the one beside FILE)."
     )
-    runs: RunsField = None
+    runs: shared.RunsField = None
 
 
 @dataclass(frozen=True)
@@ -341,7 +328,7 @@ class Validate:
     by: str | None = option(None, "Authorised person, as named in the laboratory file.", metavar="NAME")
     reason: str | None = option(None, "Reason, for the register.", metavar="TEXT", rare=True)
     register: bool = option(False, "List the register of validations.", rare=True)
-    runs: RunsField = None
+    runs: shared.RunsField = None
     catalogue: CatalogueField = None
 
 
@@ -366,7 +353,7 @@ class Failures:
     by: str | None = option(None, "Who notes it.", metavar="NAME")
     year: int | None = option(None, "Show the failures of this year only.", metavar="YYYY")
     page: Path | None = option(None, "Write an HTML page, as for the management review.")
-    runs: RunsField = None
+    runs: shared.RunsField = None
 
 
 # --- persons -----------------------------------------------------------------------------------------
@@ -452,4 +439,4 @@ class ServePanel:
         rare=True,
     )
     catalogue: str = option("", "Catalogue for the pages on units; read only.", metavar="FILE|URL", rare=True)
-    runs: RunsField = None
+    runs: shared.RunsField = None

@@ -8,20 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Protocol
 
 from bench.base.requests import Option, option
-from bench.services.requests.shared import (
-    Data,
-    Effects,
-    EstimatorField,
-    GuardBandField,
-    JoinFreeField,
-    JoinVerificationField,
-    LimitField,
-    ModelField,
-    NominalField,
-    OnReadings,
-    PopulationField,
-    RuleField,
-)
+from bench.services.requests import shared
 
 
 class Calibrated(Protocol):
@@ -37,7 +24,7 @@ Given = str | Path | Calibrated | None
 memory."""
 
 SourceField = Annotated[
-    Data, Option("Run (name or path) or readings file.", argument=True, completes="sources")
+    shared.Data, Option("Run (name or path) or readings file.", argument=True, completes="sources")
 ]
 _SOURCES = Option(
     "Runs (name or path) or readings files.",
@@ -46,42 +33,42 @@ _SOURCES = Option(
     completes="sources",
     typed=list[str],
 )
-SourcesField = Annotated[Sequence[Data], _SOURCES]
-SeveralField = Annotated[Data, replace(_SOURCES, typed=str)]
+SourcesField = Annotated[Sequence[shared.Data], _SOURCES]
+SeveralField = Annotated[shared.Data, replace(_SOURCES, typed=str)]
 
 
 @dataclass(frozen=True)
-class Calibrate(OnReadings):
+class Calibrate(shared.OnReadings):
     """Options of `bench calibrate`: estimate the coefficients of a block from readings."""
 
     source: SeveralField
     _: KW_ONLY
-    model: ModelField = None
-    effects: Effects = None
-    estimator: EstimatorField = "gls"
-    nominal_angles: NominalField = False
-    join_free: JoinFreeField = True
-    join_verification: JoinVerificationField = False
+    model: shared.ModelField = None
+    effects: shared.Effects = None
+    estimator: shared.EstimatorField = "gls"
+    nominal_angles: shared.NominalField = False
+    join_free: shared.JoinFreeField = True
+    join_verification: shared.JoinVerificationField = False
     prior: str | Path | None = option(
         None, "Prior for units of this type, from 'bench fleet prior'.", rare=True
     )
 
     @property
     def otherwise(self) -> bool:
-        """Whether an option other than the model changes the coefficients that a run stores by default."""
+        """Whether an option (other than the model) gives other coefficients than those that a run stores."""
         usual = (self.estimator, self.nominal_angles, self.join_free, self.join_verification, self.prior)
         return usual != ("gls", False, True, False, None)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judging(OnReadings):
+class Judging(shared.OnReadings):
     """Options of a verdict, which replace those of the bench file."""
 
-    model: ModelField = None
-    limit: LimitField = None
-    rule: RuleField = None
-    guard_band: GuardBandField = None
-    population: PopulationField = None
+    model: shared.ModelField = None
+    limit: shared.LimitField = None
+    rule: shared.RuleField = None
+    guard_band: shared.GuardBandField = None
+    population: shared.PopulationField = None
 
 
 @dataclass(frozen=True)
@@ -90,7 +77,7 @@ class Verify(Judging):
 
     source: SeveralField
     _: KW_ONLY
-    effects: Effects = None
+    effects: shared.Effects = None
     coefficients: Given = option(
         None, "Earlier result of 'calibrate --json' to verify with.", metavar="FILE", typed=Path | None
     )
@@ -104,7 +91,7 @@ class Report(Judging):
 
 
 @dataclass(frozen=True)
-class Coefficients(OnReadings):
+class Coefficients(shared.OnReadings):
     """Options of `bench coefficients`: write calibrations in the forms of navigation software."""
 
     sources: Annotated[
@@ -112,7 +99,7 @@ class Coefficients(OnReadings):
         Option("Results of calibrate --json, runs or readings files.", metavar="SOURCE…", argument=True),
     ]
     _: KW_ONLY
-    model: ModelField = None
+    model: shared.ModelField = None
     forms: Sequence[str] | None = option(
         None,
         "json, csv, c, excel, kalibr, px4, ardupilot or all; repeatable (default: json).",
@@ -132,7 +119,7 @@ class Coefficients(OnReadings):
 
 
 @dataclass(frozen=True)
-class Compensate(OnReadings):
+class Compensate(shared.OnReadings):
     """Options of `bench compensate`: fit coefficients over temperature."""
 
     sources: SourcesField
@@ -145,7 +132,7 @@ class Compensate(OnReadings):
 
 
 @dataclass(frozen=True)
-class Tumble(OnReadings):
+class Tumble(shared.OnReadings):
     """Options of `bench tumble`: estimate the IEEE 1293 model terms of each axis."""
 
     sources: SourcesField
@@ -161,11 +148,11 @@ class Tumble(OnReadings):
 
 
 @dataclass(frozen=True)
-class Confirm(OnReadings):
+class Confirm(shared.OnReadings):
     """Options of `bench confirm`: test on new readings a model that was found in other readings."""
 
     source: Annotated[
-        Data,
+        shared.Data,
         Option("New readings: a run or a readings file.", metavar="NEW", argument=True, completes="sources"),
     ]
     _: KW_ONLY
@@ -175,13 +162,13 @@ class Confirm(OnReadings):
 
 
 @dataclass(frozen=True)
-class Diagnose(OnReadings):
+class Diagnose(shared.OnReadings):
     """Options of `bench diagnose`: find where readings and model disagree, and which effect is missing.
 
     With `write`, all files of `bench diagnose` are written: beside the source, or into `out`.
     """
 
-    source: Annotated[Data | Sequence[Data], _SOURCES]
+    source: Annotated[shared.Data | Sequence[shared.Data], _SOURCES]
     _: KW_ONLY
     one_block: bool | None = option(
         None,
@@ -198,13 +185,13 @@ class Diagnose(OnReadings):
         flags=("--report/--no-report",),
         rare=True,
     )
-    model: ModelField = None
+    model: shared.ModelField = None
     out: str | Path | None = option(None, "Folder for the result files.", metavar="DIR")
-    effects: Effects = None
+    effects: shared.Effects = None
     write: bool = False
 
     @property
-    def sources(self) -> list[Data]:
+    def sources(self) -> list[shared.Data]:
         """The sources as a list, also if there is only one."""
         return list(self.source) if isinstance(self.source, list | tuple) else [self.source]
 

@@ -8,17 +8,7 @@ from typing import Annotated
 
 from bench.base.languages import message
 from bench.base.requests import Option, option
-from bench.services.requests.shared import (
-    BenchField,
-    GuardBandField,
-    LatestField,
-    LimitField,
-    ModelField,
-    OperatorField,
-    RuleField,
-    RunsField,
-    UntilField,
-)
+from bench.services.requests import shared
 
 BenchNameField = Annotated[
     str | None,
@@ -50,12 +40,12 @@ class DryRunRequest:
         str | Path,
         Option("Procedure file, by path or shipped name.", argument=True, completes="procedures", typed=str),
     ]
-    bench: BenchField = None
+    bench: shared.BenchField = None
     _: KW_ONLY
     seed: SeedField = 1
-    model: ModelField = None
+    model: shared.ModelField = None
     name: str | None = option(None, message("Name of the run (default: procedure and time)."))
-    runs: RunsField = None
+    runs: shared.RunsField = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,14 +53,14 @@ class RunRequest(DryRunRequest):
     """Options of `bench run`: carry out a procedure on a bench, or dry on simulated instruments."""
 
     dry_run: bool = option(False, "Simulate instruments and clock; touch no hardware.")
-    operator: OperatorField = ""
+    operator: shared.OperatorField = ""
     unit: str | None = option(
         None, message("Serial number of the block, instead of the bench file's."), metavar="SERIAL"
     )
-    limit: LimitField = None
-    rule: RuleField = None
-    guard_band: GuardBandField = None
-    until: UntilField = None
+    limit: shared.LimitField = None
+    rule: shared.RuleField = None
+    guard_band: shared.GuardBandField = None
+    until: shared.UntilField = None
     wire_log: WireLogField = None
     check_block: bool = option(False, "Require the check block in a dry run, too.", rare=True)
     despite_check: str | None = option(
@@ -101,13 +91,13 @@ class RunRequest(DryRunRequest):
 class ResumeRequest:
     """Options of `bench resume`: resume an interrupted run."""
 
-    name: LatestField = None
+    name: shared.LatestField = None
     _: KW_ONLY
-    operator: OperatorField = ""
+    operator: shared.OperatorField = ""
     wire_log: WireLogField = None
     answers: AnswersField = None
     panel: PanelField = False
-    runs: RunsField = None
+    runs: shared.RunsField = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,7 +126,7 @@ class SimulateRequest:
     )
     _: KW_ONLY
     bench: BenchNameField = None
-    model: ModelField = None
+    model: shared.ModelField = None
     seed: int = option(1, "Seed of the random numbers.", least=0, rare=True)
     speed: float = option(1.0, "Speed of the clock, as a multiple of real time.")
     host: str = option("127.0.0.1", "Address to listen on; only loopback is closed to others.", rare=True)

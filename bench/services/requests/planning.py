@@ -7,16 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from bench.base.requests import ESTIMATORS_IN_A_BUDGET, Option, option
-from bench.services.requests.shared import (
-    BenchField,
-    GravityField,
-    GuardBandField,
-    LimitField,
-    ModelField,
-    RuleField,
-    RunsField,
-    UntilField,
-)
+from bench.services.requests import shared
 
 ProcedureField = Annotated[
     str,
@@ -38,8 +29,8 @@ class Check:
         None, "Procedure file, by path or shipped name.", argument=True, completes="procedures"
     )
     _: KW_ONLY
-    bench: BenchField = None
-    until: UntilField = None
+    bench: shared.BenchField = None
+    until: shared.UntilField = None
     morning: bool = option(
         False, "Check the bench instead: identities, self-tests, inputs, head, check block."
     )
@@ -49,7 +40,7 @@ class Check:
     dry_run: bool = option(False, "With --morning: use the simulated bench.", rare=True)
     seed: int = option(1, "Seed of the random numbers of --dry-run.", least=0, rare=True)
     out: Path | None = option(None, "With --morning: folder of page and wire log.", metavar="DIR", rare=True)
-    runs: RunsField = None
+    runs: shared.RunsField = None
 
 
 @dataclass(frozen=True)
@@ -63,22 +54,22 @@ class Init:
 class Budget:
     """Options of `bench budget`: compute the contribution of each error of a bench to the uncertainty."""
 
-    bench: BenchField = None
+    bench: shared.BenchField = None
     procedure: ProcedureField = "calibration"
     estimator: EstimatorField = "gls"
     _: KW_ONLY
-    model: ModelField = None
+    model: shared.ModelField = None
     coefficients: str | Path | None = option(
         None, "Coefficients from 'calibrate --json', instead of the bench file's.", rare=True
     )
     trials: int = option(20_000, "Number of Monte Carlo trials; 0 for none.", least=0, rare=True)
-    rule: RuleField = None
-    guard_band: GuardBandField = None
-    limit: LimitField = None
+    rule: shared.RuleField = None
+    guard_band: shared.GuardBandField = None
+    limit: shared.LimitField = None
     same_voltmeters: bool = option(
         False, "Assume that the block is used with the same voltmeters.", rare=True
     )
-    g: GravityField = None
+    g: shared.GravityField = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,14 +92,14 @@ class Require:
     )
     estimator: EstimatorField = "gls"
     procedure: ProcedureField = "calibration"
-    bench: BenchField = None
+    bench: shared.BenchField = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlanPoints:
     """Options of `bench plan-points`: find the test points that give a required uncertainty."""
 
-    bench: BenchField = None
+    bench: shared.BenchField = None
     u: list[str] | None = option(
         None, "Required combined standard uncertainty: Kyx=90e-6 (V/g), U0, K or all.", metavar="NAME=U"
     )
