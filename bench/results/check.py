@@ -194,7 +194,6 @@ def print_findings(found: Findings, out: Console, *, every_step: bool = False) -
 
 
 def _coefficients_in_words(not_determined: list[OpenCoefficients]) -> Iterator[str]:
-    """Yield sentences on the coefficients that a calibration determines, at each of several temperatures."""
     if not not_determined:
         yield "no calibration: the procedure has no reading in an installation of known orientation"
     temperatures: dict[tuple[str, ...], list[str]] = {}
@@ -216,7 +215,6 @@ def _coefficients_in_words(not_determined: list[OpenCoefficients]) -> Iterator[s
 
 
 def _open_in_words(found: Outlook | None) -> Iterator[str]:
-    """Yield sentences on combinations of coefficients that the readings leave open, and on remedies."""
     if found is None:
         return
     for sentence in found.open:
@@ -279,7 +277,10 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """`period` steps from index `start` on, `times` times; equal `shape`: only point, angle and pass differ."""
+    """A pattern of `period` steps from index `start` on, carried out `times` times in a row.
+
+    Blocks of equal `shape` differ only in point, angle and pass.
+    """
 
     start: int
     period: int
@@ -308,7 +309,6 @@ def listing(plan: Plan, *, every_step: bool = False) -> Iterator[Line]:
 
 
 def _blocks(steps: Sequence[Step]) -> Iterator[_Block]:
-    """Divide steps into blocks that repeat a short pattern of steps."""
     within_pass = [_shape(step, _POINT) for step in steps]
     for start, period, times in _folded(within_pass, 2):
         shape = tuple(_shape(step, _POINT_AND_PASS) for step in steps[start : start + period])

@@ -193,7 +193,7 @@ def print_compare(result: CompareResult, out: Console) -> None:
 
 
 def verdict_of(result: CompareResult) -> str:
-    """Return a clause on whether the block changed, by the joint test of the nine numbers, and which did."""
+    """Return a clause on whether the block changed, and on which of its numbers did."""
     nine = [name for one in result.compared for name, row in one.intrinsic.values.items() if row.changed]
     twelve = [name for one in result.compared for name, row in one.coefficients.items() if row.changed]
     if result.changed:
@@ -390,10 +390,7 @@ def _equivalences(of: BenchComparison, numbers: BenchesIn) -> dict[str, Equivale
 def _together(of: BenchComparison, numbers: BenchesIn) -> AllTogether:
     names = _pairs_of(of, numbers)
     return AllTogether(
-        benches={
-            name: TogetherPart.from_object(one)
-            for name, one in zip(of.benches, numbers.together, strict=True)
-        },
+        benches=dict(zip(of.benches, numbers.together, strict=True)),
         pairs=[
             PairTogether.from_object(one, **who)
             for one, who in zip(numbers.pairs_together, names, strict=True)

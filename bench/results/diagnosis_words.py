@@ -122,26 +122,22 @@ def parameters_in_words(effect: NamedEffect) -> Iterator[str]:
             value, in_installations([value.installations]) if value.installations else ""
         )
     for one in effect.together:
-        yield (
-            message(
-                f"{one.combination} of {one.parameter} of {' and '.join(one.of)} = "
-                f"{with_u(one.value, one.u, one.unit)}: only this combination is well determined"
-            )
+        yield message(
+            f"{one.combination} of {one.parameter} of {' and '.join(one.of)} = "
+            f"{with_u(one.value, one.u, one.unit)}: only this combination is well determined"
         )
 
 
 def parameter_in_words(value: EffectValue, at: str) -> str:
     """Return a parameter with its value: "K2 of y = 58.1 ± 5.2 µg/g² (u)"; `at` names its place, or is empty."""
-    of = f" of {value.channel}" if value.channel else ""
-    return f"{value.parameter}{of}{at} = {_value_in_words(value)}"
-
-
-def _value_in_words(value: EffectValue) -> str:
     if value.u is None:
-        return message(
+        size = message(
             f"{with_unit(format(value.value, 'g'), value.unit)} (the likeliest of the values tried)"
         )
-    return with_u(value.value, value.u, value.unit)
+    else:
+        size = with_u(value.value, value.u, value.unit)
+    of = f" of {value.channel}" if value.channel else ""
+    return f"{value.parameter}{of}{at} = {size}"
 
 
 def with_u(value: float, u: float, unit: str) -> str:
@@ -241,10 +237,7 @@ def lead(diagnosis: AnyDiagnosis) -> str:
 def closed_in_words(
     part: float | None, before_g: float, after_g: float, noise_g: float, unit: str = "g"
 ) -> str:
-    """Return the closed fraction of a gap, and the root mean squares before, after and by noise alone.
-
-    "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)"; `part` is None if there was no gap.
-    """
+    """Return how far a gap closes: "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)"."""
     before, after, noise = (
         micro_g(v) if unit == "g" else quantity(v, unit) for v in (before_g, after_g, noise_g)
     )
@@ -297,16 +290,14 @@ def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
             if len(diagnosis.far) > LISTED_IN_SENTENCE
             else ""
         )
-        yield (
-            message(
-                f"far from this model: {listed}{more} (probability that noise alone moves any reading that far: "
-                f"{p_in_words(diagnosis.far[0].p)})"
-            )
+        yield message(
+            f"far from this model: {listed}{more} (probability that noise alone moves any reading that far: "
+            f"{p_in_words(diagnosis.far[0].p)})"
         )
 
 
 def odds_in_words(effect: NamedEffect) -> str:
-    """Return the names of an effect that have 1 % or more: "97 % cubic_nonlinearity, 2 % scale_asymmetry"."""
+    """Return the probabilities of an effect's names, from 1 % on: "97 % cubic_nonlinearity, 2 % warm_up"."""
     shown = [one for one in effect.odds if one.probability >= BY_CHANCE]
     return ", ".join(f"{_percent(one.probability)} {one.name}" for one in shown)
 
@@ -415,7 +406,7 @@ def mountings_of(block: ModelComparison) -> str:
 
 
 def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
-    """Return which coefficient changes most, and how far, if `other` is the cause; "" if it is no rival."""
+    """Return the largest change of a coefficient if `other` is the cause, in words; "" if it is no rival."""
     for rival in ranking:
         if rival.family == other:
             coefficient, in_u = rival.largest_shift
@@ -438,12 +429,10 @@ def joined_in_words(shown: ModelComparison) -> Iterator[str]:
         return
     without, with_it = shown.before.worst_g, shown.after.worst_g
     if without is not None and with_it is not None:
-        yield (
-            message(
-                "this test covers the settings alone: some effects found show only at the verification points, "
-                f"which joined the fit and check nothing (largest |Δg| {quantity(without, 'g')} without the "
-                f"effects, {quantity(with_it, 'g')} with them)"
-            )
+        yield message(
+            "this test covers the settings alone: some effects found show only at the verification points, "
+            f"which joined the fit and check nothing (largest |Δg| {quantity(without, 'g')} without the "
+            f"effects, {quantity(with_it, 'g')} with them)"
         )
 
 
@@ -542,11 +531,9 @@ def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
             if form.gap.closed is None
             else message(f", which closes {100 * form.gap.closed:.0f} % of the gap")
         )
-        yield (
-            message(
-                f"held-out readings: reduced chi-square {form.gap.before:.2f} before, {form.gap.after:.2f} with "
-                f"the terms that the other readings show{closed}"
-            )
+        yield message(
+            f"held-out readings: reduced chi-square {form.gap.before:.2f} before, {form.gap.after:.2f} with "
+            f"the terms that the other readings show{closed}"
         )
     if form.terms and not form.predicts:
         yield message(

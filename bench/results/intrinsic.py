@@ -107,7 +107,7 @@ def shown_rows(own: Intrinsic) -> list[list[str]]:
 
 
 def small_unit(name: str, u: float, unit: str) -> tuple[float, str]:
-    """Return size (in `unit`) and name of a small unit for differences of size `u` in an intrinsic number."""
+    """Return a unit for differences of size `u` in the number `name`: its size in `unit`, and its name."""
     if name.startswith("theta"):
         return 1.0 / 3600.0, "″"
     scale = scale_for(u, unit if name.startswith("S") else "g")

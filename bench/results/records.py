@@ -140,7 +140,6 @@ class ShowResult(RunPart):
 
 
 def _text(value: object) -> str:
-    """Return a value of the manifest as text, and a mapping as "name value, name value"."""
     if isinstance(value, dict):
         return ", ".join(f"{name} {part}" for name, part in value.items())
     return str(value)

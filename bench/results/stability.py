@@ -118,7 +118,7 @@ def _channel(found: Stability, i: int) -> ChannelPart:
         },
         terms_p=terms.p,
         psd=SpectrumPart.from_object(found.spectrum, density=found.spectrum.density[:, i]),
-        averaging=AveragingPart.from_object(found.averages[i]),
+        averaging=found.averages[i],
     )
 
 
@@ -160,7 +160,6 @@ def averaging_lines(found: Stability) -> list[str]:
 
 
 def _table(found: Stability) -> Table:
-    """Return a table with a column for each channel: mean, drift, noise terms (or upper limits), averaging."""
     record, unit = found.record, found.record.unit
     shown = table("", *(f">{channel}" for channel in record.channels))
     shown.add_row("mean", *(f"{mean:.7g} {unit}" for mean in record.mean))
