@@ -125,9 +125,9 @@ def kinds_of(request: type) -> dict[str, Kind]:
 
 
 def checked(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return a decorator that checks each argument against its kind, and turns an `OSError` into `Refused`.
+    """Return a decorator that raises `Refused` for an `OSError`, and for an argument of another kind.
 
-    An argument of another kind raises `Refused`; None is accepted if it is the default.
+    None is accepted if it is the default.
     """
 
     def decorated(function: Callable[P, R]) -> Callable[P, R]:

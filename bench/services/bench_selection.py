@@ -209,7 +209,6 @@ def _read(path: Path) -> bytes | None:
 
 
 def _as_text(value: object) -> str:
-    """Return a value of a record as text that can be printed."""
     return visible(str(value or ""))
 
 
@@ -219,10 +218,7 @@ _NONE_NAMED: Final = "the shipped one, because no file was named"
 
 @dataclass(frozen=True)
 class BenchTaken:
-    """The bench file that an analysis uses: its content, path and SHA-256, and the reason for the choice.
-
-    `why` is the reason for this choice; `chosen` is why the run itself was begun with this file.
-    """
+    """The bench file of an analysis; `why` is why it was chosen, `chosen` why the run was begun with it."""
 
     file: BenchFile
     where: str
@@ -342,6 +338,6 @@ def _of_run(run: Run, given: str | Path | BenchFile | None) -> tuple[BenchTaken,
 
 
 def own_bench(run: Run) -> tuple[BenchFile, Path]:
-    """Return a run's recorded bench file, and the path to which references are relative: original, else copy."""
+    """Return the bench file that a run recorded, and a path for its references: the original's, else the copy's."""
     stated = Path(str(run.manifest.get("bench", "")))
     return load_recorded_bench(run.folder / BENCH), stated if stated.is_file() else run.folder / BENCH

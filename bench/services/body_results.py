@@ -36,10 +36,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class BodyResult(ABC):
-    """The result of diagnosing a body of readings: the findings (`found`) and the files written.
-
-    `not_written` says which files could not be written, and why.
-    """
+    """The result of diagnosing a body: findings, files written, and which files could not be written, and why."""
 
     body: Body
     found: FullDiagnosis | MistakesAlone | FreeDiagnosis | RecordDiagnosis

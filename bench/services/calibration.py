@@ -451,10 +451,7 @@ def verified(request: Verify, source: Source) -> VerificationResult:
 def report_page(
     result: CalibrationResult | RecordCalibrationResult, asked: VerdictOptions | None = None
 ) -> tuple[str, VerificationResult | None]:
-    """Return the report of a calibration as HTML, and the verification in it (None without verification points).
-
-    Raises `Refused` if a verdict was requested for a record at a known input.
-    """
+    """Return the report as HTML, and the verification in it (None without points). Raises `Refused`."""
     if not isinstance(result, CalibrationResult):
         from bench.services.verification import NOTHING_ASKED
 

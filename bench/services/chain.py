@@ -56,9 +56,9 @@ def first_head(of: str) -> str:
 
 @dataclass
 class Chain:
-    """A register, open and locked against other writers; `folder` contains it and its files.
+    """A register in `folder`, locked against other writers; `head` is the hash of the last of `count` lines read.
 
-    `head` is the hash of the last line read, `length` and `count` the number of bytes and lines read.
+    `length` is the number of bytes read.
     """
 
     FIRST: ClassVar[str]

@@ -103,7 +103,7 @@ class CheckValues:
 
 
 def check_values(run: Run) -> CheckValues:
-    """Return the calibration of a run of the check block, kept in the cache while the record is unchanged.
+    """Return the calibration of a run of the check block, from the cache while its record is unchanged.
 
     Raises `CalibrationError` if the readings give no calibration, `RecordError` if the record is damaged.
     """
@@ -115,7 +115,8 @@ def check_values(run: Run) -> CheckValues:
     values = _of(run, calibration_of(source))
     with contextlib.suppress(OSError):
         file.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(file, json.dumps(vars(values), default=_to_json))
+        stored = {**vars(values), "when": values.when.isoformat()}
+        write_whole(file, json.dumps(stored, default=np.ndarray.tolist))
     return values
 
 
@@ -141,10 +142,6 @@ def _of(run: Run, result: CalibrationResult) -> CheckValues:
         s=found.noise.reading,
         s_dof=found.noise.reading_dof if np.isfinite(found.noise.reading_dof) else 0.0,
     )
-
-
-def _to_json(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray) else value.isoformat()
 
 
 def _from_json(data: dict[str, Any]) -> CheckValues:
@@ -222,7 +219,7 @@ def _charted(
     in_nine: bool,
     smoothing: float | None = None,
 ) -> tuple[ControlChart, tuple[str, ...]]:
-    """Return the chart of the nine or of the twelve, and a note if it has not the limits that were requested."""
+    """Return the chart of the nine or the twelve numbers; a note says so if the limits are not those requested."""
     drift = _drift(section)
     if in_nine:
         if drift is not None:
@@ -269,7 +266,7 @@ def _arl(section: CheckBlockSection) -> float:
 def _basis(
     wanted: Basis, baseline: int, reference: Reference | None, count: int
 ) -> tuple[Basis, tuple[str, ...]]:
-    """Return the basis of limits that `baseline` runs allow for `count` numbers; a note if not `wanted`."""
+    """Return the basis of limits that `baseline` runs allow for `count` numbers; a note if it is not `wanted`."""
     if reference is not None:
         return "stated", ()
     order: tuple[Basis, ...] = ("scatter", "scaled", "stated")

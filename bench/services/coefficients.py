@@ -79,10 +79,7 @@ def is_of_record(data: Any) -> bool:
 
 
 def coefficients_of(data: Any, where: str) -> Coefficients:
-    """Return the coefficients in a parsed result of `calibrate --json`; `where` names its file.
-
-    Raises `Refused` for other data, and for an invalid number or covariance.
-    """
+    """Return the coefficients in a parsed result of `calibrate --json`; `where` is its file. Raises `Refused`."""
     if is_of_record(data):
         raise Refused(
             f"{where}: calibrates meters from a record at a known input, without coefficients of a block; give "
@@ -403,7 +400,7 @@ def forms_of(names: list[str]) -> list[ExportForm]:
 
 
 def nominal_of(text: str | None, results: list[BlockResult]) -> Floats | None:
-    """Return the scale factors (3,) in unit/g that `--nominal` states. Raises `Refused` if they suit no result."""
+    """Return the scale factors (3,) in unit/g that `--nominal` states. Raises `Refused` if they do not fit."""
     if text is None:
         return None
     try:

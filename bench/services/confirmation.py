@@ -28,10 +28,7 @@ from bench.services.source import Source, data_sha256
 
 @dataclass(frozen=True)
 class ConfirmationResult:
-    """The result of `bench confirm`: how far a model closes the gap of new readings, and each effect's state.
-
-    `found` is the confirmation, `known` are the mistakes that were corrected before it.
-    """
+    """The result of `bench confirm`; `known` are the mistakes that were corrected before the model was tested."""
 
     source: Source
     found: Confirmation

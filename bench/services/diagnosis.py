@@ -124,16 +124,13 @@ class DiagnosisResult(ResultWithPage):
             text.print_one(self.found, self.files, out)
 
     def model_is_due(self, *, accept_first: bool = False) -> bool:
-        """Return whether there is a model to write: effects with or without a name, or the first of a tie."""
+        """Return whether there is a model to write: of effects, unnamed terms, or the first effect of a tie."""
         form = self.diagnosis.form
         there = _named(self.diagnosis, accept_first=accept_first) or (form is not None and form.applied)
         return bool(there) and self.found.shown.after is not None
 
     def write_model(self, path: str | Path, *, accept_first: bool = False) -> Path:
-        """Write the model file with the effects found; return its path.
-
-        Raises `Refused` if there is no model to write, `FileMistakes` if the file exists.
-        """
+        """Write the model file with the effects found; return its path. Raises `Refused`, `FileMistakes`."""
         if not self.model_is_due(accept_first=accept_first):
             tied = self.diagnosis.of_copy == "confounded"
             why = (
@@ -189,10 +186,7 @@ class DiagnosisResult(ResultWithPage):
 
 @dataclass(frozen=True, repr=False)
 class DiagnosisAlone(ResultWithPage):
-    """A diagnosis of readings that are all free positions, or a record at a known input.
-
-    `view` is the name of the module that makes text, JSON and page of the findings.
-    """
+    """A diagnosis of free positions alone, or of a record; module `view` makes its text, JSON and page."""
 
     found: FreeDiagnosis | RecordDiagnosis
     view: ClassVar[str]
@@ -320,7 +314,7 @@ class FreeDiagnosisResult(DiagnosisAlone):
 
 
 def _named(found: Diagnosis | FreeDiagnosis | RecordDiagnosis, *, accept_first: bool) -> bool:
-    """Return whether to write a model: it names an effect, or the first of an accepted tie shrinks the gap."""
+    """Return whether an effect was named, or the first effect of an accepted tie may reduce the gap."""
     accepted = accept_first and found.of_copy == "confounded" and found.gap.shrinks is not False
     return found.of_copy == "named" or accepted
 
@@ -329,7 +323,7 @@ Diagnosed: TypeAlias = DiagnosisResult | DiagnosisAlone | MistakesResult
 
 
 def print_diagnosed(results: Sequence[Diagnosed | Failed], out: Console) -> None:
-    """Print a single diagnosis, and any of free positions or mistakes alone, in full; else a line for each."""
+    """Print a single diagnosis in full, a line for each of several; free positions and mistakes alone in full."""
     listed = [one for one in results if isinstance(one, DiagnosisResult)] if len(results) > 1 else []
     if listed:
         with knowing_effects_of(*(one.source for one in listed)):
@@ -343,10 +337,7 @@ def print_diagnosed(results: Sequence[Diagnosed | Failed], out: Console) -> None
 
 
 def diagnosed(request: Diagnose, bodies: Sequence[Body | Failed]) -> list[Diagnosed | Failed]:
-    """Diagnose bodies of readings, several in parallel processes; write the requested files.
-
-    Of several bodies, one that cannot be evaluated gives a `Failed`; a single one raises its error.
-    """
+    """Diagnose bodies and write requested files, several in parallel; of these, one that fails gives a `Failed`."""
     if len(bodies) == 1:
         return [diagnosed_alone(request, body) for body in done(bodies)]
     pairs = zip(request.sources, bodies, strict=True)
@@ -355,7 +346,7 @@ def diagnosed(request: Diagnose, bodies: Sequence[Body | Failed]) -> list[Diagno
 
 
 def diagnosed_alone(request: Diagnose, body: Body, *, report: bool = True) -> Diagnosed:
-    """Diagnose one body and write the requested files; `report` says whether also the page, by default.
+    """Diagnose a body and write the requested files; `report` is the default of the page.
 
     Raises `CalibrationError` if the readings do not determine the coefficients.
     """
@@ -368,10 +359,7 @@ def diagnosed_alone(request: Diagnose, body: Body, *, report: bool = True) -> Di
 
 
 def diagnosis_of(body: Body) -> Diagnosed:
-    """Diagnose a body with its own bench and model; mistakes that the early warning named are corrected first.
-
-    Raises `CalibrationError` if the readings do not determine the coefficients.
-    """
+    """Diagnose a body, corrected for mistakes that the early warning named. Raises `CalibrationError`."""
     with knowing_effects_of(*body.sources):
         return _result(body, _found(body))
 

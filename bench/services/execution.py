@@ -85,10 +85,8 @@ class NewRun:
     inputs: dict[str, bytes]
     notes: tuple[str, ...] = ()
 
-    def record(self, shield: Callable[[], AbstractContextManager[None]] | None = None) -> Record:
+    def record(self, shield: Callable[[], AbstractContextManager[None]] = nullcontext) -> Record:
         """Create the run's folder and return its record; `shield` gives a context that delays Ctrl-C."""
-        if shield is None:
-            return Record.create(self.folder, self.manifest, self.inputs, utc_now)
         return Record.create(self.folder, self.manifest, self.inputs, utc_now, shield)
 
 
@@ -378,7 +376,7 @@ def _live(run: Run, bench: BenchFile, watcher: EarlyWarning, asker: Asker | None
 def _on_certificates(
     bench: BenchFile, *, simulated: bool
 ) -> Callable[[Mapping[str, str]], Sequence[str]] | None:
-    """Return the function from serial numbers to remarks on certificates; None if a simulation has none."""
+    """Return the function that maps serial numbers to remarks on certificates; None if a simulation has none."""
     if simulated and all(section.certificate is None for section in bench.instruments.all()):
         return None
     return lambda serials: remarks(bench, None if simulated else serials)
@@ -394,7 +392,6 @@ def _chooser(run: Run, bench: BenchFile) -> Callable[[int, PlanProgress], dict[s
 
 
 def _setup(bench: BenchFile, assembly: Assembly) -> BenchSetup:
-    """Return the instruments with the settings that the bench file states for them."""
     feed, supply, chamber = (
         bench.unit_under_test.supply,
         bench.instruments.power_supply,
@@ -488,9 +485,9 @@ def _kept(record: Record) -> str:
 
 
 def unfinished_run(name: str | None, runs: Path, *, results_too: bool = False) -> Run:
-    """Return the run `name`, else the latest that can be resumed. Raises `Refused` if there is none.
+    """Return the run `name`, else the latest to resume, else (`results_too`) the latest without results.
 
-    With `results_too`, a finished run that lacks results is returned if no other run can be resumed.
+    Raises `Refused` if there is none.
     """
     if name is None:
         digests = Digests(runs)
@@ -514,10 +511,7 @@ def taken_up(
     *,
     results_too: bool = False,
 ) -> tuple[Record, History]:
-    """Open the record of an unfinished run, or of one without results (`results_too`), for writing.
-
-    Raises `Refused` for any other run that has ended, `RecordError` as `Record.reopen`.
-    """
+    """Open the record of an unfinished run (with `results_too`, of one without results). Raises `Refused`."""
     record, history = Record.reopen(run.folder, utc_now, shield)
     if history.state in ENDED and not (results_too and _lacks_results(run, history.state)):
         record.close()
@@ -553,10 +547,7 @@ def refuse_missing_devices(run: Run) -> None:
 
 
 def give_up(run: Run, who: WishAuthor = NOBODY_KNOWN) -> tuple[str, ...]:
-    """End an unfinished run for good; return the tasks that remain, a sentence each.
-
-    Raises `Refused` for a run that has ended, `RecordError` if its record is being written or was changed.
-    """
+    """End an unfinished run for good; return sentences on what remains. Raises `Refused`, `RecordError`."""
     record, history = taken_up(run)
     try:
         bench_s = history.events[-1].bench_s if history.events else 0.0

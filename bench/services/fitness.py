@@ -45,7 +45,7 @@ def reminders(bench: BenchFile) -> Iterator[str]:
 
 
 def is_away(answers: str | None, *, panel: bool) -> bool:
-    """Return whether questions are answered in the run's folder: as `answers` says, else if there is only a panel.
+    """Return whether questions are answered in the run's folder: if `answers` says so, else for a panel alone.
 
     Raises `Refused` for an unknown place in `answers`.
     """
@@ -97,10 +97,7 @@ def in_words(late: list[Standing]) -> str:
 
 
 def agree_to_expired(run: Run, record: Record, asker: Asker | None) -> None:
-    """If the bench file demands it, ask whether to use expired certificates; a no ends the run for good.
-
-    Raises `BenchError` for a no.
-    """
+    """If the bench file demands it, ask whether to use expired certificates. Raises `BenchError` for a no."""
     if run.simulated or asker is None:
         return
     bench = load_bench(run.folder / BENCH)

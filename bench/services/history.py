@@ -63,10 +63,9 @@ OF_THE_REPEATS: Final = (
 
 @dataclass(frozen=True)
 class LearningResult:
-    """The result of `bench learn`: the sizes of a bench's errors (`learned`), and all runs (`sources`).
+    """The result of `bench learn`: sizes (`learned`), and all runs, also those that contradict the others.
 
-    `sources` include the runs that contradict the others. The learned file contains `effects` and is valid
-    until `expires`.
+    The learned file contains `effects` and is valid until `expires`.
     """
 
     learned: Learned
@@ -124,10 +123,7 @@ class LearningResult:
         return self.result.to_dict()
 
     def write(self, path: str | Path) -> None:
-        """Write the learned file.
-
-        Raises `OSError`, and `Refused` if it exists or over a third of the runs contradict the others.
-        """
+        """Write the learned file. Raises `OSError`; `Refused` if it exists or too many runs contradict others."""
         path = Path(path)
         if path.exists():
             raise Refused(f"{path}: exists, and a learned file is not overwritten; name another with --out")
@@ -316,10 +312,7 @@ NOT_VOLTS: Final = "differences between the voltmeters: the signals are in {unit
 
 
 def differences_of(sources: Sequence[Source]) -> MeterDifferences | str:
-    """Return the differences between the voltmeters of a bench, or why these runs do not determine them.
-
-    They follow from calibrations with the bench file's limits, which hardly affect the lengths of K's rows.
-    """
+    """Return the differences between the voltmeters of a bench, or why these runs do not determine them."""
     if sources[0].readings.unit != "V":
         return NOT_VOLTS.format(unit=sources[0].readings.unit)
     known = [
@@ -365,10 +358,7 @@ def _meter_run(source: Source, meters: tuple[str, str, str], day: float) -> Mete
 
 
 def written_meters(found: MeterDifferences) -> dict[str, Any]:
-    """Return the voltmeters' section of a learned file.
-
-    Covariances are multiplied by ν/(ν − 2), ν being the smallest degrees of freedom, at least `FEW_DOF`.
-    """
+    """Return the voltmeters' section of a learned file; covariances are widened for few degrees of freedom."""
     return {
         "meters": list(found.meters),
         "group": list(found.group),
@@ -417,10 +407,7 @@ class ComparisonResult:
 
 
 def compared(request: asked.Compare) -> ComparisonResult:
-    """Compare calibrations of one block.
-
-    Raises `Refused` for invalid dates, `CalibrationError` if there is nothing to compare.
-    """
+    """Compare calibrations of one block. Raises `Refused` for invalid dates, `CalibrationError`."""
     taken: list[tuple[str, BenchTaken]] = []
     snapshots = [one for name in request.sources for one in _snapshots(str(name), request, taken)]
     if request.date:

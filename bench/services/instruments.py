@@ -19,7 +19,6 @@ from bench.config.devices.sections import ChamberForm, HeadForm, SupplyForm
 from bench.results.records import (
     CommissionedPart,
     CommissionResult,
-    FailurePart,
     InstrumentPart,
     render_commissioning,
 )
@@ -120,7 +119,7 @@ class InstrumentLook:
     @property
     def part(self) -> InstrumentPart:
         """The findings as a part of the result."""
-        return InstrumentPart.from_object(self, failures=[FailurePart.from_object(f) for f in self.failures])
+        return InstrumentPart.from_object(self)
 
 
 def look_at(file: BenchFile, wire: WireLog | None, haste: Haste | None = None) -> list[InstrumentLook]:
@@ -182,7 +181,6 @@ def _look_at_all(
 
 
 def _look_at(instrument: Instrument, row: InstrumentLook, range_v: float) -> None:
-    """Open, test, read and close one instrument, and note every fault in its row."""
     try:
         row.identity = instrument.open()
         if row.identity.maker == _BY_HAND:
@@ -267,7 +265,12 @@ def commission(setting: CommissioningPlan) -> dict[str, Any]:
     The bench is left safe and the page written whatever happens. Raises `Refused`, and `BenchError` for a bench
     that cannot be simulated.
     """
-    _take(setting.folder)
+    folder = setting.folder
+    if (folder / PAGE).exists() or (folder / WIRE_LOG).exists():
+        raise Refused(f"{folder}: already holds a commissioning; name another folder with --out")
+    with refusing("name another folder with --out", folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / WIRE_LOG).touch()
     began = utc_now()
     with logged_wire(setting.folder / WIRE_LOG) as log, Interrupts() as interrupts:
         entered: AbstractContextManager[CommissioningSession]
@@ -289,22 +292,10 @@ def commission(setting: CommissioningPlan) -> dict[str, Any]:
     return result
 
 
-def _take(folder: Path) -> None:
-    """Create the folder of a commissioning. Raises `Refused`, also if it already holds one."""
-    if (folder / PAGE).exists() or (folder / WIRE_LOG).exists():
-        raise Refused(f"{folder}: already holds a commissioning; name another folder with --out")
-    with refusing("name another folder with --out", folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / WIRE_LOG).touch()
-
-
 def _gone_through(
     course: Callable[[CommissioningSession], None], evening: CommissioningSession, interrupts: Interrupts
 ) -> str:
-    """Carry out a session of checks; return why it stopped early, "" if it was completed.
-
-    Afterwards SIGINT raises no exception, so that the bench is left safe and the page is written.
-    """
+    """Carry out checks; return why they stopped early, or "". From then on, a signal raises no exception."""
     try:
         try:
             course(evening)

@@ -57,10 +57,7 @@ def knowing_effects_on_record(run: Run) -> AbstractContextManager[None]:
 
 
 def accept_terms(request: Accept) -> tuple[Path, Path]:
-    """Write an effect file with the newly named terms, and a model file that uses it; return both paths.
-
-    Raises `Refused` for invalid terms or names and if a file exists, `FileMistakes` for an invalid model file.
-    """
+    """Write an effect file with the named terms, and a model file with it; return both paths. Raises `Refused`."""
     model, name = request.model, request.name
     file = load_model(model)
     try:
@@ -92,10 +89,7 @@ def accept_terms(request: Accept) -> tuple[Path, Path]:
 
 
 def simulated_truth(bench: BenchFile, model: Path | None) -> ForwardModel:
-    """Return the model that the simulated bench obeys: the effects of the bench file and of the model file.
-
-    Raises `Refused` for an effect of a single pass, because the simulated instruments do not know the pass.
-    """
+    """Return the model that the simulated bench obeys. Raises `Refused` for an effect of single passes."""
     installations = bench.installation_models()
     effects = bench.applied_effects()
     if model is not None:

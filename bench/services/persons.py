@@ -152,10 +152,7 @@ def _holds_key(person: Person, file: str | None) -> bool:
 
 
 def operator_of(name: str, laboratory: Path | None, *, needed: bool) -> tuple[str, OperatorPerson | None]:
-    """Return the operator's name, and data on that person for the run's record (None without a register).
-
-    Raises `Refused` for a name that is not UTF-8, may not operate or, if `needed`, is missing.
-    """
+    """Return the operator's name, and data for the run's record (None without register). Raises `Refused`."""
     if re.search("[\ud800-\udfff]", name):
         raise Refused("--operator: the name is not UTF-8 text; set the terminal to UTF-8 and type it again")
     register = persons_of(laboratory_known(laboratory))
@@ -188,10 +185,7 @@ def resumer(where: str, name: str) -> WishAuthor:
 
 
 def persons(request: ChangePersons) -> PersonsResult:
-    """Carry out the requested change of the register, if any, and return the register.
-
-    The first line adds an administrator. Raises `Refused` if nobody who may administer acts or would remain.
-    """
+    """Carry out the requested change of the register, if any, and return it. Raises `Refused`."""
     laboratory = laboratory_needed(request.laboratory, "the register of persons is a folder beside it")
     if request.what is None:
         return _listed(persons_of(laboratory) or Persons(laboratory.absolute().parent / FOLDER))

@@ -94,7 +94,6 @@ def _identity(resource: str) -> Identity:
 
 
 def _device_of(identity: Identity) -> Device | None:
-    """Return the device whose facts name the model of an identity; None if none does."""
     roles: tuple[Role, ...] = ("voltmeter", "power_supply", "chamber")
     for role in roles:
         for device in devices().of(role):

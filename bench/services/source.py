@@ -24,6 +24,7 @@ from bench.readings.table import Readings
 from bench.results.parts import FailedPart
 from bench.run.events import MANIFEST, RecordError, sha256
 from bench.run.folder import IMPORTED, Run, find_run
+from bench.services import traceability
 from bench.services.bench_selection import (
     BenchTaken,
     Origin,
@@ -35,16 +36,6 @@ from bench.services.bench_selection import (
 )
 from bench.services.errors import Refused, sentence
 from bench.services.requests.shared import Bench, OnReadings, runs_folder
-from bench.services.traceability import (
-    NOTHING_LEARNED,
-    LearnedTaken,
-    Traced,
-    take_learned,
-    trace,
-    voltmeter_names,
-    with_effects,
-    with_meters,
-)
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -115,7 +106,7 @@ class Source:
     origin: Origin | None
     request: Request
     as_read: Readings
-    traced: Traced
+    traced: traceability.Traced
     effects: tuple[Effect, ...] = ()
     known: KnownStand | None = None
     known_meters: KnownMeters | None = None
@@ -276,9 +267,9 @@ def _load(given: Given, request: Request) -> Source:
         notes += of_model
         own += file.own_effects()
     as_read = readings
-    bench, readings, traced = trace(taken, bench, readings, told.origin)
+    bench, readings, traced = traceability.trace(taken, bench, readings, told.origin)
     learned = _learned(given, taken, bench, as_read, traced, run, told)
-    model = with_effects(model, learned.effects)
+    model = traceability.with_effects(model, learned.effects)
     if learned.meters is not None:
         traced = replace(traced, by=traced.by.then(learned.meters.gain, learned.meters.offset_v))
         readings = corrected(as_read, traced.by)
@@ -307,15 +298,15 @@ def _learned(
     taken: BenchTaken,
     bench: BenchFile,
     readings: Readings,
-    traced: Traced,
+    traced: traceability.Traced,
     run: Run | None,
     told: OriginBeside,
-) -> LearnedTaken:
+) -> traceability.LearnedTaken:
     file = taken.learned()
     if file is None:
-        return NOTHING_LEARNED
+        return traceability.NOTHING_LEARNED
     name = given if isinstance(given, str) else ""
-    found = take_learned(
+    found = traceability.take_learned(
         file,
         traced.day,
         readings.unit,
@@ -325,7 +316,9 @@ def _learned(
     )
     if found.known is None or readings.unit != VOLTS or readings.corrected:
         return found
-    return with_meters(found, file, bench, traced.day, voltmeter_names(bench, taken, told.origin, name))
+    return traceability.with_meters(
+        found, file, bench, traced.day, traceability.voltmeter_names(bench, taken, told.origin, name)
+    )
 
 
 def _on_check_block(run: Run) -> tuple[str, ...]:
@@ -493,7 +486,6 @@ def provenance(source: Source) -> dict[str, str]:
 
 
 def _measured(origin: Origin) -> dict[str, str]:
-    """Return date, operator, procedure and instruments, as recorded with the run, by label, for a report."""
     stated = {"begun": civil_minute(origin.begun), "operator": origin.operator or message("not stated")}
     if origin.procedure:
         stated["procedure"] = message(f"{shown_path(origin.procedure)} (plan SHA-256 {origin.plan_hash})")

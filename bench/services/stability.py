@@ -69,11 +69,7 @@ class RecordAtRest:
 
 
 def at_rest(request: asked.Stability) -> RecordAtRest:
-    """Return noise and drift of a static record, and the averaging that a reading needs.
-
-    Raises `Refused` for invalid options and a run in which the block was turned, `ReadingsError`,
-    `CalibrationError`.
-    """
+    """Return noise and drift of a static record, and the averaging that a reading needs. Raises `Refused`."""
     size, runs = request.size, runs_folder(request.runs)
     if size is not None and not (math.isfinite(size) and size > 0):
         raise Refused(f"--size {size}: give a positive number in the unit of the signals")

@@ -6,7 +6,7 @@ import datetime
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -72,11 +72,7 @@ class Traced:
 
     def parts(self) -> list[CorrectionPart]:
         """Return the part of a result for each certificate."""
-        return [CorrectionPart(**one) for one in self.to_json()]
-
-    def to_json(self) -> list[dict[str, Any]]:
-        """Return the members of a result for each certificate."""
-        return [standing.to_json(why_not=why_not) for standing, why_not in self.entries]
+        return [CorrectionPart(**standing.to_json(why_not=why_not)) for standing, why_not in self.entries]
 
     def stated(self) -> dict[str, str]:
         """Return a description of each certificate for the page, by instrument."""
@@ -205,7 +201,7 @@ SIMULATED: Final = "the sizes of learned file {bench} come from simulated runs"
 
 @dataclass(frozen=True)
 class LearnedTaken:
-    """What is valid of a learned file, with notes; `name` identifies its differences of voltmeters, `meters`."""
+    """The valid part of a learned file, with notes; `name` identifies the voltmeter differences in `meters`."""
 
     known: KnownStand | None = None
     effects: tuple[AppliedEffect, ...] = ()
@@ -227,7 +223,7 @@ def take_learned(
     hashes: tuple[str, ...] = (),
     simulated: bool | None = None,
 ) -> LearnedTaken:
-    """Return what is valid of a learned file for readings made on `day` with signals in `unit`.
+    """Return the valid part of a learned file for readings made on `day` with signals in `unit`.
 
     `head` and `hashes` identify the record of the readings; `simulated` is None if that is not known.
     """
@@ -256,7 +252,7 @@ def take_learned(
 
 
 def learned_for_run(bench: BenchFile, path: Path, created: str, *, simulated: bool | None) -> LearnedTaken:
-    """Return what is valid of the learned file that a bench file at `path` names, on the day `created`.
+    """Return the valid part of the learned file that a bench file at `path` names, on the day `created`.
 
     If `path` is the run's own copy, later changes of the original files have no effect. Raises `FileMistakes`.
     """
