@@ -34,10 +34,10 @@ class Option:
     """The user interface of a request's field: a line of help, and its form on the command line.
 
     `flags` default to "--name", or "--name/--no-name" for a switch whose default is on; a positional `argument` has
-    none. `completes` names the shell completion ("bench_files", …; `bench.cli.completing`), `least` and `most`
-    limit a number. `typed` is the type on the command line, stated if the Python field also accepts objects (a
-    table, a loaded bench file). The short help shows arguments and `common` options only. `also` is an older option
-    that is still accepted in place of the argument.
+    none. `metavar` is the value's name in the help; the default for a path is FILE. `completes` names the shell
+    completion ("bench_files", …; `bench.cli.completing`), `least` and `most` limit a number. `typed` is the type on
+    the command line, if it does not follow from that of the field. The short help leaves out `rare` options. `also`
+    is an older option that is still accepted in place of the argument.
     """
 
     help: str
@@ -49,7 +49,7 @@ class Option:
     least: float | None = None
     most: float | None = None
     typed: Any = None
-    common: bool = False
+    rare: bool = False
     also: str = ""
 
 

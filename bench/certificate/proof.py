@@ -95,7 +95,7 @@ class Writer:
     def figure(self, svg: str, key: str, width_mm: float, **values: object) -> Block:
         """Return a figure block from an inline SVG element; `key` is the key of the caption."""
         told = self.say(key, **values)
-        alone = svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
+        alone = str(svg).replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
         return {"kind": "figure", "svg": alone, "words": told, "width": width_mm, "alt": told[0]}
 
 

@@ -89,8 +89,7 @@ def _print_link(run: Path, out: Console, operator: str, laboratory: Path | None)
 
 def _results(run: Run, interrupts: Interrupts, json: str | None, out: Console) -> int:
     """Make and print the results of a finished run; return the exit status."""
-    from bench.services.conclusion import make_results
-    from bench.services.ending import ending
+    from bench.services.conclusion import ending, make_results
 
     found = make_results(run, interrupts)
     verdict, *others = ending(found)

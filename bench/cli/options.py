@@ -27,6 +27,7 @@ from bench.cli import completing
 from bench.cli.commands import COMMANDS, COMPLETED_BY, KNOWN, MORE, BenchCommand, CommandGroup, Commands
 from bench.config.devices import FOLDERS
 from bench.services.errors import Refused
+from bench.services.requests import shared
 
 devices_given: ContextVar[tuple[str, ...]] = ContextVar("devices_given", default=())
 """The folders that `--devices` names, as they were typed."""
@@ -241,17 +242,30 @@ def _requests(hints: dict[str, Any]) -> Any:
             yield name, inner, inner is not hint
 
 
+TYPED: Final[dict[Any, Any]] = {
+    str | Path: Path,
+    str | Path | None: Path | None,
+    Sequence[str]: list[str],
+    Sequence[str] | None: list[str] | None,
+    shared.Data: str,
+    Sequence[shared.Data]: list[str],
+    shared.Bench: str | None,
+}
+"""The type on the command line of a field whose Python type also accepts objects, such as a table."""
+
+
 def _parameter(field: RequestField, *, several: bool) -> inspect.Parameter:
     option = field.option
-    kind: Any = option.typed or (Path | None if field.type == str | Path | None else field.type)
-    common: dict[str, Any] = {"help": option.help, "metavar": option.metavar, "envvar": option.environment}
+    kind: Any = option.typed or TYPED.get(field.type, field.type)
+    value = option.metavar or ("FILE" if kind in {Path, Path | None} and not option.argument else None)
+    common: dict[str, Any] = {"help": option.help, "metavar": value, "envvar": option.environment}
     if option.completes is not None:
         common["autocompletion"] = getattr(completing, option.completes)
     if option.least is not None:
         common["min"] = option.least
     if option.most is not None:
         common["max"] = option.most
-    if not (option.argument or option.common):
+    if option.rare:
         common["rich_help_panel"] = MORE
     info: Any = typer.Argument if option.argument else partial(typer.Option, *(option.flags or _flags(field)))
     return inspect.Parameter(

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
-from markupsafe import Markup
 from pydantic import Field
 from rich.console import Console
 from rich.table import Table
@@ -223,25 +222,15 @@ def budget_result(
         ),
         covariance=total.covariance,
         correlation=total.correlation,
-        per_local_g=CovariancePart.from_object(budget.per_local_g),
-        groups={
-            group: CovariancePart.from_object(budget.of_group(group))
-            for group in dict.fromkeys(c.source.group for c in contributions)
-        },
+        per_local_g=budget.per_local_g,
+        groups={c.source.group: budget.of_group(c.source.group) for c in contributions},
         sources={c.source.name: _source_part(c) for c in contributions},
         acceleration=AccelerationPart(
             range_g=question.range_g,
             same_voltmeters=question.same_voltmeters,
             magnitudes=found.accelerations,
         ),
-        verification=VerificationPart.model_validate(
-            {
-                **question.rule.to_json(),
-                "limit_g": question.limit_g,
-                "capable": found.capable,
-                "points": found.points,
-            }
-        ),
+        verification=VerificationPart.from_object(found, limit_g=question.limit_g, **question.rule.to_json()),
         monte_carlo=None if found.exact is None else _monte_carlo_part(found.exact),
         notes=found.notes,
     )  # fmt: skip
@@ -348,21 +337,21 @@ POINT_COLUMNS: Final = ("u(Δg)", "U(Δg)", "accepted up to", "passes", "most of
 
 def _by_source(result: BudgetResult) -> Iterator[Row]:
     for name, source in result.sources.items():
-        yield Row(f"{name}{'*' if source.prior else ''}", _micro(source.contribution_u))
+        yield Row(f"{name}{'*' if source.prior else ''}", *_micro(source.contribution_u))
 
 
 def _combined(result: BudgetResult) -> Iterator[Row]:
     """Yield the rows below the sources: u of the stand, combined u (exact or stated local g), dof, U."""
     coefficients = [result.coefficients[name] for name in result.order]
     if "stand" in result.groups:
-        yield Row("stand, as calibrate states", _micro(result.groups["stand"].u))
-    yield Row("combined u, per local g", _micro(result.per_local_g.u))
-    yield Row("combined u", _micro(one.u for one in coefficients))
+        yield Row("stand, as calibrate states", *_micro(result.groups["stand"].u))
+    yield Row("combined u, per local g", *_micro(result.per_local_g.u))
+    yield Row("combined u", *_micro(one.u for one in coefficients))
     if any(one.dof is not None for one in coefficients):
-        yield Row("effective dof", tuple(_dof(one.dof, ".0f") for one in coefficients))
+        yield Row("effective dof", *(_dof(one.dof, ".0f") for one in coefficients))
     factors = [one.k for one in coefficients]
     k = f"k = {factors[0]:.2f}" if max(factors) - min(factors) < 0.005 else "k by dof"
-    yield Row(f"U ({k}, {100 * result.probability:.4g} %)", _micro(one.U for one in coefficients))
+    yield Row(f"U ({k}, {100 * result.probability:.4g} %)", *_micro(one.U for one in coefficients))
 
 
 def _by_magnitude(result: BudgetResult) -> Iterator[Row]:
@@ -370,20 +359,18 @@ def _by_magnitude(result: BudgetResult) -> Iterator[Row]:
         name = max(at.share, key=at.share.__getitem__)
         sizes = (at.u_modulus_mean, at.u_modulus_max, at.U_modulus_max, at.u_vector_mean, at.u_vector_max)
         cells = (f"{1e6 * size:.1f}" for size in sizes)
-        yield Row(f"{at.magnitude_g:g} g", (*cells, f"{name} {100 * at.share[name]:.0f} %"))
+        yield Row(f"{at.magnitude_g:g} g", *cells, f"{name} {100 * at.share[name]:.0f} %")
 
 
 def _by_point(check: VerificationPart) -> Iterator[Row]:
     for point in check.points:
         yield Row(
             f"{point.point} at {point.angle_deg:g}°",
-            (
-                f"{1e6 * point.u:.1f} µg",
-                f"{1e6 * point.U:.1f} µg",
-                f"{1e6 * point.accepted_up_to:.1f} µg" if point.accepted_up_to > 0 else "nothing",
-                f"{100 * point.passes:.4g} %",
-                max(point.by_source, key=point.by_source.__getitem__),
-            ),
+            f"{1e6 * point.u:.1f} µg",
+            f"{1e6 * point.U:.1f} µg",
+            f"{1e6 * point.accepted_up_to:.1f} µg" if point.accepted_up_to > 0 else "nothing",
+            f"{100 * point.passes:.4g} %",
+            max(point.by_source, key=point.by_source.__getitem__),
             bad=not point.capable,
         )
 
@@ -395,7 +382,7 @@ def _by_output(found: MonteCarloPart) -> Iterator[Row]:
             f"{one.ratio:.3f}",
             *_micro([*one.differences, one.tolerance]),
         ]
-        yield Row(name, (*sizes, "yes" if one.validated else "no"), bad=not one.validated)
+        yield Row(name, *sizes, "yes" if one.validated else "no", bad=not one.validated)
 
 
 def _dof(dof: float | None, form: str) -> str:
@@ -417,12 +404,16 @@ def render_budget(result: BudgetResult) -> str:
         result=result,
         headings=["source", *(tables.symbol(name) for name in result.order)],
         coefficients=[
-            replace(row, head=row.head.replace("_", " ")) for row in (*_by_source(result), *_combined(result))
+            Row(row.head.replace("_", " "), *row.cells) for row in (*_by_source(result), *_combined(result))
         ],
         sources=[
             Row(
                 f"{name.replace('_', ' ')} ({one.symbol})",
-                (one.shown, one.distribution, one.common_to, _dof(one.dof, "g"), one.origin),
+                one.shown,
+                one.distribution,
+                one.common_to,
+                _dof(one.dof, "g"),
+                one.origin,
             )
             for name, one in result.sources.items()
         ],
@@ -434,8 +425,8 @@ def render_budget(result: BudgetResult) -> str:
         limit=f"{1e6 * check.limit_g:g}",
         rule_in_words=rule_in_words(check.decision),
         monte_carlo=[] if result.monte_carlo is None else list(_by_output(result.monte_carlo)),
-        contributions=Markup(contributions(result).svg()),  # noqa: S704 - our own drawing
-        modulus=Markup(modulus(result).svg()),  # noqa: S704
+        contributions=contributions(result).svg(),
+        modulus=modulus(result).svg(),
     )
 
 
@@ -474,9 +465,7 @@ def figures(result: BudgetResult) -> tuple[BudgetFigure, ...]:
 
 
 def contributions(result: BudgetResult) -> BudgetFigure:
-    """Return a bar chart of each coefficient's combined u, divided among the sources in proportion to their
-    variances.
-    """
+    """Return a bar chart of each coefficient's u, divided among the sources in proportion to variance."""
     names = result.order
     u = np.array([result.coefficients[name].u for name in names])
     parts = {name: np.array(source.contribution_u) ** 2 for name, source in result.sources.items()}

@@ -16,8 +16,9 @@ from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.estimators import find_estimator
 from bench.calibration.intrinsic import intrinsic_of
-from bench.calibration.result import COVERAGE_FACTOR, Calibration, NoisePrior, Triangular
+from bench.calibration.result import COVERAGE_FACTOR, Calibration, Triangular
 from bench.model.geometry import COEFFICIENTS
+from bench.results import parts
 from bench.results.intrinsic import (
     IntrinsicPart,
     JointPart,
@@ -25,37 +26,18 @@ from bench.results.intrinsic import (
     joint_in_words,
     joint_members,
 )
-from bench.results.parts import (
-    BenchPart,
-    ChannelsPart,
-    CoefficientPart,
-    CorrectionPart,
-    EstimatePart,
-    FitPart,
-    ReadingsPart,
-    RecordPart,
-    UncertaintySourcePart,
-    UnitPart,
-    ValuePart,
-    by_channel,
-    by_coefficient,
-    by_name,
-    coefficient_unit,
-    fit_in_words,
-    uncertainty_source,
-)
 
 
 class PerMs2Part(ResultModel):
     """K per m/s²: K per g divided by `g_m_s2`, with the uncertainty of local gravity included in `u`."""
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, ValuePart]
+    __pydantic_extra__: dict[str, parts.ValuePart]
 
     unit: str
 
 
-class WidenedFitPart(FitPart):
+class WidenedFitPart(parts.FitPart):
     """A test for lack of fit against the repeats, and the factor by which a lack of fit widens u."""
 
     birge: float = Field(description="factor on u because the model does not fit; 1 if it does")
@@ -94,7 +76,7 @@ class DriftPart(ResultModel):
     per_hour: dict[str, float]
 
 
-class NoisePart(ChannelsPart):
+class NoisePart(parts.ChannelsPart):
     """Standard deviations of noise: of a single reading, by channel, and shared by several readings."""
 
     reading_v: float = Field(
@@ -105,7 +87,7 @@ class NoisePart(ChannelsPart):
     p_tails: Real = Field(description="p-value for Gaussian noise, by the tails of the residuals")
     shared: list[ComponentPart]
     drift: DriftPart | None
-    wander: ChannelsPart | None = Field(
+    wander: parts.ChannelsPart | None = Field(
         description="rms wander of each bias about its mean during the run, as found or as the readings "
         "permit; null if it was not estimated"
     )
@@ -206,7 +188,7 @@ class CalibrateResult(ResultModel):
     unit: str = Field(description="unit of the signals")
     g_m_s2: float = Field(description="local gravity, m/s²")
     per: str = Field(description="unit of acceleration of the coefficients: local g")
-    coefficients: dict[str, CoefficientPart] = Field(
+    coefficients: dict[str, parts.CoefficientPart] = Field(
         description="the twelve coefficients `Kxx`, `Kxy`, … `Kzz`, `U0x`, `U0y`, `U0z`, in unit/g and unit"
     )
     coefficients_per_ms2: PerMs2Part
@@ -232,11 +214,13 @@ class CalibrateResult(ResultModel):
     gravity_u: float = Field(
         description="relative standard uncertainty of local gravity; included only in `coefficients_per_ms2`"
     )
-    sources: list[UncertaintySourcePart] = Field(description="sources of uncertainty that no reading shows")
-    stand: dict[str, EstimatePart] = Field(
+    sources: list[parts.UncertaintySourcePart] = Field(
+        description="sources of uncertainty that no reading shows"
+    )
+    stand: dict[str, parts.EstimatePart] = Field(
         description="angles of the stand estimated from the readings, by name and installation"
     )
-    effects: dict[str, EstimatePart] = Field(
+    effects: dict[str, parts.EstimatePart] = Field(
         description="estimated parameters of the effects of the model file; absent without a model file"
     )
     temperature_effects: list[str] = Field(
@@ -248,24 +232,24 @@ class CalibrateResult(ResultModel):
     )
     residual: WidenedFitPart
     noise: NoisePart
-    readings: ReadingsPart
+    readings: parts.ReadingsPart
     model: str = Field(description="name of the forward model")
     angles: str = Field(description="angles used: `read back` or `nominal`")
     outliers: list[OutlierPart]
     free_positions: FreePositionsPart | None
     triangular: TriangularPart | None
     source: str = Field(description="run or readings file")
-    bench: BenchPart | None = Field(
+    bench: parts.BenchPart | None = Field(
         default=None, description="bench file used; null for a result read from a certificate"
     )
     made_at: str | None = Field(description="time of the readings (ISO 8601), if known")
-    unit_under_test: UnitPart | None
+    unit_under_test: parts.UnitPart | None
     simulated: bool = Field(description="whether the instruments were simulated")
     meters: list[str] = Field(description="identity and connection of each voltmeter; empty if not recorded")
-    corrections: list[CorrectionPart] = Field(
+    corrections: list[parts.CorrectionPart] = Field(
         default=[], description="certificates of the instruments; empty if there are none"
     )
-    record: RecordPart | None = Field(default=None, description="record of the run; absent for a file")
+    record: parts.RecordPart | None = Field(default=None, description="record of the run; absent for a file")
     prior: PriorPart | None = Field(default=None, description="prior from other units; absent if unused")
     certificate: CertificateReadPart | None = Field(
         default=None,
@@ -280,12 +264,14 @@ def calibrate_result(found: Calibration, **made_from: Any) -> CalibrateResult:
     return CalibrateResult.from_object(
         found,
         per="g",
-        coefficients=by_coefficient(CoefficientPart, found, value=found.block.vector, k=COVERAGE_FACTOR),
+        coefficients=parts.by_coefficient(
+            parts.CoefficientPart, found, value=found.block.vector, k=COVERAGE_FACTOR
+        ),
         coefficients_per_ms2=_per_ms2(found),
         **joint_members(found),
         order=COEFFICIENTS,
         block_terms=found.block_terms.T,
-        sources=[uncertainty_source(source) for source in found.sources],
+        sources=[parts.uncertainty_source(source) for source in found.sources],
         not_observable=found.assumed,
         residual=WidenedFitPart.from_object(found.lack_of_fit, birge=found.birge),
         noise=_noise(found),
@@ -300,33 +286,33 @@ def _per_ms2(found: Calibration) -> dict[str, Any]:
     """Return K in unit/(m/s²), calculated from K per g and local g; its u includes those of both."""
     values = found.block.vector[:9]
     u = np.hypot(found.u[:9], values * found.gravity_u) / found.g_m_s2
-    rows = by_name(COEFFICIENTS[:9], ValuePart, value=values / found.g_m_s2, u=u)
+    rows = parts.by_name(COEFFICIENTS[:9], parts.ValuePart, value=values / found.g_m_s2, u=u)
     return {"unit": f"{found.unit}/(m/s^2)", **rows}
 
 
 def _noise(found: Calibration) -> NoisePart:
     noise, drift, limits = found.noise, found.drift, found.noise.setting_limits_rad
+    prior = noise.prior
     return NoisePart.from_object(
         noise,
         reading_v=noise.reading,
-        **by_channel(noise.by_channel),
+        **parts.by_channel(noise.by_channel),
         p_tails=found.p_tails,
         shared=found.shared,
         drift=drift
-        and DriftPart(hours=drift.hours, rms=by_channel(drift.size), per_hour=by_channel(drift.per_hour)),
-        wander=None if found.wander is None else by_channel(found.wander),
+        and DriftPart(
+            hours=drift.hours, rms=parts.by_channel(drift.size), per_hour=parts.by_channel(drift.per_hour)
+        ),
+        wander=None if found.wander is None else parts.by_channel(found.wander),
         setting_arcsec=noise.setting_rad / ARCSEC,
         setting_limits_arcsec=None if limits is None else [limit / ARCSEC for limit in limits],
-        prior=noise.prior and _noise_prior(noise.prior),
-    )
-
-
-def _noise_prior(prior: NoisePrior) -> NoisePriorPart:
-    return NoisePriorPart.from_object(
-        prior,
-        reading_v=prior.reading,
-        setting_arcsec=prior.setting_rad / ARCSEC,
-        from_="bench file" if prior.stated else "other runs",
+        prior=prior
+        and NoisePriorPart.from_object(
+            prior,
+            reading_v=prior.reading,
+            setting_arcsec=prior.setting_rad / ARCSEC,
+            from_="bench file" if prior.stated else "other runs",
+        ),
     )
 
 
@@ -383,7 +369,9 @@ def coefficients_table(found: Calibration) -> Table:
         if value == 0.0 and u == 0.0:
             shown.add_row(name, "0", "", "", "", "by convention")
             continue
-        shown.add_row(name, *(fixed(size, places(u)) for size in sizes), coefficient_unit(name, found.unit))
+        shown.add_row(
+            name, *(fixed(size, places(u)) for size in sizes), parts.coefficient_unit(name, found.unit)
+        )
     return shown
 
 
@@ -397,7 +385,7 @@ def sources_table(found: Calibration) -> Table:
         j = int(np.argmax(u / np.maximum(found.u, 1e-300)))
         name = COEFFICIENTS[j]
         size = scale_for(float(u[j]), found.unit)
-        cost = f"{uncertainty(float(u[j]) / size.size)} {coefficient_unit(name, size.unit)}"
+        cost = f"{uncertainty(float(u[j]) / size.size)} {parts.coefficient_unit(name, size.unit)}"
         origin = f"{source.origin} (prior)" if source.prior else source.origin
         shown.add_row(source.name.replace("_", " "), source.size, origin, cost, name)
     return shown
@@ -450,4 +438,4 @@ def fit_in_a_line(found: Calibration) -> str:
     """Return a line that states whether the model fits the readings, with the numbers of the test."""
     how = "; u is widened for this misfit" if found.shared else ""
     how = f"; u is {found.birge:.2g} times that of the noise" if found.birge > 1 else how
-    return fit_in_words(found.lack_of_fit, f"THE MODEL DOES NOT FIT the readings{how}")
+    return parts.fit_in_words(found.lack_of_fit, f"THE MODEL DOES NOT FIT the readings{how}")

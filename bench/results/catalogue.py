@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
-from markupsafe import Markup
 from pydantic import Field
 from rich.console import Console
 
@@ -246,7 +245,7 @@ def unit_page(result: UnitResult) -> str:
     return page(
         "unit.html.j2",
         history=result,
-        figure=Markup(unit_figure(calibrations)) if calibrations else None,  # noqa: S704 - our own drawing
+        figure=unit_figure(calibrations, inline=True) if calibrations else None,
         expected=_expected(result.due),
         rows=coefficient_rows(calibrations),
         headings=[column.replace("_", " ") for column in _RUN_COLUMNS],
@@ -255,28 +254,13 @@ def unit_page(result: UnitResult) -> str:
 
 
 def _expected(due: DuePart | None) -> list[str]:
-    """Return as text the errors, in µg, expected at the last calibration and on the due date."""
     sizes = [due.error_at_last_g, due.error_when_due_g] if due else []
     return ["–" if size is None else two_digits(size * 1e6) for size in sizes]
 
 
-def unit_figure(calibrations: Sequence[UnitCalibration]) -> str:
-    """Return an SVG element: each coefficient minus its last value, against time, with bars U (k = 2)."""
-    from bench.results.plots import svg_figure
-
-    words = f"Each of the twelve coefficients in {len(calibrations)} calibrations, less its last value"
-    return svg_figure("unit", INCHES, _drawing(calibrations), words)
-
-
-def unit_file(calibrations: Sequence[UnitCalibration]) -> str:
-    """Return the figure of `unit_figure` as a standalone SVG file."""
-    from bench.results.plots import svg_file
-
-    return svg_file("unit", INCHES, _drawing(calibrations))
-
-
-def _drawing(calibrations: Sequence[UnitCalibration]) -> Callable[[Figure], None]:
-    from bench.results.plots import BLUE, GREY, symbol
+def unit_figure(calibrations: Sequence[UnitCalibration], *, inline: bool = False) -> str:
+    """Return an SVG file, or an element if `inline`: each coefficient minus its last value, with U (k = 2)."""
+    from bench.results.plots import BLUE, GREY, svg_figure, svg_file, symbol
 
     dates = np.array([one.created[:19] for one in calibrations], dtype="datetime64[s]")
     values, sizes = _arrays(calibrations)
@@ -297,7 +281,10 @@ def _drawing(calibrations: Sequence[UnitCalibration]) -> Callable[[Figure], None
             ends = [dates[0], dates[-1]] if dates[-1] > dates[0] else [dates[0]]
             axes.set_xticks([end.astype(object) for end in ends], [str(end)[:10] for end in ends])
 
-    return draw
+    if not inline:
+        return svg_file("unit", INCHES, draw)
+    words = f"Each of the twelve coefficients in {len(calibrations)} calibrations, less its last value"
+    return svg_figure("unit", INCHES, draw, words)
 
 
 def coefficient_rows(calibrations: Sequence[UnitCalibration]) -> list[tuple[str, ...]]:

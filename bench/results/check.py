@@ -194,7 +194,6 @@ def print_findings(found: Findings, out: Console, *, every_step: bool = False) -
 
 
 def _coefficients_in_words(not_determined: list[OpenCoefficients]) -> Iterator[str]:
-    """Yield sentences on the coefficients that a calibration determines, at each of several temperatures."""
     if not not_determined:
         yield "no calibration: the procedure has no reading in an installation of known orientation"
     temperatures: dict[tuple[str, ...], list[str]] = {}
@@ -216,7 +215,6 @@ def _coefficients_in_words(not_determined: list[OpenCoefficients]) -> Iterator[s
 
 
 def _open_in_words(found: Outlook | None) -> Iterator[str]:
-    """Yield sentences on combinations of coefficients that the readings leave open, and on remedies."""
     if found is None:
         return
     for sentence in found.open:
@@ -279,8 +277,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """A pattern of `period` steps from index `start` on, carried out `times` times at various points and
-    angles.
+    """A pattern of `period` steps from index `start` on, carried out `times` times in a row.
 
     Blocks of equal `shape` differ only in point, angle and pass.
     """
@@ -312,7 +309,6 @@ def listing(plan: Plan, *, every_step: bool = False) -> Iterator[Line]:
 
 
 def _blocks(steps: Sequence[Step]) -> Iterator[_Block]:
-    """Divide steps into blocks that repeat a short pattern of steps."""
     within_pass = [_shape(step, _POINT) for step in steps]
     for start, period, times in _folded(within_pass, 2):
         shape = tuple(_shape(step, _POINT_AND_PASS) for step in steps[start : start + period])
@@ -322,8 +318,8 @@ def _blocks(steps: Sequence[Step]) -> Iterator[_Block]:
 def _folded(shapes: Sequence[object], fewest: int) -> Iterator[tuple[int, int, int]]:
     """Yield start index, period and number of repetitions of each pattern in the sequence `shapes`.
 
-    At each element, the pattern that covers most elements is chosen, if it repeats at least `fewest` times.
-    Otherwise the element is yielded alone, with period and repetitions 1.
+    At each element, the pattern that covers most elements is chosen, if it repeats at least `fewest` times;
+    otherwise period and repetitions are 1.
     """
     numbers: dict[object, int] = {}
     codes = [numbers.setdefault(shape, len(numbers)) for shape in shapes]
@@ -360,7 +356,6 @@ def _shape(step: Step, without: frozenset[str]) -> tuple[Any, ...]:
 
 
 def _block_in_words(steps: Sequence[Step], block: _Block) -> str:
-    """Return a description of a block of steps."""
     if block.times == 1 and block.period == 1:
         return steps[block.start].describe()
     unit = steps[block.start : block.start + block.period]

@@ -193,9 +193,7 @@ def print_compare(result: CompareResult, out: Console) -> None:
 
 
 def verdict_of(result: CompareResult) -> str:
-    """Return a clause that states whether the block changed, by the joint test of its nine intrinsic numbers,
-    and which numbers did.
-    """
+    """Return a clause on whether the block changed, and on which of its numbers did."""
     nine = [name for one in result.compared for name, row in one.intrinsic.values.items() if row.changed]
     twelve = [name for one in result.compared for name, row in one.coefficients.items() if row.changed]
     if result.changed:
@@ -237,10 +235,7 @@ def _drift_table(drift: LinesPart) -> Table:
 
 
 def history_figure(comparison: Comparison) -> str:
-    """Return an SVG file that plots each intrinsic number minus its first value, with bars of ±U (k = 2).
-
-    Numbers that changed are red crosses.
-    """
+    """Return an SVG file: each intrinsic number minus its first value, with U (k = 2); changed ones red."""
     found = comparison.nine
     snapshots = [found.first, *(changes.later for changes in found.changes)]
     dates = [snapshot.when for snapshot in snapshots if snapshot.when is not None]
@@ -395,10 +390,7 @@ def _equivalences(of: BenchComparison, numbers: BenchesIn) -> dict[str, Equivale
 def _together(of: BenchComparison, numbers: BenchesIn) -> AllTogether:
     names = _pairs_of(of, numbers)
     return AllTogether(
-        benches={
-            name: TogetherPart.from_object(one)
-            for name, one in zip(of.benches, numbers.together, strict=True)
-        },
+        benches=dict(zip(of.benches, numbers.together, strict=True)),
         pairs=[
             PairTogether.from_object(one, **who)
             for one, who in zip(numbers.pairs_together, names, strict=True)
@@ -415,9 +407,7 @@ def _beyond(of: BenchComparison, numbers: BenchesIn) -> list[BeyondPart]:
 
 
 def print_benches(result: BenchesResult, out: Console) -> None:
-    """Print for each number its consistency and the worst bench, then the verdict by the joint test of the
-    nine intrinsic numbers.
-    """
+    """Print for each number its consistency and the worst bench, then the joint tests over all numbers."""
     out.print(
         f"{len(result.benches)} benches on {len(result.units)} common units, {result.calibrations} calibrations; "
         "d = bench less reference, U with k=2"
@@ -471,10 +461,7 @@ def _print_together(found: AllTogether, count: str, out: Console) -> None:
 
 
 def equivalence_figure(of: BenchComparison) -> str:
-    """Return an SVG file of the degrees of equivalence in the nine intrinsic numbers, with bars of ±U (k = 2).
-
-    Benches that deviate by more than U are red crosses. The band is the dark uncertainty.
-    """
+    """Return an SVG file of the benches' deviations in the nine intrinsic numbers, as `draw_degrees` draws them."""
 
     def draw(figure: Figure) -> None:
         draw_degrees(
@@ -491,7 +478,7 @@ def draw_degrees(
     """Draw the deviation of each bench or laboratory in each intrinsic number, with bars of ±U (k = 2).
 
     `nine` has for each number the deviations (w,), their u (w,), and a dark uncertainty, which is drawn as a
-    band. Deviations beyond U are red. `who` (w,) are their names, `signal` is the unit of signals.
+    band. Deviations beyond U are red crosses. `who` (w,) are the names, `signal` is the unit of signals.
     """
     rows = np.arange(len(who))
     grid = figure.subplots(3, 3, sharey=True)

@@ -24,25 +24,13 @@ from bench.calibration.temperature import (
 )
 from bench.calibration.verification import Verification
 from bench.model.geometry import COEFFICIENTS
-from bench.results.parts import (
-    REPEATS,
-    BenchPart,
-    CorrectionPart,
-    FitPart,
-    ReadingsPart,
-    UncertaintySourcePart,
-    ValuePart,
-    by_coefficient,
-    coefficient_unit,
-    fit_in_words,
-    uncertainty_source,
-)
+from bench.results import parts
 from bench.results.verification import VerdictPart, verdict_line, verdict_members
 
 HYSTERESIS_P: Final = 0.05
 
 
-class TermPart(ValuePart):
+class TermPart(parts.ValuePart):
     """A term of a polynomial in temperature, in unit/g/K^power or unit/K^power."""
 
     power: int
@@ -55,7 +43,7 @@ class PolynomialPart(ResultModel):
     terms: list[TermPart]
 
 
-class DifferencePart(ValuePart):
+class DifferencePart(parts.ValuePart):
     """The difference of a coefficient between rising and falling temperature."""
 
     p_all_looks: float = Field(description="p-value corrected for the number of coefficients compared")
@@ -74,7 +62,7 @@ class PlateauPart(ResultModel):
     temperature_c: float
     branch: Literal[-1, 0, 1] = Field(description="1 if the temperature rose, -1 if it fell, 0 if neither")
     readings: int
-    coefficients: dict[str, ValuePart] | None = Field(
+    coefficients: dict[str, parts.ValuePart] | None = Field(
         description="coefficients at this temperature; null if its readings alone do not determine them"
     )
 
@@ -125,16 +113,18 @@ class CompensateResult(ResultModel):
     covariance_readings: Matrix = Field(
         description="covariance from the readings and the stated errors of the stand"
     )
-    uncertainty_sources: list[UncertaintySourcePart] = Field(
+    uncertainty_sources: list[parts.UncertaintySourcePart] = Field(
         description="sources of uncertainty that the readings do not show, for the terms at the reference "
         "temperature"
     )
     hysteresis: HysteresisPart | None
     plateaus: list[PlateauPart]
     noise: ThermalNoisePart
-    lack_of_fit: FitPart
-    curve: FitPart | None = Field(description="test of the polynomials against separate fits by temperature")
-    readings: ReadingsPart
+    lack_of_fit: parts.FitPart
+    curve: parts.FitPart | None = Field(
+        description="test of the polynomials against separate fits by temperature"
+    )
+    readings: parts.ReadingsPart
     notes: list[str]
     table: TablePart
     check: Matrix = Field(
@@ -144,8 +134,8 @@ class CompensateResult(ResultModel):
     python: list[str] = Field(description="three lines of Python that test the file named as their argument")
     verification: list[VerdictAtPart]
     sources: list[str]
-    bench: BenchPart
-    corrections: list[CorrectionPart]
+    bench: parts.BenchPart
+    corrections: list[parts.CorrectionPart]
     simulated: bool
 
 
@@ -180,7 +170,7 @@ def compensate_result(
         },
         order=[(name, d) for name in COEFFICIENTS for d in range(count)],
         covariance_readings=of_readings,
-        uncertainty_sources=[uncertainty_source(source) for source in hidden],
+        uncertainty_sources=[parts.uncertainty_source(source) for source in hidden],
         hysteresis=model.hysteresis and _hysteresis(model.hysteresis),
         plateaus=[_plateau(plateau) for plateau in model.plateaus],
         lack_of_fit=model.fitted,
@@ -201,13 +191,15 @@ def table_part(shown: CompensationTable) -> TablePart:
 
 
 def _hysteresis(found: ThermalHysteresis) -> dict[str, Any]:
-    differences = by_coefficient(DifferencePart, found, value=found.size, p_all_looks=found.p_each)
+    differences = parts.by_coefficient(DifferencePart, found, value=found.size, p_all_looks=found.p_each)
     return {"rising_minus_falling": differences, "p": found.p}
 
 
 def _plateau(plateau: PlateauResult) -> PlateauPart:
     value, u = plateau.value, plateau.u
-    coefficients = None if value is None or u is None else by_coefficient(ValuePart, value=value, u=u)
+    coefficients = (
+        None if value is None or u is None else parts.by_coefficient(parts.ValuePart, value=value, u=u)
+    )
     return PlateauPart.from_object(plateau, coefficients=coefficients)
 
 
@@ -242,9 +234,7 @@ def print_checks(checks: Sequence[tuple[float, Verification]], out: Console) -> 
 
 
 def _coefficient_table(model: TemperatureModel) -> Table:
-    """Return a table of each coefficient: its value and slope at the reference temperature, and its span over
-    temperature.
-    """
+    """Return a table of value and slope at the reference temperature, and the span over temperature."""
     shown = table(
         "coefficient", ">at the reference", ">u", ">per K there", ">u", ">degree", ">over the range", ""
     )
@@ -261,7 +251,7 @@ def _coefficient_table(model: TemperatureModel) -> Table:
             fixed(u[j, 1], slope_digits),
             str(model.degrees[j]),
             fixed(float(np.ptp(swept[:, j])), digits),
-            coefficient_unit(name, model.unit),
+            parts.coefficient_unit(name, model.unit),
         )
     return shown
 
@@ -290,8 +280,10 @@ def _print_hysteresis(model: TemperatureModel, out: Console) -> None:
 
 def _print_fit(model: TemperatureModel, out: Console) -> None:
     out.print(
-        fit_in_words(
-            model.fitted, "THE MODEL DOES NOT FIT the readings", untold=f"{REPEATS}: too few data to tell"
+        parts.fit_in_words(
+            model.fitted,
+            "THE MODEL DOES NOT FIT the readings",
+            untold=f"{parts.REPEATS}: too few data to tell",
         )
     )
     if model.curve is not None:
@@ -300,4 +292,4 @@ def _print_fit(model: TemperatureModel, out: Console) -> None:
             "THE CURVES ARE NOT THESE POLYNOMIALS: hysteresis that varies with temperature, a lag, or a "
             "degree that is too low"
         )
-        out.print(fit_in_words(model.curve, contradicted, what, "polynomials: too few data to tell"))
+        out.print(parts.fit_in_words(model.curve, contradicted, what, "polynomials: too few data to tell"))

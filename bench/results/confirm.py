@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 from pydantic import Field
 from rich.console import Console
@@ -79,62 +80,37 @@ class ConfirmResult(ResultModel):
     notes: list[str]
 
 
-def effect_part(now: EffectNow) -> EffectPart:
-    """Return the part on an effect: its verdict, and its values by the model and by the new readings."""
-    return EffectPart(
-        name=now.applied.effect.name,
-        either_of=list(now.applied.either_of),
-        channels=list(now.applied.channels),
-        installations=list(now.applied.installations),
-        verdict=now.verdict,
-        p_same=now.p_same,
-        p_none=now.p_none,
+def _effect_part(now: EffectNow) -> EffectPart:
+    applied = now.applied
+    return EffectPart.from_object(
+        now,
+        name=applied.effect.name,
+        either_of=list(applied.either_of),
+        channels=list(applied.channels),
+        installations=list(applied.installations),
         parameters=[
-            ParameterNow(
-                parameter=was.parameter,
-                channel=was.channel or None,
-                value=was.value,
-                u=was.u,
-                now=here.value,
-                u_now=here.u,
-                unit=was.unit,
-            )
+            ParameterNow.from_object(was, channel=was.channel or None, now=here.value, u_now=here.u)
             for was, here in zip(now.found, now.now, strict=True)
         ],
     )
 
 
-def confirm_result(
-    found: Confirmation,
-    *,
-    model: str,
-    source: str,
-    bench: BenchPart,
-    corrections: Sequence[CorrectionPart],
-    simulated: bool,
-    notes: Sequence[str],
-) -> ConfirmResult:
-    """Return the result of a model's test; all keyword arguments are members of the result."""
-    return ConfirmResult(
-        closed=found.closed,
+def confirm_result(found: Confirmation, **made_from: Any) -> ConfirmResult:
+    """Return the result of a model's test; `made_from` holds the member `model` and all members after it."""
+    in_g, in_v = found.unit == "g", found.unit == "V"
+    return ConfirmResult.from_object(
+        found,
         before=found.before.reduced,
         after=found.after.reduced,
         floor=FLOOR,
-        p_after=found.p_after,
-        before_rms_ug=1e6 * found.before.rms_g if found.unit == "g" else None,
-        after_rms_ug=1e6 * found.after.rms_g if found.unit == "g" else None,
-        expected_rms_ug=1e6 * found.after.expected_rms_g if found.unit == "g" else None,
-        before_rms_v=found.before.rms_g if found.unit == "V" else None,
-        after_rms_v=found.after.rms_g if found.unit == "V" else None,
-        verdict=found.verdict,
-        effects=[effect_part(effect) for effect in found.effects],
+        before_rms_ug=1e6 * found.before.rms_g if in_g else None,
+        after_rms_ug=1e6 * found.after.rms_g if in_g else None,
+        expected_rms_ug=1e6 * found.after.expected_rms_g if in_g else None,
+        before_rms_v=found.before.rms_g if in_v else None,
+        after_rms_v=found.after.rms_g if in_v else None,
+        effects=[_effect_part(effect) for effect in found.effects],
         left=found.diagnosis.verdict,
-        model=model,
-        source=source,
-        bench=bench,
-        corrections=list(corrections),
-        simulated=simulated,
-        notes=list(notes),
+        **made_from,
     )
 
 

@@ -8,7 +8,6 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from markupsafe import Markup
 from pydantic import Field
 from rich.console import Console
 from rich.table import Table
@@ -336,14 +335,11 @@ def _counted(runs: Sequence[object]) -> str:
 
 
 def _in_u(z: float | None) -> str:
-    """Return a deviation in units of its u, with its sign; a dash for None."""
     return "–" if z is None else f"{z:+.1f}".replace("-", MINUS)
 
 
 def _run_cells(result: ChartResult, run: ChartedRun) -> list[str]:
-    """Return the cells of a run: start time, T² of the nine numbers, T² of their EWMA, short-term s by that
-    of the baseline.
-    """
+    """Return the cells of a run: start, T² of the nine numbers, T² of their EWMA, s by that of the baseline."""
     f, nine = run.short_term.f, result.intrinsic.runs[run.run]
     ewma_t2 = "–" if nine.ewma_t2 is None else f"{nine.ewma_t2:.1f}"
     return [
@@ -382,11 +378,7 @@ def _numbers_table(
     parts: ComponentsPart | None,
     signal: str,
 ) -> Table:
-    """Return a table with a row for each number of a run.
-
-    The columns: deviation from the centre line; its u; deviation divided by its u; EWMA divided by its u;
-    scatter of the baseline divided by the stated u, with its p-value if below 0.01.
-    """
+    """Return a table with a row for each number of a run: its deviation, and the scatter of the baseline."""
     shown = table(
         run, ">off the centre", ">u", f">in u (≤ {limits.single:.1f})",
         f">EWMA in u (≤ {limits.single_ewma:.1f})", ">scatter / stated u", ">",
@@ -422,8 +414,8 @@ def render_chart(found: CheckBlockChart) -> str:
     if last is not None:
         joint, single = partial(draw_joint, chart, found.unit), partial(draw_single, chart, found.unit)
         figures = [
-            Markup(svg_figure("joint", (7.4, 5.6), joint, "T², EWMA and s of every run")),  # noqa: S704 - our own drawing
-            Markup(svg_figure("single", (7.4, 6.4), single, "each of the nine by run")),  # noqa: S704 - our own drawing
+            svg_figure("joint", (7.4, 5.6), joint, "T², EWMA and s of every run"),
+            svg_figure("single", (7.4, 6.4), single, "each of the nine by run"),
         ]
     return page(
         "control_chart.html.j2",
@@ -527,8 +519,9 @@ def _runs(result: ChartResult) -> list[Row]:
     return [
         Row(
             run.run,
-            (*_run_cells(result, run), "in control" if run.accepted else "; ".join(run.reasons)),
-            not run.accepted,
+            *_run_cells(result, run),
+            "in control" if run.accepted else "; ".join(run.reasons),
+            bad=not run.accepted,
         )
         for run in result.runs[-MOST_SHOWN:][::-1]
     ]
@@ -538,8 +531,8 @@ def _coefficients(numbers: dict[str, DeviationPart], limits: LimitsPart, signal:
     return [
         Row(
             html_symbol(name),
-            tuple(_deviation_cells(name, own, signal)),
-            abs(own.z) > limits.single or abs(own.ewma_z or 0.0) > limits.single_ewma,
+            *_deviation_cells(name, own, signal),
+            bad=abs(own.z) > limits.single or abs(own.ewma_z or 0.0) > limits.single_ewma,
         )
         for name, own in numbers.items()
     ]
@@ -557,7 +550,7 @@ def _plotted_components(found: CheckBlockChart) -> list[Row]:
         cells = (f"{size} {unit}" for size in sizes)
         p = probability(float(parts.p[k]))
         rows.append(
-            Row(html_symbol(name), (*cells, f"{parts.f[k]:.2f}", p), bool(parts.more_than_stated[k] < 0.01))
+            Row(html_symbol(name), *cells, f"{parts.f[k]:.2f}", p, bad=bool(parts.more_than_stated[k] < 0.01))
         )
     return rows
 
@@ -567,5 +560,5 @@ def _drift(result: ChartResult) -> list[Row]:
     for name, one in (result.intrinsic.drift or {}).items():
         size, unit = _scale_of(name, one.u, result.unit)
         sizes = (f"{fixed(one.per_year / size, 1)} {unit}", f"{one.u / size:.1f} {unit}")
-        rows.append(Row(html_symbol(name), (*sizes, probability(one.p)), one.p < 0.01))
+        rows.append(Row(html_symbol(name), *sizes, probability(one.p), bad=one.p < 0.01))
     return rows

@@ -28,7 +28,6 @@ from bench.results import diagnosis_words as words
 from bench.results.diagnosis_parts import (
     CopyPart,
     EffectPart,
-    FindingPart,
     FormPart,
     GapPart,
     NoisePart,
@@ -37,7 +36,7 @@ from bench.results.diagnosis_parts import (
     mistake_part,
 )
 from bench.results.diagnosis_words import Files
-from bench.results.parts import BenchPart, ChannelsPart, CorrectionPart, by_channel
+from bench.results.parts import BenchPart, CorrectionPart, by_channel
 from bench.results.residuals import ResidualsPart, compared_residuals
 
 if TYPE_CHECKING:
@@ -220,10 +219,7 @@ def found_result(found: Diagnosis) -> FoundResult:
     turned = found.linear.orientation
     return FoundResult.from_object(
         found,
-        effects=[
-            *map(mistake_part, found.mistakes.mistakes),
-            *map(EffectPart.model_validate, found.effects),
-        ],
+        effects=[*map(mistake_part, found.mistakes.mistakes), *found.effects],
         hidden=list(found.hidden),
         hidden_parts={name: list(parts) for name, parts in found.hidden.items() if parts},
         verification_orientation=None
@@ -234,13 +230,12 @@ def found_result(found: Diagnosis) -> FoundResult:
             contradicts_bench_file=turned.contradicts,
         ),
         gap=gap_part(found.gap),
-        noise=NoisePart(
-            reading=found.noise.reading,
-            setting_arcsec=found.noise.setting_arcsec,
+        noise=NoisePart.from_object(
+            found.noise,
             dof=found.noise.freedom,
-            channels=ChannelsPart(**by_channel(found.noise_by_channel)),
-            kinds=list(found.noise_kinds),
-            findings=[FindingPart.model_validate(one) for one in found.findings],
+            channels=by_channel(found.noise_by_channel),
+            kinds=found.noise_kinds,
+            findings=found.findings,
         ),
         form=None if found.form is None else form_part(found.form),
     )
@@ -261,7 +256,7 @@ def diagnose_result(
         source=full.source,
         simulated=full.simulated,
         skipped_rows=list(full.skipped_rows),
-        next_measurement=None if proposal is None else ProposalPart.model_validate(proposal),
+        next_measurement=proposal,
         model=files.model,
         simulation=SimulationsPart(
             before=_simulation_part(shown.before),
@@ -311,7 +306,7 @@ def _simulation_part(one: Simulation) -> SimulationPart:
         rms_of_a_simulated_run=one.repeated.lack_of_fit.rms,
         seed=SEED,
         verification_joined=one.joined,
-        delta_g=[ModulusPart.model_validate(point) for point in one.points],
+        delta_g=one.points,
     )
 
 
@@ -523,7 +518,6 @@ SIDE_BY_SIDE: Final = 4
 
 
 def _blocks(full: FullDiagnosis, out: Console) -> None:
-    """Print the coefficients of each block with u, and the p-value of readings against simulation."""
     changed = any(block.after is not None for block in full.blocks)
     out.print(f"Coefficients of each block{', with the effects found' if changed else ''}; u in brackets:")
     numbered = list(enumerate(full.blocks, start=1))

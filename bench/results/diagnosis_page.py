@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from markupsafe import Markup
 
 from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.base.languages import message
@@ -30,21 +29,8 @@ from bench.diagnosis.show import SEED, CoefficientChange, ModelComparison, Modul
 from bench.diagnosis.where import ResidualPattern
 from bench.model import CATALOGUE, Effect
 from bench.results import diagnosis_words as words
+from bench.results import plots
 from bench.results.diagnosis_words import Files
-from bench.results.plots import (
-    BLUE,
-    GREY,
-    ORANGE,
-    VERMILION,
-    dodged_deg,
-    legend_of,
-    mark_limit,
-    mounts_of,
-    residual_points,
-    residuals_against_angle,
-    residuals_in_time,
-    svg_figure,
-)
 from bench.results.tables import Row, page, symbol
 
 if TYPE_CHECKING:
@@ -68,10 +54,7 @@ STATES: Final = {"agrees": "passed", "named": "none", "confounded": "none"}
 def render_diagnosis(
     full: FullDiagnosis, files: Files, title: str, limit_g: float, provenance: Mapping[str, str]
 ) -> str:
-    """Return the HTML page; the same content always gives the same text.
-
-    `limit_g` is the limit of |Δg| at the verification points. `provenance` maps names to text.
-    """
+    """Return the HTML page, always the same for the same content; `limit_g` is the limit of |Δg|."""
     diagnosis, shown = full.diagnosis, full.shown
     unit = shown.before.calibration.unit
     return page(
@@ -94,7 +77,7 @@ def render_diagnosis(
         effects=[(e, full.rivals_of(i), _ranking(full, i, e)) for i, e in enumerate(diagnosis.effects)],
         form=list(words.form_in_words(diagnosis)),
         held_out=held_out_rows(diagnosis.gap),
-        gap_bars=drawn(gap_bars(diagnosis.gap)) if diagnosis.effects and diagnosis.gap.folds else None,
+        gap_bars=gap_bars(diagnosis.gap) if diagnosis.effects and diagnosis.gap.folds else None,
         coefficients=coefficient_rows(shown.coefficients, unit),
         blocks=[
             (
@@ -109,12 +92,12 @@ def render_diagnosis(
         joined=list(words.joined_in_words(shown)),
         less_certain=words.less_certain(shown.coefficients) if shown.after else [],
         residuals=_residuals(shown),
-        in_time=drawn(in_time(shown)),
-        modulus=drawn(modulus_at_points(shown, limit_g)) if shown.before.points else None,
+        in_time=in_time(shown),
+        modulus=modulus_at_points(shown, limit_g) if shown.before.points else None,
         apart=_apart(diagnosis),
         hidden=[CATALOGUE[name] for name in diagnosis.hidden],
         smallest=[
-            Row(name, (size.replace(" ", "\N{NO-BREAK SPACE}"), CATALOGUE[name].sentence))
+            Row(name, size.replace(" ", "\N{NO-BREAK SPACE}"), CATALOGUE[name].sentence)
             for name, size in words.smallest_found(diagnosis)
         ],
         setting=f"{two_digits(diagnosis.noise.setting_arcsec)}″",
@@ -127,10 +110,7 @@ def render_alone(
     provenance: Mapping[str, str],
     **content: Any,
 ) -> str:
-    """Return the page of a diagnosis of free positions or of a record.
-
-    `content` holds the template's values that exist for only one of these two.
-    """
+    """Return the page of free positions or of a record; `content` holds what only one of the two has."""
     lines = [(words.effect_title(one), one, list(words.parameters_in_words(one))) for one in found.effects]
     return page(
         template,
@@ -149,37 +129,31 @@ def render_alone(
     )
 
 
-def drawn(svg: str) -> Markup:
-    """Mark an SVG text as safe for the page."""
-    return Markup(svg)  # noqa: S704 - our own drawing
-
-
 def _place(place: ResidualPattern) -> Row:
     where = message("verification points") if place.channel == "modulus" else place.channel
     installation = message("whole run") if place.installation == "all" else place.installation
     size = quantity(place.size, place.unit)
-    return Row(where, (installation, place.pattern, size, typeset(words.p_in_column(place.p))))
+    return Row(where, installation, place.pattern, size, typeset(words.p_in_column(place.p)))
 
 
-def _ranking(full: FullDiagnosis, number: int, effect: NamedEffect) -> Markup | None:
+def _ranking(full: FullDiagnosis, number: int, effect: NamedEffect) -> str | None:
     rivals = full.rivals_of(number)
-    return drawn(ranking_bars(rivals, effect.name, number)) if rivals else None
+    return ranking_bars(rivals, effect.name, number) if rivals else None
 
 
 def held_out_rows(gap: Gap) -> list[Row]:
-    """Return a table row for each set of held-out readings.
-
-    Cells: the effects named from the other readings, and the reduced chi-square before and after.
-    """
+    """Return a row for each set of held-out readings: effects named without it, misfit before and after."""
     rows = [
         Row(
             fold.label,
-            (", ".join(fold.gains) or "nothing", f"{fold.before.reduced:.2f}", f"{fold.after.reduced:.2f}"),
+            ", ".join(fold.gains) or "nothing",
+            f"{fold.before.reduced:.2f}",
+            f"{fold.after.reduced:.2f}",
         )
         for fold in gap.folds
     ]
     left_out = (message(f"not held out: {UNDETERMINED}"), "", "")
-    return rows + [Row(label, left_out) for label in gap.undetermined]
+    return rows + [Row(label, *left_out) for label in gap.undetermined]
 
 
 def coefficient_rows(changes: Mapping[str, CoefficientChange], unit: str) -> list[Row]:
@@ -193,7 +167,7 @@ def coefficient_rows(changes: Mapping[str, CoefficientChange], unit: str) -> lis
         difference = rounded(change / scale.size, u / scale.size, sign=True)
         printed = scale.unit if name.startswith("U0") else scale.per_g
         in_u = fixed(one.in_u, 1, sign=True) if one.u_before > 0 else ""
-        rows.append(Row(symbol(name), (was, now, difference, printed, in_u)))
+        rows.append(Row(symbol(name), was, now, difference, printed, in_u))
     return rows
 
 
@@ -210,34 +184,31 @@ def _tests(shown: ModelComparison) -> list[Row]:
                 message(f"{one.test.chi2:.1f} for {one.test.dof}"),
                 typeset(words.p_in_column(one.test.p, 2)),
             )
-            rows.append(Row(name, (chi2, p, quantity(one.test.rms, unit), simulated)))
+            rows.append(Row(name, chi2, p, quantity(one.test.rms, unit), simulated))
     return rows
 
 
 def _drawn_of(shown: ModelComparison) -> int:
     """Return the number of mountings for which figures are drawn; each takes about a second."""
-    count = len(mounts_of(shown.before.calibration))
+    count = len(plots.mounts_of(shown.before.calibration))
     return count if count <= MOST_DRAWN else DRAWN
 
 
-def _overlays(shown: ModelComparison) -> tuple[list[Markup], list[Markup]]:
+def _overlays(shown: ModelComparison) -> tuple[list[str], list[str]]:
     """Return two lists of overlays of measured and simulated signals: the clearest one, and the others."""
-    figures = [drawn(overlay_of_mount(shown, i)) for i in most_telling(shown)[: _drawn_of(shown)]]
+    figures = [overlay_of_mount(shown, i) for i in most_telling(shown)[: _drawn_of(shown)]]
     return figures[:1], figures[1:]
 
 
-def _residuals(shown: ModelComparison) -> tuple[list[Markup], list[Markup]]:
+def _residuals(shown: ModelComparison) -> tuple[list[str], list[str]]:
     """Return the residual figures: a list of those always visible, and a list of the collapsed ones."""
-    mounts = mounts_of(shown.before.calibration)[: _drawn_of(shown)]
-    figures = [drawn(residuals_of_mount(shown, i)) for i in range(len(mounts))]
+    mounts = plots.mounts_of(shown.before.calibration)[: _drawn_of(shown)]
+    figures = [residuals_of_mount(shown, i) for i in range(len(mounts))]
     return figures[:DRAWN], figures[DRAWN:]
 
 
 def _apart(diagnosis: Diagnosis) -> list[Effect]:
-    """Return the catalogue entries of all effects that are tied with others.
-
-    Each entry states the measurement that would separate its effect from the others.
-    """
+    """Return the catalogue entries of all tied effects; each states the measurement that would separate it."""
     names = dict.fromkeys(
         name
         for effect in diagnosis.effects
@@ -251,10 +222,7 @@ def _apart(diagnosis: Diagnosis) -> list[Effect]:
 
 
 def columns_of(shown: ModelComparison) -> list[tuple[str, Calibration]]:
-    """Return the title and calibration of each column of the figures.
-
-    The columns are the fit before, the fit after (if an effect was named), and the simulation.
-    """
+    """Return title and calibration of each column: fit before, fit after (if there is one), simulation."""
     after = [] if shown.after is None else [(message("after"), shown.after.calibration)]
     return [
         (message("before") if after else message("readings"), shown.before.calibration),
@@ -270,31 +238,27 @@ def common_scale(shown: ModelComparison) -> Scale:
 
 
 def residuals_of_mount(shown: ModelComparison, mount: int) -> str:
-    """Return a plot of residuals against head angle in one mounting: a row per channel, a column per model.
-
-    The stand's angles are at their estimates. The band is two standard deviations of a single reading.
-    """
-    columns = [(title, c, [mounts_of(c)[mount][1]]) for title, c in columns_of(shown)]
-    name = str(mounts_of(shown.before.calibration)[mount][0])
+    """Return a plot of residuals against head angle in one mounting: a row per channel, a column per model."""
+    columns = [(title, c, [plots.mounts_of(c)[mount][1]]) for title, c in columns_of(shown)]
+    name = str(plots.mounts_of(shown.before.calibration)[mount][0])
     titles = ", ".join(title for title, _, _ in columns)
     alt = message(f"Residuals of channels x, y, z in installation {name} against head angle: {titles}")
-    return residuals_against_angle(f"diagnosis-mount-{mount}", (7.6, 5.4), columns, common_scale(shown), alt)
+    return plots.residuals_against_angle(
+        f"diagnosis-mount-{mount}", (7.6, 5.4), columns, common_scale(shown), alt
+    )
 
 
 def in_time(shown: ModelComparison) -> str:
     """Return a plot of the residuals before and after, against time (in order, if times are missing)."""
     columns = [
-        (title, c, [rows for _, rows in mounts_of(c)])
+        (title, c, [rows for _, rows in plots.mounts_of(c)])
         for title, c in columns_of(shown)[: 1 if shown.after is None else 2]
     ]
-    return residuals_in_time("diagnosis-time", (7.6, 5.0), columns, common_scale(shown))
+    return plots.residuals_in_time("diagnosis-time", (7.6, 5.0), columns, common_scale(shown))
 
 
 def gap_bars(gap: Gap) -> str:
-    """Return a bar chart of the reduced chi-square of each set of held-out readings, before and after.
-
-    Noise alone gives 1.
-    """
+    """Return a bar chart of the reduced chi-square of each set of held-out readings, before and after."""
     folds = gap.folds
     names = [fold.label.replace(" and ", "\nand ") for fold in folds]
     places = np.arange(len(folds), dtype=float)
@@ -303,10 +267,12 @@ def gap_bars(gap: Gap) -> str:
         axes: Axes = figure.subplots()
         before, after = [f.before.reduced for f in folds], [f.after.reduced for f in folds]
         for key, heights, shift, colour in (
-            ("before", before, -0.19, VERMILION), ("after", after, 0.19, BLUE),
+            ("before", before, -0.19, plots.VERMILION), ("after", after, 0.19, plots.BLUE),
         ):  # fmt: skip
             axes.bar(places + shift, heights, width=0.36, color=colour, linewidth=0.8, label=key)
-        axes.axhline(1.0, color=GREY, linestyle=(0, (6, 3)), linewidth=1.1, label=message("noise alone"))
+        axes.axhline(
+            1.0, color=plots.GREY, linestyle=(0, (6, 3)), linewidth=1.1, label=message("noise alone")
+        )
         axes.set_xticks(places, names)
         axes.grid(visible=False, axis="x")
         axes.set_ylabel(message("reduced χ² of held-out readings"))
@@ -316,7 +282,7 @@ def gap_bars(gap: Gap) -> str:
     alt = message(
         f"Reduced chi-square of held-out readings before and after, {len(folds)} folds; noise alone gives 1"
     )
-    return svg_figure("diagnosis-gap", (6.4, 3.0), draw, alt)
+    return plots.svg_figure("diagnosis-gap", (6.4, 3.0), draw, alt)
 
 
 def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
@@ -328,7 +294,7 @@ def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
     def draw(figure: Figure) -> None:
         axes: Axes = figure.subplots()
         for kind, colour, text in (
-            ("named", BLUE, "found"), ("tied", ORANGE, message("tied with it")),
+            ("named", plots.BLUE, "found"), ("tied", plots.ORANGE, message("tied with it")),
             ("less", "#B9C4CE", message("less plausible")),
         ):  # fmt: skip
             chosen = [i for i, rival in enumerate(ordered) if _kind(rival, named) == kind]
@@ -348,7 +314,7 @@ def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
                 "tie", (at, float(np.mean([min(alike), max(alike)]))), xytext=(4, 0),
                 textcoords="offset points", va="center",
             )  # fmt: skip
-        axes.axvline(0.0, color=GREY, linewidth=0.7)
+        axes.axvline(0.0, color=plots.GREY, linewidth=0.7)
         axes.set_yticks(places, [rival.family for rival in ordered], parse_math=False)
         axes.grid(visible=False, axis="y")
         axes.set_xlabel(message("ln odds that the effect is present"))
@@ -358,7 +324,7 @@ def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
     alt = message(f"Evidence of {named} and of its rivals: ") + ", ".join(
         f"{rival.family} {rival.evidence:.1f}".replace("-", MINUS) for rival in reversed(ordered)
     )
-    return svg_figure(f"diagnosis-ranking-{number}", (6.4, 1.1 + 0.24 * len(ordered)), draw, alt)
+    return plots.svg_figure(f"diagnosis-ranking-{number}", (6.4, 1.1 + 0.24 * len(ordered)), draw, alt)
 
 
 def _kind(rival: Rival, named: str) -> str:
@@ -369,14 +335,17 @@ def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
     """Return a plot of Δg at the verification points, before and after, with bars of k = 2 (paper, Fig. 6)."""
     scale = scale_for(limit_g, "g")
     limit = limit_g / scale.size
-    parts: list[tuple[str, Sequence[ModulusPoint], str, str]] = [("Δg", shown.before.points, "o", BLUE)]
+    parts: list[tuple[str, Sequence[ModulusPoint], str, str]] = [("Δg", shown.before.points, "o", plots.BLUE)]
     if shown.after is not None:
-        parts = [("before", shown.before.points, "s", VERMILION), ("after", shown.after.points, "o", BLUE)]
+        parts = [
+            ("before", shown.before.points, "s", plots.VERMILION),
+            ("after", shown.after.points, "o", plots.BLUE),
+        ]
     count = len(shown.before.points)
 
     def draw(figure: Figure) -> None:
         axes: Axes = figure.subplots()
-        mark_limit(axes, limit, scale)
+        plots.mark_limit(axes, limit, scale)
         for i, (name, points, marker, colour) in enumerate(parts):
             axes.errorbar(
                 np.arange(count) + 0.24 * (i - (len(parts) - 1) / 2),
@@ -396,33 +365,33 @@ def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
         figure.legend(loc="outside upper center", ncols=2)
 
     alt = message(f"Δg at {count} verification points before and after, limit ±{limit:g} {scale.unit}")
-    return svg_figure("diagnosis-modulus", (6.4, 3.0), draw, alt)
+    return plots.svg_figure("diagnosis-modulus", (6.4, 3.0), draw, alt)
 
 
 def most_telling(shown: ModelComparison) -> list[int]:
     """Return the mountings' indices; the one whose signals the effects found change most comes first."""
     before, last = shown.before.calibration, shown.last.calibration
     missing = before.residuals - last.residuals
-    sizes = [float(np.mean(missing[rows] ** 2)) for _, rows in mounts_of(before)]
+    sizes = [float(np.mean(missing[rows] ** 2)) for _, rows in plots.mounts_of(before)]
     return sorted(range(len(sizes)), key=lambda mount: -sizes[mount])
 
 
 def overlay_of_mount(shown: ModelComparison, mount: int) -> str:
     """Return a plot of measured and simulated signals against head angle in one mounting, a row per channel."""
     before, last = shown.before.calibration, shown.last.calibration
-    label, rows = mounts_of(before)[mount]
+    label, rows = plots.mounts_of(before)[mount]
     signal = before.fitted.signal
     simulated, missing = signal - last.residuals, before.residuals - last.residuals
     volts = scale_for(float(np.max(np.abs(signal))), before.unit)
     scale = scale_for(float(np.max(np.abs(before.residuals))), before.unit)
-    angle, degrees = dodged_deg(before), np.degrees(before.fitted.angle_rad)
+    angle, degrees = plots.dodged_deg(before), np.degrees(before.fitted.angle_rad)
     fine = np.linspace(-8.0, 368.0, 189)
 
     def draw(i: int, left: Axes, right: Axes, whose: str) -> None:
         wave = _wave(angle[rows], simulated[rows, i], fine) / volts.size
         left.plot(fine, wave, color=INK, linewidth=1.0, label=whose)
         left.plot(angle[rows], signal[rows, i] / volts.size, "o", **MEASURED)
-        residual_points(right, before, rows, i, angle, scale, f"overlay-{mount}")
+        plots.residual_points(right, before, rows, i, angle, scale, f"overlay-{mount}")
         if shown.after is not None:
             right.plot(angle[rows], missing[rows, i] / scale.size, "_", **BARS, label=whose)
             _joined(right, degrees, missing[:, i] / scale.size, rows, before.fitted.pass_number)
@@ -435,7 +404,7 @@ def overlay_of_mount(shown: ModelComparison, mount: int) -> str:
     )  # fmt: skip
 
 
-MEASURED: Final[dict[str, Any]] = {"color": BLUE, "markersize": 4, "alpha": 0.8, "label": "measured"}
+MEASURED: Final[dict[str, Any]] = {"color": plots.BLUE, "markersize": 4, "alpha": 0.8, "label": "measured"}
 BARS: Final[dict[str, Any]] = {"color": INK, "markersize": 10, "markeredgewidth": 1.6}
 """Style of the points of measured signals, and of the bars of simulated ones."""
 
@@ -449,12 +418,10 @@ def overlay(
     *,
     found: bool,
 ) -> str:
-    """Return a plot of measured and simulated signals, a row per channel; `place` (such as a mounting) is in its
-    title.
+    """Return a plot of measured and simulated signals, a row per channel; `place` is in its title.
 
-    The left column has the signals. The right column has both minus the simulation by the given model: what
-    that model lacks, and how far the effects found explain this. `draw_channel` draws a channel into its
-    axes.
+    The left column has the signals, the right one both minus the simulation by the given model: what that model
+    lacks, and how far the effects found explain it. `draw_channel` draws a channel into its axes.
     """
     whose = (
         message("simulated with the effects found") if found else message("simulated with the given model")
@@ -464,7 +431,7 @@ def overlay(
         grid: Any = figure.subplots(3, 2, sharex=True, squeeze=False)
         given = message("simulated with the given model")
         for i, (channel, (left, right)) in enumerate(zip(CHANNELS, grid, strict=True)):
-            right.axhline(0.0, color=GREY, linewidth=0.7, linestyle=(0, (4, 3)), label=given)
+            right.axhline(0.0, color=plots.GREY, linewidth=0.7, linestyle=(0, (4, 3)), label=given)
             draw_channel(i, left, right, whose)
             left.set_ylabel(f"channel {channel} / {scales[0].unit}")
             right.set_ylabel(scales[1].unit)
@@ -472,13 +439,13 @@ def overlay(
         grid[0, 1].set_title(message("minus the given model"))
         for axes in grid[2]:
             axes.set_xlabel(along)
-        figure.legend(*legend_of(grid.flat), loc="outside upper center", ncols=3)
+        figure.legend(*plots.legend_of(grid.flat), loc="outside upper center", ncols=3)
 
     alt = message(
         f"Measured and simulated signals of channels x, y, z, {place}, and both minus the signals simulated with "
         "the given model"
     )
-    return svg_figure(name, (7.6, 5.6), draw, alt)
+    return plots.svg_figure(name, (7.6, 5.6), draw, alt)
 
 
 def _wave(angle_deg: Floats, values: Floats, at_deg: Floats) -> Floats:
@@ -492,7 +459,6 @@ def _wave(angle_deg: Floats, values: Floats, at_deg: Floats) -> Floats:
 
 
 def _joined(axes: Axes, angle_deg: Floats, values: Floats, rows: Mask, passes: Any) -> None:
-    """Draw a line through the values of each pass, in order of angle."""
     for number in np.unique(passes[rows]):
         mine = np.flatnonzero(rows & (passes == number))
         ordered = mine[np.argsort(angle_deg[mine])]

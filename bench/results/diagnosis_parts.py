@@ -222,10 +222,7 @@ class AloneResult(ResultModel):
 
     @classmethod
     def made(cls, found: object, files: Files, made_from: Mapping[str, Any], **others: Any) -> Self:
-        """Return the result with the findings `found`.
-
-        `made_from` holds bench, certificates, and the members that describe the source.
-        """
+        """Return the result on `found`; `made_from` holds bench, certificates and the members on the source."""
         of_source = {"bench": None, "corrections": [], "simulated": False, "skipped_rows": [], **made_from}
         written = {"next_measurement": None, "model": files.model, "report": files.report}
         return cls.from_object(found, **{**written, **of_source, **others})

@@ -122,26 +122,22 @@ def parameters_in_words(effect: NamedEffect) -> Iterator[str]:
             value, in_installations([value.installations]) if value.installations else ""
         )
     for one in effect.together:
-        yield (
-            message(
-                f"{one.combination} of {one.parameter} of {' and '.join(one.of)} = "
-                f"{with_u(one.value, one.u, one.unit)}: only this combination is well determined"
-            )
+        yield message(
+            f"{one.combination} of {one.parameter} of {' and '.join(one.of)} = "
+            f"{with_u(one.value, one.u, one.unit)}: only this combination is well determined"
         )
 
 
 def parameter_in_words(value: EffectValue, at: str) -> str:
     """Return a parameter with its value: "K2 of y = 58.1 ± 5.2 µg/g² (u)"; `at` names its place, or is empty."""
-    of = f" of {value.channel}" if value.channel else ""
-    return f"{value.parameter}{of}{at} = {_value_in_words(value)}"
-
-
-def _value_in_words(value: EffectValue) -> str:
     if value.u is None:
-        return message(
+        size = message(
             f"{with_unit(format(value.value, 'g'), value.unit)} (the likeliest of the values tried)"
         )
-    return with_u(value.value, value.u, value.unit)
+    else:
+        size = with_u(value.value, value.u, value.unit)
+    of = f" of {value.channel}" if value.channel else ""
+    return f"{value.parameter}{of}{at} = {size}"
 
 
 def with_u(value: float, u: float, unit: str) -> str:
@@ -190,10 +186,10 @@ def place_in_words(place: ResidualPattern) -> str:
 
 
 def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
-    """Return each effect that the readings can show, and the size at which half of all runs reveal it.
+    """Return each effect that the readings can show, and the size that half of all runs reveal.
 
-    The size, in the effect's unit, is for the variant that is easiest to find. For several parameters, such
-    as the two phases of a wave, it is their norm in the direction that is hardest to find.
+    The size is for the variant that is easiest to find. For several parameters, such as the two phases of a
+    wave, it is their norm in the direction that is hardest to find.
     """
     sizes = []
     for name, factor in diagnosis.detectable.items():
@@ -241,11 +237,7 @@ def lead(diagnosis: AnyDiagnosis) -> str:
 def closed_in_words(
     part: float | None, before_g: float, after_g: float, noise_g: float, unit: str = "g"
 ) -> str:
-    """Return the closed fraction of a gap, at most 100 %, and the root mean squares before and after.
-
-    Example: "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)". `part` is the fraction, None if
-    there was no gap. The root mean squares of the residuals before, after and by noise alone are in `unit`.
-    """
+    """Return how far a gap closes: "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)"."""
     before, after, noise = (
         micro_g(v) if unit == "g" else quantity(v, unit) for v in (before_g, after_g, noise_g)
     )
@@ -298,19 +290,14 @@ def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
             if len(diagnosis.far) > LISTED_IN_SENTENCE
             else ""
         )
-        yield (
-            message(
-                f"far from this model: {listed}{more} (probability that noise alone moves any reading that far: "
-                f"{p_in_words(diagnosis.far[0].p)})"
-            )
+        yield message(
+            f"far from this model: {listed}{more} (probability that noise alone moves any reading that far: "
+            f"{p_in_words(diagnosis.far[0].p)})"
         )
 
 
 def odds_in_words(effect: NamedEffect) -> str:
-    """Return the posterior probabilities of an effect's names: "97 % cubic_nonlinearity, 2 % scale_asymmetry".
-
-    Only the JSON has names below 1 %.
-    """
+    """Return the probabilities of an effect's names, from 1 % on: "97 % cubic_nonlinearity, 2 % warm_up"."""
     shown = [one for one in effect.odds if one.probability >= BY_CHANCE]
     return ", ".join(f"{_percent(one.probability)} {one.name}" for one in shown)
 
@@ -370,7 +357,6 @@ def what_to_do(full: FullDiagnosis, files: Files) -> Iterator[str]:
 
 
 def _of_copy_in_words(diagnosis: Diagnosis) -> str:
-    """Return in words what the search found in the corrected copy of the readings."""
     if diagnosis.of_copy == "agrees":
         return message("it agrees with the model within the noise")
     if diagnosis.of_copy == "unknown":
@@ -420,9 +406,7 @@ def mountings_of(block: ModelComparison) -> str:
 
 
 def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
-    """Return the coefficient that would change most if `other` were the cause, and its change; "" if `other`
-    is no rival.
-    """
+    """Return the largest change of a coefficient if `other` is the cause, in words; "" if it is no rival."""
     for rival in ranking:
         if rival.family == other:
             coefficient, in_u = rival.largest_shift
@@ -440,20 +424,15 @@ def why_no_model(diagnosis: AnyDiagnosis) -> str:
 
 
 def joined_in_words(shown: ModelComparison) -> Iterator[str]:
-    """Yield a sentence if some of the effects found are visible only at the verification points.
-
-    These points were then included in the fit, so that they no longer check the result.
-    """
+    """Yield a sentence if verification points joined the fit, because only they show some effect found."""
     if shown.after is None or not shown.after.joined:
         return
     without, with_it = shown.before.worst_g, shown.after.worst_g
     if without is not None and with_it is not None:
-        yield (
-            message(
-                "this test covers the settings alone: some effects found show only at the verification points, "
-                f"which joined the fit and check nothing (largest |Δg| {quantity(without, 'g')} without the "
-                f"effects, {quantity(with_it, 'g')} with them)"
-            )
+        yield message(
+            "this test covers the settings alone: some effects found show only at the verification points, "
+            f"which joined the fit and check nothing (largest |Δg| {quantity(without, 'g')} without the "
+            f"effects, {quantity(with_it, 'g')} with them)"
         )
 
 
@@ -497,7 +476,6 @@ def evidence_in_words(full: FullDiagnosis, file_of_copy: Path | None) -> dict[st
 
 
 def _evidence_for_form(form: FreeForm) -> dict[str, str]:
-    """Return the evidence for the unnamed terms, by title."""
     closed = (
         "not measured"
         if form.gap.closed is None
@@ -517,10 +495,7 @@ def less_certain(coefficients: Mapping[str, CoefficientChange]) -> list[str]:
 
 
 def term_in_words(term: FormTerm) -> str:
-    """Return a line on a term of an unnamed effect.
-
-    Example: "unnamed_1: A * (time > t), added at the block output; A of y = 70 ± 4 µg (u)".
-    """
+    """Return a line such as "unnamed_1: A * (time > t), added at the block output; A of y = 70 ± 4 µg (u)"."""
     effect = term.effect
     added = f" to {effect.adds_to}" if effect.adds_to else ""
     sizes = [parameter_in_words(size, "") for size in values_of((term.applied,)) if size.u is not None]
@@ -556,11 +531,9 @@ def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
             if form.gap.closed is None
             else message(f", which closes {100 * form.gap.closed:.0f} % of the gap")
         )
-        yield (
-            message(
-                f"held-out readings: reduced chi-square {form.gap.before:.2f} before, {form.gap.after:.2f} with "
-                f"the terms that the other readings show{closed}"
-            )
+        yield message(
+            f"held-out readings: reduced chi-square {form.gap.before:.2f} before, {form.gap.after:.2f} with "
+            f"the terms that the other readings show{closed}"
         )
     if form.terms and not form.predicts:
         yield message(
@@ -589,10 +562,7 @@ def _dark_in_words(dark: UnexplainedScatter, unit: str) -> str:
 
 
 def dark_for_model(form: FreeForm) -> str | None:
-    """Return the scatter that unnamed terms leave unexplained, as a model file states it: "41 uV with u 6 uV".
-
-    None if no term is applied, or if the readings do not determine the scatter.
-    """
+    """Return the unexplained scatter for a model file: "41 uV with u 6 uV"; None without terms or if unknown."""
     if not form.applied or not isfinite(form.dark.upper):
         return None
     if form.dark.there:

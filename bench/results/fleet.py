@@ -303,10 +303,7 @@ class DriftResult(FleetResult):
 
 
 def drift_result(found: drift.OfUnit, at: str | None, notes: Sequence[str]) -> DriftResult:
-    """Return the result on the drift of a unit, with its coefficients predicted for the date `at` if given.
-
-    Raises `CalibrationError` if `at` is not a date or is before the last calibration.
-    """
+    """Return the result on a unit's drift, with coefficients predicted for date `at`. Raises `CalibrationError`."""
     own = found.drift
     expected = None
     if at is not None:

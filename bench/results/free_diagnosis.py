@@ -18,18 +18,9 @@ from bench.diagnosis.free_records import OUTLIER, FreeDiagnosis
 from bench.diagnosis.show import CoefficientChange
 from bench.model.effects import CATALOGUE
 from bench.model.geometry import COEFFICIENTS
+from bench.results import diagnosis_page as pages
 from bench.results import diagnosis_words as words
 from bench.results.diagnosis import print_effect, print_files, print_gap
-from bench.results.diagnosis_page import (
-    BARS,
-    MEASURED,
-    MOST_DRAWN,
-    coefficient_rows,
-    drawn,
-    gap_bars,
-    overlay,
-    render_alone,
-)
 from bench.results.diagnosis_parts import AloneResult, CopyPart, FoundPart, gap_part
 from bench.results.diagnosis_words import NO_FILES, Files
 from bench.results.plots import BLUE, GREY, PASS_COLOURS, PASS_FILLS, VERMILION, legend_of, svg_figure
@@ -87,7 +78,7 @@ def result_of(found: FreeDiagnosis, files: Files = NO_FILES, **made_from: Any) -
         found,
         files,
         made_from,
-        effects=[*map(_outlier, found.apart), *map(FoundPart.model_validate, found.effects)],
+        effects=[*map(_outlier, found.apart), *found.effects],
         gap=gap_part(found.gap),
         noise=FreeNoise(
             reading=found.noise.reading, unit="g", stated=found.stated_g, dof=found.noise.freedom
@@ -197,8 +188,8 @@ MARKS: Final = "osD^vP*X"
 def overlay_of_sensor(found: FreeDiagnosis, sensor: int) -> str:
     """Return a plot of a sensor's signals in order of measurement, measured over simulated, a row per channel.
 
-    The orientations are unknown. Each position is therefore simulated in the direction that its signals
-    indicate, and only errors of the modulus are visible.
+    Orientations are unknown: each position is simulated in the direction that its signals indicate, so that
+    only errors of the modulus are visible.
     """
     rows = found.rows
     mine = rows.sensor == sensor
@@ -210,25 +201,23 @@ def overlay_of_sensor(found: FreeDiagnosis, sensor: int) -> str:
     number = np.arange(1, len(signal) + 1)
 
     def draw(i: int, left: Axes, right: Axes, whose: str) -> None:
-        left.plot(number, (signal - last)[:, i] / size.size, "_", **BARS, label=whose)
-        left.plot(number, signal[:, i] / size.size, "o", **MEASURED)
-        right.plot(number, given[:, i] / scale.size, "o", **MEASURED)
+        left.plot(number, (signal - last)[:, i] / size.size, "_", **pages.BARS, label=whose)
+        left.plot(number, signal[:, i] / size.size, "o", **pages.MEASURED)
+        right.plot(number, given[:, i] / scale.size, "o", **pages.MEASURED)
         if found.effects:
-            right.plot(number, (given - last)[:, i] / scale.size, "_", **BARS, label=whose)
+            right.plot(number, (given - last)[:, i] / scale.size, "_", **pages.BARS, label=whose)
         for edge in np.flatnonzero(np.diff(rows.record[mine])) + 1.5:  # where a new record begins
             for axes in (left, right):
                 axes.axvline(edge, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
 
-    return overlay(
+    return pages.overlay(
         f"free-overlay-{sensor}", f"sensor {sensor + 1}", (size, scale), draw,
         "position, in the order of measurement", found=bool(found.effects),
     )  # fmt: skip
 
 
 def modulus_in_time(found: FreeDiagnosis) -> str:
-    """Return a plot of |a| - 1 g against time since the start of a record, before and after the effects
-    found.
-    """
+    """Return a plot of |a| - 1 g against the time in a record, before and after the effects found."""
     rows = found.rows
     fits = [("given model", found.before), ("with the effects found", found.after)][: 1 + bool(found.effects)]
     scale = scale_for(float(np.max(np.abs(found.before.left))), "g")
@@ -304,9 +293,9 @@ def render(
     found: FreeDiagnosis, files: Files, title: str, provenance: Mapping[str, str], *, simulated: bool
 ) -> str:
     """Return the HTML page; the same content always gives the same text."""
-    shown = range(found.rows.sensors)[:MOST_DRAWN]
+    shown = range(found.rows.sensors)[: pages.MOST_DRAWN]
     gap = words.gap_of_verdict(found)
-    return render_alone(
+    return pages.render_alone(
         "free_diagnosis.html.j2",
         found,
         provenance,
@@ -315,15 +304,13 @@ def render(
         what=what_in_words(found),
         told=[gap] if gap else [],
         to_do=list(what_to_do(found, files)),
-        overlays=[drawn(overlay_of_sensor(found, sensor)) for sensor in shown],
-        in_time=drawn(modulus_in_time(found)),
-        by_record=drawn(modulus_by_record(found)) if found.records > 1 else None,
-        gap_bars=drawn(gap_bars(found.gap)) if found.effects and found.gap.folds else None,
-        places=[
-            Row(p.pattern, (quantity(p.size, "g"), typeset(words.p_in_column(p.p)))) for p in found.where
-        ],
+        overlays=[overlay_of_sensor(found, sensor) for sensor in shown],
+        in_time=modulus_in_time(found),
+        by_record=modulus_by_record(found) if found.records > 1 else None,
+        gap_bars=pages.gap_bars(found.gap) if found.effects and found.gap.folds else None,
+        places=[Row(p.pattern, quantity(p.size, "g"), typeset(words.p_in_column(p.p))) for p in found.where],
         coefficients=[
-            (sensor, coefficient_rows(_coefficients(found, sensor), found.rows.tables[0].unit))
+            (sensor, pages.coefficient_rows(_coefficients(found, sensor), found.rows.tables[0].unit))
             for sensor in range(found.rows.sensors)
         ],
         zeros=list(_zeros(found)),
@@ -333,7 +320,6 @@ def render(
 
 
 def _coefficients(found: FreeDiagnosis, sensor: int) -> dict[str, CoefficientChange]:
-    """Return a sensor's nine coefficients before and after the effects found, by name."""
     fits = (found.before, found.after)
     each = np.stack([column for fit in fits for column in (fit.block[sensor].vector, fit.u[sensor])], axis=1)
     rows = zip(COEFFICIENTS, each.tolist(), strict=True)
@@ -351,4 +337,4 @@ def _zeros(found: FreeDiagnosis) -> Iterator[Row]:
                 concise(value, of_value) if np.isfinite(value) else "not determined"
                 for value, of_value in zip(values.tolist(), u.tolist(), strict=True)
             )
-            yield Row(f"sensor {sensor + 1}, record {record + 1}", cells)
+            yield Row(f"sensor {sensor + 1}, record {record + 1}", *cells)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
-from markupsafe import Markup
 from pydantic import Field
 from rich.console import Console
 
@@ -165,14 +164,13 @@ def render_kit(result: KitResult) -> str:
         draw_degrees(figure, codes, nine, result.unit)
 
     height = 2.4 + 0.9 * len(codes)
-    drawn = svg_figure("equivalence", (7.4, height), draw, "each laboratory less the others, by number")
-    figure = Markup(drawn)  # noqa: S704 - our own drawing
+    figure = svg_figure("equivalence", (7.4, height), draw, "each laboratory less the others, by number")
     return page(
         "interlaboratory.html.j2", result=result, figure=figure,
         laboratories=[
             Row(
                 one.code,
-                (fixed(one.chi2, 1), probability(one.p_all_looks), WORDS[one.off]), bad=one.off,
+                fixed(one.chi2, 1), probability(one.p_all_looks), WORDS[one.off], bad=one.off
             )
             for one in result.laboratories
         ],
@@ -186,4 +184,4 @@ def _consensus(result: KitResult, name: str) -> Row:
     size, unit = small_unit(name, own.u, result.unit)
     beyond = (own.u, result.dark[name], result.transport[name])
     cells = (f"{own.value:.7g}", *(f"{u / size:.2g} {unit}" for u in beyond))
-    return Row(html_symbol(name), cells)
+    return Row(html_symbol(name), *cells)

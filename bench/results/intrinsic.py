@@ -107,10 +107,7 @@ def shown_rows(own: Intrinsic) -> list[list[str]]:
 
 
 def small_unit(name: str, u: float, unit: str) -> tuple[float, str]:
-    """Return a unit that suits differences of size `u` in the intrinsic number `name`.
-
-    The result is the size of this smaller unit, expressed in `unit`, and its name.
-    """
+    """Return a unit for differences of size `u` in the number `name`: its size in `unit`, and its name."""
     if name.startswith("theta"):
         return 1.0 / 3600.0, "″"
     scale = scale_for(u, unit if name.startswith("S") else "g")
@@ -133,10 +130,7 @@ def joint_in_words(found: Calibration, own: Intrinsic | None) -> str:
 
 
 def ellipses(own: Intrinsic) -> str:
-    """Return a plot of the 95 % ellipsoid of the nine intrinsic numbers, projected on pairs of them.
-
-    Dashed lines are the U of each number (k = 2).
-    """
+    """Return a plot of the 95 % ellipsoid of the nine, projected on pairs; U of each (k = 2) is dashed."""
     from bench.results.plots import BLUE, GREY, svg_figure, symbol
 
     joint, turn = joint_of(own.u, own.dof), np.linspace(0.0, 2.0 * np.pi, _POINTS)

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from bench.base.result_model import Matrix, Real, ResultModel, Vector
 from bench.base.tables import table
-from bench.history.learned import Contrasts, Learned, MeterDifferences
+from bench.history.learned import Contrasts, Learned
 from bench.results.parts import BenchPart
 
 
@@ -104,26 +104,22 @@ class LearnResult(ResultModel):
 
 
 def learn_result(found: Learned, **made_from: Any) -> LearnResult:
-    """Return the errors learned from the runs of a bench, as `--json` writes them.
-
-    `made_from` holds the members that describe these runs.
-    """
+    """Return the errors learned from the runs of a bench; `made_from` holds the members on these runs."""
+    meters = found.meters
     return LearnResult(
         runs=list(found.runs),
         contradicting=found.contradicting,
-        sizes={size.name: SizePart.from_object(size) for size in found.sizes()},
+        sizes={size.name: size for size in found.sizes()},
         means=MeansPart(order=list(found.names), covariance_rad2=found.covariance),
         variances=VariancesPart(
             order=[one.name for one in found.variances], covariance=found.variances_covariance
         ),
-        meters=None if isinstance(found.meters, str) else _meters(found.meters),
+        meters=None
+        if isinstance(meters, str)
+        else MetersPart.from_object(meters, gain=_contrasts(meters.gain), offset_v=_contrasts(meters.zero)),
         not_identified=found.not_identified(),
         **made_from,
     )
-
-
-def _meters(found: MeterDifferences) -> MetersPart:
-    return MetersPart.from_object(found, gain=_contrasts(found.gain), offset_v=_contrasts(found.zero))
 
 
 def _contrasts(found: Contrasts) -> ContrastsPart:

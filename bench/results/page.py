@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from markupsafe import Markup
-
 from bench.base.languages import message
 from bench.base.numbers import probability, rounded, scale_for, uncertainty
 from bench.calibration.conformity import Statement
@@ -55,15 +53,15 @@ def render_report(content: ReportContent) -> str:
         "report.html.j2",
         content=content,
         calibration=calibration,
-        verdict=verdict(content.verification),
-        fit=fit_in_words(calibration.lack_of_fit),
+        verdict=_verdict(content.verification),
+        fit=_fit(calibration.lack_of_fit),
         coefficients=_coefficients(calibration),
         nine=_nine(calibration),
         stand=tables.stand(calibration),
         effects=tables.effects(calibration),
         noise=tables.noise(calibration),
         sources=tables.sources(calibration),
-        measured=measured(content.provenance),
+        measured=_measured(content.provenance),
         verification=_verification(content.verification),
         comparison=_comparison(calibration, other) if other else None,
         residuals=_residuals(calibration),
@@ -73,13 +71,12 @@ def render_report(content: ReportContent) -> str:
     )
 
 
-def _residuals(calibration: Calibration) -> dict[str, Markup] | None:
-    """Return the figures of the residuals; None if no oriented reading was fitted."""
+def _residuals(calibration: Calibration) -> dict[str, str] | None:
     if not len(calibration.fitted):
         return None
     return {
-        "by_angle": Markup(plots.residuals_by_angle(calibration)),  # noqa: S704 - our own drawing
-        "in_order": Markup(plots.residuals_in_order(calibration)),  # noqa: S704
+        "by_angle": plots.residuals_by_angle(calibration),
+        "in_order": plots.residuals_in_order(calibration),
     }
 
 
@@ -94,108 +91,59 @@ STATES: Final = {
 """The style of the verdict box for each statement."""
 
 
-@dataclass(frozen=True)
-class VerdictInWords:
-    """The verdict as text.
-
-    `state` selects the style of its box; the other members are worst point, limit, rule, risk and advice.
-    """
-
-    state: str
-    word: str = message("Not verified")
-    worst: str = ""
-    u: str = ""
-    expanded: str = ""
-    k: str = ""
-    unit: str = ""
-    where: str = ""
-    limit: str = ""
-    tur: str = ""
-    risk: str = ""
-    rule: str = ""
-    rule_in_words: str = ""
-    points: int = 0
-    outside: int = 0
-    advice: tuple[str, ...] = ()
-    of_all: tuple[str, ...] = ()
-
-
-def verdict(verification: Verification | None) -> VerdictInWords:
-    """Return the verdict of a verification as text; its state is "none" if there was no verification."""
+def _verdict(verification: Verification | None) -> dict[str, Any]:
+    """Return the verdict in words; `state` selects the style of its box."""
     if verification is None:
-        return VerdictInWords("none")
+        return {"state": "none", "word": message("Not verified"), "points": 0}
     worst = verification.worst
     scale = scale_for(verification.limit_g, "g")
     mark = "✓" if verification.passed else "✗" if verification.rejected else "–"
-    return VerdictInWords(
-        state=STATES[verification.statement],
-        word=message(f"{mark} Verification{_of_a_verification(headline(verification))}"),
-        worst=rounded(abs(worst.delta_g) / scale.size, worst.u / scale.size),
-        u=uncertainty(worst.u / scale.size),
-        expanded=uncertainty(worst.U / scale.size),
-        k=f"{worst.k:.3g}",
-        unit=scale.unit,
-        where=message(f"{worst.angle_deg:.4f}° (pass {worst.pass_number}, point {worst.point})"),
-        limit=f"{verification.limit_g / scale.size:g}",
-        tur=f"{verification.tur:.2g}",
-        risk=risk_in_words(verification),
-        rule=verification.decision.words,
-        rule_in_words=rule_in_words(verification.decision),
-        points=len(verification.points),
-        outside=sum(abs(p.delta_g) > verification.limit_g for p in verification.points),
-        advice=advice(verification),
-        of_all=global_risk_in_words(verification),
-    )
+    words = headline(verification)
+    said = f": {words}" if words.startswith("conditional") else f" {words}"
+    return {
+        "state": STATES[verification.statement],
+        "word": message(f"{mark} Verification{said}"),
+        "worst": rounded(abs(worst.delta_g) / scale.size, worst.u / scale.size),
+        "u": uncertainty(worst.u / scale.size),
+        "expanded": uncertainty(worst.U / scale.size),
+        "k": f"{worst.k:.3g}",
+        "unit": scale.unit,
+        "where": message(f"{worst.angle_deg:.4f}° (pass {worst.pass_number}, point {worst.point})"),
+        "limit": f"{verification.limit_g / scale.size:g}",
+        "tur": f"{verification.tur:.2g}",
+        "risk": risk_in_words(verification),
+        "rule": verification.decision.words,
+        "rule_in_words": rule_in_words(verification.decision),
+        "points": len(verification.points),
+        "outside": sum(abs(p.delta_g) > verification.limit_g for p in verification.points),
+        "advice": advice(verification),
+        "of_all": global_risk_in_words(verification),
+    }
 
 
-def _of_a_verification(words: str) -> str:
-    """Return the words of a verdict that follow "verification", such as " passed" or ": conditional pass"."""
-    return f": {words}" if words.startswith("conditional") else f" {words}"
-
-
-@dataclass(frozen=True)
-class FitInWords:
-    """The test for lack of fit as text, and its `state`: fits, misfits or unknown."""
-
-    state: str
-    figures: str
-    short: str
-    sentence: str
-
-
-def fit_in_words(fit: LackOfFit) -> FitInWords:
-    """Return the outcome of a test for lack of fit as text."""
-    if not math.isfinite(fit.p):
-        return FitInWords(
-            "unknown",
-            "",
-            message("cannot be judged: too few repeats"),
-            message(
-                "Whether the model fits cannot be judged: the readings have too few repeats to separate "
-                "misfit from scatter."
-            ),
-        )
+def _fit(fit: LackOfFit) -> dict[str, str]:
+    """Return the outcome of a test for lack of fit in words; `state` is fits, misfits or unknown."""
     figures = message(f"χ² = {fit.chi2:.1f} for {fit.dof} degrees of freedom, {probability(fit.p)}")
-    if not fit.shown:
-        return FitInWords(
-            "fits",
-            figures,
-            message("no lack of fit shown at 1 %"),
-            message(
-                "No lack of fit is shown: the scatter of the repeats explains the residuals; "
-                f"chance alone would leave more in {_percent(fit.p)} of calibrations."
-            ),
+    if not math.isfinite(fit.p):
+        state, figures, short = "unknown", "", message("cannot be judged: too few repeats")
+        sentence = message(
+            "Whether the model fits cannot be judged: the readings have too few repeats to separate "
+            "misfit from scatter."
         )
-    return FitInWords(
-        "misfits",
-        figures,
-        message("the model does not fit the readings"),
-        message(
+    elif not fit.shown:
+        state, short = "fits", message("no lack of fit shown at 1 %")
+        sentence = message(
+            "No lack of fit is shown: the scatter of the repeats explains the residuals; "
+            f"chance alone would leave more in {_percent(fit.p)} of calibrations."
+        )
+    else:
+        state, short = "misfits", message("the model does not fit the readings")
+        sentence = message(
             "The model does not fit: its residuals exceed the scatter of the repeats; chance alone would "
             f"leave as much in {_percent(fit.p)} of calibrations. The misfit has widened u"
             "; the residuals show where it acts."
-        ),
-    )
+        )
+    return {"state": state, "figures": figures, "short": short, "sentence": sentence}
 
 
 _MEASURED: Final = {
@@ -209,7 +157,7 @@ _INSTRUMENTS = ("voltmeter", "head", "thermometer", "meter_", "room_", "level", 
 """Prefixes of the names of instruments that are listed near the top; a chamber is listed only at the end."""
 
 
-def measured(provenance: Mapping[str, str]) -> dict[str, str]:
+def _measured(provenance: Mapping[str, str]) -> dict[str, str]:
     """Return the unit, date, operator, procedure and instruments from the provenance, as far as they are stated."""
     stated = {title: provenance[name] for name, title in _MEASURED.items() if name in provenance}
     if "Procedure" in stated:
@@ -232,21 +180,20 @@ def _coefficients(calibration: Calibration) -> dict[str, Any]:
         "per_g": base.per_g,
         "groups": tables.coefficient_groups(calibration),
         "strongest": tables.strongest_correlations(calibration),
-        "figure": Markup(plots.correlations(calibration)),  # noqa: S704 - our own drawing
+        "figure": plots.correlations(calibration),
         "g": f"{calibration.g_m_s2:.7g}",
     }
 
 
 def _nine(calibration: Calibration) -> dict[str, Any] | None:
-    """Return the section on the numbers that do not depend on the mounting; None if there are none."""
     own = intrinsic_of(calibration)
     if own is None:
         return None
     return {
-        "rows": [tables.Row(tables.symbol(name), tuple(cells)) for name, *cells in shown_rows(own)],
+        "rows": [tables.Row(tables.symbol(name), *cells) for name, *cells in shown_rows(own)],
         "mounting": own.mounting,
         "joint": joint_in_words(calibration, own),
-        "figure": Markup(ellipses(own)),  # noqa: S704 - our own drawing
+        "figure": ellipses(own),
     }
 
 
@@ -256,7 +203,7 @@ def _verification(verification: Verification | None) -> dict[str, Any] | None:
     return {
         "rows": tables.verification(verification),
         "unit": scale_for(verification.limit_g, "g").unit,
-        "figure": Markup(plots.verification_points(verification)),  # noqa: S704 - our own drawing
+        "figure": plots.verification_points(verification),
     }
 
 
@@ -264,5 +211,5 @@ def _comparison(calibration: Calibration, other: Calibration) -> dict[str, Any]:
     return {
         "names": (calibration.estimator, other.estimator),
         "rows": tables.comparison(calibration, other),
-        "figure": Markup(plots.compared_coefficients(calibration, other)),  # noqa: S704 - our own drawing
+        "figure": plots.compared_coefficients(calibration, other),
     }

@@ -20,8 +20,8 @@ Part = TypeVar("Part", bound=ResultModel)
 def by_name(names: Sequence[str], part: type[Part], of: object = None, /, **columns: Any) -> dict[str, Part]:
     """Return a `part` (a model class) for each of m names.
 
-    Each of the `columns` has the values (m,) of one member of the part, or one number for all names. Members
-    without a column are attributes (m,) of the object `of`.
+    Each of the `columns` has the values (m,) of one member, or one number for all names. Members without a
+    column are attributes (m,) of the object `of`.
     """
     columns |= {
         name: getattr(of, name) for name in part.model_fields if name not in columns and hasattr(of, name)

@@ -115,10 +115,7 @@ class RequireResult(ResultModel):
 
 @dataclass(frozen=True)
 class Requirements:
-    """The result of `bench require`, with additional data for its text.
-
-    `up_to_g` is the largest acceleration requested, None if none; `left_out` names the errors not counted.
-    """
+    """The result of `bench require`; for its text, the largest acceleration (or None), and the errors left out."""
 
     result: RequireResult
     up_to_g: float | None
@@ -226,11 +223,7 @@ class PlanPointsResult(ResultModel):
 def plan_points_result(
     points: ChosenPoints, u_paper: dict[str, float], bench: BenchPart, procedure: str | None, *, asked: bool
 ) -> PlanPointsResult:
-    """Return the result for the chosen test points.
-
-    `u_paper` maps the name of each goal to the u that the paper's points give. `asked` says whether the user
-    stated goals.
-    """
+    """Return the result for the chosen points; `u_paper` maps each goal to the u by the paper's points."""
     return PlanPointsResult(
         bench=bench.name,
         bench_file=bench,

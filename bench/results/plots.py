@@ -16,6 +16,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from markupsafe import Markup
 
 from bench.base.arrays import CHANNELS, HOUR, MINUTE, Floats, Mask
 from bench.base.languages import ENGLISH, language, message, translated
@@ -70,10 +71,7 @@ Columns = Sequence[tuple[str, Calibration, Sequence[Mask]]]
 
 
 def residuals_by_angle(calibration: Calibration) -> str:
-    """Return a plot of residuals against head angle: a row per channel, a column per installation.
-
-    The band is two standard deviations of a single reading, from reading noise and setting error.
-    """
+    """Return a plot of residuals against head angle: a row per channel, a column per installation."""
     columns = [
         (message(f"installation {mount}"), calibration, [rows]) for mount, rows in mounts_of(calibration)
     ]
@@ -287,8 +285,8 @@ def mounts_of(calibration: Calibration) -> list[tuple[Mounting, Mask]]:
 def sd_of_reading(calibration: Calibration, rows: Mask, angle_rad: Floats) -> Floats:
     """Return the standard deviation (m, 3) of a single reading at head angles (m,), in the signal's unit.
 
-    It combines reading noise with the setting error times the slope du/dphi. The slope comes from a sine and
-    a cosine of the angle, fitted to the readings `rows` of one mounting.
+    It combines reading noise and setting error times slope du/dphi. The slope is that of a sine and a cosine of
+    the angle, fitted to the readings `rows` of one mounting.
     """
     angle = calibration.fitted.angle_rad[rows]
     predicted = calibration.fitted.signal[rows] - calibration.residuals[rows]
@@ -331,10 +329,7 @@ def residual_points(
     scale: Scale,
     name: str = "readings",
 ) -> None:
-    """Draw the residuals of one channel in one mounting: colour and fill show the pass, shape the direction.
-
-    `name` keeps the marks' identifiers distinct from those of other calibrations in the same figure.
-    """
+    """Draw a channel's residuals in a mounting, by pass and direction; `name` makes identifiers unique."""
     fitted = calibration.fitted
     for number in np.unique(fitted.pass_number[rows]):
         for direction, marker in MARKERS.items():
@@ -447,12 +442,12 @@ def _written(name: str, inches: tuple[float, float], draw: Callable[[Figure], No
     return text.getvalue()
 
 
-def svg_figure(name: str, inches: tuple[float, float], draw: Callable[[Figure], None], alt: str) -> str:
-    """Draw a figure and return it as an SVG element for a page; `alt` is its alternative text."""
+def svg_figure(name: str, inches: tuple[float, float], draw: Callable[[Figure], None], alt: str) -> Markup:
+    """Draw a figure and return it as an SVG element, safe for a page; `alt` is its alternative text."""
     return _inline(svg_file(name, inches, draw), name, inches, alt)
 
 
-def _inline(svg: str, name: str, inches: tuple[float, float], alt: str) -> str:
+def _inline(svg: str, name: str, inches: tuple[float, float], alt: str) -> Markup:
     """Convert an SVG file to an element for a page, with unique identifiers and without metadata."""
     body = svg[svg.index("<svg") :]
     body = re.sub(r"<!--.*?-->|<metadata>.*?</metadata>|<style.*?</style>", "", body, flags=re.DOTALL)
@@ -464,4 +459,5 @@ def _inline(svg: str, name: str, inches: tuple[float, float], alt: str) -> str:
     # the width is in em, so that the lettering scales with the page's text
     alt = escape(translated(alt))
     start = f'<svg {box[0]} role="img" aria-label="{alt}" style="max-width:{inches[0] * 6.4:.1f}em">'
-    return start + re.sub(r">\s+<", "><", body[body.index(">") + 1 :].strip())
+    whole = start + re.sub(r">\s+<", "><", body[body.index(">") + 1 :].strip())
+    return Markup(whole)  # noqa: S704 - our own drawing

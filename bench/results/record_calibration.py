@@ -15,7 +15,6 @@ from bench.base.tables import print_notes
 from bench.calibration.result import COVERAGE_FACTOR
 from bench.diagnosis.record_calibration import ChannelCalibration, Estimate, RecordCalibration
 from bench.history.stability import Stability
-from bench.results.diagnosis_page import drawn
 from bench.results.parts import BenchPart, CorrectionPart, ReadingsPart
 from bench.results.record_diagnosis import course_figure
 from bench.results.repeats import RepeatsPart, repeats_part, repeats_told
@@ -195,7 +194,7 @@ def render_record_calibration(
     ]
     figures = [
         (
-            drawn(course_figure(found.record.time_h, fits)),
+            course_figure(found.record.time_h, fits),
             "Errors of the meters, and the residuals of gain, offset and drift.",
         )
     ]
@@ -203,7 +202,7 @@ def render_record_calibration(
         notes = list(dict.fromkeys([*notes, *noise.record.notes]))
         figures.append(
             (
-                drawn(allan_figure(noise, inline=True)),
+                allan_figure(noise, inline=True),
                 "Allan deviation and spectrum of the residuals, the drift included.",
             )
         )

@@ -16,10 +16,9 @@ from bench.diagnosis.gap import Gap
 from bench.diagnosis.levels import LISTED_IN_SENTENCE
 from bench.diagnosis.record_diagnosis import RecordDiagnosis
 from bench.diagnosis.record_folds import Rival
-from bench.diagnosis.record_search import ChannelFit
 from bench.results import diagnosis_words as words
 from bench.results.diagnosis import print_effect, print_files
-from bench.results.diagnosis_page import drawn, render_alone
+from bench.results.diagnosis_page import render_alone
 from bench.results.diagnosis_parts import AloneResult, EffectPart, GapPart, gap_part
 from bench.results.diagnosis_words import NO_FILES, Files
 from bench.results.plots import BLUE, VERMILION, legend_of, svg_figure
@@ -67,24 +66,20 @@ def result_of(found: RecordDiagnosis, files: Files = NO_FILES, **made_from: Any)
         files,
         made_from,
         gap=_gap_part(found.gap),
-        channels=[_channel(fit) for fit in found.fits],
+        channels=[
+            ChannelPart.from_object(fit, before_rms_v=rms(fit.before_v), after_rms_v=rms(fit.residual_v))
+            for fit in found.fits
+        ],
         noise=RecordNoisePart(white_v=found.white_v, slow_v=found.slow_v, means=len(found.record)),
     )
 
 
 def _gap_part(gap: Gap) -> GapPart:
-    """Return the part on the gap of held-out readings.
-
-    The members in µg are null, because a record has no scale factor to convert volts to g.
-    """
+    """Return the part on the gap; members in µg are null, because a record has no scale factor."""
     in_g = dict.fromkeys(("before_rms_ug", "after_rms_ug"))
     part = gap_part(gap)
     held_out = [fold.model_copy(update=in_g) for fold in part.held_out]
     return part.model_copy(update={**in_g, "expected_rms_ug": None, "reason": None, "held_out": held_out})
-
-
-def _channel(fit: ChannelFit) -> ChannelPart:
-    return ChannelPart.from_object(fit, before_rms_v=rms(fit.before_v), after_rms_v=rms(fit.residual_v))
 
 
 # --- text -------------------------------------------------------------------------------------------
@@ -169,10 +164,9 @@ def evidence_in_words(found: RecordDiagnosis) -> dict[str, str]:
 
 
 def course_figure(time_h: Floats, courses: Sequence[tuple[str, Floats, Floats]]) -> str:
-    """Return a plot of signal minus reference against time, with a row for each channel.
+    """Return a plot of signal minus reference over time, in h.
 
-    `time_h` (n,) is in h. `courses` has for each channel its name, and the difference (n,) in V, before and
-    after.
+    `courses` has for each channel its name, and the difference (n,) in V before and after.
     """
     scale = scale_for(max(float(abs(before).max()) for _, before, _ in courses), "V")
 
@@ -210,7 +204,7 @@ def render(
         to_do=list(what_to_do(found, files)),
         figures=[
             (
-                drawn(course),
+                course,
                 "Signal minus reference: residuals of zero and drift alone, and with the effects found.",
             )
         ],

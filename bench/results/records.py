@@ -148,7 +148,6 @@ class ShowResult(RunPart):
             _print_events(run, out)
 
     def _print_proof(self, run: Run, out: Console) -> None:
-        """Print what the record proves, and its problems."""
         wrong = run.history.problems
         found = "; ".join(wrong) if wrong else "chain of hashes complete"
         out.print(f"record: {len(run.history.events)} events, {found}")

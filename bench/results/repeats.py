@@ -11,7 +11,7 @@ from pydantic import Field
 from bench.base.arrays import CHANNELS
 from bench.base.result_model import Real, ResultModel
 from bench.diagnosis.free_records import BetweenRecords
-from bench.stats.repeats import Ratio, Repeats
+from bench.stats.repeats import Repeats
 
 MEANING: Final = {
     "restart": "a value of its own in each repeat",
@@ -50,25 +50,18 @@ class RepeatsPart(ResultModel):
 
 def repeats_part(found: Repeats) -> RepeatsPart:
     """Return the part of a result on repeats."""
-    return RepeatsPart(
+    term = found.term
+    return RepeatsPart.from_object(
+        found,
         ratio=found.scatter,
-        too_small=found.too_small,
-        before=_ratio(found.held_before),
-        after=_ratio(found.held_after),
-        term=None
-        if found.term is None
-        else TermPart(name=found.term.name, means=MEANING[found.term.name], size=found.term.size.tolist()),
+        before=found.held_before,
+        after=found.held_after,
+        term=term and TermPart(name=term.name, means=MEANING[term.name], size=term.size.tolist()),
     )
 
 
-def _ratio(of: Ratio | None) -> RatioPart | None:
-    return None if of is None else RatioPart.from_object(of)
-
-
 def repeats_told(found: Repeats, where: str, sizes: Sequence[str]) -> str:
-    """Return a sentence on the scatter of repeats. `where` names the repeats; `sizes` are the sizes, in
-    words, of the term added to u.
-    """
+    """Return a sentence on the repeats `where`; `sizes` are those of the term added to u, in words."""
     text = f"repeats {where} scatter {found.scatter:.2g} × u"
     if found.term is None or found.held_before is None or found.held_after is None:
         return text + ("; too few to leave one out" if found.held_before is None else ": u is honest")

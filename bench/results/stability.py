@@ -118,7 +118,7 @@ def _channel(found: Stability, i: int) -> ChannelPart:
         },
         terms_p=terms.p,
         psd=SpectrumPart.from_object(found.spectrum, density=found.spectrum.density[:, i]),
-        averaging=AveragingPart.from_object(found.averages[i]),
+        averaging=found.averages[i],
     )
 
 
@@ -160,7 +160,6 @@ def averaging_lines(found: Stability) -> list[str]:
 
 
 def _table(found: Stability) -> Table:
-    """Return a table with a column for each channel: mean, drift, noise terms (or upper limits), averaging."""
     record, unit = found.record, found.record.unit
     shown = table("", *(f">{channel}" for channel in record.channels))
     shown.add_row("mean", *(f"{mean:.7g} {unit}" for mean in record.mean))
@@ -184,10 +183,7 @@ def _term(terms: NoiseTerms, k: int, unit: str) -> str:
 
 
 def allan_figure(found: Stability, *, inline: bool = False) -> str:
-    """Return an SVG file: the Allan deviation with 95 % limits and fitted noise terms; the spectrum.
-
-    With `inline`, return an SVG element for a page.
-    """
+    """Return a plot of Allan deviation, noise terms and spectrum: an SVG file, or an element if `inline`."""
     curves, terms, tau_s = found.curves, found.terms, found.longest_s
     scale = scale_for(min(float(curve.deviation.min()) for curve in curves), found.record.unit)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
 
@@ -49,19 +48,15 @@ SHOWS: Final = 2.0
 """A stand angle shows in the data if it differs from zero by more than this many u."""
 
 
-@dataclass(frozen=True)
 class Row:
     """A row of a table: its heading (which may contain markup) and its cells; `bad` highlights the row."""
 
-    head: str
-    cells: tuple[str, ...]
-    bad: bool = False
+    def __init__(self, head: str, *cells: str, bad: bool = False) -> None:
+        self.head, self.cells, self.bad = head, cells, bad
 
 
 def symbol(name: str) -> Markup:
-    """Return the name of a coefficient or intrinsic number as HTML, its indices as subscripts: "Kxy" ->
-    K<sub>xy</sub>.
-    """
+    """Return the name of a coefficient or intrinsic number as HTML: "Kxy" -> <i>K</i><sub>xy</sub>."""
     if name.startswith("U0"):
         return Markup("<i>U</i><sub>0{}</sub>").format(name[2:])
     if name.startswith("theta_"):
@@ -104,16 +99,14 @@ def coefficient_groups(calibration: Calibration) -> list[tuple[str, list[Row]]]:
         rows = [
             Row(
                 symbol(COEFFICIENTS[j]),
-                (
-                    values[j],
-                    base.unit if j >= 9 else base.per_g,
-                    of_readings[j],
-                    standard[j],
-                    expanded[j],
-                    scale.unit if j >= 9 else scale.per_g,
-                    other,
-                    _in_other_terms(calibration, j)[1],
-                ),
+                values[j],
+                base.unit if j >= 9 else base.per_g,
+                of_readings[j],
+                standard[j],
+                expanded[j],
+                scale.unit if j >= 9 else scale.per_g,
+                other,
+                _in_other_terms(calibration, j)[1],
             )
             for j, other in zip(members, others, strict=True)
         ]
@@ -174,10 +167,7 @@ def comparison(calibration: Calibration, compared: Calibration) -> list[Row]:
     return [
         Row(
             symbol(name),
-            (
-                row[0], row[1], base.unit if j >= 9 else base.per_g,
-                row[2], scale.unit if j >= 9 else scale.per_g,
-            ),
+            row[0], row[1], base.unit if j >= 9 else base.per_g, row[2], scale.unit if j >= 9 else scale.per_g
         )
         for j, (name, row) in enumerate(zip(COEFFICIENTS, cells, strict=True))
     ]  # fmt: skip
@@ -196,7 +186,7 @@ def stand(calibration: Calibration) -> list[Row]:
         aligned([fixed(pull, 1, sign=True) for pull in pulls]),
     )
     return [
-        Row(_stand_angle(name), (*cells, _in_words(pull, estimate)))
+        Row(_stand_angle(name), *cells, _in_words(pull, estimate))
         for (name, estimate), cells, pull in zip(
             calibration.stand.items(), zip(*columns, strict=True), pulls, strict=True
         )
@@ -232,7 +222,7 @@ def effects(calibration: Calibration) -> list[Row]:
         known = CATALOGUE.get(name.replace(" ", ".").split(".")[0])
         unit = e.unit.replace("ug", "µg").replace("^2", "²").replace("^3", "³").replace("arcsec", "″")
         sentence = known.sentence if known else ""
-        rows.append(Row(name, (rounded(e.value, e.u, sign=True), uncertainty(e.u), unit, sentence)))
+        rows.append(Row(name, rounded(e.value, e.u, sign=True), uncertainty(e.u), unit, sentence))
     return rows
 
 
@@ -242,33 +232,26 @@ def effects(calibration: Calibration) -> list[Row]:
 def verification(result: Verification) -> list[Row]:
     """Return the verification points: angle, modulus, Δg, u, U, part of the limit, risks, statement."""
     scale = scale_for(result.limit_g, "g")
-    rows = []
-    for p in result.points:
-        rows.append(
-            Row(
-                f"{p.pass_number} / {p.point}",
-                (
-                    f"{p.angle_deg:.4f}",
-                    rounded(p.g_p, p.u),
-                    rounded(p.delta_g / scale.size, p.u / scale.size, sign=True),
-                    uncertainty(p.u / scale.size),
-                    uncertainty(p.U / scale.size),
-                    f"{abs(p.delta_g) / result.limit_g:.0%}".replace("%", " %"),
-                    optional_probability(p.p_false_accept),
-                    optional_probability(p.p_false_reject),
-                    translated(str(p.statement), "statement"),
-                ),
-                bad=not p.passed,
-            )
+    return [
+        Row(
+            f"{p.pass_number} / {p.point}",
+            f"{p.angle_deg:.4f}",
+            rounded(p.g_p, p.u),
+            rounded(p.delta_g / scale.size, p.u / scale.size, sign=True),
+            uncertainty(p.u / scale.size),
+            uncertainty(p.U / scale.size),
+            f"{abs(p.delta_g) / result.limit_g:.0%}".replace("%", " %"),
+            optional_probability(p.p_false_accept),
+            optional_probability(p.p_false_reject),
+            translated(str(p.statement), "statement"),
+            bad=not p.passed,
         )
-    return rows
+        for p in result.points
+    ]
 
 
 def free(calibration: Calibration) -> tuple[str, list[Row]] | None:
-    """Return the unit and a row for each free position in the fit: installation, pass, point, |a| - 1 g.
-
-    None if there was none.
-    """
+    """Return the unit and a row for each free position in the fit, with |a| - 1 g; None if there was none."""
     of = calibration.free
     if of is None:
         return None
@@ -277,12 +260,10 @@ def free(calibration: Calibration) -> tuple[str, list[Row]] | None:
     return scale.unit, [
         Row(
             str(j + 1),
-            (
-                str(of.installation[j]),
-                str(of.pass_number[j]),
-                str(of.point[j]),
-                fixed(float(error) / scale.size, decimals, sign=True),
-            ),
+            str(of.installation[j]),
+            str(of.pass_number[j]),
+            str(of.point[j]),
+            fixed(float(error) / scale.size, decimals, sign=True),
         )
         for j, error in enumerate(calibration.modulus_error)
     ]
@@ -293,26 +274,21 @@ def outliers(calibration: Calibration) -> list[Row]:
     return [
         Row(
             str(o.row),
-            (
-                o.installation if o.series == 1 else f"{o.installation}/{o.series}",
-                str(o.pass_number),
-                str(o.point),
-                o.channel,
-                fixed(o.size, places(abs(o.size)), sign=True),
-                o.unit,
-                fixed(o.sigma, 1),
-                f"{o.weight:g}",
-            ),
+            o.installation if o.series == 1 else f"{o.installation}/{o.series}",
+            str(o.pass_number),
+            str(o.point),
+            o.channel,
+            fixed(o.size, places(abs(o.size)), sign=True),
+            o.unit,
+            fixed(o.sigma, 1),
+            f"{o.weight:g}",
         )
         for o in calibration.outliers
     ]
 
 
 def readings(calibration: Calibration) -> tuple[str, list[Row]]:
-    """Return the unit of the residuals and a row for each fitted reading, in the order of measurement.
-
-    Cells: mounting, pass, point, angle, direction, time, temperature, three signals, three residuals.
-    """
+    """Return the unit of the residuals, and a row for each fitted reading in the order of measurement."""
     if not len(calibration.fitted):
         return "", []
     fitted = calibration.fitted
@@ -326,42 +302,29 @@ def readings(calibration: Calibration) -> tuple[str, list[Row]]:
         rows.append(
             Row(
                 str(j + 1),
-                (
-                    str(conditions.mounts[conditions.mount[j]]),
-                    str(fitted.pass_number[j]),
-                    str(fitted.point[j]),
-                    fixed(float(np.degrees(fitted.angle_rad[j])), 4),
-                    {1: "↑", -1: "↓"}.get(int(fitted.direction[j]), "–"),
-                    fixed(time_s, 0),
-                    fixed(temperature_c, 2),
-                    *(fixed(float(v), signal_places) for v in fitted.signal[j]),
-                    *(
-                        fixed(float(v) / scale.size, residual_places, sign=True)
-                        for v in calibration.residuals[j]
-                    ),
-                ),
+                str(conditions.mounts[conditions.mount[j]]),
+                str(fitted.pass_number[j]),
+                str(fitted.point[j]),
+                fixed(float(np.degrees(fitted.angle_rad[j])), 4),
+                {1: "↑", -1: "↓"}.get(int(fitted.direction[j]), "–"),
+                fixed(time_s, 0),
+                fixed(temperature_c, 2),
+                *(fixed(float(v), signal_places) for v in fitted.signal[j]),
+                *(fixed(float(v) / scale.size, residual_places, sign=True) for v in calibration.residuals[j]),
             )
         )
     return scale.unit, rows
 
 
 def _limits(noise: Noise) -> str:
-    """Return the limits of the setting error in words; "" if the data determine no limits."""
     if noise.setting_limits_rad is None:
         return ""
     low, high = (limit / ARCSEC for limit in noise.setting_limits_rad)
     return message(f" (with 95 % between {low:.2g}″ and {high:.2g}″)")
 
 
-def _each(sizes: tuple[float, float, float], unit: str) -> str:
-    return ", ".join(f"{c} {quantity(size, unit)}" for c, size in zip(CHANNELS, sizes, strict=True))
-
-
 def sources(calibration: Calibration) -> dict[str, Any]:
-    """Return the table of error sources that readings do not show, and u of gravity; empty without any.
-
-    Cells: u of the source, its largest contribution to scale factors, cross-axis terms and biases, and its origin.
-    """
+    """Return the table of error sources that readings do not show, and u of gravity; empty without any."""
     if not calibration.sources:
         return {}
     largest = max(float(u_of(s.covariance).max()) for s in calibration.sources)
@@ -372,7 +335,7 @@ def sources(calibration: Calibration) -> dict[str, Any]:
         most = [float(u[own].max()) for own in ([0, 4, 8], [1, 2, 3, 5, 6, 7], [9, 10, 11])]
         origin = message(f"{source.origin} (prior)") if source.prior else source.origin
         cells = (source.size, *(uncertainty(size) if size >= HARDLY else "–" for size in most), origin)
-        rows.append(Row(source.name.replace("_", " "), cells))
+        rows.append(Row(source.name.replace("_", " "), *cells))
     gravity = f"{calibration.gravity_u * 1e6:.2g} ppm" if calibration.gravity_u else ""
     return {"per_g": scale.per_g, "unit": scale.unit, "rows": rows, "gravity": gravity}
 
@@ -386,17 +349,18 @@ def noise(calibration: Calibration) -> dict[str, str]:
         "limits": _limits(of),
         "dof": f"{of.dof:.0f}" if np.isfinite(of.dof) else "",
         "source": of.source,
-        "each": "" if of.channels is None else _each(of.channels, calibration.unit),
+        "each": ""
+        if of.channels is None
+        else ", ".join(
+            f"{c} {quantity(size, calibration.unit)}" for c, size in zip(CHANNELS, of.channels, strict=True)
+        ),
         "rms": quantity(calibration.lack_of_fit.rms, calibration.unit),
         "channels": ", ".join(CHANNELS),
     }
 
 
 def page(name: str, **content: Any) -> str:
-    """Render a template of the folder `templates` with `content`; return the HTML page.
-
-    Content is escaped, and control characters are made visible. A name missing from `content` is an error.
-    """
+    """Return a rendered template: content escaped, control characters visible. A missing name is an error."""
     return visible(_templates(language()).get_template(name).render(**content))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any, Final
 
 from pydantic import Field
@@ -199,9 +199,5 @@ def _left_out(view: TumbleView) -> Iterator[str]:
                     "not fitted, but included in u," if view.combined and term in OF_BLOCK else "assumed zero"
                 )
                 unit = _micro(parameter_of(term).unit.replace("ug", "g"))
-                yield f"{said} in channel {channel}: 1 {unit} of {term} moves {_moved(moved)}"
-
-
-def _moved(moved: Mapping[str, float]) -> str:
-    """Return how far an unfitted term shifts other terms, in words: "K0 by +0.50"."""
-    return ", ".join(f"{name} by {fixed(by, 2, sign=True)}" for name, by in moved.items())
+                others = ", ".join(f"{name} by {fixed(by, 2, sign=True)}" for name, by in moved.items())
+                yield f"{said} in channel {channel}: 1 {unit} of {term} moves {others}"

@@ -264,32 +264,22 @@ def advice(result: Verification) -> tuple[str, ...]:
     """Return sentences that explain each kind of statement in the result, and name possible remedies."""
     number = {s: sum(p.statement is s for p in result.points) for s in Statement}
     sentences = {
-        Statement.FAIL: (
-            message(
-                "|Δg| exceeds the limit by more than the guard band; 'bench diagnose' finds the cause in "
-                "block, stand or procedure"
-            )
+        Statement.FAIL: message(
+            "|Δg| exceeds the limit by more than the guard band; 'bench diagnose' finds the cause in "
+            "block, stand or procedure"
         ),
-        Statement.INCONCLUSIVE: (
-            message(
-                f"U, up to {result.expanded * 1e6:.0f} µg, is larger than the limit of "
-                f"{result.limit_g * 1e6:.4g} µg, so conformity cannot be decided; reduce U by more passes, a "
-                "better voltmeter or a better known stand ('bench budget' shows the largest part)"
-            )
+        Statement.INCONCLUSIVE: message(
+            f"U, up to {result.expanded * 1e6:.0f} µg, is larger than the limit of "
+            f"{result.limit_g * 1e6:.4g} µg, so conformity cannot be decided; reduce U by more passes, a "
+            "better voltmeter or a better known stand ('bench budget' shows the largest part)"
         ),
-        Statement.CONDITIONAL_FAIL: (
-            message(
-                "|Δg| exceeds the limit by less than the guard band: the block may still conform; reduce U "
-                "to "
-                "decide ('bench budget' shows its largest part)"
-            )
+        Statement.CONDITIONAL_FAIL: message(
+            "|Δg| exceeds the limit by less than the guard band: the block may still conform; reduce U to "
+            "decide ('bench budget' shows its largest part)"
         ),
-        Statement.CONDITIONAL_PASS: (
-            message(
-                "|Δg| is within the limit by less than the guard band: the block may still not conform; "
-                "reduce U to "
-                "decide ('bench budget' shows its largest part)"
-            )
+        Statement.CONDITIONAL_PASS: message(
+            "|Δg| is within the limit by less than the guard band: the block may still not conform; reduce "
+            "U to decide ('bench budget' shows its largest part)"
         ),
     }
     points = len(result.points)
@@ -324,12 +314,9 @@ def _to_pass(result: Verification) -> Iterator[str]:
         if needed.u_times is None
         else message(f"reduce u(Δg) to {needed.u_times * point.u * 1e6:.3g} µg")
     )
-    yield (
-        message(
-            f"to pass: {smaller} at pass {point.pass_number} point {point.point} (now "
-            f"{point.u * 1e6:.3g} µg"
-            f"{of_which}), or agree on a limit of at least {math.ceil(needed.limit_g * 1e6)} µg"
-        )
+    yield message(
+        f"to pass: {smaller} at pass {point.pass_number} point {point.point} (now {point.u * 1e6:.3g} µg"
+        f"{of_which}), or agree on a limit of at least {math.ceil(needed.limit_g * 1e6)} µg"
     )
 
 
@@ -344,7 +331,6 @@ def global_risk_in_words(result: Verification) -> tuple[str, ...]:
             f"{population.standard_deviation * 1e6:.3g} µg, as stated, this check accepts "
             f"{probability_in_words(risk.false_accept)} without conforming and does not accept "
             f"{probability_in_words(risk.false_reject)} that conform (global risks, at the largest U); the "
-            f"risks of "
-            "this block are those of one of them that was measured so (JCGM 106:2012, A.4)"
+            "risks of this block are those of one of them that was measured so (JCGM 106:2012, A.4)"
         ),
     )

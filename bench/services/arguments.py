@@ -125,10 +125,9 @@ def kinds_of(request: type) -> dict[str, Kind]:
 
 
 def checked(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return a decorator that checks the kinds of arguments.
+    """Return a decorator that raises `Refused` for an `OSError`, and for an argument of another kind.
 
-    `kinds` states a kind for each parameter. An argument of another kind raises `Refused`; None is accepted
-    if it is the default. The decorated function also turns an `OSError` into `Refused`.
+    None is accepted if it is the default.
     """
 
     def decorated(function: Callable[P, R]) -> Callable[P, R]:
@@ -153,9 +152,9 @@ def checked(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 
 def python_call(request: Callable[P, Asked], act: Callable[[Asked], R], name: str = "") -> Callable[P, R]:
-    """Return the public Python function that carries out a request; its parameters are the fields of the request.
+    """Return the public function of a request: its parameters are the fields, its docstring is that of `act`.
 
-    The function has the name `name` (default: that of `act` without underscores) and the docstring of `act`.
+    `name` is its name (default: that of `act` without underscores).
     """
 
     def call(*args: P.args, **kwargs: P.kwargs) -> R:

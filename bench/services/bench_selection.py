@@ -91,10 +91,10 @@ class Origin(_Part):
         return to_text(about)
 
     def bench_file(self, readings: Path) -> Path | None:
-        """Return the path of the run's bench file for a readings file; None if no unchanged copy is found.
+        """Return the path of an unchanged copy of the run's bench file; None if none is found.
 
-        The search covers the copy in the run's folder, also by its path relative to the readings file (both
-        may have moved), and the original bench file.
+        Searched are the copy in the run's folder, the same relative to the readings file (both may have moved),
+        and the original file.
         """
         places = [self.bench.copied_to, self.bench.copied_to_from_here, self.bench.file]
         for path in (readings.parent / place for place in places if place):
@@ -114,10 +114,7 @@ def instrument_name(identity: str, serial: str, resource: str | None, bench: str
 
 @dataclass(frozen=True)
 class OriginBeside:
-    """The content of the origin file of a readings file, and notes for the reader.
-
-    `origin` is None if there is no origin file, or if it is not trusted.
-    """
+    """The content of a readings file's origin file (None if missing or not trusted), and notes for the reader."""
 
     origin: Origin | None = None
     notes: tuple[str, ...] = ()
@@ -154,10 +151,7 @@ def origin_of_run(run: Run) -> OriginBeside:
 
 
 def origin_beside(readings: Path) -> OriginBeside:
-    """Return the content of the origin file of a readings file, with notes.
-
-    The content is empty if the origin file is missing or invalid, or states the SHA-256 of other readings.
-    """
+    """Return the content of a readings file's origin file, which must state the SHA-256 of these readings."""
     file = readings.with_name(readings.name + SUFFIX)
     content = _read(file)
     if content is None or not readings.is_file():
@@ -215,7 +209,6 @@ def _read(path: Path) -> bytes | None:
 
 
 def _as_text(value: object) -> str:
-    """Return a value of a record as text that can be printed."""
     return visible(str(value or ""))
 
 
@@ -225,10 +218,7 @@ _NONE_NAMED: Final = "the shipped one, because no file was named"
 
 @dataclass(frozen=True)
 class BenchTaken:
-    """The bench file that an analysis uses: its content, path and SHA-256, and the reason for the choice.
-
-    `why` is the reason for this choice; `chosen` is why the run itself was begun with this file.
-    """
+    """The bench file of an analysis; `why` is why it was chosen, `chosen` why the run was begun with it."""
 
     file: BenchFile
     where: str
@@ -310,11 +300,10 @@ def recorded_sha256(run: Run) -> str:
 def bench_of(
     name: str, run: Run | None, told: OriginBeside, given: str | Path | BenchFile | None
 ) -> tuple[BenchTaken, tuple[str, ...]]:
-    """Return the bench file to use for readings, and notes: the requested file, else the file that the run
-    recorded.
+    """Return the bench file to use for readings, and notes.
 
-    For readings without a run it is the first of these: the requested file, the file in BENCH_FILE, the file that
-    the origin file names (`told`), the shipped file.
+    It is the first of these: the requested file, the one that the run recorded; without a run, the file in
+    BENCH_FILE, the one that the origin file names (`told`), the shipped one.
     """
     if run is not None:
         return _of_run(run, given)
@@ -350,9 +339,6 @@ def _of_run(run: Run, given: str | Path | BenchFile | None) -> tuple[BenchTaken,
 
 
 def own_bench(run: Run) -> tuple[BenchFile, Path]:
-    """Return the bench file that a run recorded, and the path to which its references are relative.
-
-    The path is that of the original bench file or, if that no longer exists, of the run's copy.
-    """
+    """Return the bench file that a run recorded, and a path for its references: the original's, else the copy's."""
     stated = Path(str(run.manifest.get("bench", "")))
     return load_recorded_bench(run.folder / BENCH), stated if stated.is_file() else run.folder / BENCH

@@ -63,10 +63,7 @@ def whole_body(request: Diagnose) -> Body:
 
 
 def single_bodies(request: Diagnose) -> list[Body | Failed]:
-    """Return each source as a separate body, or as a `Failed` if it cannot be read.
-
-    If there is only one source, its error is raised instead.
-    """
+    """Return each source as a body, or as a `Failed` if it cannot be read; a single source raises its error."""
     with knowing_effects_in(request.effects):
         loaded = load_each(reading(request, *request.sources))
         return [one if isinstance(one, Failed) else body_of([one], request.one_block) for one in loaded]
@@ -176,10 +173,7 @@ class _Named:
 
 
 def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
-    """Return a source's readings, corrected for mistakes that the early warning found, and these mistakes.
-
-    The readings are returned unchanged if the early warning found no sign of a mistake during the run.
-    """
+    """Return a source's readings, corrected for mistakes that the early warning found, and these mistakes."""
     run, readings = source.run, source.readings
     if run is None or run.imported or not run.history.progress.signs:
         return readings, ()
@@ -269,21 +263,18 @@ class _Copy:
     def mend(self, mount: tuple[int, str], told: Sequence[_Named]) -> list[Mistake]:
         """Correct the mistakes that the early warning found in a mounting; return these mistakes."""
         sat = Counter(match[1] for one in told if (match := _sat_in(one.sign)) is not None)
-        if sat and sat.most_common(1)[0][1] >= LEAST_NAMED:
-            return [self._move(mount, sat.most_common(1)[0][0], told)]
-        cabled = Counter(one.sign.causes[0] for one in told if _cabling(one.sign) is not None)
-        mistakes = []
-        for cause in (cause for cause, times in cabled.items() if times >= LEAST_NAMED):
-            mistakes.append(self._rewire(mount, cause, [one for one in told if one.sign.causes[0] == cause]))
-        done = {cause for cause, times in cabled.items() if times >= LEAST_NAMED}
-        left = [one for one in told if one.sign.causes[0] not in done]
-        return [*mistakes, *(self._leave_out(mount, one) for one in left)]
+        for actual, times in sat.most_common(1):
+            if times >= LEAST_NAMED:
+                return [self._move(mount, actual, told)]
+        cabled = Counter(one.sign.causes[0] for one in told if one.sign.causes[0] in CABLINGS)
+        certain = [cause for cause, times in cabled.items() if times >= LEAST_NAMED]
+        return [
+            *(self._rewire(mount, [one for one in told if one.sign.causes[0] == cause]) for cause in certain),
+            *(self._leave_out(mount, one) for one in told if one.sign.causes[0] not in certain),
+        ]
 
     def _move(self, mount: tuple[int, str], actual: str, told: Sequence[_Named]) -> Mistake:
-        """Move the rows of a mounting to the installation `actual`; return the mistake.
-
-        The rows join the preceding mounting if that is in the installation `actual`.
-        """
+        """Move a mounting's rows to installation `actual`; they join the mounting before if that is in it."""
         rows = self._rows(mount)
         first = int(np.flatnonzero(rows)[0])
         before = self.mount(first - 1) if first else (0, "")
@@ -294,25 +285,25 @@ class _Copy:
             f"the block sat in installation {actual}, not in {mount[1]}, in its {int(rows.sum())} readings from "
             f"pass {self._given.pass_number[first]}, point {self._given.point[first]} on; the copy is corrected"
         )
-        p = min(one.sign.p for one in told)
-        return _mistake(MistakeName.SWAPPED_INSTALLATIONS, (), mount[1], None, None, words, p)
+        return _mistake(MistakeName.SWAPPED_INSTALLATIONS, mount, words, told)
 
-    def _rewire(self, mount: tuple[int, str], cause: str, told: Sequence[_Named]) -> Mistake:
+    def _rewire(self, mount: tuple[int, str], told: Sequence[_Named]) -> Mistake:
         """Undo swapped or reversed channels from the first to the last reading affected; return the mistake."""
+        sign, first = told[0].sign, told[0].row
+        cause = sign.causes[0]
         rows = self._rows(mount)
-        rows[: told[0].row] = False
+        rows[:first] = False
         rows[told[-1].row + 1 :] = False
         matrix = CABLINGS[cause]
         self._signal[rows] = self._signal[rows] @ matrix.T
         self._sd[rows] = self._sd[rows] @ np.abs(matrix).T
-        channels = told[0].sign.channels
         name = MistakeName.REVERSED_POLARITY if "reversed" in cause else MistakeName.SWAPPED_CHANNELS
         words = (
-            f"{cause} in installation {mount[1]} from pass {self._given.pass_number[told[0].row]}, point "
-            f"{self._given.point[told[0].row]} on ({int(rows.sum())} readings); the copy has their "
+            f"{cause} in installation {mount[1]} from pass {self._given.pass_number[first]}, point "
+            f"{self._given.point[first]} on ({int(rows.sum())} readings); the copy has their "
             "signals exchanged back"
         )
-        return _mistake(name, channels, mount[1], None, None, words, min(one.sign.p for one in told))
+        return _mistake(name, mount, words, told, sign.channels)
 
     def _leave_out(self, mount: tuple[int, str], one: _Named) -> Mistake:
         self._kept[one.row] = False
@@ -322,7 +313,9 @@ class _Copy:
         words = f"{where}: {' or '.join(one.sign.causes)}; the copy leaves the reading out"
         kind = Kind(one.sign.kinds[0])
         name = NAMES.get(kind, MistakeName.WRONG_SETTING if kind in OF_ONE_READING else MistakeName.OUTLIER)
-        return _mistake(name, one.sign.channels, mount[1], number, point, words, one.sign.p)
+        return replace(
+            _mistake(name, mount, words, [one], one.sign.channels), pass_number=number, point=point
+        )
 
     def _rows(self, mount: tuple[int, str]) -> Mask:
         return np.asarray((self._given.series == mount[0]) & (self._given.installation == mount[1]))
@@ -332,18 +325,12 @@ def _sat_in(sign: EarlySign) -> re.Match[str] | None:
     return SAT_IN.fullmatch(sign.causes[0]) if sign.kinds[0] == Kind.INSTALLATION else None
 
 
-def _cabling(sign: EarlySign) -> str | None:
-    return sign.causes[0] if sign.causes[0] in CABLINGS else None
-
-
 def _mistake(
     name: MistakeName,
-    channels: tuple[str, ...],
-    installation: str,
-    pass_number: int | None,
-    point: int | None,
+    mount: tuple[int, str],
     words: str,
-    p: float,
+    told: Sequence[_Named],
+    channels: tuple[str, ...] = (),
 ) -> Mistake:
-    told = f"{words} (as the early warning named it)"
-    return Mistake(name, channels, (installation,), pass_number, point, told, p, ())
+    words = f"{words} (as the early warning named it)"
+    return Mistake(name, channels, (mount[1],), None, None, words, min(one.sign.p for one in told), ())

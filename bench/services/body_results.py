@@ -36,10 +36,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class BodyResult(ABC):
-    """The result of diagnosing a body of readings: the findings (`found`) and the files written.
-
-    `not_written` says which files could not be written, and why.
-    """
+    """The result of diagnosing a body: findings, files written, and which files could not be written, and why."""
 
     body: Body
     found: FullDiagnosis | MistakesAlone | FreeDiagnosis | RecordDiagnosis
@@ -78,9 +75,8 @@ class BodyResult(ABC):
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
         """Write all files of `bench diagnose`; return the result with their paths.
 
-        With `accept_first`, a model is written even if the readings cannot decide between effects; it then
-        has the likeliest one. A file that cannot be written is noted in `not_written`; if an output folder
-        was requested, it raises `OSError`.
+        With `accept_first`, a tie is written as its likeliest effect. A file that cannot be written is noted in
+        `not_written`; if an output folder was requested, it raises `OSError`.
         """
 
     def __repr__(self) -> str:
@@ -88,10 +84,7 @@ class BodyResult(ABC):
         return f"{as_text(self.print_on)}\nbench: {self.bench}"
 
     def tried(self, what: str, write: Callable[[], T]) -> tuple[T | None, Self]:
-        """Call `write` to write `what`; return its value and this result.
-
-        If writing fails, return None and a copy of this result that notes the failure.
-        """
+        """Return the value of `write` and this result; if writing `what` fails, None and a result that says so."""
         try:
             return write(), self
         except OSError as error:
@@ -142,11 +135,7 @@ def write_content(path: Path, content: str) -> Path:
 
 
 def write_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings, path: Path) -> Path:
-    """Write the readings with the mistakes corrected, and the origin file of this copy in the same folder.
-
-    The copy holds the values that the instruments showed; reading the copy with the same bench file gives
-    exactly `corrected`.
-    """
+    """Write the corrected readings as the instruments showed them, with an origin file; return the path."""
     source = body.source
     content = format_csv(as_read(corrected, source.traced.by))
     if source.origin is not None and len(body.sources) == 1:

@@ -84,8 +84,7 @@ def with_prior(
     """Return a calibration combined with the prior for its unit's type, the prior's part of the result, and notes.
 
     If readings and prior contradict each other, the calibration is returned unchanged, with a note. Raises
-    `Refused` for a prior of another type or signal unit, for simulated readings with a real prior or the
-    reverse, for a prior computed from this unit itself, and if all readings are free positions.
+    `Refused` for a prior that does not apply to these readings.
     """
     from bench.history.prior import CONFLICT_P, join
 
@@ -206,11 +205,7 @@ class CalibrationResult:
 
     @cached_property
     def intrinsic(self) -> Intrinsic | None:
-        """The nine intrinsic numbers, which do not depend on the mounting: `names`, `values`, `u`, `U`,
-        `covariance` (9, 9).
-
-        None for a block with a dead channel.
-        """
+        """The nine intrinsic numbers, with `values`, `u`, `U`, `covariance` (9, 9); None if a channel is dead."""
         return intrinsic_of(self.calibration)
 
     @property
@@ -419,8 +414,7 @@ def verification_of(
 ) -> VerificationResult:
     """Verify a source with coefficients from a file, from a calibration, or (None) from its own readings.
 
-    The options `asked` replace those of the run and its bench file. `agreed` is the decision rule if none of
-    these names one.
+    The options `asked` replace those of run and bench file; `agreed` is the rule if none of these names one.
     """
     from bench.services.verification import NOTHING_ASKED, judged, own_judgement  # takes long to import
 
@@ -457,11 +451,7 @@ def verified(request: Verify, source: Source) -> VerificationResult:
 def report_page(
     result: CalibrationResult | RecordCalibrationResult, asked: VerdictOptions | None = None
 ) -> tuple[str, VerificationResult | None]:
-    """Return the report of a calibration as HTML, and the verification in it (None without verification points).
-
-    Raises `Refused` if a verdict on |a| was requested for a record at a known input, which has no verification
-    points.
-    """
+    """Return the report as HTML, and the verification in it (None without points). Raises `Refused`."""
     if not isinstance(result, CalibrationResult):
         from bench.services.verification import NOTHING_ASKED
 
@@ -490,7 +480,6 @@ def report_page(
 
 
 def _closed_form(source: Source) -> Calibration | None:
-    """Return the calibration by the paper's closed-form estimator; None if it cannot use the readings."""
     try:
         return calibration_of(source, CLOSED_FORM).calibration
     except CalibrationError:

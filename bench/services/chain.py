@@ -56,9 +56,9 @@ def first_head(of: str) -> str:
 
 @dataclass
 class Chain:
-    """A register, open and locked against other writers; `folder` contains it and its files.
+    """A register in `folder`, locked against other writers; `head` is the hash of the last of `count` lines read.
 
-    `head` is the hash of the last line read, `length` and `count` the number of bytes and lines read.
+    `length` is the number of bytes read.
     """
 
     FIRST: ClassVar[str]
@@ -73,10 +73,7 @@ class Chain:
         self.head = self.head or self.FIRST
 
     def _note(self, entry: Entry, where: str) -> None:
-        """Interpret a line of the register.
-
-        Raises `Refused`, naming the place `where`, for a line that cannot follow the lines before it.
-        """
+        """Interpret a line. Raises `Refused`, naming the place `where`, if it cannot follow the lines before it."""
         raise NotImplementedError
 
     def keep(self, content: bytes) -> str:
@@ -123,10 +120,7 @@ class Chain:
         self.read_lines()
 
     def read_lines(self) -> None:
-        """Read the lines that were added since the last call, without changing any file.
-
-        Raises `Refused` for a changed line, and for a file that cannot be read.
-        """
+        """Read the lines added since the last call; change no file. Raises `Refused` for a damaged register."""
         path = self.folder / LINES
         with refusing("check name and permissions", self.folder, verb="read"):
             if (path.stat().st_size if path.exists() else 0) < self.length:
@@ -162,10 +156,7 @@ Of = TypeVar("Of", bound=Chain)
 
 @contextlib.contextmanager
 def opened(register: Of) -> Iterator[Of]:
-    """Yield a register, locked and read to its end; its folder is created if missing.
-
-    Raises `Refused` if the register is damaged or not writable, or if another program keeps it open.
-    """
+    """Yield a register, locked and read to its end; its folder is created if missing. Raises `Refused`."""
     folder = register.folder
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -82,10 +82,7 @@ class CheckValues:
         )
 
     def check_run(self, between_runs: Sequence[str]) -> CheckRun:
-        """Return the values in the form of a run of a control chart.
-
-        Errors of readings and stand, and of sources in `between_runs`, are independent from run to run.
-        """
+        """Return a run of a control chart; errors named in `between_runs` are independent from run to run."""
         nothing = np.zeros_like(self.readings)
         own = [one for name, one in self.sources.items() if name.partition("[")[0] in between_runs]
         everything = sum(self.sources.values(), nothing)
@@ -106,7 +103,7 @@ class CheckValues:
 
 
 def check_values(run: Run) -> CheckValues:
-    """Return the calibration of a run of the check block; from the cache, if the record is unchanged.
+    """Return the calibration of a run of the check block, from the cache while its record is unchanged.
 
     Raises `CalibrationError` if the readings give no calibration, `RecordError` if the record is damaged.
     """
@@ -118,7 +115,8 @@ def check_values(run: Run) -> CheckValues:
     values = _of(run, calibration_of(source))
     with contextlib.suppress(OSError):
         file.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(file, json.dumps(vars(values), default=_to_json))
+        stored = {**vars(values), "when": values.when.isoformat()}
+        write_whole(file, json.dumps(stored, default=np.ndarray.tolist))
     return values
 
 
@@ -146,11 +144,6 @@ def _of(run: Run, result: CalibrationResult) -> CheckValues:
     )
 
 
-def _to_json(value: Any) -> Any:
-    """Return an array or a datetime as a value that JSON can hold."""
-    return value.tolist() if isinstance(value, np.ndarray) else value.isoformat()
-
-
 def _from_json(data: dict[str, Any]) -> CheckValues:
     arrays = {name: np.array(data[name]) for name in ("value", "readings", "noise", "meters_limits")}
     sources = {name: np.array(one) for name, one in data["sources"].items()}
@@ -172,11 +165,7 @@ def is_check_block(bench: BenchFile, unit: UnitUnderTest) -> bool:
 
 
 def check_block_runs(bench: BenchFile, runs: Path, *, simulated: bool) -> list[Run]:
-    """Return the finished runs of the check block of a bench, oldest first.
-
-    Only simulated or only real runs are returned (`simulated`). A run is of this bench if its bench file has
-    the same name.
-    """
+    """Return the finished runs of a bench's check block, oldest first; a bench is known by its name."""
     found = []
     for run in all_runs(runs):
         try:
@@ -200,9 +189,8 @@ def chart_of(
 ) -> CheckBlockChart:
     """Return the control chart of the runs of a check block.
 
-    `of_bench` is the path of the bench file; the path of a reference is relative to it. `folder` holds the
-    runs that the section names. Raises `Refused` if no run gives a calibration, and for runs of different
-    blocks or units or of both real and simulated instruments.
+    `of_bench` is the path of the bench file, to which that of a reference is relative. `folder` holds the runs
+    that the section names. Raises `Refused` if no run gives a calibration, and for mixed runs.
     """
     values, notes = _values(runs)
     if not values:
@@ -231,10 +219,7 @@ def _charted(
     in_nine: bool,
     smoothing: float | None = None,
 ) -> tuple[ControlChart, tuple[str, ...]]:
-    """Return the chart of the nine intrinsic numbers (`in_nine`) or of the twelve coefficients.
-
-    A note says so if the limits are not on the basis that the section requests.
-    """
+    """Return the chart of the nine or the twelve numbers; a note says so if the limits are not those requested."""
     drift = _drift(section)
     if in_nine:
         if drift is not None:
@@ -281,10 +266,7 @@ def _arl(section: CheckBlockSection) -> float:
 def _basis(
     wanted: Basis, baseline: int, reference: Reference | None, count: int
 ) -> tuple[Basis, tuple[str, ...]]:
-    """Return the basis of limits that `baseline` runs allow for a chart of `count` numbers.
-
-    A note says so if this is not the basis `wanted`.
-    """
+    """Return the basis of limits that `baseline` runs allow for `count` numbers; a note if it is not `wanted`."""
     if reference is not None:
         return "stated", ()
     order: tuple[Basis, ...] = ("scatter", "scaled", "stated")
@@ -332,10 +314,9 @@ def _parts(
 
 
 def _begun(runs: Sequence[CheckRun], section: CheckBlockSection) -> tuple[list[CheckRun], list[CheckRun]]:
-    """Return the baseline and all other runs.
+    """Return the baseline, which is the first runs in control, and all other runs.
 
-    The baseline consists of the first runs in control, each judged against the runs before it. The last of
-    several runs is never in the baseline, so that the chart judges it.
+    Each run is judged against those before it. The last of several runs is left for the chart to judge.
     """
     baseline: list[CheckRun] = [runs[0]]
     later: list[CheckRun] = []
@@ -386,7 +367,6 @@ def _restarted(section: CheckBlockSection) -> datetime | None:
 
 
 def _with_options(section: CheckBlockSection, request: Chart) -> CheckBlockSection:
-    """Return `section` with the options of a request in place of its own. Raises `Refused`."""
     smoothing, arl, limits = request.smoothing, request.arl, request.limits
     if smoothing is not None and not LEAST_SMOOTHING <= smoothing <= 1.0:
         raise Refused(f"--smoothing {smoothing:g}: give a λ of the EWMA between {LEAST_SMOOTHING:g} and 1")
@@ -409,10 +389,9 @@ def _with_options(section: CheckBlockSection, request: Chart) -> CheckBlockSecti
 def charted(request: Chart) -> CheckBlockChart:
     """Return the control chart of a check block, as `bench chart` computes it.
 
-    `runs` are runs of the check block by name or path, or a folder of runs (default: BENCH_RUNS, else
-    ./runs). `bench` states the check block; without it, the bench file that the latest run recorded does.
-    `real` selects the real (True) or the simulated (False) runs of a folder, by default the kind of the
-    latest run. Raises `Refused` if there are no such runs.
+    `runs` are runs of the check block by name or path, or a folder of runs (default: BENCH_RUNS, else ./runs).
+    `bench` states the check block; without it, the bench file that the latest run recorded does. `real` selects
+    the real (True) or simulated (False) runs of a folder; by default the kind of the latest. Raises `Refused`.
     """
     folder = runs_folder(request.folder)
     named = [request.runs] if isinstance(request.runs, str | Path) else request.runs or [folder]
@@ -498,11 +477,7 @@ class CheckBefore:
         return self.state == IN_CONTROL
 
     def recorded(self, rule: str, reason: str | None) -> CheckedBefore:
-        """Return the check as a member of a manifest.
-
-        `rule` is that of the bench file, `reason` the operator's reason to begin in spite of the check (or
-        None).
-        """
+        """Return the check for a manifest: `rule` of the bench file, `reason` to begin in spite of it (or None)."""
         told: CheckedBefore = {"rule": rule, "state": self.state, "said": self.sentence}
         if self.run:
             told["run"] = self.run
@@ -513,10 +488,7 @@ class CheckBefore:
 
 
 def check_before(bench: BenchFile, path: Path, runs: Path, now: datetime, *, simulated: bool) -> CheckBefore:
-    """Return the check of the bench by the last run of its check block, as of `now`.
-
-    Raises `Refused` if the bench file states no check block, or if its runs give no control chart.
-    """
+    """Return the check by the last run of the check block, as of `now`. Raises `Refused` if there is no chart."""
     section = bench.check_block
     if section is None:
         raise Refused(f"{path}: states no check_block; add it, or leave the check out")
@@ -563,10 +535,10 @@ def _judged(
 def checked_before(
     manifest: Manifest, bench: BenchFile, path: Path, runs: Path, despite: str | None
 ) -> tuple[str, ...]:
-    """Check the bench before a run begins; note the check in the run's manifest and return sentences on it.
+    """Check the bench before a run begins; note it in the run's manifest, and return sentences on it.
 
-    `despite` is the operator's reason to begin the run whatever the check says. Raises `Refused` if the rule
-    of the bench file forbids the run. A run of the check block itself is not checked.
+    `despite` is the operator's reason to begin whatever the check says. A run of the check block itself is not
+    checked. Raises `Refused` if the rule of the bench file forbids the run.
     """
     if bench.check_block is None:
         raise Refused(f"{path}: states no check_block; remove --check-block and --despite-check")

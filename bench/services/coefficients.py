@@ -66,10 +66,7 @@ class Coefficients:
 
 
 def read_coefficients(path: Path, unit: str) -> Coefficients:
-    """Return the coefficients in a result file of `calibrate --json`.
-
-    Raises `Refused` if the file is not such a result, holds an invalid number, or is for signals in another unit.
-    """
+    """Return the coefficients in a result file of `calibrate --json`. Raises `Refused`, also for another `unit`."""
     taken = coefficients_of(_read(path), str(path))
     if taken.unit != unit:
         raise Refused(f"{path}: coefficients in {taken.unit}/g, but the readings are in {unit}; use one unit")
@@ -82,11 +79,7 @@ def is_of_record(data: Any) -> bool:
 
 
 def coefficients_of(data: Any, where: str) -> Coefficients:
-    """Return the coefficients in a result of `calibrate --json` (parsed JSON), in any signal unit.
-
-    Raises `Refused`, naming the file `where`, if the data are not such a result or hold an invalid number or
-    covariance.
-    """
+    """Return the coefficients in a parsed result of `calibrate --json`; `where` is its file. Raises `Refused`."""
     if is_of_record(data):
         raise Refused(
             f"{where}: calibrates meters from a record at a known input, without coefficients of a block; give "
@@ -131,10 +124,7 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
 
 
 def block_result(data: Any, where: str) -> BlockResult:
-    """Return a result of `calibrate --json` (parsed JSON, perhaps of an earlier version) as a `BlockResult`.
-
-    Raises `Refused`, naming the file `where`, if the data are not such a result.
-    """
+    """Return a parsed result of `calibrate --json`, perhaps of an earlier version. Raises `Refused`."""
     taken = coefficients_of(data, where)
     if taken.unit not in UNITS.values():
         known = ", ".join(UNITS.values())
@@ -180,10 +170,7 @@ def _temperature(data: Any) -> str:
 
 
 def require_temperature(results: Sequence[BlockResult], *, without: bool) -> None:
-    """Raise `Refused` if a result was corrected for temperature, unless `without` accepts the loss.
-
-    No form can state a correction for temperature.
-    """
+    """Raise `Refused` if a result was corrected for temperature, which no form can state, unless `without`."""
     for result in results:
         if result.temperature and not without:
             raise Refused(
@@ -228,10 +215,7 @@ def _refuse_without_inverse(block: Block, covariance: Floats, where: str) -> Non
 
 
 def _further_covariance(data: Any, name: str, where: str) -> Floats | None:
-    """Return the covariance (12, 12) in member `name` of a result; None if the result has no such member.
-
-    Raises `Refused`, naming the file `where`, if the value is not a covariance.
-    """
+    """Return the covariance (12, 12) in member `name` of a result, None without it. Raises `Refused`."""
     if data.get(name) is None:
         return None
     try:
@@ -381,10 +365,7 @@ def snapshot_of(data: Any, name: str) -> Snapshot:
 
 
 def _least_dof(data: Any) -> float:
-    """Return the smallest degrees of freedom in a result; infinite if it states none.
-
-    The degrees of freedom are those of the nine intrinsic numbers or, without these, of the coefficients.
-    """
+    """Return the smallest degrees of freedom of the nine numbers, else of the coefficients; infinite if unknown."""
     nine = data.get("intrinsic")
     stated = nine["values"] if isinstance(nine, dict) and isinstance(nine.get("values"), dict) else None
     rows = [one for one in (stated or data["coefficients"]).values() if isinstance(one, dict)]
@@ -392,10 +373,7 @@ def _least_dof(data: Any) -> float:
 
 
 def date_of(text: str | None, where: str) -> datetime | None:
-    """Return an ISO 8601 date, in UTC if it names no zone; None for no text.
-
-    Raises `Refused` for a text that is no date.
-    """
+    """Return an ISO 8601 date, in UTC if it names no zone; None for no text. Raises `Refused` for another text."""
     if not text:
         return None
     try:
@@ -411,10 +389,7 @@ ALL: Final = "all"
 
 
 def forms_of(names: list[str]) -> list[ExportForm]:
-    """Return the forms of these names in their order, each once; "all" stands for all forms.
-
-    Raises `Refused` for an unknown form.
-    """
+    """Return the forms of these names, each once; "all" stands for all. Raises `Refused` for an unknown form."""
     from bench.exchange.forms import FORMS
 
     strange = [name for name in names if name not in FORMS and name != ALL]
@@ -425,10 +400,7 @@ def forms_of(names: list[str]) -> list[ExportForm]:
 
 
 def nominal_of(text: str | None, results: list[BlockResult]) -> Floats | None:
-    """Return the scale factors (3,) in unit/g stated by `--nominal`. Raises `Refused` for an invalid text.
-
-    It also raises `Refused` for results whose signals are accelerations, or whose scale factors differ in sign.
-    """
+    """Return the scale factors (3,) in unit/g that `--nominal` states. Raises `Refused` if they do not fit."""
     if text is None:
         return None
     try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -17,7 +17,7 @@ from bench.calibration.calibrate import calibrate
 from bench.calibration.result import SourceOfError
 from bench.calibration.temperature import CompensationTable, TemperatureModel, make_table
 from bench.calibration.temperature_fit import temperature_model
-from bench.calibration.tumble import DEFAULT, TumbleView, combine, tumble_view
+from bench.calibration.tumble import TumbleView, combine, tumble_view
 from bench.calibration.verification import Verification, verify
 from bench.exchange.compensation import c_header, json_test, table_checks, table_csv
 from bench.exchange.result import BlockResult
@@ -37,26 +37,8 @@ OVER_TEMPERATURE: Final = ("temperature", "thermometer")
 """Errors of a calibration at a single temperature that a model over temperature does not contain."""
 
 
-@dataclass(frozen=True)
-class SignedModel:
-    """A temperature model with its combined covariance, and the same for use with the meters of the
-    calibration.
-
-    The covariance of `same_meters` omits the errors that cancel if the same meters are used again. `sources`
-    are the errors that the readings cannot show. They are equal at all temperatures; so only the covariance
-    of the terms at the reference temperature contains them.
-    """
-
-    combined: TemperatureModel
-    same_meters: TemperatureModel
-    sources: tuple[SourceOfError, ...]
-
-
-def sign_model(model: TemperatureModel, source: Source) -> SignedModel:
-    """Return the model; its covariance then includes the bench errors that no reading shows.
-
-    These errors are computed from one `source`, because they are equal at all temperatures.
-    """
+def _hidden(source: Source) -> tuple[SourceOfError, ...]:
+    """Return the bench errors that no reading shows; they are equal at all temperatures."""
     found = calibrate(
         source.readings,
         source.model,
@@ -66,13 +48,11 @@ def sign_model(model: TemperatureModel, source: Source) -> SignedModel:
         find_shared=False,
     )
     signed = sign(found, source.readings, source.bench, source.model, source.traced.day, source.known_meters)
-    sources = tuple(s for s in signed.sources if s.name not in OVER_TEMPERATURE)
-    return SignedModel(
-        _with(model, sources), _with(model, tuple(s for s in sources if not s.cancels)), sources
-    )
+    return tuple(s for s in signed.sources if s.name not in OVER_TEMPERATURE)
 
 
-def _with(model: TemperatureModel, sources: tuple[SourceOfError, ...]) -> TemperatureModel:
+def _with(model: TemperatureModel, sources: Iterable[SourceOfError]) -> TemperatureModel:
+    """Return the model with these errors in the covariance of the terms at the reference temperature."""
     hidden = sum((s.covariance for s in sources), np.zeros((len(COEFFICIENTS),) * 2))
     constant = np.arange(len(COEFFICIENTS)) * model.values.shape[1]
     covariance: Floats = model.covariance.copy()
@@ -82,10 +62,7 @@ def _with(model: TemperatureModel, sources: tuple[SourceOfError, ...]) -> Temper
 
 @dataclass(frozen=True)
 class Compensation:
-    """Coefficients over temperature: the model, its table, and the verdict at each temperature.
-
-    `names` are those of all sources; `source` is the first of them.
-    """
+    """Coefficients over temperature, their table and verdicts; `source` is the first of the sources `names`."""
 
     source: Source
     names: tuple[str, ...]
@@ -110,11 +87,7 @@ class Compensation:
 
 
 def compensated(request: Compensate, loaded: Sequence[Source]) -> Compensation:
-    """Return the coefficients of several sources as polynomials of the temperature.
-
-    Raises `Refused` for sources with different local gravity and for an invalid degree, `CalibrationError` if the
-    readings do not determine the polynomials.
-    """
+    """Return the coefficients as polynomials of the temperature. Raises `Refused`, `CalibrationError`."""
     first, names = loaded[0], tuple(source.name for source in loaded)
     strangers = [source.name for source in loaded if source.g_m_s2 != first.g_m_s2]
     if strangers:
@@ -124,14 +97,15 @@ def compensated(request: Compensate, loaded: Sequence[Source]) -> Compensation:
     tables = [source.readings for source in loaded]
     degree = _degree(request.degree)
     shown = temperature_model(tables, first.model, first.stand_u, first.g_m_s2, request.reference, degree)
-    signed = sign_model(shown, first)
-    table = make_table(signed.combined, first.bench.unit_under_test.range, request.step)
-    checks = tuple(check for source in loaded for check in _checks(source, signed.same_meters))
-    checked = table_checks(signed.combined, table)
+    hidden = _hidden(first)
+    combined, same_meters = _with(shown, hidden), _with(shown, (s for s in hidden if not s.cancels))
+    table = make_table(combined, first.bench.unit_under_test.range, request.step)
+    checks = tuple(check for source in loaded for check in _checks(source, same_meters))
+    checked = table_checks(combined, table)
     result = compensate_result(
-        signed.combined,
+        combined,
         of_readings=shown.covariance,
-        hidden=signed.sources,
+        hidden=hidden,
         shown=table,
         checks=checks,
         check=checked,
@@ -141,7 +115,7 @@ def compensated(request: Compensate, loaded: Sequence[Source]) -> Compensation:
         corrections=[part for source in loaded for part in source.traced.parts()],
         simulated=any(source.simulated for source in loaded),
     )
-    return Compensation(first, names, signed.combined, table, checks, result)
+    return Compensation(first, names, combined, table, checks, result)
 
 
 def _degree(text: str) -> int | None:
@@ -171,15 +145,16 @@ def _checks(source: Source, model: TemperatureModel) -> Iterator[tuple[float, Ve
         )  # fmt: skip
 
 
-def tumble_of(
-    source: Source, terms: Sequence[str] = DEFAULT, above: CentrifugePoints | None = None
-) -> TumbleView:
-    """Return the tumble of each axis of a source with the nonlinear `terms` (such as "K2"), by IEEE 1293.
+def tumbled(
+    source: Source, terms: Sequence[str], above: CentrifugePoints | None = None
+) -> tuple[TumbleView, TumbleResult]:
+    """Return the tumble of each axis by IEEE 1293, and its result; points `above` 1 g join the fit.
 
-    Points `above` 1 g join the fit. Raises `CalibrationError` if the readings do not determine the terms.
+    Raises `CalibrationError` if the readings do not determine the nonlinear `terms`, such as "K2".
     """
+    readings = source.readings
     view = tumble_view(
-        source.readings,
+        readings,
         source.model,
         source.stand_u,
         source.g_m_s2,
@@ -187,15 +162,7 @@ def tumble_of(
         assumed_u=source.assumed_u,
         above=above,
     )
-    return combine(view, source.bench, source.model, terms, source.traced.day)
-
-
-def tumbled(
-    source: Source, terms: Sequence[str], above: CentrifugePoints | None = None
-) -> tuple[TumbleView, TumbleResult]:
-    """Return the tumble of each axis of a source, and the result for JSON. Raises as `tumble_of`."""
-    view = tumble_of(source, terms, above)
-    readings = source.readings
+    view = combine(view, source.bench, source.model, terms, source.traced.day)
     notes = [*view.lack_of_fit.diagnose(source.name), *view.notes, *readings.notes, *readings.skipped]
     return view, tumble_result(view, **source.made_from(), notes=notes)
 
@@ -224,10 +191,7 @@ tumble = python_call(Tumble, _tumble)
 
 @dataclass(frozen=True)
 class CalibrationToWrite:
-    """A calibration that is to be written in other forms, and the place of these files.
-
-    `source` is None for a `result` from a JSON file; `stem` is then the path of the files without suffix.
-    """
+    """A calibration to be written in other forms; files are named after `source` or, for a JSON file, `stem`."""
 
     result: BlockResult
     stem: Path
@@ -241,10 +205,7 @@ class CalibrationToWrite:
 
 
 def results_of(request: Request) -> list[CalibrationToWrite]:
-    """Return the calibrations of all sources: readings are calibrated, result files are read.
-
-    Raises `Refused` for options that result files do not accept, and for sources with the same output files.
-    """
+    """Return the calibrations of all sources: readings are calibrated, result files are read. Raises `Refused`."""
     names = [name for name in request.sources if isinstance(name, str) and is_result(Path(name))]
     asked = (request.bench, request.model, request.g_m_s2)
     if names and (any(value is not None for value in asked) or request.skip_bad_rows):

@@ -1,19 +1,22 @@
-"""Results of finished runs, computed and stored in the run's folder; export and import of readings."""
+"""Results of finished runs, stored in the run's folder and shown at its end; export and import of readings."""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from bench.base.computing import versions
+from bench.base.computing import quiet, versions
 from bench.base.files import read_given, read_regular, to_text, write_whole
 from bench.base.yaml_files import load_validated
 from bench.calibration import CalibrationError
+from bench.config.shipped import CONFIG, PROCEDURES, shipped_folder
 from bench.readings.csv import format_csv, read_csv
+from bench.results.calibration import fit_in_a_line
+from bench.results.verification import basis_in_words, outcome_in_words
 from bench.run.events import Manifest, RecordError
 from bench.run.folder import BENCH, IMPORTED, RESULTS, Run, checked_name
 from bench.run.interrupts import Interrupts
@@ -78,10 +81,7 @@ class Conclusion:
 
 
 def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
-    """Return the results of a finished run.
-
-    A signal such as Ctrl-C raises `Refused`; `bench resume` then computes the results.
-    """
+    """Return the results of a finished run. After a signal, it raises `Refused`; `bench resume` makes them then."""
     kept = f"all readings are kept in {run.folder}"
     again = (
         f"stopped before the results were ready; {kept}, and 'bench resume {name_to_type(run.folder)}' computes "
@@ -95,11 +95,7 @@ def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
 
 
 def conclude(run: Run) -> Conclusion:
-    """Calibrate, verify, report and chart a finished run, and write the results into its folder.
-
-    If the readings give no calibration, the conclusion states why. Raises `Refused` if a result cannot be
-    written.
-    """
+    """Calibrate, verify, report and chart a finished run; write the results into its folder. Raises `Refused`."""
     (source,) = load_sources(Request([str(run.folder)], run.folder.parent))
     again = f"free disk space, then 'bench resume {name_to_type(run.folder)}' computes its results"
     with refusing(f"the run is finished and kept; {again}"):
@@ -118,7 +114,6 @@ def _looks(run: Run) -> tuple[str, ...]:
 
 
 def _is_short(run: Run) -> bool:
-    """Return whether a run ended without reaching its goals."""
     try:
         chosen = run.history.progress.chosen
     except RecordError:
@@ -170,6 +165,104 @@ def charted(run: Run) -> dict[str, Any]:
     return {"chart": chart}
 
 
+# --- the lines at the end of a run ----------------------------------------------------------------
+
+MOST_LINES: Final = 15
+"""Largest number of lines of an ending."""
+_MOST_SENTENCES: Final = 2
+
+
+def ending(found: Conclusion) -> list[str]:
+    """Return the lines at the end of a run: verdict (that on the check block first), basis, files, what to do."""
+    chart = [] if found.chart is None else [found.chart.sentence()]
+    lines = [*chart, _verdict(found), *_basis(found)]
+    if found.no_chart:
+        lines.append(f"check block: no control chart: {found.no_chart}")
+    lines += _shortened(
+        [f"note: {look}" for look in found.looks], f"bench diagnose {name_to_type(found.run.folder)}"
+    )
+    return [*lines, *_files(found), *_next(found)]
+
+
+def _verdict(found: Conclusion) -> str:
+    name = f"{found.run.name} (SIMULATED)" if found.run.simulated else found.run.name
+    if found.calibration is None:
+        return f"{name}: MEASURED; no calibration from it: {found.no_calibration}"
+    if not found.calibration.accepted:
+        return f"{name}: NOT ACCEPTED: the model does not fit the readings"
+    if found.verification is not None:
+        return outcome_in_words(name, found.verification.verification)
+    return f"{name}: CALIBRATED; no verdict, as the procedure has no verification points"
+
+
+def _basis(found: Conclusion) -> Iterator[str]:
+    if found.short:
+        goals = ", ".join(found.run.manifest.get("until", ()))
+        yield f"NOT REACHED: {goals}; no further point of the procedure would help"
+    if found.calibration is not None:
+        yield fit_in_a_line(found.calibration.calibration)
+    if found.verification is None:
+        return
+    if found.calibration is not None and not found.calibration.accepted:
+        yield outcome_in_words("verification points", found.verification.verification)
+    yield basis_in_words(found.verification.verification)
+    if not found.verification.passed:
+        yield from found.verification.sentences[:_MOST_SENTENCES]
+
+
+def _shortened(lines: list[str], elsewhere: str) -> list[str]:
+    rest = len(lines) - _MOST_SENTENCES
+    return (
+        lines
+        if rest <= 1
+        else [*lines[:_MOST_SENTENCES], f"note: {rest} more notes; '{elsewhere}' explains them"]
+    )
+
+
+def _files(found: Conclusion) -> Iterator[str]:
+    folder, name = found.run.folder, name_to_type(found.run.folder)
+    yield f"readings: {len(found.source.readings)}, kept in {folder}"
+    if found.report is not None:
+        count = len(found.calibration.notes) if found.calibration is not None else 0
+        notes = f" (with {count} note{'s' * (count != 1)})" if count and not quiet.get() else ""
+        yield f"report: {found.report}{notes}"
+        yield f"coefficients: {folder / 'calibrate.json'} ('bench calibrate {name}' prints them)"
+    if found.chart is not None and not found.chart_unwritten:
+        yield f"chart: {folder / 'chart.json'} ('bench chart {folder.parent} --page FILE' draws it)"
+
+
+def _next(found: Conclusion) -> Iterator[str]:
+    run, name = found.run, name_to_type(found.run.folder)
+    again = _run_again(run)
+    verification = found.verification
+    if found.calibration is None:
+        yield f"next: bench show {name}"
+    elif not found.calibration.accepted or (verification is not None and verification.statement == "fail"):
+        yield f"next: bench diagnose {name}"
+    elif verification is not None and not verification.passed:
+        yield f"next: {again.replace('bench run', 'bench budget', 1)}, which shows what makes U large"
+    elif found.chart is not None and not found.chart.accepted:
+        yield f"next: find the cause, then repeat the run: {again}"
+    elif run.simulated:
+        yield f"next: on real instruments: {again}{'' if ' --bench ' in again else ' --bench FILE'}"
+    else:
+        if verification is not None and found.chart is None:
+            yield f"next: bench certificate {name}"
+        yield f"next unit: {again} --unit SERIAL"
+
+
+def _run_again(run: Run) -> str:
+    procedure = _typed(str(run.manifest.get("procedure", "PROCEDURE")), PROCEDURES)
+    asked = run.manifest.get("bench_why") == "as asked for"
+    return f"bench run {procedure}" + (f" --bench {_typed(run.manifest['bench'], CONFIG)}" if asked else "")
+
+
+def _typed(file: str, kind: str) -> str:
+    """Return a file as a user may type it on the command line; a shipped file is typed by its name."""
+    path = Path(file)
+    return path.stem if path.parent == shipped_folder(kind) else file
+
+
 # --- readings files ---------------------------------------------------------------------------------
 
 
@@ -183,11 +276,7 @@ class Exported(NamedTuple):
 
 
 def export_readings(request: asked.ExportReadings) -> Exported:
-    """Return the readings of a run as a readings file, and write it unless the file is "-".
-
-    Without a name, the file is RUN.csv in the working directory; only an earlier export is overwritten.
-    Raises `Refused`.
-    """
+    """Return the readings of a run as a readings file, and write it unless the file is "-". Raises `Refused`."""
     (source,) = load_sources(Request([request.run], runs_folder(request.runs)))
     text = format_csv(source.as_read)
     if request.csv == "-":
@@ -237,11 +326,10 @@ def preview_log(request: asked.ImportReadings) -> ConvertedLog:
 def import_readings(
     request: asked.ImportReadings, announce: Callable[[BenchTaken, Sequence[str]], None]
 ) -> Run:
-    """Create a run from readings that were measured elsewhere; before that, `announce` receives bench file
-    and notes.
+    """Create a run from readings that were measured elsewhere; `announce` receives bench file and notes first.
 
-    Raises `Refused` for a file that cannot be read, `ReadingsError` for bad rows, `FileMistakes` for a mapping of
-    columns with mistakes, `RecordError` for a name that is taken.
+    Raises `Refused` for a file that cannot be read, `ReadingsError` for bad rows, `FileMistakes` for a mapping
+    of columns with mistakes, `RecordError` for a name that is taken.
     """
     file = request.file
     content = _given(file)

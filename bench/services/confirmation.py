@@ -28,11 +28,7 @@ from bench.services.source import Source, data_sha256
 
 @dataclass(frozen=True)
 class ConfirmationResult:
-    """The result of `bench confirm`: how much a model reduces the misfit of new readings, and the state of
-    each effect.
-
-    `found` is the confirmation, `known` are the mistakes that were corrected before it.
-    """
+    """The result of `bench confirm`; `known` are the mistakes that were corrected before the model was tested."""
 
     source: Source
     found: Confirmation
@@ -40,10 +36,7 @@ class ConfirmationResult:
 
     @property
     def closed(self) -> float | None:
-        """The fraction of the gap (excess reduced chi-square) that the model closes; None if there is no gap.
-
-        The fraction is (before - after)/(before - 1).
-        """
+        """The closed part of the gap in reduced chi-square: (before - after)/(before - 1); None without a gap."""
         return self.found.closed
 
     @property
@@ -100,8 +93,8 @@ class ConfirmationResult:
 def confirmation_of(source: Source) -> ConfirmationResult:
     """Test the model of a source on its readings; thresholds are kept in the user's cache folder.
 
-    Raises `Refused` if the model is missing, has no effects, or was found in these same readings. Raises
-    `CalibrationError` if the readings do not determine the coefficients or could not show the effects.
+    Raises `Refused` if the model is missing, without effects, or from these same readings, `CalibrationError`
+    if the readings do not determine the coefficients or could not show the effects.
     """
     path = source.request.model
     if path is None:

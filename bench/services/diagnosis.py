@@ -124,18 +124,13 @@ class DiagnosisResult(ResultWithPage):
             text.print_one(self.found, self.files, out)
 
     def model_is_due(self, *, accept_first: bool = False) -> bool:
-        """Return whether there is a model to write: named effects, unnamed terms, or the first effect of an
-        accepted tie.
-        """
+        """Return whether there is a model to write: of effects, unnamed terms, or the first effect of a tie."""
         form = self.diagnosis.form
         there = _named(self.diagnosis, accept_first=accept_first) or (form is not None and form.applied)
         return bool(there) and self.found.shown.after is not None
 
     def write_model(self, path: str | Path, *, accept_first: bool = False) -> Path:
-        """Write the model file with the effects found, for `bench.confirm` and `bench.calibrate`; return its path.
-
-        Raises `Refused` if there is no model to write, `FileMistakes` if the file exists.
-        """
+        """Write the model file with the effects found; return its path. Raises `Refused`, `FileMistakes`."""
         if not self.model_is_due(accept_first=accept_first):
             tied = self.diagnosis.of_copy == "confounded"
             why = (
@@ -191,10 +186,7 @@ class DiagnosisResult(ResultWithPage):
 
 @dataclass(frozen=True, repr=False)
 class DiagnosisAlone(ResultWithPage):
-    """A diagnosis of readings that are all free positions, or a record at a known input.
-
-    `view` is the name of the module that makes text, JSON and page of the findings.
-    """
+    """A diagnosis of free positions alone, or of a record; module `view` makes its text, JSON and page."""
 
     found: FreeDiagnosis | RecordDiagnosis
     view: ClassVar[str]
@@ -209,9 +201,7 @@ class DiagnosisAlone(ResultWithPage):
         return self.found.verdict
 
     def models_of(self, *, accept_first: bool = False) -> list[tuple[AppliedEffect, ...]]:
-        """Return the effects of each model file to write (sensors with other effects get a file each); may be
-        empty.
-        """
+        """Return the effects of each model file to write: one file, or one for each sensor; may be empty."""
         if not _named(self.found, accept_first=accept_first):
             return []
         return [(*self.source.model.effects, *added) for added in self.found.models]
@@ -248,8 +238,7 @@ class DiagnosisAlone(ResultWithPage):
             self._view.print_found(self.found, self.files, out)
 
     def write_models(self, path: str | Path, *, accept_first: bool = False) -> tuple[Path, ...]:
-        """Write one model file or, if sensors differ, one for each (`-sensor-1` in its name, …); return the
-        paths.
+        """Write one model file or, if sensors differ, one for each (`-sensor-1` in its name, …); return the paths.
 
         Raises `Refused` if there is no model to write, `FileMistakes` if a file exists.
         """
@@ -296,10 +285,7 @@ class DiagnosisAlone(ResultWithPage):
 
 
 class RecordDiagnosisResult(DiagnosisAlone):
-    """The diagnosis of a record at a known input.
-
-    It states the effects on meters and reference, and how well these effects predict held-out readings.
-    """
+    """The diagnosis of a record at a known input: the effects on meters and reference, and the gap."""
 
     found: RecordDiagnosis
     view = "bench.results.record_diagnosis"
@@ -328,10 +314,7 @@ class FreeDiagnosisResult(DiagnosisAlone):
 
 
 def _named(found: Diagnosis | FreeDiagnosis | RecordDiagnosis, *, accept_first: bool) -> bool:
-    """Return whether to write a model file: an effect was named, or the first effect of a tie is accepted.
-
-    An accepted effect that does not reduce the gap is not written, because it gives no better model.
-    """
+    """Return whether an effect was named, or the first effect of an accepted tie may reduce the gap."""
     accepted = accept_first and found.of_copy == "confounded" and found.gap.shrinks is not False
     return found.of_copy == "named" or accepted
 
@@ -340,10 +323,7 @@ Diagnosed: TypeAlias = DiagnosisResult | DiagnosisAlone | MistakesResult
 
 
 def print_diagnosed(results: Sequence[Diagnosed | Failed], out: Console) -> None:
-    """Print a single diagnosis in full, or a line for each of several.
-
-    A diagnosis of free positions, or one that found only mistakes, is always printed in full.
-    """
+    """Print a single diagnosis in full, a line for each of several; free positions and mistakes alone in full."""
     listed = [one for one in results if isinstance(one, DiagnosisResult)] if len(results) > 1 else []
     if listed:
         with knowing_effects_of(*(one.source for one in listed)):
@@ -357,11 +337,7 @@ def print_diagnosed(results: Sequence[Diagnosed | Failed], out: Console) -> None
 
 
 def diagnosed(request: Diagnose, bodies: Sequence[Body | Failed]) -> list[Diagnosed | Failed]:
-    """Diagnose bodies of readings, several of them in parallel processes; write the requested files.
-
-    Of several bodies, one that cannot be evaluated gives a `Failed`; a single body raises `CalibrationError` or
-    `Refused`.
-    """
+    """Diagnose bodies and write requested files, several in parallel; of these, one that fails gives a `Failed`."""
     if len(bodies) == 1:
         return [diagnosed_alone(request, body) for body in done(bodies)]
     pairs = zip(request.sources, bodies, strict=True)
@@ -370,10 +346,9 @@ def diagnosed(request: Diagnose, bodies: Sequence[Body | Failed]) -> list[Diagno
 
 
 def diagnosed_alone(request: Diagnose, body: Body, *, report: bool = True) -> Diagnosed:
-    """Diagnose one body and write the requested files.
+    """Diagnose a body and write the requested files; `report` is the default of the page.
 
-    `report` decides whether the page is written, if the request does not say. Raises `CalibrationError` if the
-    readings do not determine the coefficients.
+    Raises `CalibrationError` if the readings do not determine the coefficients.
     """
     with knowing_effects_in(request.effects), knowing_effects_of(*body.sources):
         result = diagnosis_of(body)
@@ -384,11 +359,7 @@ def diagnosed_alone(request: Diagnose, body: Body, *, report: bool = True) -> Di
 
 
 def diagnosis_of(body: Body) -> Diagnosed:
-    """Diagnose a body of readings with its own bench and model; thresholds are kept in the user's cache folder.
-
-    Mistakes that the early warning named during a run are corrected first. Raises `CalibrationError` where
-    the readings do not determine the coefficients.
-    """
+    """Diagnose a body, corrected for mistakes that the early warning named. Raises `CalibrationError`."""
     with knowing_effects_of(*body.sources):
         return _result(body, _found(body))
 

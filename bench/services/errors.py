@@ -85,10 +85,7 @@ def refusing(remedy: str, place: Path | None = None, *, verb: str = "written") -
 
 
 def quantity(option: str, text: str, kind: QuantityKind, *, plain: bool = True) -> float:
-    """Return the value of an option in SI; with `plain`, a number without a unit counts as SI.
-
-    Raises `Refused`, naming the option, for any other text.
-    """
+    """Return the value of an option in SI; with `plain`, a number without a unit counts as SI. Raises `Refused`."""
     from bench.base.units import parse_quantity  # pydantic is slow to import
 
     if plain:

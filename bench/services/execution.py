@@ -78,28 +78,20 @@ MOST_RECALLED: Final = 500
 
 @dataclass(frozen=True)
 class NewRun:
-    """A checked run that has not begun: its folder, its manifest, and its input files (content by name).
-
-    `notes` are sentences for the person who begins the run.
-    """
+    """A checked run that has not begun: folder, manifest, input files (content by name), notes for the person."""
 
     folder: Path
     manifest: Manifest
     inputs: dict[str, bytes]
     notes: tuple[str, ...] = ()
 
-    def record(self, shield: Callable[[], AbstractContextManager[None]] | None = None) -> Record:
+    def record(self, shield: Callable[[], AbstractContextManager[None]] = nullcontext) -> Record:
         """Create the run's folder and return its record; `shield` gives a context that delays Ctrl-C."""
-        if shield is None:
-            return Record.create(self.folder, self.manifest, self.inputs, utc_now)
         return Record.create(self.folder, self.manifest, self.inputs, utc_now, shield)
 
 
 def new_run(request: RunRequest) -> NewRun:
-    """Check a procedure against a bench and return the run to begin.
-
-    Raises `FileMistakes` or `Refused`, with all mistakes found.
-    """
+    """Check a procedure against a bench; return the run to begin. Raises `FileMistakes`, `Refused`."""
     dry_run, unit = request.dry_run, request.unit
     operator, person = operator_of(request.operator, request.laboratory, needed=not dry_run)
     procedure_path, bench_file_path = find_procedure(str(request.procedure)), bench_path(request.bench)
@@ -178,7 +170,6 @@ def _judged(request: RunRequest, bench: Path) -> VerdictAsked | None:
 
 
 def _other_unit(stated: str, serial: str, bench: str) -> tuple[str, ...]:
-    """Return a note if the bench file names another block than the one to be measured."""
     if serial == stated:
         return ()
     return (f"this run is of unit {serial}, as --unit says; the bench file {bench} names unit {stated}",)
@@ -228,10 +219,7 @@ def asker_of(
 def started(
     request: RunRequest, out: Console, announce: Callable[[NewRun], None]
 ) -> Iterator[tuple[Run, Interrupts]]:
-    """Carry out a new run and yield it when it is finished, while signals are still handled.
-
-    `announce` receives the run before it begins.
-    """
+    """Carry out a new run and yield it finished, while signals are handled; `announce` receives it before."""
     away = is_away(request.answers, panel=request.panel)
     new = new_run(request)
     who = None if away else acting_at(TERMINAL, request.operator, request.laboratory)
@@ -250,9 +238,9 @@ def started(
 def resumed(
     request: ResumeRequest, out: Console, announce: Callable[[Run], None]
 ) -> Iterator[tuple[Run, Interrupts]]:
-    """Resume a run and yield it when it is finished, while signals are still handled.
+    """Resume a run and yield it finished, while signals are handled; `announce` receives it before.
 
-    `announce` receives the run before it is resumed. A finished run without results is yielded unchanged.
+    A finished run without results is yielded unchanged.
     """
     away = is_away(request.answers, panel=request.panel)
     who = None if away else acting_at(TERMINAL, request.operator)
@@ -388,10 +376,7 @@ def _live(run: Run, bench: BenchFile, watcher: EarlyWarning, asker: Asker | None
 def _on_certificates(
     bench: BenchFile, *, simulated: bool
 ) -> Callable[[Mapping[str, str]], Sequence[str]] | None:
-    """Return the function that maps serial numbers to remarks on certificates; None if it is not needed.
-
-    It is None if a simulated run has no certificates. With certificates, such a run compares no serial numbers.
-    """
+    """Return the function that maps serial numbers to remarks on certificates; None if a simulation has none."""
     if simulated and all(section.certificate is None for section in bench.instruments.all()):
         return None
     return lambda serials: remarks(bench, None if simulated else serials)
@@ -407,7 +392,6 @@ def _chooser(run: Run, bench: BenchFile) -> Callable[[int, PlanProgress], dict[s
 
 
 def _setup(bench: BenchFile, assembly: Assembly) -> BenchSetup:
-    """Return the instruments with the settings that the bench file states for them."""
     feed, supply, chamber = (
         bench.unit_under_test.supply,
         bench.instruments.power_supply,
@@ -501,9 +485,9 @@ def _kept(record: Record) -> str:
 
 
 def unfinished_run(name: str | None, runs: Path, *, results_too: bool = False) -> Run:
-    """Return the run `name`, or the latest run, that can be resumed. Raises `Refused` where there is none.
+    """Return the run `name`, else the latest to resume, else (`results_too`) the latest without results.
 
-    With `results_too`, a finished run that lacks results is returned if no other run can be resumed.
+    Raises `Refused` if there is none.
     """
     if name is None:
         digests = Digests(runs)
@@ -527,11 +511,7 @@ def taken_up(
     *,
     results_too: bool = False,
 ) -> tuple[Record, History]:
-    """Open the record of an unfinished run for writing; return it with its history.
-
-    With `results_too`, a finished run that lacks results is opened as well. Raises `Refused` for any other run
-    that has ended, `RecordError` as `Record.reopen`.
-    """
+    """Open the record of an unfinished run (with `results_too`, of one without results). Raises `Refused`."""
     record, history = Record.reopen(run.folder, utc_now, shield)
     if history.state in ENDED and not (results_too and _lacks_results(run, history.state)):
         record.close()
@@ -567,11 +547,7 @@ def refuse_missing_devices(run: Run) -> None:
 
 
 def give_up(run: Run, who: WishAuthor = NOBODY_KNOWN) -> tuple[str, ...]:
-    """End an unfinished run for good; return a sentence on each task that remains.
-
-    Raises `Refused` for a run that has ended, `RecordError` if another program writes its record or the record
-    was changed.
-    """
+    """End an unfinished run for good; return sentences on what remains. Raises `Refused`, `RecordError`."""
     record, history = taken_up(run)
     try:
         bench_s = history.events[-1].bench_s if history.events else 0.0

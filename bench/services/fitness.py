@@ -45,10 +45,9 @@ def reminders(bench: BenchFile) -> Iterator[str]:
 
 
 def is_away(answers: str | None, *, panel: bool) -> bool:
-    """Return whether questions are answered in the run's folder, and none at the terminal.
+    """Return whether questions are answered in the run's folder: if `answers` says so, else for a panel alone.
 
-    This is so if `answers` is "folder", or by default with a `panel` and no terminal. Raises `Refused` for an
-    unknown place in `answers`.
+    Raises `Refused` for an unknown place in `answers`.
     """
     if answers not in (None, "terminal", "folder"):
         raise Refused(f"--answers {answers}: give 'terminal' or 'folder'")
@@ -71,9 +70,7 @@ def refuse_contradictions(request: RunRequest) -> None:
 def refuse_unfit(bench: BenchFile, path: Path, request: RunRequest, *, away: bool) -> None:
     """Raise `Refused` for a real run by a program that is not validated, or with expired certificates.
 
-    Expired certificates prevent the run if the bench file says `expired: refuse`. With `expired: ask`, they
-    also prevent it if nobody can be asked: there is no terminal, and no answers come from the run's folder
-    (not `away`).
+    A bench file with `expired: ask` forbids it only if nobody can be asked: neither at a terminal nor `away`.
     """
     refuse_unvalidated_run(bench, path, request.laboratory)
     late = expired(bench)
@@ -100,10 +97,7 @@ def in_words(late: list[Standing]) -> str:
 
 
 def agree_to_expired(run: Run, record: Record, asker: Asker | None) -> None:
-    """If the bench file demands it, ask whether to use expired certificates; a no ends the run for good.
-
-    Question and answer are in the record. Raises `BenchError` for a no.
-    """
+    """If the bench file demands it, ask whether to use expired certificates. Raises `BenchError` for a no."""
     if run.simulated or asker is None:
         return
     bench = load_bench(run.folder / BENCH)

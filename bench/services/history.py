@@ -63,10 +63,9 @@ OF_THE_REPEATS: Final = (
 
 @dataclass(frozen=True)
 class LearningResult:
-    """The result of `bench learn`: the sizes of a bench's errors (`learned`), and all runs (`sources`).
+    """The result of `bench learn`: sizes (`learned`), and all runs, also those that contradict the others.
 
-    `sources` include the runs that contradict the others. The learned file contains `effects` and is valid
-    until `expires`.
+    The learned file contains `effects` and is valid until `expires`.
     """
 
     learned: Learned
@@ -124,10 +123,7 @@ class LearningResult:
         return self.result.to_dict()
 
     def write(self, path: str | Path) -> None:
-        """Write the learned file.
-
-        Raises `OSError`, and `Refused` if the file exists or over a third of the runs contradict the others.
-        """
+        """Write the learned file. Raises `OSError`; `Refused` if it exists or too many runs contradict others."""
         path = Path(path)
         if path.exists():
             raise Refused(f"{path}: exists, and a learned file is not overwritten; name another with --out")
@@ -191,11 +187,11 @@ class LearningResult:
 def learning_of(request: Learn, sources: Sequence[Source] | None = None) -> LearningResult:
     """Return the sizes of the errors that all runs of a bench share, as `bench learn` estimates them.
 
-    The method `write` of the result writes the learned file. `model` is a model file with effects of the bench,
-    found in many runs together; the learned file contains them. `by_installation` gives each installation its own
-    mean angles. The file is valid until `expires` (a year by default). The other parameters are those of
-    `calibrate`. `sources` are the sources of the request if they are already read. Raises `Refused` for runs of
-    several benches, `CalibrationError` as `bench.history.learning.learn` does.
+    `model` is a model file with effects of the bench, found in many runs together; the learned file contains
+    them. `by_installation` gives each installation its own mean angles. The file is valid until `expires` (a
+    year by default). The other parameters are those of `calibrate`; `sources` are those of the request, if
+    already read. Raises `Refused` for runs of several benches, `CalibrationError` as
+    `bench.history.learning.learn` does.
     """
     made = utc_now().date()
     until = _until(request.expires, made)
@@ -218,10 +214,7 @@ learn = python_call(Learn, learning_of, "learn")
 
 
 def _until(expires: datetime.date | str | None, made: datetime.date) -> datetime.date:
-    """Return the last valid day of a learned file: the date `expires`, or that many days after `made`.
-
-    With None, it is `USUAL_DAYS` after `made`. Raises `Refused` for a day that is not after `made`.
-    """
+    """Return the last valid day of a learned file: `expires`, or as many days after `made`. Raises `Refused`."""
     if expires is None:
         return made + datetime.timedelta(days=USUAL_DAYS)
     if isinstance(expires, str):
@@ -239,18 +232,13 @@ def _until(expires: datetime.date | str | None, made: datetime.date) -> datetime
 
 
 def _certified(source: Source) -> Source:
-    """Return a source corrected by certificates alone; its model has only the effects of a requested model
-    file.
-    """
+    """Return a source corrected by certificates alone; its model has only effects of a requested file."""
     plain = source.model if source.request.model else ForwardModel(source.bench.installation_models())
     return replace(source.as_certified(), model=plain)
 
 
 def _effects_of_model(sources: Sequence[Source]) -> tuple[AppliedEffect, ...]:
-    """Return the effects of the model file of the request, with their u; none if the request has no model.
-
-    Raises `Refused` for an effect of a block or of a single mounting, which is no property of the bench.
-    """
+    """Return the effects of the requested model file, with u. Raises `Refused` for one that is not of the bench."""
     if sources[0].request.model is None:
         return ()
     # read from the file, because a source in which the model was found has the values without u
@@ -324,11 +312,7 @@ NOT_VOLTS: Final = "differences between the voltmeters: the signals are in {unit
 
 
 def differences_of(sources: Sequence[Source]) -> MeterDifferences | str:
-    """Return the differences between the voltmeters of a bench, or why these runs do not determine them.
-
-    The differences are computed from calibrations with the stand's limits from the bench file; these limits
-    hardly affect the lengths of the rows of K.
-    """
+    """Return the differences between the voltmeters of a bench, or why these runs do not determine them."""
     if sources[0].readings.unit != "V":
         return NOT_VOLTS.format(unit=sources[0].readings.unit)
     known = [
@@ -353,7 +337,6 @@ def _by_channel(source: Source) -> tuple[str, str, str] | None:
 
 
 def _day(source: Source) -> float | None:
-    """Return the start of a run in days since 1970-01-01; None if it is not recorded."""
     try:
         return datetime.datetime.fromisoformat(source.made_at or "").timestamp() / 86400.0
     except ValueError:
@@ -375,11 +358,7 @@ def _meter_run(source: Source, meters: tuple[str, str, str], day: float) -> Mete
 
 
 def written_meters(found: MeterDifferences) -> dict[str, Any]:
-    """Return the voltmeters' section of a learned file.
-
-    Each covariance is multiplied by ν/(ν − 2), where ν is the smallest degrees of freedom of the meters'
-    differences, or `FEW_DOF` if that is larger; the factor is 1 if ν is infinite.
-    """
+    """Return the voltmeters' section of a learned file; covariances are widened for few degrees of freedom."""
     return {
         "meters": list(found.meters),
         "group": list(found.group),
@@ -428,10 +407,7 @@ class ComparisonResult:
 
 
 def compared(request: asked.Compare) -> ComparisonResult:
-    """Compare results, runs and readings files of one block.
-
-    Raises `Refused` for invalid dates, `CalibrationError` if there is nothing to compare.
-    """
+    """Compare calibrations of one block. Raises `Refused` for invalid dates, `CalibrationError`."""
     taken: list[tuple[str, BenchTaken]] = []
     snapshots = [one for name in request.sources for one in _snapshots(str(name), request, taken)]
     if request.date:
@@ -443,10 +419,7 @@ compare = python_call(asked.Compare, compared, "compare")
 
 
 def _snapshots(name: str, request: asked.Compare, taken: list[tuple[str, BenchTaken]]) -> list[Snapshot]:
-    """Return the calibration of the run or readings file `name`, or those in a result of `calibrate --json`.
-
-    The bench file used for readings is appended to `taken`.
-    """
+    """Return the calibrations that `name` stands for; `taken` receives the bench file used for readings."""
     if is_result(Path(name)):
         return snapshots_in(Path(name))
     (source,) = load_sources(reading(request, name))

@@ -19,7 +19,6 @@ from bench.config.devices.sections import ChamberForm, HeadForm, SupplyForm
 from bench.results.records import (
     CommissionedPart,
     CommissionResult,
-    FailurePart,
     InstrumentPart,
     render_commissioning,
 )
@@ -80,8 +79,7 @@ class Nobody:
 class InstrumentLook:
     """The findings on one instrument; `failure` is the first fault.
 
-    `samples` is the number of samples requested from a voltmeter; `to_do` is what a person must do about an
-    instrument that was not left safe.
+    `samples` is the number asked of a voltmeter, `to_do` what a person must do if it was not left safe.
     """
 
     name: str
@@ -121,14 +119,11 @@ class InstrumentLook:
     @property
     def part(self) -> InstrumentPart:
         """The findings as a part of the result."""
-        return InstrumentPart.from_object(self, failures=[FailurePart.from_object(f) for f in self.failures])
+        return InstrumentPart.from_object(self)
 
 
 def look_at(file: BenchFile, wire: WireLog | None, haste: Haste | None = None) -> list[InstrumentLook]:
-    """Open, test, read and close all instruments of a bench in parallel; return the findings on each.
-
-    `haste`, once requested, ends the wait for instruments that do not answer.
-    """
+    """Open, test, read and close all instruments at once; `haste` ends the wait for those that do not answer."""
     assembly = real_bench(file, Nobody(), wire, haste)
     instruments = assembly.instruments.all()
     rows = [_row(file, instrument) for instrument in instruments]
@@ -186,7 +181,6 @@ def _look_at_all(
 
 
 def _look_at(instrument: Instrument, row: InstrumentLook, range_v: float) -> None:
-    """Open, test, read and close one instrument, and note every fault in its row."""
     try:
         row.identity = instrument.open()
         if row.identity.maker == _BY_HAND:
@@ -268,10 +262,15 @@ def free_folder(now: datetime, what: str = "commissioning") -> Path:
 def commission(setting: CommissioningPlan) -> dict[str, Any]:
     """Carry out a commissioning; write result, page and wire log into its folder, and return the result.
 
-    The bench is left safe and the page written whatever happens. Raises `Refused` for a folder that cannot be
-    used, `BenchError` for a bench that cannot be simulated.
+    The bench is left safe and the page written whatever happens. Raises `Refused`, and `BenchError` for a bench
+    that cannot be simulated.
     """
-    _take(setting.folder)
+    folder = setting.folder
+    if (folder / PAGE).exists() or (folder / WIRE_LOG).exists():
+        raise Refused(f"{folder}: already holds a commissioning; name another folder with --out")
+    with refusing("name another folder with --out", folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / WIRE_LOG).touch()
     began = utc_now()
     with logged_wire(setting.folder / WIRE_LOG) as log, Interrupts() as interrupts:
         entered: AbstractContextManager[CommissioningSession]
@@ -293,25 +292,10 @@ def commission(setting: CommissioningPlan) -> dict[str, Any]:
     return result
 
 
-def _take(folder: Path) -> None:
-    """Create the folder of a commissioning.
-
-    Raises `Refused` if it cannot be created, or already holds a commissioning.
-    """
-    if (folder / PAGE).exists() or (folder / WIRE_LOG).exists():
-        raise Refused(f"{folder}: already holds a commissioning; name another folder with --out")
-    with refusing("name another folder with --out", folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / WIRE_LOG).touch()
-
-
 def _gone_through(
     course: Callable[[CommissioningSession], None], evening: CommissioningSession, interrupts: Interrupts
 ) -> str:
-    """Carry out a session of checks; return why it stopped early, "" if it was completed.
-
-    Afterwards SIGINT and the like raise no exception, so that the bench is left safe and the page is written.
-    """
+    """Carry out checks; return why they stopped early, or "". From then on, a signal raises no exception."""
     try:
         try:
             course(evening)

@@ -41,18 +41,12 @@ class Monitored:
 
 
 def monitored(request: Monitor) -> Monitored:
-    """Return the control chart of runs of `monitor-2` or `monitor-4`; the first `baseline` runs set limits.
-
-    Raises `Refused` for a source without a date, `CalibrationError` for too few runs or runs of different axes.
-    """
+    """Return the chart of monitors; the first `baseline` set the limits. Raises `Refused`, `CalibrationError`."""
     sources = tuple(load_sources(reading(request, *request.sources)))
-    return Monitored(monitor_chart([_dated(source) for source in sources], request.baseline), sources)
-
-
-def _dated(source: Source) -> CheckRun:
-    if source.made_at is None:
-        raise Refused(f"{source.name}: has no date; use runs, or a file that 'bench export' wrote")
-    return check_run(source)
+    for source in sources:
+        if source.made_at is None:
+            raise Refused(f"{source.name}: has no date; use runs, or a file that 'bench export' wrote")
+    return Monitored(monitor_chart([check_run(source) for source in sources], request.baseline), sources)
 
 
 def check_run(source: Source) -> CheckRun:

@@ -27,10 +27,7 @@ from drivers.person import Person
 def morning(
     request: Check, person: Person | None, tell: Callable[[str], None]
 ) -> tuple[dict[str, Any], Path]:
-    """Carry out the morning check of a bench; return its result and the folder of its page.
-
-    Without a `person` the bench is simulated. Raises `Refused` for a folder that cannot be used, `FileMistakes`.
-    """
+    """Carry out the morning check, simulated without a `person`; return result and folder. Raises `Refused`."""
     path = bench_path(request.bench)
     file = load_bench(path)
     folder = request.out or free_folder(utc_now(), "morning-check")

@@ -51,20 +51,13 @@ def effects_for_record() -> dict[str, bytes]:
 
 
 def knowing_effects_on_record(run: Run) -> AbstractContextManager[None]:
-    """Return a context in which the effects recorded with a run are registered.
-
-    Raises `FileMistakes` if a known effect of the same name differs.
-    """
+    """Return a context with the effects recorded with a run. Raises `FileMistakes` if one is known otherwise."""
     file = run.folder / EFFECTS
     return CATALOGUE.also(load_effects(file) if file.is_file() else ())
 
 
 def accept_terms(request: Accept) -> tuple[Path, Path]:
-    """Write an effect file with the newly named terms, and a model file that uses it; return both paths.
-
-    Raises `Refused` for invalid terms or an invalid name and if a file exists, `FileMistakes` for an invalid
-    model file.
-    """
+    """Write an effect file with the named terms, and a model file with it; return both paths. Raises `Refused`."""
     model, name = request.model, request.name
     file = load_model(model)
     try:
@@ -96,10 +89,7 @@ def accept_terms(request: Accept) -> tuple[Path, Path]:
 
 
 def simulated_truth(bench: BenchFile, model: Path | None) -> ForwardModel:
-    """Return the model that the simulated bench obeys: the effects of the bench file and of the model file.
-
-    Raises `Refused` for an effect of a single pass, because the simulated instruments do not know the pass.
-    """
+    """Return the model that the simulated bench obeys. Raises `Refused` for an effect of single passes."""
     installations = bench.installation_models()
     effects = bench.applied_effects()
     if model is not None:

@@ -57,11 +57,7 @@ class Person:
 
 @dataclass
 class Persons(Chain):
-    """The register of persons.
-
-    `everyone` maps names to persons, including those whose rights have ended; `entries` are the lines of the
-    register.
-    """
+    """The register: `everyone` by name, also those whose rights have ended; `entries` are its lines."""
 
     FIRST: ClassVar[str] = first_head("triaxial-bench persons 1\n")
 
@@ -110,10 +106,7 @@ class Persons(Chain):
 
 
 def persons_of(laboratory: Path | None) -> Persons | None:
-    """Return the register beside a laboratory file, read without changing it; None if there is none.
-
-    Raises `Refused` for a damaged register.
-    """
+    """Return the register beside a laboratory file, read only; None if there is none. Raises `Refused`."""
     if laboratory is None:
         return None
     register = Persons(laboratory.absolute().parent / FOLDER)
@@ -124,10 +117,7 @@ def persons_of(laboratory: Path | None) -> Persons | None:
 
 
 def authorised_by(laboratory: Path, name: str, right: Right, option: str) -> Person | None:
-    """Check right and identity of the named person and return that person; None if there is no register.
-
-    Raises `Refused` for a person without the right, and if that person's token or key is not given.
-    """
+    """Return the named person, if right and identity are proved; None without a register. Raises `Refused`."""
     register = persons_of(laboratory)
     return None if register is None else _proved(register.chosen(name, right, option))
 
@@ -162,11 +152,7 @@ def _holds_key(person: Person, file: str | None) -> bool:
 
 
 def operator_of(name: str, laboratory: Path | None, *, needed: bool) -> tuple[str, OperatorPerson | None]:
-    """Return the operator's name, and data on that person for the run's record (None without a register).
-
-    Raises `Refused` for a name that is not UTF-8. With a register, also for a person who may not operate and,
-    if `needed`, for a missing name.
-    """
+    """Return the operator's name, and data for the run's record (None without register). Raises `Refused`."""
     if re.search("[\ud800-\udfff]", name):
         raise Refused("--operator: the name is not UTF-8 text; set the terminal to UTF-8 and type it again")
     register = persons_of(laboratory_known(laboratory))
@@ -180,10 +166,7 @@ def operator_of(name: str, laboratory: Path | None, *, needed: bool) -> tuple[st
 
 
 def acting_at(where: str, name: str, laboratory: Path | None = None) -> WishAuthor:
-    """Return the author of an action at `where` here: a person of the register, else this computer's user.
-
-    Raises `Refused` as `operator_of`.
-    """
+    """Return who acts at `where`: a person of the register, else this computer's user. Raises as `operator_of`."""
     chosen, person = operator_of(name, laboratory, needed=False)
     user = at_the_shell(where)
     if not chosen:
@@ -202,11 +185,7 @@ def resumer(where: str, name: str) -> WishAuthor:
 
 
 def persons(request: ChangePersons) -> PersonsResult:
-    """Carry out the requested change of the register, if any, and return the register.
-
-    The first line adds an administrator. Raises `Refused` if the acting person may not administer, if no
-    administrator would remain, and if an option is missing.
-    """
+    """Carry out the requested change of the register, if any, and return it. Raises `Refused`."""
     laboratory = laboratory_needed(request.laboratory, "the register of persons is a folder beside it")
     if request.what is None:
         return _listed(persons_of(laboratory) or Persons(laboratory.absolute().parent / FOLDER))
@@ -230,10 +209,7 @@ def persons(request: ChangePersons) -> PersonsResult:
 
 
 def _entry(register: Persons, request: ChangePersons, name: str, by: str, token: str | None) -> Entry:
-    """Return the register line for a change.
-
-    Raises `Refused` if the person to add is already in the register, or the person to change is not.
-    """
+    """Return the register line for a change. Raises `Refused` for adding a known or changing an unknown person."""
     before = register.everyone.get(name)
     present = before is not None and not before.ended
     if present == (request.what is PersonsCommand.ADD):

@@ -31,15 +31,7 @@ from bench.config.procedure.plan import Plan
 from bench.config.shipped import find_procedure
 from bench.model import ForwardModel, Mounting
 from bench.model.geometry import COEFFICIENTS, Block, specific_force_on_platform
-from bench.planning.optimal_design import (
-    Goal,
-    Stand,
-    coefficient_goals,
-    delta_g_goals,
-    modulus_goals,
-    vector_goal,
-    whole_goal,
-)
+from bench.planning import optimal_design as design
 from bench.planning.points import (
     VERIFICATION_DEG,
     ChosenPoints,
@@ -87,10 +79,7 @@ MOST_ANGLES: Final = 72
 
 
 def planned(request: PlanPoints) -> PlannedPoints:
-    """Return the test points that reach goals in the least bench time, or the least uncertainty in a given time.
-
-    Raises `Refused` for invalid options, `CalibrationError` for goals that no test points reach, `FileMistakes`.
-    """
+    """Return points that reach goals in least time, or the least u in a given time. Raises `Refused`."""
     _refuse_contradictions(request)
     taken = find_bench_file(request.bench)
     file = taken.file
@@ -119,7 +108,6 @@ def planned(request: PlanPoints) -> PlannedPoints:
 
 
 def _refuse_contradictions(request: PlanPoints) -> None:
-    """Raise `Refused` for options that do not go together, before anything is computed."""
     if not request.has_goals and request.time is None:
         raise Refused(
             "no goal given; give a goal (--u all=5e-5, --delta-g 1e-4, --modulus 1e-3 --up-to 5) or a "
@@ -140,36 +128,32 @@ def _refuse_contradictions(request: PlanPoints) -> None:
 
 def stand_of(
     bench: BenchFile, model: ForwardModel, known: KnownStand | None = None, day: datetime.date | None = None
-) -> Stand:
+) -> design.Stand:
     """Return the stand for planning on a bench, with all errors that a calibration states.
 
-    `known` are learned sizes of stand and noise. `day` is the day of the readings; drift counts from the
-    certificates to that day. Raises `CalibrationError` for a bench file that states no noise.
+    `known` are learned sizes. Drift counts from the certificates to `day`. Raises `CalibrationError` if the
+    bench file states no noise.
     """
     sizes = {name: d.u for name, d in (bench.stand_distributions() | assumed_stand(bench)).items()}
     hidden = signed_sources(bench, model, day)
     meters = meters_of([meter.channels for meter in bench.instruments.voltmeters])
-    return Stand(model, bench.simulated_block(), sizes, known, hidden, meters)
+    return design.Stand(model, bench.simulated_block(), sizes, known, hidden, meters)
 
 
-def _goals(request: PlanPoints, stand: Stand, bench: BenchFile) -> list[Goal]:
-    """Return the goals of a request: u of coefficients, Δg or |a|; by default one for all coefficients."""
-    goals = coefficient_goals(dict(_size(text) for text in request.u or ()))
+def _goals(request: PlanPoints, stand: design.Stand, bench: BenchFile) -> list[design.Goal]:
+    goals = design.coefficient_goals(dict(_size(text) for text in request.u or ()))
     if request.delta_g is not None:
         goals += delta_g_of(stand, request.delta_g, "--delta-g")
     if request.modulus is not None:
         up_to_g = bench.unit_under_test.range
         if request.up_to is not None:
             up_to_g = quantity("--up-to", request.up_to, ACCELERATION)
-        goals += modulus_goals(stand.block, up_to_g, request.modulus)
-    return [*goals, whole_goal(stand.block, goals)] if goals else [vector_goal(stand.block)]
+        goals += design.modulus_goals(stand.block, up_to_g, request.modulus)
+    return [*goals, design.whole_goal(stand.block, goals)] if goals else [design.vector_goal(stand.block)]
 
 
-def delta_g_of(stand: Stand, asked_g: float, option: str) -> list[Goal]:
-    """Return a goal for u(Δg) at each verification point of the bench: at most `asked_g`, in g.
-
-    Raises `Refused`, naming the `option`, if the bench file has no installation V.
-    """
+def delta_g_of(stand: design.Stand, asked_g: float, option: str) -> list[design.Goal]:
+    """Return a goal u(Δg) ≤ `asked_g` (g) at each verification point. Raises `Refused` if the bench has none."""
     if VERIFICATION not in stand.model.installations:
         raise Refused(
             f"{option} needs the installation V of the verification points; add it to the bench file"
@@ -178,7 +162,7 @@ def delta_g_of(stand: Stand, asked_g: float, option: str) -> list[Goal]:
     turn = stand.model.installations[VERIFICATION].block_from_platform
     force = specific_force_on_platform(angles, np.zeros((len(angles), 5))) @ turn.T
     at = [Setting(Mounting(1, VERIFICATION), 1, i, float(a), 1) for i, a in enumerate(angles, start=1)]
-    return delta_g_goals(stand.block, force, stand.noise.reading, asked_g, at)
+    return design.delta_g_goals(stand.block, force, stand.noise.reading, asked_g, at)
 
 
 def _size(text: str) -> tuple[str, float]:
@@ -196,7 +180,6 @@ def duration_s(option: str, text: str) -> float:
 
 
 def _times(request: PlanPoints) -> Times:
-    """Return how long each kind of step takes, by the request. Raises `Refused` for an invalid time."""
     times = Times(
         duration_s("--cost-setting", request.cost_setting),
         duration_s("--cost-remount", request.cost_remount),
@@ -236,7 +219,7 @@ def even_angles(bench: BenchFile, count: int) -> Floats:
     return np.sort(np.concatenate([angles[allowed], wrapped[lower & ~allowed]]))
 
 
-def _of_paper(stand: Stand, goals: Sequence[Goal]) -> tuple[int, dict[str, float]]:
+def _of_paper(stand: design.Stand, goals: Sequence[design.Goal]) -> tuple[int, dict[str, float]]:
     """Return the number of settings in the paper's procedure, and the largest u for each goal name."""
     settings = fitted(settings_of(load_procedure(find_procedure("paper")).expand()))
     promise = stand.promise(settings, goals)
@@ -290,7 +273,10 @@ def budget_of(request: Budget) -> BudgetResult:
     check_gravity(request.g)
     estimator = in_a_budget(request.estimator).name
     if request.trials:
-        _check_trials(request.trials)
+        try:
+            require_trials(request.trials, COVERAGE)
+        except CalibrationError as error:
+            raise Refused(f"--trials: {error}, or 0 for none") from None
     taken = find_bench_file(request.bench)
     file = _with_gravity(taken, request.g)
     judgement = judgement_of(file, VerdictOptions(request.limit, request.rule, request.guard_band))
@@ -313,13 +299,6 @@ def budget_of(request: Budget) -> BudgetResult:
 budget = python_call(Budget, budget_of, "budget")
 
 
-def _check_trials(trials: int) -> None:
-    try:
-        require_trials(trials, COVERAGE)
-    except CalibrationError as error:
-        raise Refused(f"--trials: {error}, or 0 for none") from None
-
-
 def _with_gravity(taken: BenchTaken, g_m_s2: float | None) -> BenchFile:
     """Return the bench file, with local gravity `g_m_s2` if given. Raises `Refused` if neither states gravity."""
     bench = taken.file
@@ -339,7 +318,6 @@ def _model(path: str | Path | None, bench: BenchFile) -> ForwardModel:
 
 
 def _block(coefficients: str | Path | None, bench: BenchFile) -> tuple[Block, str]:
-    """Return the block of a budget, and its name in words."""
     if coefficients is not None:
         block = read_coefficients(Path(coefficients), "V").block
         try:
@@ -368,10 +346,7 @@ ACCELERATIONS: Final = frozenset({ACCELERATION_OF, MODULUS_OF})
 
 
 def requirements(request: Require) -> Requirements:
-    """Return how large each bench error may be so that k u of a quantity stays within the required accuracy.
-
-    Raises `Refused` for invalid options, `FileMistakes`, `CalibrationError`.
-    """
+    """Return how large each error may be so that k u meets the accuracy. Raises `Refused`, `CalibrationError`."""
     estimator = in_a_budget(request.estimator).name
     taken = find_bench_file(request.bench)
     file, of = taken.file, request.of
@@ -455,10 +430,7 @@ def _up_to_g(up_to: str | None, bench: BenchFile) -> float:
 
 
 def _costs(share: str, given: Sequence[str], names: Sequence[str]) -> dict[str, float] | None:
-    """Return the stated weight of the cost of each error, by name; None for equal parts of the variance.
-
-    Raises `Refused` for invalid weights.
-    """
+    """Return the weight of each error's cost by name; None for equal parts. Raises `Refused`."""
     if share not in {"equal", "cost"}:
         raise Refused(f"--share: give equal or cost, not {share!r}")
     if given and share != "cost":

@@ -85,10 +85,7 @@ class RecordCalibrationResult:
 
 
 def record_calibration_of(source: Source) -> RecordCalibrationResult:
-    """Calibrate meters from readings at a known input; effects in the source's model are subtracted first.
-
-    Raises `CalibrationError`.
-    """
+    """Calibrate meters from readings at a known input, less the model's effects. Raises `CalibrationError`."""
     return RecordCalibrationResult(source, calibrate_record(source.readings, source.model.effects))
 
 
@@ -102,10 +99,7 @@ def meters_at_rest(source: Source, found: RecordCalibration) -> Stability:
 
 
 def of_meters(source: Source, found: RecordCalibration) -> StaticRecord:
-    """Return the residuals of meters at a known input, without outliers.
-
-    Gain, offset and the model's effects are subtracted.
-    """
+    """Return the residuals of meters at a known input, less gain, offset and the model's effects; no outliers."""
     readings, used = source.readings, found.record.used
     channels = tuple(CHANNELS[i] for i in found.record.channels)
     made = on_grid(source.name, readings.time_s[used], found.residual_of(readings)[used], channels)

@@ -12,26 +12,10 @@ from typing import TYPE_CHECKING
 from bench.base.files import read_regular
 from bench.readings.columns import columns_of, ranges_in_words
 from bench.results.records import ProvenRecordPart, RunPart, RunsResult, ShowResult
+from bench.run import seal as seals
 from bench.run.events import ENDED, RecordError, RunState
 from bench.run.folder import VERIFY, Digest, Digests, Run, all_runs, find_run, statement_in
 from bench.run.record import is_being_written
-from bench.run.seal import (
-    NoTimeStamp,
-    Seal,
-    ask_time_stamp,
-    check_server,
-    fingerprint,
-    is_signed,
-    new_seal,
-    private_key,
-    public_key,
-    read_public_key,
-    read_seal,
-    read_time_stamp,
-    sign,
-    signed,
-    write_seal,
-)
 from bench.services.errors import Refused, refusing
 from bench.services.requests.records import SealRun, ShowRun
 from bench.services.requests.shared import name_to_type, runs_folder
@@ -89,7 +73,6 @@ def supply_in_words(run: Run) -> str:
 
 
 def _verdict(run: Run) -> str | None:
-    """Return the verdict in a run's result file; None if there is none."""
     try:
         found = json.loads(read_regular(run.folder / f"{VERIFY}.json").decode())
         statement = statement_in(found)
@@ -122,44 +105,39 @@ NOTHING_OUTSIDE = (
 class SealResult:
     """A seal, its file and, if a requested time stamp is missing, the reason."""
 
-    seal: Seal
+    seal: seals.Seal
     file: Path
     no_time_stamp: str = ""
 
 
 def seal_run(request: SealRun, passphrase: Callable[[], bytes]) -> SealResult:
-    """Seal a run that has ended; if the server gives no time stamp, the seal is written without one.
-
-    Raises `RecordError` for a run that cannot be sealed or an unusable key, `Refused` if the seal cannot be
-    written.
-    """
+    """Seal a run that has ended, without time stamp if the server gives none. Raises `RecordError`, `Refused`."""
     run, key, server = find_run(request.run, runs_folder(request.runs)), request.key, request.timestamp
     if server is not None:
-        check_server(server)
-    seal = new_seal(run, utc_now())
+        seals.check_server(server)
+    seal = seals.new_seal(run, utc_now())
     if key is not None:
-        seal = signed(seal, *sign(private_key(key, passphrase), seal.signed_bytes))
+        seal = seals.signed(seal, *seals.sign(seals.private_key(key, passphrase), seal.signed_bytes))
     missing = ""
     if server is not None:
         try:
-            seal = replace(seal, time_stamp=ask_time_stamp(server, seal.stamped_bytes))
-        except NoTimeStamp as reason:
+            seal = replace(seal, time_stamp=seals.ask_time_stamp(server, seal.stamped_bytes))
+        except seals.NoTimeStamp as reason:
             missing = str(reason)
     with refusing("nothing was sealed"):
-        return SealResult(seal, write_seal(run.folder, seal), missing)
+        return SealResult(seal, seals.write_seal(run.folder, seal), missing)
 
 
 def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
     """Return the evidence that a record is unchanged, and the problems with it, a sentence each.
 
-    The record is checked against its seal and, as far as the user states them, against a record head (hash of
-    its last line), a public key and a time-stamp authority. Raises `Refused` for an invalid head,
-    `RecordError` for a key that cannot be read.
+    Evidence is the seal and, if the user states them, a noted head, a public key and a time-stamp authority.
+    Raises `Refused` for an invalid head, `RecordError` for a key that cannot be read.
     """
     head, key, authority = request.head, request.key, request.authority
     if head is not None and re.fullmatch(r"[0-9a-f]{64}", head.lower()) is None:
         raise Refused(f"--head {head}: give the SHA-256 of a line, 64 hexadecimal digits")
-    given = None if key is None else read_public_key(key)
+    given = None if key is None else seals.read_public_key(key)
     told, problems = [f"head: {run.history.head}"], []
     outside = False
     if head is not None:
@@ -171,7 +149,7 @@ def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
                 "the head differs from the given one; check that it belongs to this run, or restore the run"
             )
     try:
-        seal = read_seal(run.folder)
+        seal = seals.read_seal(run.folder)
         if seal is None:
             told.append("the run has no seal")
             if key is not None or authority is not None:
@@ -189,7 +167,9 @@ def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
     return told, problems
 
 
-def _signature(seal: Seal, given: Ed25519PublicKey | None, told: list[str], problems: list[str]) -> bool:
+def _signature(
+    seal: seals.Seal, given: Ed25519PublicKey | None, told: list[str], problems: list[str]
+) -> bool:
     """Add sentences on the seal's signature to `told` or `problems`; return whether key `given` made it."""
     if not seal.signature:
         told.append(
@@ -199,17 +179,17 @@ def _signature(seal: Seal, given: Ed25519PublicKey | None, told: list[str], prob
         if given is not None:
             problems.append("the seal has no signature that the key could check; remove --key")
         return False
-    key = public_key(seal.public_key, "the seal")
-    if not is_signed(key, seal.signature, seal.signed_bytes):
+    key = seals.public_key(seal.public_key, "the seal")
+    if not seals.is_signed(key, seal.signature, seal.signed_bytes):
         problems.append("the signature does not belong to this seal; restore the seal from a copy")
         return False
-    name = fingerprint(key)
+    name = seals.fingerprint(key)
     if given is None:
         told.append(
             f"sealed at {seal.events} events, signed with the key {name}; --key FILE checks whose key it is"
         )
         return False
-    if fingerprint(given) != name:
+    if seals.fingerprint(given) != name:
         problems.append(f"the seal is signed with another key than the given one; give the key {name}")
         return False
     told.append(
@@ -218,7 +198,7 @@ def _signature(seal: Seal, given: Ed25519PublicKey | None, told: list[str], prob
     return True
 
 
-def _time_stamp(seal: Seal, authority: Path | None, told: list[str], problems: list[str]) -> bool:
+def _time_stamp(seal: seals.Seal, authority: Path | None, told: list[str], problems: list[str]) -> bool:
     """Add sentences on the time stamp to `told` or `problems`; return whether a trusted authority made it."""
     if not seal.time_stamp:
         told.append(f"no time stamp: only the computer's clock states that it was sealed at {seal.sealed}")
@@ -226,8 +206,8 @@ def _time_stamp(seal: Seal, authority: Path | None, told: list[str], problems: l
             problems.append("the seal has no time stamp that the authority could confirm; remove --authority")
         return False
     try:
-        stamp = read_time_stamp(seal.time_stamp, seal.stamped_bytes, authority)
-    except NoTimeStamp as error:
+        stamp = seals.read_time_stamp(seal.time_stamp, seal.stamped_bytes, authority)
+    except seals.NoTimeStamp as error:
         problems.append(str(error))
         return False
     at = stamp.time.isoformat()

@@ -48,9 +48,7 @@ class FoundResource:
 
 
 def offered() -> tuple[list[FoundResource], list[str]]:
-    """Return the resources that the interfaces offer, and notes on interfaces not searched. Addresses no
-    resource.
-    """
+    """Return what the interfaces offer, and notes on interfaces not searched. Addresses no resource."""
     offer = discover()
     ports = [
         FoundResource(port.resource, f"serial port {port.device} {port.description}".rstrip())
@@ -86,7 +84,6 @@ def identified(resource: str, what: str = "") -> FoundResource:
 
 
 def _identity(resource: str) -> Identity:
-    """Return what a resource answers to `*IDN?`. Raises `BenchError`."""
     session = MessageSession(resource, resource, timeout_s=ANSWERS_WITHIN_S, holding=held_instruments())
     try:
         session.open()
@@ -97,7 +94,6 @@ def _identity(resource: str) -> Identity:
 
 
 def _device_of(identity: Identity) -> Device | None:
-    """Return the device whose facts name the model of an identity; None if none does."""
     roles: tuple[Role, ...] = ("voltmeter", "power_supply", "chamber")
     for role in roles:
         for device in devices().of(role):
@@ -109,9 +105,7 @@ def _device_of(identity: Identity) -> Device | None:
 
 
 def _reading(device: Device, resource: str) -> str:
-    """Return one reading of a voltmeter on its 10 V range; the voltmeter is made safe afterwards. Raises
-    `BenchError`.
-    """
+    """Return one reading of a voltmeter on its 10 V range, and make it safe. Raises `BenchError`."""
     stated = {**device.example, "driver": device.name, "resource": resource}
     if "interface" in device.section.model_fields:
         stated["interface"] = _interface(resource)

@@ -24,6 +24,7 @@ from bench.readings.table import Readings
 from bench.results.parts import FailedPart
 from bench.run.events import MANIFEST, RecordError, sha256
 from bench.run.folder import IMPORTED, Run, find_run
+from bench.services import traceability
 from bench.services.bench_selection import (
     BenchTaken,
     Origin,
@@ -35,16 +36,6 @@ from bench.services.bench_selection import (
 )
 from bench.services.errors import Refused, sentence
 from bench.services.requests.shared import Bench, OnReadings, runs_folder
-from bench.services.traceability import (
-    NOTHING_LEARNED,
-    LearnedTaken,
-    Traced,
-    take_learned,
-    trace,
-    voltmeter_names,
-    with_effects,
-    with_meters,
-)
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -66,8 +57,7 @@ LEAST_GRAVITY, MOST_GRAVITY = 9.75, 9.85
 class Request:
     """The sources of an analysis, and the options that replace the defaults.
 
-    `runs` is the folder in which runs are found by name. `bench` is a bench file, as path, name or content. `out`
-    is a folder for files derived from the readings.
+    `runs` is the folder of runs found by name, `out` a folder for files derived from the readings.
     """
 
     sources: Sequence[Given]
@@ -116,7 +106,7 @@ class Source:
     origin: Origin | None
     request: Request
     as_read: Readings
-    traced: Traced
+    traced: traceability.Traced
     effects: tuple[Effect, ...] = ()
     known: KnownStand | None = None
     known_meters: KnownMeters | None = None
@@ -156,9 +146,7 @@ class Source:
 
     @property
     def what_if(self) -> bool:
-        """Whether a run is evaluated with other options than it recorded; the results then go to a separate
-        folder.
-        """
+        """Whether a run is evaluated otherwise than it recorded; its results then go to a separate folder."""
         if self.run is None:
             return False
         asked = self.request
@@ -168,10 +156,7 @@ class Source:
 
     @property
     def stand_u(self) -> dict[str, float]:
-        """Standard uncertainties (rad) of the stand's errors by name; "voltmeter_error" is in V.
-
-        For signals in other units, "voltmeter_error" is 0.
-        """
+        """Standard uncertainties (rad) of the stand's errors; "voltmeter_error" in V (0 without signals in V)."""
         sizes = {name: d.u for name, d in self.bench.stand_distributions().items()}
         return sizes if self.readings.unit == VOLTS else sizes | {"voltmeter_error": 0.0}
 
@@ -204,9 +189,8 @@ class Source:
     def output(self, command: str, suffix: str, *, what_if: bool = False) -> Path:
         """Return the path of the file that a command writes for this source.
 
-        The file lies in the folder of `--out`, else in the run's folder, else in a folder named after the
-        command, next to the readings file. With `what_if`, it lies in the folder `what-if` of the run, unless
-        `--out` is given.
+        It is in the folder of `--out`, else of the run, else in one named after the command beside the readings
+        file. With `what_if`, it is in the folder `what-if` of the run, unless `--out` is given.
         """
         file = _output(self.name, self.run, self.request.out, command, suffix)
         aside = what_if and self.run is not None and self.request.out is None
@@ -251,10 +235,7 @@ def _hash(readings: Readings, *, to_the_bit: bool = True) -> str:
 
 
 def _knows(stated: str | None, readings: Readings) -> bool:
-    """Return whether the hashes `stated` in a model file include that of these readings.
-
-    Hashes of earlier versions, made in another way, also count.
-    """
+    """Return whether the hashes in a model file include one of these readings, of this or an earlier version."""
     hashes = (stated or "").split()
     return bool(hashes) and (data_sha256(readings) in hashes or _hash(readings) in hashes)
 
@@ -286,9 +267,9 @@ def _load(given: Given, request: Request) -> Source:
         notes += of_model
         own += file.own_effects()
     as_read = readings
-    bench, readings, traced = trace(taken, bench, readings, told.origin)
+    bench, readings, traced = traceability.trace(taken, bench, readings, told.origin)
     learned = _learned(given, taken, bench, as_read, traced, run, told)
-    model = with_effects(model, learned.effects)
+    model = traceability.with_effects(model, learned.effects)
     if learned.meters is not None:
         traced = replace(traced, by=traced.by.then(learned.meters.gain, learned.meters.offset_v))
         readings = corrected(as_read, traced.by)
@@ -317,15 +298,15 @@ def _learned(
     taken: BenchTaken,
     bench: BenchFile,
     readings: Readings,
-    traced: Traced,
+    traced: traceability.Traced,
     run: Run | None,
     told: OriginBeside,
-) -> LearnedTaken:
+) -> traceability.LearnedTaken:
     file = taken.learned()
     if file is None:
-        return NOTHING_LEARNED
+        return traceability.NOTHING_LEARNED
     name = given if isinstance(given, str) else ""
-    found = take_learned(
+    found = traceability.take_learned(
         file,
         traced.day,
         readings.unit,
@@ -335,7 +316,9 @@ def _learned(
     )
     if found.known is None or readings.unit != VOLTS or readings.corrected:
         return found
-    return with_meters(found, file, bench, traced.day, voltmeter_names(bench, taken, told.origin, name))
+    return traceability.with_meters(
+        found, file, bench, traced.day, traceability.voltmeter_names(bench, taken, told.origin, name)
+    )
 
 
 def _on_check_block(run: Run) -> tuple[str, ...]:
@@ -376,11 +359,7 @@ def _readings_of(given: Given, run: Run | None, bench: BenchFile, *, skip_bad_ro
 def _of_model_file(
     file: ModelFile, readings: Readings, plain: ForwardModel
 ) -> tuple[ForwardModel, tuple[str, ...]]:
-    """Return the model of a model file, with notes.
-
-    If the model was found in these same readings, its values are estimated again; used as priors, they would
-    count the readings twice.
-    """
+    """Return the model of a model file, with notes; values found in these same readings are estimated again."""
     model = replace(plain, effects=file.applied_effects(), name=file.name)
     dark: tuple[str, ...] = ()
     if file.dark_uncertainty is not None:
@@ -441,10 +420,7 @@ def attempted(name: str, work: Callable[[], R]) -> R | Failed:
 
 
 def load_each(request: Request) -> list[Source | Failed]:
-    """Read each source separately; return a `Failed` for one that cannot be read.
-
-    If there is only one source, its error is raised.
-    """
+    """Return each source, or a `Failed` if it cannot be read; a single source raises its error."""
     if len(request.sources) == 1:
         return [*load_sources(request)]
     check_gravity(request.g_m_s2)
@@ -456,10 +432,7 @@ def load_each(request: Request) -> list[Source | Failed]:
 
 
 def each(loaded: Sequence[Source | Failed], work: Callable[[Source], R]) -> list[R | Failed]:
-    """Return for each source the result of `work`, or a `Failed`.
-
-    If there is only one source, its error is raised.
-    """
+    """Return for each source the result of `work`, or a `Failed`; a single source raises its error."""
     if len(loaded) == 1:
         return [work(source) for source in done(loaded)]
     return [
@@ -513,7 +486,6 @@ def provenance(source: Source) -> dict[str, str]:
 
 
 def _measured(origin: Origin) -> dict[str, str]:
-    """Return date, operator, procedure and instruments, as recorded with the run, by label, for a report."""
     stated = {"begun": civil_minute(origin.begun), "operator": origin.operator or message("not stated")}
     if origin.procedure:
         stated["procedure"] = message(f"{shown_path(origin.procedure)} (plan SHA-256 {origin.plan_hash})")

@@ -69,11 +69,7 @@ class RecordAtRest:
 
 
 def at_rest(request: asked.Stability) -> RecordAtRest:
-    """Return noise and drift of a static record, and the averaging that a reading needs.
-
-    Raises `Refused` for an invalid size or integration time, and for a run in which the block was turned;
-    `ReadingsError` and `CalibrationError` as the reader of a record does.
-    """
+    """Return noise and drift of a static record, and the averaging that a reading needs. Raises `Refused`."""
     size, runs = request.size, runs_folder(request.runs)
     if size is not None and not (math.isfinite(size) and size > 0):
         raise Refused(f"--size {size}: give a positive number in the unit of the signals")
@@ -107,10 +103,7 @@ stability = python_call(asked.Stability, at_rest, "stability")
 
 
 def _bench_of(record: str, runs: Path, bench: Bench) -> tuple[BenchTaken, tuple[str, ...]]:
-    """Return the bench file to use, and notes on the choice.
-
-    The file is `bench` (from the request), else that of the run or of the origin file, else the default.
-    """
+    """Return the bench file to use, and notes: `bench`, else that of the run or origin file, else the default."""
     if Path(record).is_file():
         return bench_of(record, None, origin_beside(Path(record)), bench)
     run = next((Run(folder) for folder in (runs / record, Path(record)) if (folder / BENCH).is_file()), None)

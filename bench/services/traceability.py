@@ -6,7 +6,7 @@ import datetime
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -72,11 +72,7 @@ class Traced:
 
     def parts(self) -> list[CorrectionPart]:
         """Return the part of a result for each certificate."""
-        return [CorrectionPart(**one) for one in self.to_json()]
-
-    def to_json(self) -> list[dict[str, Any]]:
-        """Return the members of a result for each certificate."""
-        return [standing.to_json(why_not=why_not) for standing, why_not in self.entries]
+        return [CorrectionPart(**standing.to_json(why_not=why_not)) for standing, why_not in self.entries]
 
     def stated(self) -> dict[str, str]:
         """Return a description of each certificate for the page, by instrument."""
@@ -103,10 +99,7 @@ def _in_words(standing: Standing, why_not: str) -> str:
 def trace(
     taken: BenchTaken, bench: BenchFile, readings: Readings, origin: Origin | None
 ) -> tuple[BenchFile, Readings, Traced]:
-    """Return the bench for readings, the corrected readings, and the certificates that corrected them.
-
-    The returned bench has no certificates that belong to other instruments.
-    """
+    """Return the bench without certificates of other instruments, the corrected readings, their corrections."""
     day = _day(origin)
     found = standings(bench, day, _answered(bench, origin))
     entries = tuple((standing, _why_not(standing, taken, readings, origin)) for standing in found)
@@ -122,7 +115,6 @@ def remarks(bench: BenchFile, serials: Mapping[str, str] | None = None) -> list[
 
 
 def _day(origin: Origin | None) -> datetime.date:
-    """Return the day on which the readings were made; today if it is not recorded."""
     try:
         return datetime.datetime.fromisoformat(origin.begun if origin is not None else "").date()
     except ValueError:
@@ -130,9 +122,9 @@ def _day(origin: Origin | None) -> datetime.date:
 
 
 def _answered(bench: BenchFile, origin: Origin | None) -> dict[str, str]:
-    """Return the serial numbers that the instruments reported, by instrument name; empty for a simulated run.
+    """Return the serial numbers that the instruments reported, by name; empty for a simulated run.
 
-    A serial number that was not recorded is taken from the certificate if the recorded identity contains it.
+    If none was recorded, that of the certificate counts if the recorded identity contains it.
     """
     if origin is None or origin.simulated:
         return {}
@@ -146,7 +138,6 @@ def _answered(bench: BenchFile, origin: Origin | None) -> dict[str, str]:
 
 
 def _why_not(standing: Standing, taken: BenchTaken, readings: Readings, origin: Origin | None) -> str:
-    """Return the reason why a certificate does not correct the readings; "" if it does."""
     of_meter = isinstance(standing.section, VoltmeterForm)
     if standing.foreign:
         return _OTHER
@@ -186,10 +177,7 @@ def voltmeter_names(
 
 
 def _recorded(bench: BenchFile, taken: BenchTaken, origin: Origin, readings: str) -> BenchFile | None:
-    """Return the bench file with which readings were recorded; None if it is not found.
-
-    The bench file of the evaluation may differ: it may assign other voltmeters to the channels.
-    """
+    """Return the bench file of the recording, which may assign other voltmeters; None if it is not found."""
     if taken.sha256 == origin.bench.sha256:
         return bench
     path = origin.bench_file(Path(readings))
@@ -213,10 +201,7 @@ SIMULATED: Final = "the sizes of learned file {bench} come from simulated runs"
 
 @dataclass(frozen=True)
 class LearnedTaken:
-    """The part of a learned file that is valid for an evaluation, with notes; may be empty.
-
-    `name` identifies the learned differences of voltmeters in `meters`.
-    """
+    """The valid part of a learned file, with notes; `name` identifies the voltmeter differences in `meters`."""
 
     known: KnownStand | None = None
     effects: tuple[AppliedEffect, ...] = ()
@@ -238,10 +223,9 @@ def take_learned(
     hashes: tuple[str, ...] = (),
     simulated: bool | None = None,
 ) -> LearnedTaken:
-    """Return the part of a learned file that is valid for readings made on `day` with signals in `unit`.
+    """Return the valid part of a learned file for readings made on `day` with signals in `unit`.
 
-    `head` and `hashes` identify the record of the readings. `simulated` says whether the readings are simulated; it
-    is None if this is not stated or there are no readings.
+    `head` and `hashes` identify the record of the readings; `simulated` is None if that is not known.
     """
     if file is None:
         return NOTHING_LEARNED
@@ -268,10 +252,9 @@ def take_learned(
 
 
 def learned_for_run(bench: BenchFile, path: Path, created: str, *, simulated: bool | None) -> LearnedTaken:
-    """Return the learned sizes valid for a run that was created at the time `created` (ISO 8601).
+    """Return the valid part of the learned file that a bench file at `path` names, on the day `created`.
 
-    The bench file at `path` names the learned file. If `path` is the run's own copy, later changes of the original
-    files do not affect the result. Raises `FileMistakes`.
+    If `path` is the run's own copy, later changes of the original files have no effect. Raises `FileMistakes`.
     """
     file = BenchTaken(bench, str(path), "", "").learned()
     return take_learned(file, datetime.datetime.fromisoformat(created).date(), VOLTS, simulated=simulated)

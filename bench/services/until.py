@@ -30,6 +30,7 @@ from bench.config.shipped import find_procedure
 from bench.model.conditions import Mounting
 from bench.model.effects import CATALOGUE
 from bench.model.forward import ForwardModel
+from bench.planning import optimal_design as design
 from bench.planning.choice import (
     Chooser,
     Standing,
@@ -38,20 +39,11 @@ from bench.planning.choice import (
     telling_apart,
     time_outlook,
 )
-from bench.planning.optimal_design import (
-    Goal,
-    Stand,
-    coefficient_goals,
-    modulus_goals,
-    vector_goal,
-    whole_goal,
-)
 from bench.planning.pool import (
     NO_GOAL,
     Aim,
     Floor,
     Pool,
-    Reached,
     Site,
     UntilGoal,
     floors,
@@ -77,7 +69,7 @@ from bench.run.record import History
 from bench.run.resume import PlanProgress
 from bench.run.sentences import size_in_words
 from bench.services.bench_selection import bench_path
-from bench.services.calibration import CalibrationResult, calibration_of
+from bench.services.calibration import calibration_of
 from bench.services.errors import Refused, named, quantity
 from bench.services.fitness import reminders
 from bench.services.planning import delta_g_of, stand_of
@@ -95,11 +87,8 @@ _PARTS_TOLD: Final = 3
 # --- what is asked for ------------------------------------------------------------------------------
 
 
-def stated_aim(texts: Sequence[str], stand: Stand, bench: BenchFile) -> Aim:
-    """Return the goals in the `texts` of `--until`; a text may hold several goals, separated by commas.
-
-    Raises `Refused` with all mistakes.
-    """
+def stated_aim(texts: Sequence[str], stand: design.Stand, bench: BenchFile) -> Aim:
+    """Return the goals in the `texts` of `--until`, separated by commas. Raises `Refused` with all mistakes."""
     wanted: list[UntilGoal] = []
     limit_s: float | None = None
     sizes: dict[bool, dict[str, float]] = {False: {}, True: {}}
@@ -110,12 +99,14 @@ def stated_aim(texts: Sequence[str], stand: Stand, bench: BenchFile) -> Aim:
             combined = name.startswith(COMBINED)
             name = name.removeprefix(COMBINED).strip()
             if name == "time" and not combined:
-                limit_s = _positive(text, quantity("--until", size, DURATION, plain=False))
+                limit_s = quantity("--until", size, DURATION, plain=False)
+                if not limit_s > 0:
+                    raise Refused(f"--until {text}: give a positive time")
             elif name in ("delta-g", "vector", "modulus"):
                 wanted += _of_force(name, quantity("--until", size, ACCELERATION), stand, bench, combined)
             else:
                 unit = VOLTAGE if name.startswith("U0") else SCALE_FACTOR
-                coefficient_goals({name: (asked := quantity("--until", size, unit))})
+                design.coefficient_goals({name: (asked := quantity("--until", size, unit))})
                 sizes[combined][name] = asked
         except Refused as mistake:
             said = mistake.typed
@@ -125,52 +116,40 @@ def stated_aim(texts: Sequence[str], stand: Stand, bench: BenchFile) -> Aim:
     if mistakes:
         raise Refused("\n".join(mistakes))
     for combined, asked_of in sizes.items():
-        wanted += [UntilGoal(goal, combined) for goal in coefficient_goals(asked_of)]
+        wanted += [UntilGoal(goal, combined) for goal in design.coefficient_goals(asked_of)]
     if not wanted and limit_s is None:
         raise Refused(f"--until: give a goal, such as {EXAMPLE}")
     if not wanted:
-        return Aim((UntilGoal(vector_goal(stand.block, 1.0, NO_GOAL)),), limit_s)
-    whole = UntilGoal(whole_goal(stand.block, [one.goal for one in wanted]))
+        return Aim((UntilGoal(design.vector_goal(stand.block, 1.0, NO_GOAL)),), limit_s)
+    whole = UntilGoal(design.whole_goal(stand.block, [one.goal for one in wanted]))
     return Aim((*wanted, whole), limit_s)
 
 
-def _positive(text: str, size: float) -> float:
-    if not size > 0:
-        raise Refused(f"--until {text}: give a positive time")
-    return size
-
-
-def _of_force(name: str, asked: float, stand: Stand, bench: BenchFile, combined: bool) -> list[UntilGoal]:
+def _of_force(
+    name: str, asked: float, stand: design.Stand, bench: BenchFile, combined: bool
+) -> list[UntilGoal]:
     if name == "delta-g" and combined:
         raise Refused(
             "--until combined:delta-g: gain and zero of the meters cancel in Δg; give delta-g, and read "
             "the combined u from 'bench verify'"
         )
-    goals: list[Goal] = []
+    goals: list[design.Goal] = []
     match name:
         case "delta-g":
             goals = delta_g_of(stand, asked, "--until delta-g")
         case "vector":
-            goals = [replace(vector_goal(stand.block, 1.0, asked), asked=_asked(asked))]
+            if not asked > 0:
+                raise Refused(f"--until vector={asked:g}: give a positive uncertainty")
+            goals = [design.vector_goal(stand.block, 1.0, asked)]
         case _:
-            goals = modulus_goals(stand.block, bench.unit_under_test.range, asked)
+            goals = design.modulus_goals(stand.block, bench.unit_under_test.range, asked)
     return [UntilGoal(goal, combined) for goal in goals]
-
-
-def _asked(size: float) -> float:
-    if not size > 0:
-        raise Refused(f"--until vector={size:g}: give a positive uncertainty")
-    return size
 
 
 def chooser_of(
     plan: Plan, bench: BenchFile, texts: Sequence[str], learned: LearnedTaken = NOTHING_LEARNED
 ) -> Chooser:
-    """Return the object that chooses the next settings for these goals (`texts`).
-
-    The object uses the `learned` sizes as a calibration does. Raises `Refused` for invalid goals, and for a
-    goal that no readings can reach.
-    """
+    """Return the chooser of settings for goals. Raises `Refused` for goals that are invalid or out of reach."""
     model = with_effects(ForwardModel(bench.installation_models()), learned.effects)
     try:
         whole = stand_of(bench, model, learned.known)
@@ -222,10 +201,7 @@ def _refuse_too_short(aim: Aim, pool: Pool) -> None:
 
 
 class Until:
-    """The chooser of a run's next settings.
-
-    The choices depend on the run's record alone, so that a resumed run makes the same ones.
-    """
+    """The chooser of a run's next settings; it depends on the record alone, so that a resumed run repeats it."""
 
     def __init__(self, run: Run, bench: BenchFile) -> None:
         self._run = run
@@ -279,7 +255,6 @@ class Until:
         return self._with_noise(standing, history) if taken else standing
 
     def _with_noise(self, standing: Standing, history: History) -> Standing:
-        """Return the state with the noise of the readings, and the u that a calibration of them gives."""
         (source,) = load_sources(Request([str(self._run.folder)], self._run.folder.parent))
         readings = source.readings.select(source.readings.installation != VERIFICATION)
         standing = replace(standing, scale=scale_of(self._chooser.stand, readings))
@@ -288,7 +263,9 @@ class Until:
         except CalibrationError:
             return standing
         apart = self._telling_apart(standing) if result.calibration.lack_of_fit.shown else frozenset[Site]()
-        return replace(standing, reached=self._reached(result), apart=apart)
+        own = result.calibration
+        reached = reached_by(self._chooser.aim, own.covariance_readings, own.covariance)
+        return replace(standing, reached=reached, apart=apart)
 
     def _telling_apart(self, standing: Standing) -> frozenset[Site]:
         """Return those unread sites of this mounting that best separate possible causes of a lack of fit."""
@@ -302,19 +279,12 @@ class Until:
         )
         return frozenset(sites[i] for i in best)
 
-    def _reached(self, result: CalibrationResult) -> tuple[Reached, ...]:
-        own = result.calibration
-        return reached_by(self._chooser.aim, own.covariance_readings, own.covariance)
-
 
 # --- before the run ---------------------------------------------------------------------------------
 
 
 def noted_goals(manifest: Manifest, plan: Plan, bench: BenchFile, texts: Sequence[str]) -> tuple[str, ...]:
-    """Note the goals in the manifest; return sentences on the learned sizes used and on the expected duration.
-
-    Raises `Refused` for invalid goals.
-    """
+    """Note the goals in the manifest; return notes on learned sizes and duration. Raises `Refused`."""
     manifest["until"] = [*texts]
     learned = learned_for_run(
         bench, Path(manifest["bench"]), manifest["created"], simulated=bool(manifest["dry_run"])
@@ -325,19 +295,13 @@ def noted_goals(manifest: Manifest, plan: Plan, bench: BenchFile, texts: Sequenc
 def outlook_until(
     plan: Plan, bench: BenchFile, texts: Sequence[str], learned: LearnedTaken = NOTHING_LEARNED
 ) -> TimeOutlook:
-    """Return the expected duration of a run with these goals.
-
-    It follows from the learned noise or, without that, from the noise that the bench file states.
-    """
+    """Return the expected duration of a run with these goals, by the learned noise, else the bench file's."""
     found = time_outlook(chooser_of(plan, bench, texts, learned))
     return replace(found, learned=learned.known is not None and learned.known.noise is not None)
 
 
 def look_ahead(request: Check) -> Findings:
-    """Return the findings of `bench check`: the plan of a procedure on a bench, and its expected outcome.
-
-    Raises `Refused` with the mistakes of both files, and for goals that cannot be reached.
-    """
+    """Return the findings of `bench check`: plan and expected outcome. Raises `Refused` with all mistakes."""
     if request.procedure is None:
         raise Refused("name a procedure to check, or give --morning to check the bench")
     plan, file = _load(request.procedure, request.bench)

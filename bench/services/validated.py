@@ -50,10 +50,7 @@ def own_files() -> dict[str, str]:
 
 
 def packages() -> Iterator[metadata.Distribution]:
-    """Yield the installed distributions on which the program depends, beginning with the program's own.
-
-    Optional dependencies are included if they are installed.
-    """
+    """Yield the installed distributions that the program needs, its own first; optional ones if installed."""
     waiting, seen = [DISTRIBUTION], set()
     while waiting:
         name = re.sub(r"[-_.]+", "-", waiting.pop(0)).lower()
@@ -68,10 +65,7 @@ def packages() -> Iterator[metadata.Distribution]:
 
 
 def _needed(one: metadata.Distribution, *, of_program: bool) -> list[str]:
-    """Return the requirements of a distribution.
-
-    They include extras only for the program itself, and of these only the ones needed in use.
-    """
+    """Return the requirements of a distribution; of extras, only those that the program needs in use."""
     ours = re.compile(r"extra == ['\"](?:test|browser|docs|mutation|release|dev)['\"]")
     other = ours if of_program else re.compile(r"extra\s*==")
     return [text for text in one.requires or () if not other.search(text)]
@@ -157,9 +151,7 @@ def laboratory_known(given: Path | None) -> Path | None:
 
 
 def laboratory_needed(given: Path | None, why: str) -> Path:
-    """Return the laboratory file as `laboratory_known` does. Raises `Refused` with the reason `why` if there is
-    none.
-    """
+    """Return the laboratory file as `laboratory_known` does; if there is none, raise `Refused` with `why`."""
     laboratory = laboratory_known(given)
     if laboratory is None:
         raise Refused(f"give --laboratory FILE; {why}")

@@ -20,15 +20,7 @@ from bench.calibration.noise import drifted
 from bench.calibration.verification import Verification
 from bench.calibration.verification import verify as check
 from bench.config.bench_file.file import BenchFile
-from bench.results.verification import (
-    VerifyResult,
-    advice,
-    global_risk_in_words,
-    print_verification,
-    verdict_line,
-    verification_table,
-    verify_result,
-)
+from bench.results import verification as shown
 from bench.run.events import VerdictAsked
 from bench.run.folder import Run
 from bench.services.coefficients import Coefficients
@@ -141,7 +133,7 @@ def judgement_of(
 
 
 def own_judgement(source: Source, *asked: VerdictOptions, agreed: DecisionRule | None = None) -> Judgement:
-    """Return the basis of the verdict on a source: the options `asked`, else those of its run or bench file.
+    """Return the basis of a source's verdict: `asked`, else as its run or bench file says.
 
     `agreed` is the decision rule if none of these names a rule.
     """
@@ -204,7 +196,7 @@ class VerificationResult:
     @property
     def sentences(self) -> tuple[str, ...]:
         """Sentences on the meaning of the statements, on remedies, and on the global risk of the rule."""
-        return (*advice(self.verification), *global_risk_in_words(self.verification))
+        return (*shown.advice(self.verification), *shown.global_risk_in_words(self.verification))
 
     @property
     def _against(self) -> tuple[str, ...]:
@@ -216,9 +208,9 @@ class VerificationResult:
         """Notes for the reader of the result, a sentence each."""
         return (*self.source.readings.notes, *self.source.readings.skipped, *self.sentences)
 
-    def result(self) -> VerifyResult:
+    def result(self) -> shown.VerifyResult:
         """Return the result of `bench verify`."""
-        return verify_result(
+        return shown.verify_result(
             self.verification,
             notes=[*self.sentences, *self._against],
             bench=self.source.taken.part(),
@@ -231,24 +223,24 @@ class VerificationResult:
 
     def verdict(self) -> str:
         """Return the verdict in one line, with the lack of fit of the coefficients if the fit is rejected."""
-        return "; ".join((verdict_line(self.source.name, self.verification), *self._against))
+        return "; ".join((shown.verdict_line(self.source.name, self.verification), *self._against))
 
     def print_on(self, out: Console) -> None:
         """Print Δg at each verification point, and the notes."""
-        print_verification(self.verification, self.notes, out)
+        shown.print_verification(self.verification, self.notes, out)
 
     def __repr__(self) -> str:
         """Return the points and the verdict."""
 
         def print_on(out: Console) -> None:
-            out.print(verification_table(self.verification))
+            out.print(shown.verification_table(self.verification))
             for line in self._below():
                 out.print(line)
 
         return as_text(print_on)
 
     def _repr_html_(self) -> str:
-        return as_html([], verification_table(self.verification)) + as_html(self._below())
+        return as_html([], shown.verification_table(self.verification)) + as_html(self._below())
 
     def _below(self) -> list[str]:
         notes = (*self.warnings, *self.notes)
@@ -262,10 +254,9 @@ def judged(
     own: Calibration | None = None,
     warnings: tuple[str, ...] = (),
 ) -> VerificationResult:
-    """Return the verification of a source with the coefficients `taken`.
+    """Return the verification with the coefficients `taken`; `own` is their calibration by the same readings.
 
-    `own` is the calibration that gave them, if it is from the source's own readings. Raises
-    `CalibrationError` if there is no verification point.
+    Raises `CalibrationError` if there is no verification point.
     """
     said: tuple[str, ...] = ()
     if own is None:
@@ -292,8 +283,7 @@ def judged(
 def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[str, ...]]:
     """Return the covariance of |a| at the points by coefficients of an earlier day, and a sentence on it.
 
-    If the same meters are used, their errors cancel; the longer since the calibration, the less, because
-    meters drift.
+    Errors of the same meters cancel, but the less, the longer ago the calibration, because meters drift.
     """
     known = taken.covariance if taken.same_meters is None else taken.same_meters
     part = drifted((taken.meters, _when(taken.made_at)), (source.meters, _when(source.made_at)))

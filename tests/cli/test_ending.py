@@ -9,8 +9,7 @@ import pytest
 import bench as face
 from bench.calibration.conformity import Statement
 from bench.run.folder import Run
-from bench.services.conclusion import conclude
-from bench.services.ending import MOST_LINES, ending
+from bench.services.conclusion import MOST_LINES, conclude, ending
 from tests.support.commands import printed, refused
 from tests.support.pages import ROOT
 

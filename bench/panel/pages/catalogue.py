@@ -90,9 +90,9 @@ def _history(catalogue: Catalogue, unit: str) -> UnitResult:
 
 def _figure(catalogue: Catalogue, unit: str) -> str:
     from bench.catalogue.unit import unit_calibrations
-    from bench.results.catalogue import unit_file
+    from bench.results.catalogue import unit_figure
 
     calibrations = unit_calibrations(catalogue, unit)
     if not calibrations:
         raise Refusal(404, message(f"{unit}: no calibration to draw; calibrate a run of it"))
-    return unit_file(calibrations)
+    return unit_figure(calibrations)

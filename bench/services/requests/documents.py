@@ -9,20 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 from bench.base.requests import Option, option
-from bench.services.requests.shared import (
-    EstimatorField,
-    GuardBandField,
-    JoinFreeField,
-    JoinVerificationField,
-    LimitField,
-    ModelField,
-    NominalField,
-    OnReadings,
-    PopulationField,
-    RuleField,
-    RunField,
-    RunsField,
-)
+from bench.services.requests import shared
 
 CatalogueField = Annotated[
     str | None,
@@ -30,6 +17,7 @@ CatalogueField = Annotated[
         "Catalogue: a file, or postgresql://USER@HOST/NAME (default: in your cache folder).",
         metavar="FILE|URL",
         environment="TRIAXIAL_BENCH_CATALOGUE",
+        rare=True,
     ),
 ]
 QueryField = Annotated[
@@ -46,10 +34,8 @@ class Sync:
         list[Path], Option("Folders that contain run folders, at any depth.", metavar="DIR…", argument=True)
     ]
     _: KW_ONLY
-    verify: bool = option(False, "Check each event of each record, not only the line hashes.", common=True)
-    due: bool = option(
-        False, "Compute the due dates of changed units now, so that 'due' answers at once.", common=True
-    )
+    verify: bool = option(False, "Check each event of each record, not only the line hashes.")
+    due: bool = option(False, "Compute the due dates of changed units now, so that 'due' answers at once.")
     catalogue: CatalogueField = None
 
 
@@ -63,20 +49,19 @@ class Ask:
         "runs",
         "runs, coefficients, units, benches, operators, instruments, certificates, issued or folders.",
         metavar="WHAT",
-        common=True,
     )
-    csv: Path | None = option(None, "Write all rows and columns as CSV.", metavar="FILE", common=True)
-    parquet: Path | None = option(None, "Write all rows and columns as Parquet.", metavar="FILE", common=True)
+    csv: Path | None = option(None, "Write all rows and columns as CSV.")
+    parquet: Path | None = option(None, "Write all rows and columns as Parquet.")
     catalogue: CatalogueField = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Dated:
     limit: float | None = option(
-        None, "Allowed error, in g at 1 g (default: of the last verification).", metavar="G", common=True
+        None, "Allowed error, in g at 1 g (default: of the last verification).", metavar="G"
     )
     interval: float | None = option(
-        None, "Interval for units with a short history (default: 365).", metavar="DAYS", common=True
+        None, "Interval for units with a short history (default: 365).", metavar="DAYS"
     )
     catalogue: CatalogueField = None
 
@@ -87,7 +72,7 @@ class Unit(_Dated):
 
     name: Annotated[str, Option("Serial number, or type and serial number.", metavar="UNIT", argument=True)]
     _: KW_ONLY
-    page: Path | None = option(None, "Write an HTML page.", metavar="FILE", common=True)
+    page: Path | None = option(None, "Write an HTML page.")
 
 
 @dataclass(frozen=True)
@@ -96,16 +81,14 @@ class DueUnits(_Dated):
 
     query: QueryField = None
     _: KW_ONLY
-    before: str | None = option(
-        None, "List only units due before this day.", metavar="YYYY-MM-DD", common=True
-    )
+    before: str | None = option(None, "List only units due before this day.", metavar="YYYY-MM-DD")
 
 
 # --- batches: the same work over many runs ------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
-class Batch(OnReadings):
+class Batch(shared.OnReadings):
     """Options of every `bench batch`: the runs to evaluate again, and the folder for the results."""
 
     over: Annotated[
@@ -113,18 +96,16 @@ class Batch(OnReadings):
         Option(
             "Runs: a path pattern ('runs/*') or a catalogue query ('unit=Q-17'); repeatable.",
             metavar="QUERY|GLOB",
-            common=True,
         ),
     ]
-    out: Annotated[
-        Path, Option("Folder of the batch; the same command resumes it.", metavar="FOLDER", common=True)
-    ]
-    model: ModelField = None
-    workers: int | None = option(
-        None, "Number of processes (default: one per core).", metavar="N", least=1, common=True
-    )
+    out: Annotated[Path, Option("Folder of the batch; the same command resumes it.", metavar="FOLDER")]
+    model: shared.ModelField = None
+    workers: int | None = option(None, "Number of processes (default: one per core).", metavar="N", least=1)
     scheduler: str | None = option(
-        None, "Dask scheduler (tcp://host:8786) to use instead of local processes.", metavar="ADDRESS"
+        None,
+        "Dask scheduler (tcp://host:8786) to use instead of local processes.",
+        metavar="ADDRESS",
+        rare=True,
     )
     catalogue: CatalogueField = None
 
@@ -133,49 +114,43 @@ class Batch(OnReadings):
 class BatchCalibrate(Batch):
     """Options of `bench batch calibrate`: compute coefficients and verdicts of many runs again."""
 
-    estimator: EstimatorField = "gls"
-    nominal_angles: NominalField = False
-    join_free: JoinFreeField = True
-    join_verification: JoinVerificationField = False
-    limit: LimitField = None
-    rule: RuleField = None
-    guard_band: GuardBandField = None
-    strict: bool = option(False, "Accept no changed judgement of a fit.", common=True)
+    estimator: shared.EstimatorField = "gls"
+    nominal_angles: shared.NominalField = False
+    join_free: shared.JoinFreeField = True
+    join_verification: shared.JoinVerificationField = False
+    limit: shared.LimitField = None
+    rule: shared.RuleField = None
+    guard_band: shared.GuardBandField = None
+    strict: bool = option(False, "Accept no changed judgement of a fit.")
 
 
 @dataclass(frozen=True, kw_only=True)
 class BatchDiagnose(Batch):
     """Options of `bench batch diagnose`: compute diagnoses of many runs again."""
 
-    strict: bool = option(False, "Accept no changed effect under the same verdict.", common=True)
+    strict: bool = option(False, "Accept no changed effect under the same verdict.")
 
 
 @dataclass(frozen=True, kw_only=True)
 class BatchReport(Batch):
     """Options of `bench batch report`: write reports of many runs into the folder of the batch."""
 
-    limit: LimitField = None
-    rule: RuleField = None
-    guard_band: GuardBandField = None
-    population: PopulationField = None
+    limit: shared.LimitField = None
+    rule: shared.RuleField = None
+    guard_band: shared.GuardBandField = None
+    population: shared.PopulationField = None
 
 
 # --- certificates -------------------------------------------------------------------------------------
 
 LaboratoryField = Annotated[
-    Path | None,
-    Option(
-        "Laboratory file; 'bench init' copies an example.",
-        metavar="FILE",
-        environment="BENCH_LABORATORY",
-        common=True,
-    ),
+    Path | None, Option("Laboratory file; 'bench init' copies an example.", environment="BENCH_LABORATORY")
 ]
 AuthorisedField = Annotated[
-    str | None, Option("Authorising person, as named in the laboratory file.", metavar="NAME", common=True)
+    str | None, Option("Authorising person, as named in the laboratory file.", metavar="NAME")
 ]
 NumberField = Annotated[str, Option("Number of the certificate.", argument=True)]
-ReasonField = Annotated[str, Option("Reason, for the register.", metavar="TEXT", common=True)]
+ReasonField = Annotated[str, Option("Reason, for the register.", metavar="TEXT")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,18 +158,14 @@ class Issuing:
     """Options of every command that issues a certificate: laboratory, order, signatory and key."""
 
     laboratory: LaboratoryField = None
-    order: Path | None = option(
-        None, "Order file; 'bench init' copies an example.", metavar="FILE", common=True
-    )
+    order: Path | None = option(None, "Order file; 'bench init' copies an example.")
     authorised_by: AuthorisedField = None
-    key: str | None = option(
-        None, "Key to sign with: a PEM file, or pkcs11:… for a token.", metavar="KEY", common=True
-    )
-    chain: Path | None = option(None, "Certificates of the key (PEM), if not beside it.", metavar="FILE")
+    key: str | None = option(None, "Key to sign with: a PEM file, or pkcs11:… for a token.", metavar="KEY")
+    chain: Path | None = option(None, "Certificates of the key (PEM), if not beside it.", rare=True)
     schema: Path | None = option(
-        None, "Folder of schemas (DCC 3.3.0, D-SI 2.2.1) to check against.", metavar="DIR"
+        None, "Folder of schemas (DCC 3.3.0, D-SI 2.2.1) to check against.", metavar="DIR", rare=True
     )
-    runs: RunsField = None
+    runs: shared.RunsField = None
 
 
 @dataclass(frozen=True)
@@ -205,10 +176,10 @@ class IssueCertificates(Issuing):
         list[str], Option("Runs, by name or path.", metavar="RUN…", argument=True, completes="runs")
     ]
     _: KW_ONLY
-    draft: bool = option(
-        False, "Write a draft with a watermark; needs no laboratory or order file.", common=True
+    draft: bool = option(False, "Write a draft with a watermark; needs no laboratory or order file.")
+    out: Path | None = option(
+        None, "Folder for drafts (default: the run's folder).", metavar="DIR", rare=True
     )
-    out: Path | None = option(None, "Folder for drafts (default: the run's folder).", metavar="DIR")
 
 
 @dataclass(frozen=True)
@@ -216,10 +187,10 @@ class AmendCertificate(Issuing):
     """Options of `bench certificate amend`: issue a certificate that replaces a valid one."""
 
     number: NumberField
-    run: RunField
+    run: shared.RunField
     _: KW_ONLY
     reason: ReasonField
-    replace: bool = option(False, "Replace the whole certificate: another run, other results.", common=True)
+    replace: bool = option(False, "Replace the whole certificate: another run, other results.")
 
 
 @dataclass(frozen=True)
@@ -240,13 +211,9 @@ class CheckRegister:
     number: str | None = option(None, "Number of a certificate (default: all).", argument=True)
     _: KW_ONLY
     laboratory: LaboratoryField = None
-    out: Path | None = option(
-        None, "Copy the files of certificate NUMBER into this folder.", metavar="DIR", common=True
-    )
-    again: bool = option(
-        False, "Regenerate the unsigned certificates from their records and compare.", common=True
-    )
-    runs: RunsField = None
+    out: Path | None = option(None, "Copy the files of certificate NUMBER into this folder.", metavar="DIR")
+    again: bool = option(False, "Regenerate the unsigned certificates from their records and compare.")
+    runs: shared.RunsField = None
 
 
 @dataclass(frozen=True)
@@ -255,37 +222,33 @@ class VerifyCertificate:
 
     file: Annotated[Path, Option("Certificate, PDF or XML; the other form must be beside it.", argument=True)]
     _: KW_ONLY
-    trust: Path | None = option(
-        None, "Trusted certificates of signers or authorities (PEM).", metavar="FILE", common=True
-    )
+    trust: Path | None = option(None, "Trusted certificates of signers or authorities (PEM).")
     laboratory: Path | None = option(
-        None, "Laboratory file with the register (default: the one beside FILE).", metavar="FILE", common=True
+        None, "Laboratory file with the register (default: the one beside FILE)."
     )
-    runs: RunsField = None
+    runs: shared.RunsField = None
 
 
 @dataclass(frozen=True)
 class PlanKit:
     """Options of `bench kit plan`: plan an interlaboratory comparison."""
 
-    plan: Annotated[str | Path, Option("Plan to write (YAML).", argument=True, typed=Path)]
+    plan: Annotated[str | Path, Option("Plan to write (YAML).", argument=True)]
     _: KW_ONLY
     laboratory: Annotated[
-        Sequence[str],
-        Option("A laboratory, the pilot first (repeatable).", metavar="NAME", common=True, typed=list[str]),
+        Sequence[str], Option("A laboratory, the pilot first (repeatable).", metavar="NAME")
     ]
-    block: str = option("block", "Type and serial number of the block.", metavar="TEXT", common=True)
-    seed: int = option(1, "Draws the order and the blind codes.", least=0, common=True)
+    block: str = option("block", "Type and serial number of the block.", metavar="TEXT")
+    seed: int = option(1, "Draws the order and the blind codes.", least=0)
 
 
 @dataclass(frozen=True)
 class SealKit:
     """Options of `bench kit seal`: note the seals of all results before any result is opened."""
 
-    plan: Annotated[str | Path, Option("Plan of the comparison.", argument=True, typed=Path)]
+    plan: Annotated[str | Path, Option("Plan of the comparison.", argument=True)]
     results: Annotated[
-        Sequence[str],
-        Option("Code and result file, or its SHA-256.", metavar="CODE=FILE…", argument=True, typed=list[str]),
+        Sequence[str], Option("Code and result file, or its SHA-256.", metavar="CODE=FILE…", argument=True)
     ]
 
 
@@ -298,11 +261,9 @@ class EvaluateKit(SealKit):
         (),
         "Readings of a transport check of a stop: a monitor on arrival, then before departure (repeatable).",
         metavar="CODE=FILE",
-        common=True,
-        typed=list[str],
     )
     g: float | None = option(
-        None, "Local gravity of the stated K, for a foreign certificate.", metavar="M/S2"
+        None, "Local gravity of the stated K, for a foreign certificate.", metavar="M/S2", rare=True
     )
 
 
@@ -311,25 +272,20 @@ class ReadCertificate:
     """Options of `bench certificate read`: read coefficients or an instrument's data from a certificate."""
 
     file: Annotated[
-        Path,
-        Option("Digital calibration certificate: XML, or PDF with the XML inside.", argument=True),
+        Path, Option("Digital calibration certificate: XML, or PDF with the XML inside.", argument=True)
     ]
     _: KW_ONLY
-    out: Path | None = option(
-        None, "File for the coefficients, for verify --coefficients and compare.", metavar="FILE", common=True
-    )
-    into: Path | None = option(
-        None, "Bench file into which the certificate of --instrument is written.", metavar="FILE", common=True
-    )
+    out: Path | None = option(None, "File for the coefficients, for verify --coefficients and compare.")
+    into: Path | None = option(None, "Bench file into which the certificate of --instrument is written.")
     instrument: str | None = option(
-        None, "With --into: its instrument, such as head or chamber.", metavar="NAME", common=True
+        None, "With --into: its instrument, such as head or chamber.", metavar="NAME"
     )
-    by: str | None = option(None, "With --into: who accepts the certificate.", metavar="NAME", common=True)
+    by: str | None = option(None, "With --into: who accepts the certificate.", metavar="NAME")
     g: float | None = option(
-        None, "Local gravity of the stated K, for a foreign certificate.", metavar="M/S2"
+        None, "Local gravity of the stated K, for a foreign certificate.", metavar="M/S2", rare=True
     )
     noise: str | None = option(
-        None, "Noise of a reading, such as '50 uV', for a foreign certificate.", metavar="VOLTAGE"
+        None, "Noise of a reading, such as '50 uV', for a foreign certificate.", metavar="VOLTAGE", rare=True
     )
 
 
@@ -345,39 +301,34 @@ class Validate:
         "Bench file, by path or name (default: BENCH_FILE, else paper-stand).",
         metavar="FILE",
         completes="bench_files",
-        common=True,
     )
-    quick: bool = option(False, "Take a minute: fewer simulated files, one kill.", common=True)
+    quick: bool = option(False, "Take a minute: fewer simulated files, one kill.")
     against: str | None = option(
         None,
         "Also recompute past runs (a path pattern or catalogue query) and list changes beyond 0.1 u.",
         metavar="OLD",
-        common=True,
     )
     out: Path | None = option(
-        None, "Folder for page, PDF and result (default: validation-DATE).", metavar="DIR"
+        None, "Folder for page, PDF and result (default: validation-DATE).", metavar="DIR", rare=True
     )
-    key: Path | None = option(None, "Private key (Ed25519) that signs the seal.", metavar="FILE")
+    key: Path | None = option(None, "Private key (Ed25519) that signs the seal.", rare=True)
     release: Path | None = option(
-        None, "Manifest of a release: the program and its packages must be those.", metavar="FILE"
+        None, "Manifest of a release: the program and its packages must be those.", rare=True
     )
     release_key: Path | None = option(
-        None, "Public key (Ed25519) that must have signed the manifest.", metavar="FILE"
+        None, "Public key (Ed25519) that must have signed the manifest.", rare=True
     )
     laboratory: LaboratoryField = None
     accept: Path | None = option(
-        None,
-        "Accept the validation in DIR as authorised person: it is registered.",
-        metavar="DIR",
-        common=True,
+        None, "Accept the validation in DIR as authorised person: it is registered.", metavar="DIR"
     )
-    withdraw: str | None = option(None, "Withdraw the accepted validation NUMBER.", metavar="NUMBER")
-    by: str | None = option(
-        None, "Authorised person, as named in the laboratory file.", metavar="NAME", common=True
+    withdraw: str | None = option(
+        None, "Withdraw the accepted validation NUMBER.", metavar="NUMBER", rare=True
     )
-    reason: str | None = option(None, "Reason, for the register.", metavar="TEXT")
-    register: bool = option(False, "List the register of validations.")
-    runs: RunsField = None
+    by: str | None = option(None, "Authorised person, as named in the laboratory file.", metavar="NAME")
+    reason: str | None = option(None, "Reason, for the register.", metavar="TEXT", rare=True)
+    register: bool = option(False, "List the register of validations.", rare=True)
+    runs: shared.RunsField = None
     catalogue: CatalogueField = None
 
 
@@ -394,19 +345,15 @@ class Failures:
     """Options of `bench failures`: collect failures from records, note state and remedy, or list a year."""
 
     laboratory: LaboratoryField = None
-    number: str | None = option(
-        None, "Failure whose state and remedy are noted.", metavar="NUMBER", common=True
-    )
+    number: str | None = option(None, "Failure whose state and remedy are noted.", metavar="NUMBER")
     state: FailureState | None = option(
-        None, "Its state: open, remedied or closed (by an authorised person).", common=True
+        None, "Its state: open, remedied or closed (by an authorised person)."
     )
-    remedy: str | None = option(None, "Cause and remedy, in words.", metavar="TEXT", common=True)
-    by: str | None = option(None, "Who notes it.", metavar="NAME", common=True)
-    year: int | None = option(None, "Show the failures of this year only.", metavar="YYYY", common=True)
-    page: Path | None = option(
-        None, "Write an HTML page, as for the management review.", metavar="FILE", common=True
-    )
-    runs: RunsField = None
+    remedy: str | None = option(None, "Cause and remedy, in words.", metavar="TEXT")
+    by: str | None = option(None, "Who notes it.", metavar="NAME")
+    year: int | None = option(None, "Show the failures of this year only.", metavar="YYYY")
+    page: Path | None = option(None, "Write an HTML page, as for the management review.")
+    runs: shared.RunsField = None
 
 
 # --- persons -----------------------------------------------------------------------------------------
@@ -442,16 +389,16 @@ class ChangePersons:
     )
     name: str | None = option(None, "Name of the person.", argument=True)
     _: KW_ONLY
-    role: str | None = option(None, "Role in words, as on certificates.", metavar="TEXT", common=True)
+    role: str | None = option(None, "Role in words, as on certificates.", metavar="TEXT")
     may: str | None = option(
-        None, "Rights, with commas: operate, supervise, authorise, administer.", metavar="RIGHTS", common=True
+        None, "Rights, with commas: operate, supervise, authorise, administer.", metavar="RIGHTS"
     )
-    token: bool = option(False, "Make a new token and print it, this once.", flags=("--token",), common=True)
+    token: bool = option(False, "Make a new token and print it, this once.")
     public_key: Path | None = option(
-        None, "Public key of the person (Ed25519, the .pub of 'bench key').", metavar="FILE"
+        None, "Public key of the person (Ed25519, the .pub of 'bench key').", rare=True
     )
-    by: str | None = option(None, "Administrator who makes the change.", metavar="NAME", common=True)
-    reason: str | None = option(None, "Reason, for the register.", metavar="TEXT", common=True)
+    by: str | None = option(None, "Administrator who makes the change.", metavar="NAME")
+    reason: str | None = option(None, "Reason, for the register.", metavar="TEXT")
     laboratory: LaboratoryField = None
 
 
@@ -479,15 +426,17 @@ class ServePanel:
     )
     name: str | None = option(None, "Name of the person.", argument=True)
     _: KW_ONLY
-    role: str = option("operator", "Role of the person: viewer, operator or supervisor.", common=True)
-    host: str = option("127.0.0.1", "Address to listen on; other than loopback needs tokens.", common=True)
-    port: int = option(8741, "Port to listen on; 0 for a free one.", least=0, most=65535, common=True)
-    address: str = option("", "Address of a TLS proxy in front, such as https://bench.lab.", metavar="URL")
+    role: str = option("operator", "Role of the person: viewer, operator or supervisor.")
+    host: str = option("127.0.0.1", "Address to listen on; other than loopback needs tokens.")
+    port: int = option(8741, "Port to listen on; 0 for a free one.", least=0, most=65535)
+    address: str = option(
+        "", "Address of a TLS proxy in front, such as https://bench.lab.", metavar="URL", rare=True
+    )
     laboratory: Path | None = option(
         None,
         "Laboratory file, beside which persons and certificates are registered.",
-        metavar="FILE",
         environment="BENCH_LABORATORY",
+        rare=True,
     )
-    catalogue: str = option("", "Catalogue for the pages on units; read only.", metavar="FILE|URL")
-    runs: RunsField = None
+    catalogue: str = option("", "Catalogue for the pages on units; read only.", metavar="FILE|URL", rare=True)
+    runs: shared.RunsField = None

@@ -8,20 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Protocol
 
 from bench.base.requests import Option, option
-from bench.services.requests.shared import (
-    Data,
-    Effects,
-    EstimatorField,
-    GuardBandField,
-    JoinFreeField,
-    JoinVerificationField,
-    LimitField,
-    ModelField,
-    NominalField,
-    OnReadings,
-    PopulationField,
-    RuleField,
-)
+from bench.services.requests import shared
 
 
 class Calibrated(Protocol):
@@ -37,7 +24,7 @@ Given = str | Path | Calibrated | None
 memory."""
 
 SourceField = Annotated[
-    Data, Option("Run (name or path) or readings file.", argument=True, completes="sources", typed=str)
+    shared.Data, Option("Run (name or path) or readings file.", argument=True, completes="sources")
 ]
 _SOURCES = Option(
     "Runs (name or path) or readings files.",
@@ -46,46 +33,42 @@ _SOURCES = Option(
     completes="sources",
     typed=list[str],
 )
-SourcesField = Annotated[Sequence[Data], _SOURCES]
-SeveralField = Annotated[Data, replace(_SOURCES, typed=str)]
+SourcesField = Annotated[Sequence[shared.Data], _SOURCES]
+SeveralField = Annotated[shared.Data, replace(_SOURCES, typed=str)]
 
 
 @dataclass(frozen=True)
-class Calibrate(OnReadings):
+class Calibrate(shared.OnReadings):
     """Options of `bench calibrate`: estimate the coefficients of a block from readings."""
 
     source: SeveralField
     _: KW_ONLY
-    model: ModelField = None
-    effects: Effects = None
-    estimator: EstimatorField = "gls"
-    nominal_angles: NominalField = False
-    join_free: JoinFreeField = True
-    join_verification: JoinVerificationField = False
+    model: shared.ModelField = None
+    effects: shared.Effects = None
+    estimator: shared.EstimatorField = "gls"
+    nominal_angles: shared.NominalField = False
+    join_free: shared.JoinFreeField = True
+    join_verification: shared.JoinVerificationField = False
     prior: str | Path | None = option(
-        None, "Prior for units of this type, from 'bench fleet prior'.", metavar="FILE"
+        None, "Prior for units of this type, from 'bench fleet prior'.", rare=True
     )
 
     @property
     def otherwise(self) -> bool:
-        """Whether any option that affects the coefficients differs from its default.
-
-        If it is true, a run's stored result, computed with the defaults, cannot be reused. The model is not
-        considered.
-        """
+        """Whether an option (other than the model) gives other coefficients than those that a run stores."""
         usual = (self.estimator, self.nominal_angles, self.join_free, self.join_verification, self.prior)
         return usual != ("gls", False, True, False, None)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judging(OnReadings):
+class Judging(shared.OnReadings):
     """Options of a verdict, which replace those of the bench file."""
 
-    model: ModelField = None
-    limit: LimitField = None
-    rule: RuleField = None
-    guard_band: GuardBandField = None
-    population: PopulationField = None
+    model: shared.ModelField = None
+    limit: shared.LimitField = None
+    rule: shared.RuleField = None
+    guard_band: shared.GuardBandField = None
+    population: shared.PopulationField = None
 
 
 @dataclass(frozen=True)
@@ -94,13 +77,9 @@ class Verify(Judging):
 
     source: SeveralField
     _: KW_ONLY
-    effects: Effects = None
+    effects: shared.Effects = None
     coefficients: Given = option(
-        None,
-        "Earlier result of 'calibrate --json' to verify with.",
-        metavar="FILE",
-        typed=Path | None,
-        common=True,
+        None, "Earlier result of 'calibrate --json' to verify with.", metavar="FILE", typed=Path | None
     )
 
 
@@ -112,54 +91,48 @@ class Report(Judging):
 
 
 @dataclass(frozen=True)
-class Coefficients(OnReadings):
+class Coefficients(shared.OnReadings):
     """Options of `bench coefficients`: write calibrations in the forms of navigation software."""
 
     sources: Annotated[
         Sequence[str],
-        Option(
-            "Results of calibrate --json, runs or readings files.",
-            metavar="SOURCE…",
-            argument=True,
-            typed=list[str],
-        ),
+        Option("Results of calibrate --json, runs or readings files.", metavar="SOURCE…", argument=True),
     ]
     _: KW_ONLY
-    model: ModelField = None
+    model: shared.ModelField = None
     forms: Sequence[str] | None = option(
         None,
         "json, csv, c, excel, kalibr, px4, ardupilot or all; repeatable (default: json).",
         flags=("--as",),
         metavar="FORM",
-        typed=list[str] | None,
-        common=True,
     )
     nominal: str | None = option(
         None,
         "Nominal scale factors, unit/g (9.80665 m/s²), for kalibr, px4 and ardupilot "
         "(default: the block's, rounded).",
         metavar="X,Y,Z",
+        rare=True,
     )
     without_temperature: bool = option(
-        False, "Write a result whose model takes temperature out without it; the file says so."
+        False, "Write a result whose model takes temperature out without it; the file says so.", rare=True
     )
 
 
 @dataclass(frozen=True)
-class Compensate(OnReadings):
+class Compensate(shared.OnReadings):
     """Options of `bench compensate`: fit coefficients over temperature."""
 
     sources: SourcesField
     _: KW_ONLY
-    reference: float = option(23.0, "Reference temperature of the polynomials.", metavar="DEGC", common=True)
-    degree: str = option(
-        "auto", "Degree of all polynomials, or chosen from the data.", metavar="auto|N", common=True
+    reference: float = option(23.0, "Reference temperature of the polynomials.", metavar="DEGC")
+    degree: str = option("auto", "Degree of all polynomials, or chosen from the data.", metavar="auto|N")
+    step: float | None = option(
+        None, "Temperature step of the table (default: from u).", metavar="K", rare=True
     )
-    step: float | None = option(None, "Temperature step of the table (default: from u).", metavar="K")
 
 
 @dataclass(frozen=True)
-class Tumble(OnReadings):
+class Tumble(shared.OnReadings):
     """Options of `bench tumble`: estimate the IEEE 1293 model terms of each axis."""
 
     sources: SourcesField
@@ -168,65 +141,57 @@ class Tumble(OnReadings):
         "K2,K3,Koq",
         "Nonlinear terms from K2, K3, Koq, Kip, Kio, Kpo, Kpp, Koo, K0p (K0′), K1p (K1′).",
         metavar="TERM,…",
-        common=True,
     )
     centrifuge: str | Path | None = option(
-        None,
-        "Points above 1 g that join the fit (CSV: ax_ms2, …, u_ms2, u_relative, ux_v, …).",
-        metavar="FILE",
+        None, "Points above 1 g that join the fit (CSV: ax_ms2, …, u_ms2, u_relative, ux_v, …).", rare=True
     )
 
 
 @dataclass(frozen=True)
-class Confirm(OnReadings):
+class Confirm(shared.OnReadings):
     """Options of `bench confirm`: test on new readings a model that was found in other readings."""
 
     source: Annotated[
-        Data,
-        Option(
-            "New readings: a run or a readings file.",
-            metavar="NEW",
-            argument=True,
-            completes="sources",
-            typed=str,
-        ),
+        shared.Data,
+        Option("New readings: a run or a readings file.", metavar="NEW", argument=True, completes="sources"),
     ]
     _: KW_ONLY
     model: Annotated[
-        str | Path,
-        Option(
-            "Model file that 'diagnose' found in other readings.", metavar="FOUND", typed=Path, common=True
-        ),
+        str | Path, Option("Model file that 'diagnose' found in other readings.", metavar="FOUND")
     ]
 
 
 @dataclass(frozen=True)
-class Diagnose(OnReadings):
+class Diagnose(shared.OnReadings):
     """Options of `bench diagnose`: find where readings and model disagree, and which effect is missing.
 
     With `write`, all files of `bench diagnose` are written: beside the source, or into `out`.
     """
 
-    source: Annotated[Data | Sequence[Data], _SOURCES]
+    source: Annotated[shared.Data | Sequence[shared.Data], _SOURCES]
     _: KW_ONLY
     one_block: bool | None = option(
         None,
         "With --together: runs of one block, or of a block each (default: by names and readings).",
         flags=("--one-block/--a-block-each",),
+        rare=True,
     )
     accept_first: bool = option(
-        False, "If the data cannot decide, write the model with the likeliest effect.", common=True
+        False, "If the data cannot decide, write the model with the likeliest effect."
     )
     report: bool | None = option(
-        None, "Write the HTML page (default: for a single source).", flags=("--report/--no-report",)
+        None,
+        "Write the HTML page (default: for a single source).",
+        flags=("--report/--no-report",),
+        rare=True,
     )
-    model: ModelField = None
-    out: str | Path | None = option(None, "Folder for the result files.", metavar="DIR", common=True)
-    effects: Effects = None
+    model: shared.ModelField = None
+    out: str | Path | None = option(None, "Folder for the result files.", metavar="DIR")
+    effects: shared.Effects = None
     write: bool = False
 
     @property
-    def sources(self) -> list[Data]:
+    def sources(self) -> list[shared.Data]:
         """The sources as a list, also if there is only one."""
         return list(self.source) if isinstance(self.source, list | tuple) else [self.source]
 
@@ -236,16 +201,11 @@ class Accept:
     """Options of `bench accept`: give a name and a description to unnamed terms of a model file."""
 
     model: Annotated[
-        Path,
-        Option("Model file with unnamed terms (unnamed_1, …).", metavar="MODEL", argument=True),
+        Path, Option("Model file with unnamed terms (unnamed_1, …).", metavar="MODEL", argument=True)
     ]
     _: KW_ONLY
-    name: Annotated[str, Option("Name of the effect: lower-case letters, digits, _.", common=True)]
-    sentence: Annotated[str, Option("Description of the effect, for reports.", common=True)]
-    term: list[str] | None = option(
-        None, "Term of the effect; repeatable (default: all unnamed terms).", common=True
-    )
-    shown_by: str | None = option(None, "Measurement that would show the effect.", metavar="TEXT")
-    out: Path | None = option(
-        None, "File for the effect (default: NAME.yaml beside MODEL).", metavar="FILE", common=True
-    )
+    name: Annotated[str, Option("Name of the effect: lower-case letters, digits, _.")]
+    sentence: Annotated[str, Option("Description of the effect, for reports.")]
+    term: list[str] | None = option(None, "Term of the effect; repeatable (default: all unnamed terms).")
+    shown_by: str | None = option(None, "Measurement that would show the effect.", metavar="TEXT", rare=True)
+    out: Path | None = option(None, "File for the effect (default: NAME.yaml beside MODEL).")

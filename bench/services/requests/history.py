@@ -25,12 +25,15 @@ class Chart:
     )
     _: KW_ONLY
     bench: BenchField = None
-    baseline: int | None = option(None, "Number of runs in control for the baseline.", least=1)
-    arl: float | None = option(None, "Mean number of runs between false alarms.")
-    smoothing: float | None = option(None, "Smoothing factor λ of the EWMA.")
-    limits: str | None = option(None, "Origin of the limits: stated, scaled or scatter.")
+    baseline: int | None = option(None, "Number of runs in control for the baseline.", least=1, rare=True)
+    arl: float | None = option(None, "Mean number of runs between false alarms.", rare=True)
+    smoothing: float | None = option(None, "Smoothing factor λ of the EWMA.", rare=True)
+    limits: str | None = option(None, "Origin of the limits: stated, scaled or scatter.", rare=True)
     real: bool | None = option(
-        None, "Use only real or only simulated runs (default: as the latest).", flags=("--real/--simulated",)
+        None,
+        "Use only real or only simulated runs (default: as the latest).",
+        flags=("--real/--simulated",),
+        rare=True,
     )
     folder: str | Path | None = option(
         None,
@@ -38,6 +41,7 @@ class Chart:
         flags=("--runs",),
         metavar="DIR",
         environment="BENCH_RUNS",
+        rare=True,
     )
 
 
@@ -47,20 +51,11 @@ class Compare(OnReadings):
 
     sources: Annotated[
         Sequence[Data],
-        Option(
-            "Results of calibrate --json, runs or readings files.",
-            metavar="A B…",
-            argument=True,
-            typed=list[str],
-        ),
+        Option("Results of calibrate --json, runs or readings files.", metavar="A B…", argument=True),
     ]
     _: KW_ONLY
     date: Sequence[str] | None = option(
-        None,
-        "Date of each source, in order, if it has none.",
-        metavar="YYYY-MM-DD",
-        typed=list[str] | None,
-        common=True,
+        None, "Date of each source, in order, if it has none.", metavar="YYYY-MM-DD"
     )
 
 
@@ -69,11 +64,10 @@ class Monitor(OnReadings):
     """Options of `bench monitor`: chart a few positions over days."""
 
     sources: Annotated[
-        Sequence[Data],
-        Option("Runs of monitor-2 or monitor-4.", metavar="RUN…", argument=True, typed=list[str]),
+        Sequence[Data], Option("Runs of monitor-2 or monitor-4.", metavar="RUN…", argument=True)
     ]
     _: KW_ONLY
-    baseline: int = option(5, "Number of first runs that set the limits.", least=3, common=True)
+    baseline: int = option(5, "Number of first runs that set the limits.", least=3)
 
 
 @dataclass(frozen=True)
@@ -82,24 +76,16 @@ class Learn(OnReadings):
 
     sources: Annotated[
         Sequence[Data],
-        Option(
-            "Runs (name or path) or readings files of one bench.",
-            metavar="RUN…",
-            argument=True,
-            typed=list[str],
-        ),
+        Option("Runs (name or path) or readings files of one bench.", metavar="RUN…", argument=True),
     ]
     _: KW_ONLY
     model: ModelField = None
-    by_installation: bool = option(
-        False, "Estimate mean angles for each installation (brackets).", flags=("--by-installation",)
-    )
+    by_installation: bool = option(False, "Estimate mean angles for each installation (brackets).", rare=True)
     expires: date | str | None = option(
         None,
         "Date or days until the file expires (default: 365 days).",
         metavar="DATE|DAYS",
         typed=str | None,
-        common=True,
     )
 
 
@@ -117,13 +103,10 @@ class Stability:
     ]
     _: KW_ONLY
     size: float | None = option(
-        None, "Allowed noise of a reading, in the signals' unit (default: where it levels off).", common=True
+        None, "Allowed noise of a reading, in the signals' unit (default: where it levels off)."
     )
     integration: float | None = option(
-        None,
-        "Integration time of the meter per sample (default: the whole interval).",
-        metavar="S",
-        common=True,
+        None, "Integration time of the meter per sample (default: the whole interval).", metavar="S"
     )
     model: ModelField = None
     bench: BenchField = None
@@ -135,15 +118,11 @@ class OfFleet:
     """Options of every `bench fleet`: select calibrations from a catalogue."""
 
     query: Sequence[str] | None = option(
-        None,
-        "Conditions KEY=VALUE, as in 'bench catalogue' (default: all).",
-        metavar="QUERY…",
-        argument=True,
-        typed=list[str] | None,
+        None, "Conditions KEY=VALUE, as in 'bench catalogue' (default: all).", metavar="QUERY…", argument=True
     )
     _: KW_ONLY
     catalogue: str | None = option(
-        None, "Catalogue (default: TRIAXIAL_BENCH_CATALOGUE, or your own).", metavar="FILE|URL", common=True
+        None, "Catalogue (default: TRIAXIAL_BENCH_CATALOGUE, or your own).", metavar="FILE|URL"
     )
 
 
@@ -155,7 +134,6 @@ class CompareBenches(OfFleet):
         None,
         "weighted-mean, mandel-paule or dersimonian-laird (default: the first if consistent, "
         "else the second).",
-        common=True,
     )
 
 
@@ -163,13 +141,11 @@ class CompareBenches(OfFleet):
 class DriftOfUnit(OfFleet):
     """Options of `bench fleet drift`: estimate the drift of a unit."""
 
-    at: str | None = option(None, "Predict the coefficients at this date.", metavar="YYYY-MM-DD", common=True)
+    at: str | None = option(None, "Predict the coefficients at this date.", metavar="YYYY-MM-DD")
 
 
 @dataclass(frozen=True)
 class Capability(OfFleet):
     """Options of `bench fleet cmc`: estimate the laboratory's calibration and measurement capability."""
 
-    quantile: float = option(
-        0.5, "Share of everyday calibrations that reach the CMC.", least=0.01, most=0.99, common=True
-    )
+    quantile: float = option(0.5, "Share of everyday calibrations that reach the CMC.", least=0.01, most=0.99)

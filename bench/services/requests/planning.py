@@ -7,16 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from bench.base.requests import ESTIMATORS_IN_A_BUDGET, Option, option
-from bench.services.requests.shared import (
-    BenchField,
-    GravityField,
-    GuardBandField,
-    LimitField,
-    ModelField,
-    RuleField,
-    RunsField,
-    UntilField,
-)
+from bench.services.requests import shared
 
 ProcedureField = Annotated[
     str,
@@ -24,8 +15,10 @@ ProcedureField = Annotated[
         "Procedure file, by path or shipped name.", argument=True, completes="procedures", also="--procedure"
     ),
 ]
-EstimatorField = Annotated[str, Option(ESTIMATORS_IN_A_BUDGET)]
-UpToField = Annotated[str | None, Option("Largest acceleration, such as 5g (default: the block's range).")]
+EstimatorField = Annotated[str, Option(ESTIMATORS_IN_A_BUDGET, rare=True)]
+UpToField = Annotated[
+    str | None, Option("Largest acceleration, such as 5g (default: the block's range).", rare=True)
+]
 
 
 @dataclass(frozen=True)
@@ -36,21 +29,18 @@ class Check:
         None, "Procedure file, by path or shipped name.", argument=True, completes="procedures"
     )
     _: KW_ONLY
-    bench: BenchField = None
-    until: UntilField = None
+    bench: shared.BenchField = None
+    until: shared.UntilField = None
     morning: bool = option(
-        False,
-        "Check the bench instead: identities, self-tests, inputs, head, check block.",
-        flags=("--morning",),
-        common=True,
+        False, "Check the bench instead: identities, self-tests, inputs, head, check block."
     )
     reference: float | None = option(
-        None, "With --morning: voltage of the reference, V (default: no reference).", metavar="V"
+        None, "With --morning: voltage of the reference, V (default: no reference).", metavar="V", rare=True
     )
-    dry_run: bool = option(False, "With --morning: use the simulated bench.", flags=("--dry-run",))
-    seed: int = option(1, "Seed of the random numbers of --dry-run.", least=0)
-    out: Path | None = option(None, "With --morning: folder of page and wire log.", metavar="DIR")
-    runs: RunsField = None
+    dry_run: bool = option(False, "With --morning: use the simulated bench.", rare=True)
+    seed: int = option(1, "Seed of the random numbers of --dry-run.", least=0, rare=True)
+    out: Path | None = option(None, "With --morning: folder of page and wire log.", metavar="DIR", rare=True)
+    runs: shared.RunsField = None
 
 
 @dataclass(frozen=True)
@@ -64,84 +54,73 @@ class Init:
 class Budget:
     """Options of `bench budget`: compute the contribution of each error of a bench to the uncertainty."""
 
-    bench: BenchField = None
+    bench: shared.BenchField = None
     procedure: ProcedureField = "calibration"
     estimator: EstimatorField = "gls"
     _: KW_ONLY
-    model: ModelField = None
+    model: shared.ModelField = None
     coefficients: str | Path | None = option(
-        None,
-        "Coefficients from 'calibrate --json', instead of the bench file's.",
-        metavar="FILE",
+        None, "Coefficients from 'calibrate --json', instead of the bench file's.", rare=True
     )
-    trials: int = option(20_000, "Number of Monte Carlo trials; 0 for none.", least=0)
-    rule: RuleField = None
-    guard_band: GuardBandField = None
-    limit: LimitField = None
+    trials: int = option(20_000, "Number of Monte Carlo trials; 0 for none.", least=0, rare=True)
+    rule: shared.RuleField = None
+    guard_band: shared.GuardBandField = None
+    limit: shared.LimitField = None
     same_voltmeters: bool = option(
-        False, "Assume that the block is used with the same voltmeters.", flags=("--same-voltmeters",)
+        False, "Assume that the block is used with the same voltmeters.", rare=True
     )
-    g: GravityField = None
+    g: shared.GravityField = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Require:
     """Options of `bench require`: compute how large the errors of a bench may be for a required accuracy."""
 
-    accuracy: Annotated[
-        str, Option("Required accuracy k u, in g (of a coefficient in V/g or V).", common=True)
-    ]
+    accuracy: Annotated[str, Option("Required accuracy k u, in g (of a coefficient in V/g or V).")]
     of: str = option(
-        "delta-g",
-        "Quantity: delta-g, acceleration (vector), modulus, or a coefficient such as Kyx.",
-        common=True,
+        "delta-g", "Quantity: delta-g, acceleration (vector), modulus, or a coefficient such as Kyx."
     )
     up_to: UpToField = None
-    k: float = option(3.0, "Number of standard uncertainties in the accuracy.", common=True)
-    with_reading: bool = option(False, "Include the errors of the reading in use.", flags=("--with-reading",))
+    k: float = option(3.0, "Number of standard uncertainties in the accuracy.")
+    with_reading: bool = option(False, "Include the errors of the reading in use.", rare=True)
     all_errors: bool = option(
-        False,
-        "Include gain, gravity, temperature and nonlinearity, which no reading shows.",
-        flags=("--all-errors",),
+        False, "Include gain, gravity, temperature and nonlinearity, which no reading shows.", rare=True
     )
-    share: str = option("equal", "How errors share the variance: equal or cost.")
-    cost: list[str] | None = option(None, "Cost of reducing an error (default 1).", metavar="NAME=WEIGHT")
+    share: str = option("equal", "How errors share the variance: equal or cost.", rare=True)
+    cost: list[str] | None = option(
+        None, "Cost of reducing an error (default 1).", metavar="NAME=WEIGHT", rare=True
+    )
     estimator: EstimatorField = "gls"
     procedure: ProcedureField = "calibration"
-    bench: BenchField = None
+    bench: shared.BenchField = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlanPoints:
     """Options of `bench plan-points`: find the test points that give a required uncertainty."""
 
-    bench: BenchField = None
+    bench: shared.BenchField = None
     u: list[str] | None = option(
-        None,
-        "Required combined standard uncertainty: Kyx=90e-6 (V/g), U0, K or all.",
-        metavar="NAME=U",
-        common=True,
+        None, "Required combined standard uncertainty: Kyx=90e-6 (V/g), U0, K or all.", metavar="NAME=U"
     )
-    delta_g: float | None = option(None, "Required u(Δg) at the verification points, g.", common=True)
-    modulus: float | None = option(None, "Required u(|a|) in every direction, g; see --up-to.", common=True)
+    delta_g: float | None = option(None, "Required u(Δg) at the verification points, g.")
+    modulus: float | None = option(None, "Required u(|a|) in every direction, g; see --up-to.")
     up_to: UpToField = None
-    time: str | None = option(
-        None, "Find the lowest uncertainty in this bench time, such as 4h.", common=True
+    time: str | None = option(None, "Find the lowest uncertainty in this bench time, such as 4h.")
+    least: str = option("time", "What to minimise: time or settings.", rare=True)
+    installations: str | None = option(
+        None, "Installations to choose from, such as 1,2,1T90 (default: all).", rare=True
     )
-    least: str = option("time", "What to minimise: time or settings.")
-    installations: str | None = option(None, "Installations to choose from, such as 1,2,1T90 (default: all).")
-    angles: int = option(24, "Number of angles in a turn to choose from.")
-    visits: int = option(1, "How often an installation may be mounted.", least=1, most=4)
-    most_mountings: int = option(3, "Largest number of mountings.", least=1, most=6)
-    most_settings: int = option(300, "Largest number of settings.", least=4)
-    cost_setting: str = option("2min", "Time to set the head once.")
-    cost_remount: str = option("20min", "Time to mount the block.")
-    cost_soak: str = option("10min", "Settling time after each mounting.")
-    warm_up: str = option("1h", "Warm-up time before the first reading.")
-    verify: bool = option(True, "Add verification points at the end.")
-    out: Path | None = option(
-        None, "Procedure file to write; must not exist yet.", metavar="FILE", common=True
-    )
+    angles: int = option(24, "Number of angles in a turn to choose from.", rare=True)
+    visits: int = option(1, "How often an installation may be mounted.", least=1, most=4, rare=True)
+    most_mountings: int = option(3, "Largest number of mountings.", least=1, most=6, rare=True)
+    most_settings: int = option(300, "Largest number of settings.", least=4, rare=True)
+    cost_setting: str = option("2min", "Time to set the head once.", rare=True)
+    cost_remount: str = option("20min", "Time to mount the block.", rare=True)
+    cost_soak: str = option("10min", "Settling time after each mounting.", rare=True)
+    warm_up: str = option("1h", "Warm-up time before the first reading.", rare=True)
+    verify: bool = option(True, "Add verification points at the end.", rare=True)
+    out: Path | None = option(None, "Procedure file to write; must not exist yet.")
 
     @property
     def has_goals(self) -> bool:

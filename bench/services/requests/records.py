@@ -23,12 +23,16 @@ class ShowRun:
 
     run: RunField
     _: KW_ONLY
-    verify: bool = option(False, "Check the record for changed lines.", flags=("--verify",), common=True)
+    verify: bool = option(False, "Check the record for changed lines.")
     head: str | None = option(
-        None, "Check that the chain ends with this head, noted elsewhere.", metavar="SHA256"
+        None, "Check that the chain ends with this head, noted elsewhere.", metavar="SHA256", rare=True
     )
-    key: Path | None = option(None, "Check the signature of the seal with this public key.", metavar="PUB")
-    authority: Path | None = option(None, "Check the time stamp with this certificate.", metavar="PEM")
+    key: Path | None = option(
+        None, "Check the signature of the seal with this public key.", metavar="PUB", rare=True
+    )
+    authority: Path | None = option(
+        None, "Check the time stamp with this certificate.", metavar="PEM", rare=True
+    )
     runs: RunsField = None
 
     @property
@@ -43,10 +47,8 @@ class SealRun:
 
     run: RunField
     _: KW_ONLY
-    key: Path | None = option(
-        None, "Private key for the signature; 'bench key' makes one.", metavar="FILE", common=True
-    )
-    timestamp: str | None = option(None, "Server for the time stamp (RFC 3161).", metavar="URL", common=True)
+    key: Path | None = option(None, "Private key for the signature; 'bench key' makes one.")
+    timestamp: str | None = option(None, "Server for the time stamp (RFC 3161).", metavar="URL")
     runs: RunsField = None
 
 
@@ -58,14 +60,11 @@ class MakeKey:
         Path, Option("File for the private key; the public key is written to FILE.pub.", argument=True)
     ]
     _: KW_ONLY
-    passphrase: bool = option(
-        False, "Ask for a passphrase to encrypt the private key.", flags=("--passphrase",), common=True
-    )
+    passphrase: bool = option(False, "Ask for a passphrase to encrypt the private key.")
     certificate: str | None = option(
         None,
         "Make a key for certificates (P-256) and FILE.crt, a self-signed X.509 certificate with this name.",
         metavar="NAME",
-        common=True,
     )
 
 
@@ -75,9 +74,7 @@ class ExportReadings:
 
     run: RunField
     _: KW_ONLY
-    csv: str | None = option(
-        None, "Readings file (default: RUN.csv); - for standard output.", metavar="FILE", common=True
-    )
+    csv: str | None = option(None, "Readings file (default: RUN.csv); - for standard output.", metavar="FILE")
     runs: RunsField = None
 
 
@@ -87,12 +84,12 @@ class ImportReadings:
 
     file: Annotated[Path, Option("Readings file.", argument=True)]
     _: KW_ONLY
-    name: str | None = option(None, "Name of the run (default: the file's).", common=True)
-    columns: Path | None = option(
-        None, "Mapping of the columns of a stranger's log, as YAML.", metavar="FILE", common=True
+    name: str | None = option(None, "Name of the run (default: the file's).")
+    columns: Path | None = option(None, "Mapping of the columns of a stranger's log, as YAML.")
+    preview: bool = option(
+        False, "Show the first rows as they would be imported, and import nothing.", rare=True
     )
-    preview: bool = option(False, "Show the first rows as they would be imported, and import nothing.")
-    skip_bad_rows: bool = option(False, "Leave out rows of a log that cannot be read.")
+    skip_bad_rows: bool = option(False, "Leave out rows of a log that cannot be read.", rare=True)
     bench: BenchField = None
     runs: RunsField = None
 

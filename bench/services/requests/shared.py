@@ -40,35 +40,19 @@ else:
 
 BenchField = Annotated[
     Bench,
-    Option(
-        "Bench file, by path or name (default: BENCH_FILE).",
-        metavar="FILE",
-        completes="bench_files",
-        typed=str | None,
-        common=True,
-    ),
+    Option("Bench file, by path or name (default: BENCH_FILE).", metavar="FILE", completes="bench_files"),
 ]
 GravityField = Annotated[
-    float | None, Option("Local gravity, m/s², instead of the bench file's.", metavar="M/S2")
+    float | None, Option("Local gravity, m/s², instead of the bench file's.", metavar="M/S2", rare=True)
 ]
-SkipField = Annotated[bool, Option("Skip rows that cannot be read.", ("--skip-bad-rows",))]
+SkipField = Annotated[bool, Option("Skip rows that cannot be read.", rare=True)]
 RunsField = Annotated[
     str | Path | None,
-    Option(
-        "Folder of the runs (default: ./runs).",
-        metavar="DIR",
-        environment="BENCH_RUNS",
-        typed=Path | None,
-    ),
+    Option("Folder of the runs (default: ./runs).", metavar="DIR", environment="BENCH_RUNS", rare=True),
 ]
 OperatorField = Annotated[
     str,
-    Option(
-        message("Name of the operator, for the record."),
-        environment="BENCH_OPERATOR",
-        metavar="NAME",
-        common=True,
-    ),
+    Option(message("Name of the operator, for the record."), environment="BENCH_OPERATOR", metavar="NAME"),
 ]
 RunField = Annotated[str, Option("Run, by name or path.", argument=True, completes="runs")]
 LatestField = Annotated[
@@ -76,35 +60,42 @@ LatestField = Annotated[
     Option("Run, by name or path (default: the latest unfinished run).", argument=True, completes="runs"),
 ]
 ModelField = Annotated[
-    str | Path | None,
-    Option("Model file with effects beside the paper's terms.", metavar="FILE", typed=Path | None),
+    str | Path | None, Option("Model file with effects beside the paper's terms.", rare=True)
 ]
-LimitField = Annotated[float | None, Option("Limit of |Δg| in g, instead of the bench file's.", common=True)]
+LimitField = Annotated[float | None, Option("Limit of |Δg| in g, instead of the bench file's.")]
 RuleField = Annotated[
     str | None,
     Option(
         "Decision rule: simple, guarded (w = U) or non-binary (default: the bench file's, "
         "else non-binary with 5 % false acceptance).",
         metavar="RULE",
+        rare=True,
     ),
 ]
 GuardBandField = Annotated[
     float | None,
-    Option("Guard band of the rule: w = R U (default: the bench file's, or the rule's).", metavar="R"),
+    Option(
+        "Guard band of the rule: w = R U (default: the bench file's, or the rule's).", metavar="R", rare=True
+    ),
 ]
 PopulationField = Annotated[
     tuple[float, float] | None,
-    Option("Mean and standard deviation of Δg over many blocks, g, for the risks.", metavar="MEAN SD"),
+    Option(
+        "Mean and standard deviation of Δg over many blocks, g, for the risks.", metavar="MEAN SD", rare=True
+    ),
 ]
-EstimatorField = Annotated[str, Option(ESTIMATORS_TOLD, common=True)]
-NominalField = Annotated[bool, Option("Use the target angles instead of those read back.")]
-JoinFreeField = Annotated[bool, Option("Fit the free positions (F), too, by |a| = 1 g.")]
-JoinVerificationField = Annotated[bool, Option("Fit the verification points, too; they then verify nothing.")]
+EstimatorField = Annotated[str, Option(ESTIMATORS_TOLD)]
+NominalField = Annotated[bool, Option("Use the target angles instead of those read back.", rare=True)]
+JoinFreeField = Annotated[bool, Option("Fit the free positions (F), too, by |a| = 1 g.", rare=True)]
+JoinVerificationField = Annotated[
+    bool, Option("Fit the verification points, too; they then verify nothing.", rare=True)
+]
 UntilField = Annotated[
     list[str] | None,
     Option(
         "End the run when a goal is reached: all=5e-5, combined:Kxx=1e-4, delta-g=1e-4, vector=7e-5 or time=4h.",
         metavar="GOALS",
+        rare=True,
     ),
 ]
 
@@ -115,10 +106,7 @@ def runs_folder(runs: str | Path | None) -> Path:
 
 
 def name_to_type(run: Path) -> str:
-    """Return the shortest text by which commands find a run.
-
-    It is the run's name if the run is in the default folder of runs, else its path.
-    """
+    """Return what commands call a run: its name if it is in the default folder of runs, else its path."""
     return run.name if run.parent.absolute() == runs_folder(None).absolute() else str(run)
 
 
