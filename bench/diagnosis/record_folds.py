@@ -40,7 +40,7 @@ In an excursion, the quantity differs from its rest level by more than this.
 
 
 def measure_record_gap(work: RecordWork, finds: Sequence[FoundEffect]) -> tuple[Gap, tuple[Rival, ...]]:
-    """Return how well excursions held out in turn are predicted, and the comparison of kinds of response.
+    """Return how well each excursion is predicted from the rest, and the comparison of kinds of response.
 
     `finds` are the effects found in the whole record; they are estimated again without each excursion.
     """

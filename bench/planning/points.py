@@ -220,7 +220,7 @@ def cheapest(
 
 
 def _floored(stand: Stand, sites: Sites, goals: Sequence[Goal]) -> tuple[list[Goal], list[Goal]]:
-    """Return the goals with loose ones relaxed; and these goals with the floors for readings at all angles.
+    """Return the goals after `Goal.relaxed`; and the same with the `floor` that all settings would give.
 
     Both lists are the given goals if all settings together do not determine the block.
     """

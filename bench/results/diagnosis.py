@@ -407,7 +407,7 @@ def _places(diagnosis: Diagnosis, out: Console) -> None:
 
 
 def print_mistakes(found: MistakesAlone, files: Files, out: Console) -> None:
-    """Print the mistakes of a diagnosis that searched for nothing else, and what must be measured again."""
+    """Print the mistakes found by a diagnosis that ended with them, and what must be measured again."""
     for mistake in found.mistakes:
         out.print(f"Mistake: {mistake.name}: {mistake.words}", style="bold")
     out.print(f"In the corrected copy {found.reason}")

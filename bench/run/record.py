@@ -206,7 +206,7 @@ _OPENED: Final = frozenset({EventType.RUN_STARTED, EventType.RUN_RESUMED})
 
 
 def parse_line(line: bytes) -> tuple[Event, str]:
-    """Return the event in a line, and the hash of the previous line that the line states.
+    """Return the event in a line, and the hash that it states for the previous line.
 
     Raises `ValueError` for a line that is not a valid event.
     """

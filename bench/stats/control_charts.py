@@ -298,7 +298,7 @@ class ChartDesign:
 
     @property
     def each_arl(self) -> float:
-        """The average run length of each of the three statistics alone."""
+        """The average run length of one of the three statistics alone."""
         return STATISTICS * self.arl
 
     @property

@@ -253,7 +253,7 @@ _A: Final[tuple[Place, ...]] = (
 
 
 def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Yield place and text of each mistake in the rails' settings, and of each that block or supply do not permit.
+    """Yield place and text of each mistake in the supply section, also of values that block or supply forbid.
 
     `data` is the bench file as written; any part of it may be missing or malformed.
     """
