@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Counter(PlainDialect):
-    """A counter that shows `zero_deg` at 0° of the scale; `falling` values fall while the angle rises.
+    """A counter that shows `zero_deg` at 0° of the scale; if `falling`, its value falls while the angle rises.
 
     Unless `referenced`, it was just switched on and counts from the present angle of the head.
     """

@@ -188,7 +188,7 @@ class Problem:
         return tuple(self.effect_at(index, others) for index in range(len(self.model.effects)))
 
     def effect_at(self, index: int, others: Floats) -> AppliedEffect:
-        """Return the effect of the model with this index, with the parameter values in `others` (q,)."""
+        """Return the model's effect at `index`, with the parameter values in `others` (q,)."""
         applied = self.model.effects[index]
         values = applied.complete_values()
         for place in self._places_of[index]:

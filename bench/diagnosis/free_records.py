@@ -363,7 +363,7 @@ class BetweenRecords:
 def between_records(rows: FreeRows) -> BetweenRecords | None:
     """Return the change of the biases between records.
 
-    None if no sensor has two records, each of which determines its biases.
+    None unless two records each determine the biases of the same sensor.
     """
     records = np.unique(rows.record)
     zero = np.full((rows.sensors, len(records), 3), np.nan)

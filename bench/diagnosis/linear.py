@@ -219,7 +219,7 @@ class LinearSystem:
     def relative_of_channel(self) -> Floats:
         """The factor of `relative` that is due to the channel of each row, shape (N,).
 
-        For a modulus it follows from the noise of the three channels and their derivatives.
+        For a modulus it is that of the three channels, weighted by the gradient of |a|.
         """
         if np.all(self.by_channel == 1.0):
             return np.ones(len(self))

@@ -125,9 +125,7 @@ def _places(record: Record) -> Iterator[ResidualPattern]:
 
 
 def _far(work: RecordWork, courses: Sequence[Variant], noises: Sequence[Noise]) -> Iterator[str]:
-    """Yield a sentence for each mean far from its prediction by model and earlier readings, farthest
-    first.
-    """
+    """Yield a sentence for each mean that model and earlier readings do not predict, farthest first."""
     found = []
     for part, noise in enumerate(noises):
         mean, _, _ = work.fitted(part, courses, noise)

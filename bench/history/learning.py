@@ -413,7 +413,7 @@ def _shown(body: RunSums, j: int) -> bool:
 
 
 def _undetermined(body: RunSums, theta: Floats, beliefs: Beliefs, layout: Layout) -> dict[int, str]:
-    """Return the kinds whose variance these runs do not determine, by index, with the reason."""
+    """Return why these runs do not determine the variance of an angle, by index of the angle."""
     information = at(body, theta, beliefs).information
     k = len(layout.kinds)
     size = np.maximum(np.sqrt(np.diag(information)), 1e-6)

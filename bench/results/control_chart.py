@@ -122,7 +122,7 @@ class DriftPart(ResultModel):
 
     per_year: float
     u: float
-    p: float = Field(description="p-value of the hypothesis that none of the twelve drifts")
+    p: float = Field(description="p-value of the hypothesis that no coefficient drifts")
 
 
 class NineRun(ResultModel):

@@ -147,7 +147,7 @@ confirm = python_call(Confirm, _confirm)
 
 @dataclass(frozen=True)
 class DryRun:
-    """A finished run on simulated instruments: `run` is its record, `source` its readings with the bench.
+    """A finished run on simulated instruments: `run` is its record, `source` its readings and bench.
 
     The record is deleted with this object, unless it is kept in a folder of runs.
     """

@@ -175,7 +175,7 @@ class _Beside:
         return np.asarray(logsumexp(self._of_readings, axis=0) - np.log(self._of_readings.shape[1]))
 
     def likeliest(self, row: int) -> ProjectedReadings:
-        """Return the readings at the noise ratio at which an error of the reading `row` is most probable."""
+        """Return the item of `seen` whose noise ratio makes an error of the reading `row` most probable."""
         return self.seen[int(np.argmax(self._of_readings[:, row]))]
 
     def of_group(self, columns: Floats) -> float:
