@@ -85,6 +85,11 @@ class Naming:
             yield found, slice(start, stop)
             start = stop
 
+    def sizes(self) -> Iterator[tuple[FoundEffect, slice]]:
+        """Yield each effect found, with the slice of its sizes among `columns`; starting states are left out."""
+        for found, mine in self.parts():
+            yield found, slice(mine.start, mine.stop - found.variant.starts)
+
 
 @dataclass(frozen=True)
 class Scored:
@@ -170,7 +175,11 @@ class Scored:
         if not by_pass and any(variants[i].mounts != variants[best].mounts for i in rivals):
             # which mounting has it cannot be told: each gets a value of its own, with the u that this deserves
             best = max(rivals, key=lambda i: (len(variants[i].columns), evidence[i]))
-        return variants[best]
+        # equilibrium at the start is an assumption, with which u would be too small
+        started = [
+            i for i in rivals if variants[i].starts and variants[i].channels == variants[best].channels
+        ]
+        return variants[max(started, key=lambda i: evidence[i], default=best)]
 
     def explained(self, variant: Variant) -> float:
         """Return the decrease of chi-square when a form joins the model."""
@@ -274,16 +283,16 @@ def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> Fo
     `scored` are the scores given all other effects found. `among` says which families are permitted (None:
     all).
     """
-    family, evidence = one.variant.family, scored.evidence
+    family, evidence, plain = one.variant.family, scored.evidence, one.variant.plain
     odds = ranked_odds({f: log for f, log in scored.log_odds.items() if among is None or among(f)})
     ranked, likely = [one.name for one in odds], holding(odds)
-    explained = scored.explained(one.variant)
-    aliases = _aliases(scored, one.variant, explained - ALIAS**2) if explained > (2 * ALIAS) ** 2 else {}
-    fewest = min(len(one.variant.columns), aliases.pop(family, len(one.variant.columns)))
+    explained = scored.explained(plain)
+    aliases = _aliases(scored, plain, explained - ALIAS**2) if explained > (2 * ALIAS) ** 2 else {}
+    fewest = min(len(plain.columns), aliases.pop(family, len(plain.columns)))
     plainer = [f for f, rank in aliases.items() if rank > fewest and _subsystem(f) == _subsystem(family)]
     ties = [f for f in likely if f != family]
     ties += [f for f in ranked if f in aliases and f not in plainer and f not in ties]
-    shape = scored.likeliest(family)
+    shape = scored.likeliest(family).plain
     same = (
         _aliases(scored, shape, (1.0 - INSEPARABLE) * scored.explained(shape), most=math.inf) if ties else {}
     )
@@ -291,7 +300,7 @@ def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> Fo
         one,
         evidence=evidence[family],
         total=scored.total,
-        size=math.sqrt(max(explained, 0.0)),
+        size=math.sqrt(scored.explained(one.variant)),
         ties=tuple(ties),
         plainer_than=tuple(f for f in plainer if f not in ties),
         same=tuple(f for f in ties if f in same),
@@ -341,7 +350,7 @@ def _aliases(scored: Scored, variant: Variant, enough: float, most: float = BEYO
         taken = np.sum(along**2 / (values + least), axis=1)
         for place in np.flatnonzero(taken > enough):
             one = variants[group.members[place]]
-            if one.named:
+            if one.named and not one.starts:
                 rank = int(np.count_nonzero(values[place] > least))
                 fewest[one.family] = min(rank, fewest.get(one.family, rank))
     return fewest
