@@ -126,12 +126,13 @@ class Scored:
     @classmethod
     def _beside(cls, whitened: Whitened, data: Data, key: tuple[int, ...]) -> Scored:
         search, candidates = Search.beside(whitened, key), whitened.candidates
-        scores = search.score(data)
+        left = search.left_over(data)
+        scores = _with_tied_starts(search, left, search.score(data))
         families = scores.families(candidates)[:, 0]
         log_odds = families + candidates.log_prior
         return cls(
             search,
-            search.left_over(data),
+            left,
             scores,
             dict(zip(candidates.families, families.tolist(), strict=True)),
             dict(zip(candidates.families, log_odds.tolist(), strict=True)),
@@ -176,10 +177,8 @@ class Scored:
             # which mounting has it cannot be told: each gets a value of its own, with the u that this deserves
             best = max(rivals, key=lambda i: (len(variants[i].columns), evidence[i]))
         # equilibrium at the start is an assumption, with which u would be too small
-        started = [
-            i for i in rivals if variants[i].starts and variants[i].channels == variants[best].channels
-        ]
-        return variants[max(started, key=lambda i: evidence[i], default=best)]
+        started = [i for i in rivals if variants[i].starts and variants[i].plain == variants[best].plain]
+        return variants[started[0] if started else best]
 
     def explained(self, variant: Variant) -> float:
         """Return the decrease of chi-square when a form joins the model."""
@@ -196,6 +195,33 @@ class Scored:
         along = self.left.along[self.ratio, columns, 0]
         amplitude = np.linalg.solve(gram + np.eye(len(columns)) / KNOWN_SIZE**2, along)
         return np.asarray(amplitude, dtype=np.float64), gram
+
+
+FARTHEST_START: Final = 3.0
+"""Largest starting state of a mounting, in its standard deviations for the size found, beside twice its u."""
+
+
+def _with_tied_starts(search: Search, left: Data, scores: Scores) -> Scores:
+    """Return the scores without the forms whose starting states are too large for their sizes.
+
+    The evidence takes states and sizes as independent, but a small effect cannot have a large state. Only forms
+    near the largest evidence are examined.
+    """
+    candidates = search.whitened.candidates
+    evidence, ratio = scores.variants.copy(), int(np.argmax(scores.ratio[:, 0]))
+    for number in np.flatnonzero(evidence[:, 0] > max(evidence[:, 0].max() - 10.0, 0.0)):
+        variant = candidates.variants[number]
+        if not variant.starts:
+            continue
+        columns = list(variant.columns)
+        spread = np.linalg.inv(search.between(ratio, columns) + np.eye(len(columns)) / KNOWN_SIZE**2)
+        amplitude, u = spread @ left.along[ratio, columns, 0], np.sqrt(np.diag(spread))
+        channel = np.array([candidates.kinds[column].channel for column in columns])
+        sizes = len(variant.sizes)
+        of_size = [np.max(np.abs(amplitude[:sizes][channel[:sizes] == c])) for c in channel[sizes:]]
+        if np.any(np.abs(amplitude[sizes:]) > FARTHEST_START * np.array(of_size) + 2.0 * u[sizes:]):
+            evidence[number] = np.finfo(np.float64).min
+    return replace(scores, variants=evidence)
 
 
 Among = Callable[[str], bool]

@@ -549,10 +549,10 @@ def starting_states(
     sized: Posterior,
     begun: Sequence[AppliedEffect] = (),
 ) -> tuple[AppliedEffect, ...]:
-    """Return the unknown starting state of each mounting as a part (`InPart`) of the effect found.
+    """Return the unknown starting state of each mounting and channel as a part (`InPart`) of the effect found.
 
-    Its value is zero and its prior u follows from the size in `sized`: a state belongs to one mounting of one run,
-    and every fit estimates it again. `begun` are the parts that precede these.
+    Its prior u follows from the size in `sized`, as every fit estimates it again. Its value is the estimate if
+    states repeat (`Effect.start_repeats`), else zero. `begun` are the parts that precede these.
     """
     states: list[AppliedEffect] = []
     for found, mine in naming.sizes():
@@ -563,14 +563,24 @@ def starting_states(
         effect = CATALOGUE[variant.family]
         start = next(p for p in effect.parameters if p.start_of)
         spread = effect.start_spread(linear.conditions)
-        kinds = (candidates.kinds[column] for column in variant.columns[len(variant.sizes) :])
-        for mounts in dict.fromkeys(kind.mounts for kind in kinds):
-            (whole,) = applied_of(candidates, variant, size, 0.0 * size)
-            values = {name: value for name, value in whole.values.items() if name != start.start_of}
-            values[start.name] = whole.values[start.start_of] * spread
-            part = replace(whole, values=values, u={}, installations=mounts)
+        (whole,) = applied_of(candidates, variant, size, 0.0 * size)
+        of_size = whole.values[start.start_of]
+        values = {name: value for name, value in whole.values.items() if name != start.start_of}
+        for place, column in enumerate(variant.columns[len(variant.sizes) :], mine.stop):
+            kind = candidates.kinds[column]
+            assert kind.channel is not None  # noqa: S101 - a state has a channel
+            own = np.where(np.arange(3) == kind.channel, of_size * spread, 0.0)
+            estimate = sized.amplitudes[place] * candidates.scale[column] / own[kind.channel]
+            part = replace(
+                whole,
+                values=values | {start.name: own},
+                channels=(CHANNELS[kind.channel],),
+                u={},
+                installations=kind.mounts,
+            )
             number = _next([*begun, *states], variant)
-            states.append(in_part(variant.family, number, (part,), 0.0, 1.0))
+            value = float(np.clip(estimate, -2.0, 2.0)) if effect.start_repeats else 0.0
+            states.append(in_part(variant.family, number, (part,), value, 1.0))
     return tuple(states)
 
 

@@ -96,7 +96,7 @@ def test_a_model_file_states_the_prior_of_each_mounting(ready, tmp_path):
     variant = variant_of(ready, "thermal_bias", ("lag", LAG_S))
     naming = naming_of(variant)
     sized = fit_found(ready.linear, ready.candidates, naming, NOISE)
-    mean = np.full_like(sized.mean, 3.0)
+    mean = np.full_like(sized.mean, 3.0)  # one channel: a size, and a state for each mounting
     states = starting_states(ready.linear, ready.candidates, naming, replace(sized, mean=mean))
     write_model_file(tmp_path / "model.yaml", "started", states)
     again = load_model(tmp_path / "model.yaml", MODEL.installations).applied_effects()

@@ -103,7 +103,8 @@ class Effect(ABC):
     act in single passes of a mounting; if it `outlasts_mount`, it may continue through remounts. `apart` lists the
     sets of parameters that a diagnosis tries alone, with the others zero; if empty, it derives the sets from the
     names. `needs_history` is true if a reading depends on earlier rows, `needs_path` if it depends on the path of
-    the head to the setting.
+    the head to the setting. `start_repeats` is true if the starting state follows from how the head is brought to
+    its first setting, so that other mountings repeat it.
     """
 
     name: str
@@ -119,6 +120,7 @@ class Effect(ABC):
     apart: tuple[tuple[str, ...], ...] = ()
     needs_history: bool = False
     needs_path: bool = False
+    start_repeats: bool = False
 
     @abstractmethod
     def addition(self, values: Values, seen: Seen) -> Floats:

@@ -161,6 +161,7 @@ class Hysteresis(BlockEffect):
     shown_by = "both directions of approach"
     needs_history = True
     needs_path = True
+    start_repeats = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
         """Return K_ii (size_i state_i + start_i change_i) in volts, shape (n, 3).
@@ -251,7 +252,7 @@ def _start(unit: str, plausible: float, start_of: str) -> Parameter:
 
 
 class LaggedEffect(BlockEffect):
-    """An effect that follows the temperature behind a first-order lag, whose state at the start of a mounting is unknown."""
+    """An effect behind a first-order lag, of unknown state at the start of a mounting."""
 
     needs_history = True
 
