@@ -430,7 +430,7 @@ def _effect_unknowns(index: int, applied: AppliedEffect) -> list[EffectUnknown]:
     values = applied.complete_values()
     unknowns = []
     for p in applied.effect.parameters:
-        if p.is_shape:
+        if p.is_shape or (p.start_of and p.name not in applied.u):
             continue
         given = np.broadcast_to(applied.u.get(p.name, 0.0), values[p.name].shape)
         rows = [CHANNELS.index(channel) for channel in applied.channels] if p.per_channel else [None]

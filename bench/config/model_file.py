@@ -397,7 +397,7 @@ def _said_of_open(effect: InPart, times: float, u: float) -> str:
         sizes = [
             f"{p.name}{where} {times * value / p.si_per_unit:.3g} ± {abs(u * value) / p.si_per_unit:.2g} {p.unit}"
             for p in one.effect.parameters
-            if not p.is_shape
+            if not p.is_shape and p.name in one.values
             for where, value in _sizes(p, one)
         ]
         shape = one.shapes_text()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -113,9 +113,10 @@ class Column:
 class Variant:
     """One form that a family may take: in which channels and mountings it acts, and with which shape.
 
-    `columns` are the indices of the variant's columns in `Candidates.columns`. `shape` has the name and the
-    SI value of each shape parameter. For an unnamed family, `where` says in words where the variant acts;
-    `term` has its formula, or is None.
+    `columns` are the indices of the variant's columns in `Candidates.columns`. The last `starts` of them are
+    starting states of mountings (`Parameter.start_of`); the others are `sizes`. `shape` has the name and the SI
+    value of each shape parameter. For an unnamed family, `where` says in words where it acts, and `term` holds
+    its formula, if it has one.
     """
 
     family: str
@@ -125,6 +126,17 @@ class Variant:
     shape: tuple[tuple[str, float], ...] = ()
     where: str = ""
     term: DictionaryTerm | None = None
+    starts: int = 0
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """The columns without those of the starting states."""
+        return self.columns[: len(self.columns) - self.starts]
+
+    @property
+    def plain(self) -> Variant:
+        """The variant without the starting states, as if each mounting began in equilibrium."""
+        return replace(self, columns=self.sizes, starts=0)
 
     @property
     def named(self) -> bool:
@@ -274,7 +286,7 @@ def without_copies(candidates: Candidates, white: Whitener) -> Candidates:
     own: dict[tuple[object, ...], set[int]] = {}
     for variant in candidates.variants:
         if variant.named:
-            own.setdefault((variant.family, variant.shape), set()).update(variant.columns)
+            own.setdefault((variant.family, variant.shape), set()).update(variant.sizes)
     unnamed = sorted({c for v in candidates.variants if not v.named for c in v.columns})
     columns = white @ candidates.columns
     left, same = columns[:, unnamed], np.zeros(len(candidates.kinds), dtype=bool)
@@ -308,7 +320,7 @@ def make_candidates(
     collector = Collector(linear)
     for effect in CATALOGUE.values():
         if effect.name not in absent and (linear.readings.unit == "V" or not in_volts(effect)):
-            _add_effect(collector, effect, mount_sets or _mount_sets)
+            _add_effect(collector, effect, mount_sets or _mount_sets, with_starts=mount_sets is None)
     collector.variants = [v for v in collector.variants if not _in_model(v, linear.model.effects)]
     (unnamed or _add_unnamed)(collector, unit_noise)
     return Candidates(
@@ -345,13 +357,14 @@ def _in_model(variant: Variant, effects: Sequence[AppliedEffect]) -> bool:
 # --- effects of the catalogue -----------------------------------------------------------------------
 
 
-def _add_effect(collector: Collector, effect: Effect, mount_sets: MountSets) -> None:
-    linear_ones = [p for p in effect.parameters if not p.grid]
+def _add_effect(collector: Collector, effect: Effect, mount_sets: MountSets, *, with_starts: bool) -> None:
+    linear_ones = [p for p in effect.parameters if p.is_size]
     shapes = [p for p in effect.parameters if p.grid]
     grids = [[(p.name, value) for value in p.grid] for p in shapes]
     for shape in itertools.product(*grids):
         for mounts in mount_sets(collector.linear, effect):
-            _add_form(collector, effect, linear_ones, shape, mounts)
+            starts = _starts(collector, effect, shape) if with_starts and mounts == ((),) else {}
+            _add_form(collector, effect, linear_ones, shape, mounts, starts)
 
 
 def _mount_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[str, ...], ...]]:
@@ -378,6 +391,7 @@ def _add_form(
     parameters: list[Parameter],
     shape: tuple[tuple[str, float], ...],
     mount_groups: tuple[tuple[str, ...], ...],
+    starts: dict[int | None, list[int]],
 ) -> None:
     index: dict[tuple[str, int | None], list[int]] = {}
     for mounts in mount_groups:
@@ -396,7 +410,37 @@ def _add_form(
             keys = [(n, c) for n in names for c in (*channels, None)]
             columns = tuple(i for key in keys for i in index.get(key, []))
             if columns and (not per_channel or all(any((n, c) in index for n in names) for c in channels)):
-                collector.variants.append(Variant(effect.name, columns, channels, mounts, shape))
+                variant = Variant(effect.name, columns, channels, mounts, shape)
+                collector.variants.append(variant)
+                started = tuple(i for c in channels for i in starts.get(c, ()))
+                if started:
+                    collector.variants.append(
+                        replace(variant, columns=columns + started, starts=len(started))
+                    )
+
+
+def _starts(
+    collector: Collector, effect: Effect, shape: tuple[tuple[str, float], ...]
+) -> dict[int | None, list[int]]:
+    """Add the columns of the starting states, one for each mounting, and return their indices by channel.
+
+    An amplitude of 1 is the standard deviation of the state if the effect has its plausible size.
+    """
+    linear = collector.linear
+    index: dict[int | None, list[int]] = {}
+    for start in (p for p in effect.parameters if p.start_of):
+        size = next(p for p in effect.parameters if p.name == start.start_of)
+        spread = effect.start_spread(linear.conditions) * size.plausible
+        everywhere = plausible_columns(linear, effect, start, shape, ())
+        labels = [str(m) for m in linear.conditions.mounts if m.installation not in UNORIENTED]
+        for mount in labels:
+            rows = linear.rows_in((mount,))
+            for channel, column in everywhere.items():
+                own = np.where(rows, column, 0.0) * (spread / start.plausible)
+                if np.any(own):
+                    kind = Column(start.name, channel, (mount,))
+                    index.setdefault(channel, []).append(collector.add(own, kind, spread))
+    return index
 
 
 def _parameter_sets(effect: Effect, parameters: list[Parameter]) -> Iterator[tuple[str, ...]]:

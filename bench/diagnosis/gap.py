@@ -304,11 +304,11 @@ def _tell(
     """
     amplitudes = posterior(linear, candidates.columns[:, list(naming.columns)], noise).amplitudes
     every = np.ones(len(linear), dtype=bool)
-    for found, mine in naming.parts():
+    for found, mine in naming.sizes():
         variants = [candidates.variants[i] for i in candidates.of_family(found.variant.family)]
-        used = sorted({column for one in variants for column in one.columns})
-        forms = [np.searchsorted(used, one.columns) for one in variants]
-        signature = candidates.columns[:, list(found.variant.columns)] @ amplitudes[mine]
+        used = sorted({column for one in variants for column in one.sizes})
+        forms = [np.searchsorted(used, one.sizes) for one in variants if not one.starts]
+        signature = candidates.columns[:, list(found.variant.sizes)] @ amplitudes[mine]
         columns = np.column_stack([signature, candidates.columns[:, used]])
         whole, left = _left_by_forms(linear, noise, columns, forms, every)
         for _, held in parts:

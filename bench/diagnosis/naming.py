@@ -85,6 +85,11 @@ class Naming:
             yield found, slice(start, stop)
             start = stop
 
+    def sizes(self) -> Iterator[tuple[FoundEffect, slice]]:
+        """Yield each effect found, with the slice of its sizes among `columns`; starting states are left out."""
+        for found, mine in self.parts():
+            yield found, slice(mine.start, mine.stop - found.variant.starts)
+
 
 @dataclass(frozen=True)
 class Scored:
@@ -121,12 +126,13 @@ class Scored:
     @classmethod
     def _beside(cls, whitened: Whitened, data: Data, key: tuple[int, ...]) -> Scored:
         search, candidates = Search.beside(whitened, key), whitened.candidates
-        scores = search.score(data)
+        left = search.left_over(data)
+        scores = _with_tied_starts(search, left, search.score(data))
         families = scores.families(candidates)[:, 0]
         log_odds = families + candidates.log_prior
         return cls(
             search,
-            search.left_over(data),
+            left,
             scores,
             dict(zip(candidates.families, families.tolist(), strict=True)),
             dict(zip(candidates.families, log_odds.tolist(), strict=True)),
@@ -170,7 +176,9 @@ class Scored:
         if not by_pass and any(variants[i].mounts != variants[best].mounts for i in rivals):
             # the readings do not determine the mounting: each gets its own value, with a large u
             best = max(rivals, key=lambda i: (len(variants[i].columns), evidence[i]))
-        return variants[best]
+        # equilibrium at the start is an assumption, with which u would be too small
+        started = [i for i in rivals if variants[i].starts and variants[i].plain == variants[best].plain]
+        return variants[started[0] if started else best]
 
     def explained(self, variant: Variant) -> float:
         """Return the decrease of chi-square when a form joins the model."""
@@ -187,6 +195,33 @@ class Scored:
         along = self.left.along[self.ratio, columns, 0]
         amplitude = np.linalg.solve(gram + np.eye(len(columns)) / KNOWN_SIZE**2, along)
         return np.asarray(amplitude, dtype=np.float64), gram
+
+
+FARTHEST_START: Final = 3.0
+"""Largest starting state of a mounting, in its standard deviations for the size found, beside twice its u."""
+
+
+def _with_tied_starts(search: Search, left: Data, scores: Scores) -> Scores:
+    """Return the scores without the forms whose starting states are too large for their sizes.
+
+    The evidence takes states and sizes as independent, but a small effect cannot have a large state. Only forms
+    near the largest evidence are examined.
+    """
+    candidates = search.whitened.candidates
+    evidence, ratio = scores.variants.copy(), int(np.argmax(scores.ratio[:, 0]))
+    for number in np.flatnonzero(evidence[:, 0] > max(evidence[:, 0].max() - 10.0, 0.0)):
+        variant = candidates.variants[number]
+        if not variant.starts:
+            continue
+        columns = list(variant.columns)
+        spread = np.linalg.inv(search.between(ratio, columns) + np.eye(len(columns)) / KNOWN_SIZE**2)
+        amplitude, u = spread @ left.along[ratio, columns, 0], np.sqrt(np.diag(spread))
+        channel = np.array([candidates.kinds[column].channel for column in columns])
+        sizes = len(variant.sizes)
+        of_size = [np.max(np.abs(amplitude[:sizes][channel[:sizes] == c])) for c in channel[sizes:]]
+        if np.any(np.abs(amplitude[sizes:]) > FARTHEST_START * np.array(of_size) + 2.0 * u[sizes:]):
+            evidence[number] = np.finfo(np.float64).min
+    return replace(scores, variants=evidence)
 
 
 Among = Callable[[str], bool]
@@ -274,16 +309,16 @@ def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> Fo
     `scored` are the scores given all other effects found. `among` says which families are permitted (None:
     all).
     """
-    family, evidence = one.variant.family, scored.evidence
+    family, evidence, plain = one.variant.family, scored.evidence, one.variant.plain
     odds = ranked_odds({f: log for f, log in scored.log_odds.items() if among is None or among(f)})
     ranked, likely = [one.name for one in odds], holding(odds)
-    explained = scored.explained(one.variant)
-    aliases = _aliases(scored, one.variant, explained - ALIAS**2) if explained > (2 * ALIAS) ** 2 else {}
-    fewest = min(len(one.variant.columns), aliases.pop(family, len(one.variant.columns)))
+    explained = scored.explained(plain)
+    aliases = _aliases(scored, plain, explained - ALIAS**2) if explained > (2 * ALIAS) ** 2 else {}
+    fewest = min(len(plain.columns), aliases.pop(family, len(plain.columns)))
     plainer = [f for f, rank in aliases.items() if rank > fewest and _subsystem(f) == _subsystem(family)]
     ties = [f for f in likely if f != family]
     ties += [f for f in ranked if f in aliases and f not in plainer and f not in ties]
-    shape = scored.likeliest(family)
+    shape = scored.likeliest(family).plain
     same = (
         _aliases(scored, shape, (1.0 - INSEPARABLE) * scored.explained(shape), most=math.inf) if ties else {}
     )
@@ -291,7 +326,7 @@ def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> Fo
         one,
         evidence=evidence[family],
         total=scored.total,
-        size=math.sqrt(max(explained, 0.0)),
+        size=math.sqrt(scored.explained(one.variant)),
         ties=tuple(ties),
         plainer_than=tuple(f for f in plainer if f not in ties),
         same=tuple(f for f in ties if f in same),
@@ -341,7 +376,7 @@ def _aliases(scored: Scored, variant: Variant, enough: float, most: float = BEYO
         taken = np.sum(along**2 / (values + least), axis=1)
         for place in np.flatnonzero(taken > enough):
             one = variants[group.members[place]]
-            if one.named:
+            if one.named and not one.starts:
                 rank = int(np.count_nonzero(values[place] > least))
                 fewest[one.family] = min(rank, fewest.get(one.family, rank))
     return fewest

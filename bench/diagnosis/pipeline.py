@@ -42,6 +42,7 @@ from bench.diagnosis.posterior import (
     left_open,
     noise_size,
     posterior,
+    starting_states,
     with_other_shapes,
 )
 from bench.diagnosis.residual_dictionary import WITH_CHANNELS
@@ -202,8 +203,9 @@ class _Estimated:
     """The joint estimate of coefficients and named effects.
 
     `noise` is the noise about the model with the effects. `sized` are the estimates with the effects in the
-    shapes found. `fitted` are the estimates that also include `in_part`, the possible parts of the effects with
-    other shapes. `left_open` are those of these parts that go into a model file.
+    shapes found. `fitted` are the estimates that also include the possible parts of the effects with other
+    shapes. `in_part` are these parts and the starting states of mountings. `left_open` are those of them that go
+    into a model file.
     """
 
     effects: tuple[NamedEffect, ...]
@@ -226,7 +228,8 @@ def _estimated(prepared: Prepared, naming: Naming) -> _Estimated:
     fitted = fit_found(with_other_shapes(linear, in_part), candidates, naming, noise)
     effects = effects_of(candidates, naming, sized, prepared.limit, linear)
     kept = left_open(linear, candidates, naming, others, fitted, noise)
-    return _Estimated(effects, noise, sized, fitted, in_part, kept)
+    starts = starting_states(linear, candidates, naming, sized, kept)
+    return _Estimated(effects, noise, sized, fitted, (*in_part, *starts), (*kept, *starts))
 
 
 def _form(
@@ -290,7 +293,7 @@ def effects_of(
     the channel in which an unnamed effect shows.
     """
     effects = []
-    for found, mine in naming.parts():
+    for found, mine in naming.sizes():
         variant = found.variant
         rho, p = fitted.significance(mine)
         effect = NamedEffect(

@@ -258,9 +258,9 @@ def common_volts(naming: Naming, fitted: Posterior, linear: LinearSystem) -> Ite
     # one prior size of each channel's column is the same part of its K_ii
     scale = np.diag(linear.block.K)
     apart = np.diff(np.eye(3), axis=0)
-    for found, mine in naming.parts():
+    for found, mine in naming.sizes():
         variant = found.variant
-        if variant.family not in ADDED or len(variant.columns) != 3 or len(variant.channels) != 3:
+        if variant.family not in ADDED or len(variant.sizes) != 3 or len(variant.channels) != 3:
             continue
         volts = fitted.amplitudes[mine] * scale
         covariance = fitted.amplitude_covariance[mine, mine] * np.outer(scale, scale)
@@ -300,11 +300,11 @@ def known_together(
 ) -> tuple[KnownTogether, ...]:
     """Return the sums and differences of two values that are far better known than either value.
 
-    `value` (p,) and `covariance` (p, p) are those of the amplitudes of the p columns of `variant`, as multiples
+    `value` (p,) and `covariance` (p, p) are those of the amplitudes of the p sizes of `variant`, as multiples
     of the plausible sizes. An example is the third mounting angle of both installations: verification points
     determine the sum, and nothing determines the difference, which is a rotation of the block's axes.
     """
-    kinds = [candidates.kinds[column] for column in variant.columns]
+    kinds = [candidates.kinds[column] for column in variant.sizes]
     parameters = {parameter.name: parameter for parameter in CATALOGUE[variant.family].parameters}
     found = []
     for i, j in itertools.combinations(range(len(kinds)), 2):
@@ -340,18 +340,18 @@ def applied_of(
 ) -> tuple[AppliedEffect, ...]:
     """Return an effect with its estimated values in SI, one entry for each set of mountings.
 
-    `value` (p,) and `u` (p,) are those of the amplitudes of the p columns of `variant`, as multiples of the
+    `value` (p,) and `u` (p,) are those of the amplitudes of the p sizes of `variant`, as multiples of the
     plausible sizes. `either_of` are the names of the effect and its ties. `effect` is by default the effect of
     the catalogue.
     """
     effect = effect or CATALOGUE[variant.family]
     channels = tuple(CHANNELS[c] for c in variant.channels)
-    kinds = [candidates.kinds[column] for column in variant.columns]
+    kinds = [candidates.kinds[column] for column in variant.sizes]
     applied = []
     for mounts in dict.fromkeys(kind.mounts for kind in kinds):
         values: dict[str, Floats] = {name: np.asarray(size) for name, size in variant.shape}
         sizes: dict[str, Floats] = {}
-        for place, (column, kind) in enumerate(zip(variant.columns, kinds, strict=True)):
+        for place, (column, kind) in enumerate(zip(variant.sizes, kinds, strict=True)):
             if kind.mounts != mounts:
                 continue
             at = () if kind.channel is None else kind.channel
@@ -406,7 +406,7 @@ def beside(
     """
     return tuple(
         tuple(_of(candidates, found.variant, sized.amplitudes[mine], (channels or {}).get(number)))
-        for number, (found, mine) in enumerate(naming.parts())
+        for number, (found, mine) in enumerate(naming.sizes())
     )
 
 
@@ -444,7 +444,7 @@ def _of(
         yield from _in_other_channels(candidates, variant, np.abs(amplitudes), plausible)
     if effect.name == "voltmeter_nonlinearity":
         # where its curve is zero is a convention: at no voltage with no slope, or at the ends of the range
-        size = float(np.max(np.abs(amplitudes * candidates.scale[list(variant.columns)])))
+        size = float(np.max(np.abs(amplitudes * candidates.scale[list(variant.sizes)])))
         yield AppliedEffect(
             CATALOGUE["voltmeter_gain"], {"gain": np.zeros(())}, u={"gain": np.asarray(size / NORMAL_V)}
         )
@@ -519,7 +519,7 @@ def left_open(
     start = linear.fixed.shape[1] + linear.random.shape[1]
     first = len(fitted.mean) - fitted.effects
     found: list[AppliedEffect] = []
-    for (one, mine), of_find in zip(naming.parts(), others, strict=True):
+    for (one, mine), of_find in zip(naming.sizes(), others, strict=True):
         rest = list(pieces(linear, of_find))
         places = np.arange(start, start + len(rest))
         start += len(rest)
@@ -528,18 +528,63 @@ def left_open(
         own = np.arange(first + mine.start, first + mine.stop)
         follows = _follows(fitted.covariance, own, places)
         shown = np.column_stack([piece.column for piece in rest])
-        shown = shown + candidates.columns[:, list(one.variant.columns)] @ follows
+        shown = shown + candidates.columns[:, list(one.variant.sizes)] @ follows
         directions = _directions(fitted.covariance[np.ix_(places, places)], shown / noise.reading)
         sizes, *_ = np.linalg.lstsq(directions, fitted.mean[places], rcond=None)
         for direction, size in zip(directions.T, sizes, strict=True):
             change = follows @ direction
             own_part = applied_of(candidates, one.variant, change, np.zeros_like(change))
             parts = (*(replace(a, u={}) for a in own_part), *_applied(rest, direction))
-            number = 1 + sum(
-                isinstance(a.effect, InPart) and a.effect.of == one.variant.family for a in found
-            )
-            found.append(in_part(one.variant.family, number, parts, float(size), 1.0))
+            found.append(in_part(one.variant.family, _next(found, one.variant), parts, float(size), 1.0))
     return tuple(found)
+
+
+def _next(parts: Sequence[AppliedEffect], variant: Variant) -> int:
+    """Return the number of the next of the `parts` that belongs to the family of `variant`."""
+    own = (one.effect for one in parts if isinstance(one.effect, InPart))
+    return 1 + sum(effect.of == variant.family for effect in own)
+
+
+def starting_states(
+    linear: LinearSystem,
+    candidates: Candidates,
+    naming: Naming,
+    sized: Posterior,
+    begun: Sequence[AppliedEffect] = (),
+) -> tuple[AppliedEffect, ...]:
+    """Return the unknown starting state of each mounting and channel as a part (`InPart`) of the effect found.
+
+    Its prior u follows from the size in `sized`, as every fit estimates it again. Its value is the estimate if
+    states repeat (`Effect.start_repeats`), else zero. `begun` are the parts that precede these.
+    """
+    states: list[AppliedEffect] = []
+    for found, mine in naming.sizes():
+        variant = found.variant
+        if not variant.starts:
+            continue
+        size = sized.amplitudes[mine]
+        effect = CATALOGUE[variant.family]
+        start = next(p for p in effect.parameters if p.start_of)
+        spread = effect.start_spread(linear.conditions)
+        (whole,) = applied_of(candidates, variant, size, 0.0 * size)
+        of_size = whole.values[start.start_of]
+        values = {name: value for name, value in whole.values.items() if name != start.start_of}
+        for place, column in enumerate(variant.columns[len(variant.sizes) :], mine.stop):
+            kind = candidates.kinds[column]
+            assert kind.channel is not None  # noqa: S101 - a state has a channel
+            own = np.where(np.arange(3) == kind.channel, of_size * spread, 0.0)
+            estimate = sized.amplitudes[place] * candidates.scale[column] / own[kind.channel]
+            part = replace(
+                whole,
+                values=values | {start.name: own},
+                channels=(CHANNELS[kind.channel],),
+                u={},
+                installations=kind.mounts,
+            )
+            number = _next([*begun, *states], variant)
+            value = float(np.clip(estimate, -2.0, 2.0)) if effect.start_repeats else 0.0
+            states.append(in_part(variant.family, number, (part,), value, 1.0))
+    return tuple(states)
 
 
 def _follows(covariance: Floats, own: Floats, places: Floats) -> Floats:

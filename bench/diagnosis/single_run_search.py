@@ -248,13 +248,13 @@ def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepa
     linear, candidates = prepared.linear, prepared.candidates
     noise = noise_size(prepared.whitened, prepared.data, naming.columns)
     fitted = fit_found(linear, candidates, naming, noise)
-    parts = [(f.variant, fitted.amplitudes[place]) for f, place in naming.parts() if f.variant.named]
+    parts = [(f.variant, fitted.amplitudes[place]) for f, place in naming.sizes() if f.variant.named]
     if not parts:
         return None
     effects = tuple(a for v, value in parts for a in applied_of(candidates, v, value, 0.0 * value))
     block = Block.from_vector(linear.block.vector + fitted.mean[:FIXED])
     change = linear.view.own(linear.model, effects, block)
-    columns = [column for variant, _ in parts for column in variant.columns]
+    columns = [column for variant, _ in parts for column in variant.sizes]
     sizes = np.concatenate([value for _, value in parts])
     moved = linear.rows_of(change)
     bend = moved - candidates.columns[:, columns] @ sizes - prepared.bend

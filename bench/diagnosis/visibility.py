@@ -31,7 +31,7 @@ def detectable(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str
     for group in Search.beside(whitened, ()).groups:
         largest = group.values[ratio].max(axis=1)
         for number, seen in zip(group.members.tolist(), largest.tolist(), strict=True):
-            if variants[number].named:
+            if variants[number].named and not variants[number].starts:
                 square[variants[number].family] = max(square[variants[number].family], seen)
     half = half_power(whitened, threshold.value)
     return {name: half / seen**0.5 if seen > NEGLIGIBLE else float("inf") for name, seen in square.items()}
@@ -72,11 +72,11 @@ def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, 
     candidates = whitened.candidates
     found: dict[str, dict[str, Smallest]] = {}
     for variant in candidates.variants:
-        sized = [p for p in CATALOGUE[variant.family].parameters if not p.is_shape] if variant.named else []
+        sized = [p for p in CATALOGUE[variant.family].parameters if p.is_size] if variant.named else []
         for unit in dict.fromkeys(p.unit for p in sized) if len(sized) > 1 else ():
             of = {p.name: p for p in sized if p.unit == unit}
             cells: dict[object, dict[str, int]] = {}
-            for column in variant.columns:
+            for column in variant.sizes:
                 kind = candidates.kinds[column]
                 if kind.parameter in of:
                     cells.setdefault((kind.channel, kind.mounts), {})[kind.parameter] = column
@@ -121,7 +121,7 @@ def hidden(
     best: dict[tuple[str, str, str], float] = {}
     for variant in candidates.variants:
         shape = ", ".join(f"{name} {value:g}" for name, value in variant.shape)
-        for column in variant.columns if variant.named else ():
+        for column in variant.sizes if variant.named else ():
             key = (variant.family, candidates.kinds[column].parameter, f" ({shape})" if shape else "")
             best[key] = max(best.get(key, 0.0), float(seen[column]))
     unseen: dict[str, tuple[str, ...]] = {}
@@ -153,7 +153,7 @@ Form = tuple[EffectPart, ...]
 
 def form_of(candidates: Candidates, variant: Variant) -> Form:
     """Return a variant as a form, which does not depend on these readings and can be tested in others."""
-    kinds = [candidates.kinds[place] for place in variant.columns]
+    kinds = [candidates.kinds[place] for place in variant.sizes]
     return tuple(EffectPart(variant.family, k.parameter, variant.shape, k.mounts, k.channel) for k in kinds)
 
 
@@ -173,7 +173,7 @@ def forms_everywhere(family: str, mounts: tuple[str, ...] = ()) -> tuple[Form, .
         tuple(
             EffectPart(family, p.name, shape, mounts, channel)
             for p in parameters
-            if not p.grid
+            if p.is_size
             for channel in ((0, 1, 2) if p.per_channel else (None,))
         )
         for shape in itertools.product(*grids)

@@ -102,6 +102,8 @@ def _row(parameter: Parameter) -> tuple[str, ...]:
         parameter.unit if parameter.unit != "1" else "–",
         f"a shape; default {written(parameter.default)}"
         if parameter.is_shape
+        else "the state at the start of a mounting"
+        if parameter.start_of
         else written(parameter.plausible),
         "each channel" if parameter.per_channel else "one for all",
         grid or "–",

@@ -51,6 +51,10 @@ class Parameter:
     with a `grid` (SI values) is a shape, such as a time constant, a width or a harmonic. Readings are not linear
     in a shape: a fit holds it fixed, and the diagnosis tries each grid value. An unstated shape has the value
     `default`.
+
+    A parameter with `start_of` is the state at the start of a mounting, which is new in every mounting and run;
+    `start_of` names the size to which it is in proportion (`Effect.start_spread`). A fit estimates it only if its
+    u is stated.
     """
 
     name: str
@@ -60,11 +64,17 @@ class Parameter:
     per_channel: bool
     grid: tuple[float, ...] = ()
     default: float = 0.0
+    start_of: str = ""
 
     @property
     def is_shape(self) -> bool:
         """Whether the parameter determines the form of the effect and not its size."""
         return bool(self.grid)
+
+    @property
+    def is_size(self) -> bool:
+        """Whether the parameter determines the size of the effect: it is neither a shape nor a starting state."""
+        return not self.grid and not self.start_of
 
 
 Values = Mapping[str, Floats]
@@ -93,7 +103,8 @@ class Effect(ABC):
     act in single passes of a mounting; if it `outlasts_mount`, it may continue through remounts. `apart` lists the
     sets of parameters that a diagnosis tries alone, with the others zero; if empty, it derives the sets from the
     names. `needs_history` is true if a reading depends on earlier rows, `needs_path` if it depends on the path of
-    the head to the setting.
+    the head to the setting. `start_repeats` is true if the starting state follows from how the head is brought to
+    its first setting, so that other mountings repeat it.
     """
 
     name: str
@@ -109,6 +120,7 @@ class Effect(ABC):
     apart: tuple[tuple[str, ...], ...] = ()
     needs_history: bool = False
     needs_path: bool = False
+    start_repeats: bool = False
 
     @abstractmethod
     def addition(self, values: Values, seen: Seen) -> Floats:
@@ -116,6 +128,14 @@ class Effect(ABC):
 
         `values` holds an array for each parameter: shape (3,) if per channel, else ().
         """
+
+    def start_spread(self, conditions: Conditions) -> float:
+        """Return the standard deviation of the starting state of a mounting in units of the size, SI.
+
+        The starting state is a parameter with `start_of`. An effect without one does not use this number.
+        """
+        del conditions
+        return 1.0
 
 
 class BlockEffect(Effect):
@@ -182,6 +202,13 @@ def lagged(signal: Floats, time_s: Floats, lag_s: float) -> Floats:
         else:
             behind.append(values[i + 1] - rise + (behind[i] - values[i] + rise) * decay)
     return np.array(behind)
+
+
+def fading(conditions: Conditions, lag_s: float) -> Floats:
+    """Return what a first-order lag leaves of a deviation at the start of each mounting, (n,), from 1 to 0."""
+    if lag_s <= 0.0:
+        return np.zeros(len(conditions))
+    return np.asarray(np.exp(-conditions.since_mounting_s / lag_s))
 
 
 def lag_of(*minutes: int) -> Parameter:

@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.base.arrays import HOUR, MINUTE, Floats
 from bench.model.conditions import Conditions, HeadPath, head_path
-from bench.model.effects.base import BlockEffect, Parameter, Seen, Values, lag_of, lagged
+from bench.model.effects.base import BlockEffect, Parameter, Seen, Values, fading, lag_of, lagged
 
 # --- nonlinearity -----------------------------------------------------------------------------------
 # The forms are those of the model equation in IEEE Std 1293-2018; i is a channel's own axis, j and k the
@@ -157,6 +157,7 @@ class Hysteresis(BlockEffect):
         Parameter(
             "width_g", "g", 1.0, plausible=0.25, per_channel=False, grid=(0.0, 0.1, 0.25, 0.5, 0.8), default=0.0
         ),
+        Parameter("start", "ug", 1e-6, plausible=20e-6, per_channel=True, start_of="size"),
     )  # fmt: skip
     sentence = (
         "the output of the accelerometer depends on the side from which the acceleration changes (hysteresis)"
@@ -164,23 +165,35 @@ class Hysteresis(BlockEffect):
     shown_by = "both directions of approach"
     needs_history = True
     needs_path = True
+    start_repeats = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the deviation K_ii size_i state_i in volts, shape (n, 3), with the channel's `state` from -1 to 1.
+        """Return K_ii (size_i state_i + start_i change_i) in volts, shape (n, 3).
 
-        Raises `ValueError` if `Conditions.turns` is None.
+        The channel's `state` is from -1 to 1. `change` is how it depends on the state at the start of each
+        mounting, which is 0 in the middle of the play. Raises `ValueError` if `Conditions.turns` is None.
         """
         width_g = float(values["width_g"])
         kept = seen.conditions.memory
         if (self.name, width_g) not in kept:
             kept[self.name, width_g] = state(seen.conditions, width_g)
-        return np.asarray(seen.scale * values["size"] * kept[self.name, width_g])
+        added = values["size"] * kept[self.name, width_g]
+        if np.any(start := values.get("start", 0.0)):
+            risen, fallen = (state(seen.conditions, width_g, start) for start in (1.0, -1.0))
+            added = added + start * (risen - fallen) / 2.0
+        return np.asarray(seen.scale * added)
+
+    def start_spread(self, conditions: Conditions) -> float:
+        """Return the standard deviation of a state that is anywhere from -1 to 1."""
+        del conditions
+        return float(1.0 / np.sqrt(3.0))
 
 
-def state(conditions: Conditions, width_g: float) -> Floats:
+def state(conditions: Conditions, width_g: float, start: float = 0.0) -> Floats:
     """Return each channel's position in its hysteresis loop, (n, 3), from -1 (force has fallen) to 1 (risen).
 
-    Rows without an angle or in an unknown installation have 0 and do not count as settings.
+    `start` is the position at the start of each mounting. Rows without an angle or in an unknown installation
+    have 0 and do not count as settings.
     """
     path = head_path(conditions)
     result = np.zeros((len(conditions), 3))
@@ -189,7 +202,7 @@ def state(conditions: Conditions, width_g: float) -> Floats:
     # nominal force on a channel: sine part times sin(phi) + cosine part times cos(phi)
     sine, cosine = np.moveaxis(path.sits[:, :, [0, 2]], 2, 0)
     if width_g > 0.0:
-        result[path.rows] = _play(path, sine, cosine, width_g)
+        result[path.rows] = _play(path, sine, cosine, width_g, start)
     else:
         end = path.end[:, None]
         rate = path.direction[:, None] * (sine * np.cos(end) - cosine * np.sin(end))
@@ -197,8 +210,11 @@ def state(conditions: Conditions, width_g: float) -> Floats:
     return result
 
 
-def _play(path: HeadPath, sine: Floats, cosine: Floats, width_g: float) -> Floats:
-    """Return the state, -1 to 1, of a play of half-width `width_g` at the end of each of m paths, shape (m, 3)."""
+def _play(path: HeadPath, sine: Floats, cosine: Floats, width_g: float, start: float) -> Floats:
+    """Return the state, -1 to 1, of a play of half-width `width_g` at the end of each of m paths, shape (m, 3).
+
+    Each mounting starts in the state `start`.
+    """
     stops = np.concatenate(
         [_extremes(path.start, path.turn, sine, cosine), _extremes(path.turn, path.end, sine, cosine)]
     )
@@ -208,7 +224,7 @@ def _play(path: HeadPath, sine: Floats, cosine: Floats, width_g: float) -> Float
     slack = first[0]
     for i, begins in enumerate(path.begins):
         if begins:
-            slack = first[i]
+            slack = first[i] - start * width_g
         for k in range(len(stops)):
             slack = np.minimum(np.maximum(slack, low[k, i]), high[k, i])
         reached[i] = slack
@@ -234,34 +250,63 @@ def _extremes(start: Floats, end: Floats, sine: Floats, cosine: Floats) -> Float
 # --- temperature ------------------------------------------------------------------------------------
 
 
-class ThermalBias(BlockEffect):
+def _start(unit: str, plausible: float, start_of: str) -> Parameter:
+    """Return the parameter of what a lagged effect adds at the start of a mounting, beyond that in equilibrium."""
+    return Parameter("start", unit, 1e-6, plausible, per_channel=True, start_of=start_of)
+
+
+class LaggedEffect(BlockEffect):
+    """An effect behind a first-order lag, of unknown state at the start of a mounting."""
+
+    needs_history = True
+
+    def start_spread(self, conditions: Conditions) -> float:
+        """Return how much the temperature varies in the run, K: by as much it may have differed before."""
+        return float(np.std(conditions.warmth_k))
+
+
+class ThermalBias(LaggedEffect):
     """Bias b_T T, where T is the temperature, after a first-order lag, minus the reference."""
 
     name = "thermal_bias"
-    parameters = (Parameter("b_T", "ug/K", 1e-6, plausible=60e-6, per_channel=True), lag_of(5, 10, 20, 30))
+    parameters = (
+        Parameter("b_T", "ug/K", 1e-6, plausible=60e-6, per_channel=True),
+        lag_of(5, 10, 20, 30),
+        _start("ug", 10e-6, "b_T"),
+    )
     sentence = "the bias of the accelerometer follows the temperature, at once or behind a lag"
     shown_by = "the same settings at two temperatures; a step of temperature shows the lag"
-    needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the change of bias K_ii b_T_i T in volts, shape (n, 3), for the temperature difference T."""
-        warmth = lagged(seen.conditions.warmth_k, seen.conditions.elapsed_s, float(values["lag"]))
-        return warmth[:, None] * (seen.scale * values["b_T"])
+        """Return K_ii (b_T_i T + start_i exp(-t / lag)) in volts, shape (n, 3), with t since the mounting."""
+        lag_s = float(values["lag"])
+        warmth = lagged(seen.conditions.warmth_k, seen.conditions.elapsed_s, lag_s)
+        added = warmth[:, None] * (seen.scale * values["b_T"])
+        if np.any(start := values.get("start", 0.0)):
+            added = added + fading(seen.conditions, lag_s)[:, None] * (seen.scale * start)
+        return added
 
 
-class ThermalScale(BlockEffect):
+class ThermalScale(LaggedEffect):
     """Scale-factor change k_T T K_ii a_i; T is the temperature, after a first-order lag, minus the reference."""
 
     name = "thermal_scale"
-    parameters = (Parameter("k_T", "ppm/K", 1e-6, plausible=100e-6, per_channel=True), lag_of(5, 10, 20, 30))
+    parameters = (
+        Parameter("k_T", "ppm/K", 1e-6, plausible=100e-6, per_channel=True),
+        lag_of(5, 10, 20, 30),
+        _start("ppm", 15e-6, "k_T"),
+    )
     sentence = "the scale factor of the accelerometer follows the temperature, at once or behind a lag"
     shown_by = "the same settings at two temperatures; a step of temperature shows the lag"
-    needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the change of signal K_ii k_T_i T a_i in volts, shape (n, 3), for the temperature difference T."""
-        warmth = lagged(seen.conditions.warmth_k, seen.conditions.elapsed_s, float(values["lag"]))
-        return warmth[:, None] * seen.signal * (seen.scale * values["k_T"])
+        """Return K_ii (k_T_i T + start_i exp(-t / lag)) a_i in volts, shape (n, 3), with t since the mounting."""
+        lag_s = float(values["lag"])
+        warmth = lagged(seen.conditions.warmth_k, seen.conditions.elapsed_s, lag_s)
+        added = warmth[:, None] * seen.signal * (seen.scale * values["k_T"])
+        if np.any(start := values.get("start", 0.0)):
+            added = added + fading(seen.conditions, lag_s)[:, None] * seen.signal * (seen.scale * start)
+        return added
 
 
 class ThermalNonlinearity(BlockEffect):
