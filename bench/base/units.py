@@ -11,43 +11,43 @@ import inspect
 import math
 import re
 import types
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, Final, Union, get_args, get_origin
+from functools import lru_cache
+from itertools import product
+from typing import Annotated, Any, Final, NamedTuple, Union, get_args, get_origin
 
 from pydantic import AfterValidator, BeforeValidator
 
 from bench.base.text import shortened
 
-if TYPE_CHECKING:
-    from pint import UnitRegistry
+_PREFIXES: Final = {"": 1.0, "nano": 1e-9, "n": 1e-9, "micro": 1e-6, "u": 1e-6, "milli": 1e-3, "m": 1e-3}
+_SIZES: Final = {
+    ("meter", "m"): (1.0, "m", 1),
+    ("second", "s"): (1.0, "s", 1),
+    ("minute", "min"): (60.0, "s", 1),
+    ("hour", "h"): (3600.0, "s", 1),
+    ("day", "d"): (86400.0, "s", 1),
+    ("year",): (365.25 * 86400.0, "s", 1),
+    ("hertz", "Hz"): (1.0, "s", -1),
+    ("volt", "V"): (1.0, "V", 1),
+    ("ampere", "A"): (1.0, "A", 1),
+    ("radian", "rad"): (1.0, "rad", 1),
+    ("degree", "deg"): (math.pi / 180.0, "rad", 1),
+    ("arcminute", "arcmin"): (math.pi / 10800.0, "rad", 1),
+    ("arcsecond", "arcsec"): (math.pi / 648000.0, "rad", 1),
+    ("revolution", "rev"): (math.tau, "rad", 1),
+    ("degree_Celsius", "degC", "kelvin", "K"): (1.0, "K", 1),
+    ("local_gravity", "g"): (1.0, "g", 1),
+    ("percent",): (0.01, "", 0),
+    ("ppm",): (1e-6, "", 0),
+}
+"""By the names of a unit: its size, and the power of the SI unit that it is a multiple of.
 
-_DEFINITIONS: Final = (
-    "nano- = 1e-9 = n-",
-    "micro- = 1e-6 = u-",
-    "milli- = 1e-3 = m-",
-    "meter = [length] = m",
-    "second = [time] = s",
-    "minute = 60 second = min",
-    "hour = 3600 second = h",
-    "day = 86400 second = d",
-    "year = 365.25 day",
-    "hertz = 1 / second = Hz",
-    "volt = [voltage] = V",
-    "ampere = [current] = A",
-    "radian = [angle] = rad",
-    f"degree = {math.pi!r} / 180 radian = deg",
-    f"arcminute = {math.pi!r} / 10800 radian = arcmin",
-    f"arcsecond = {math.pi!r} / 648000 radian = arcsec",
-    f"revolution = {math.tau!r} radian = rev",
-    "degree_Celsius = [celsius] = degC",
-    "kelvin = degree_Celsius = K",
-    "local_gravity = [gravity] = g",
-    "percent = 0.01",
-    "ppm = 1e-6",
-)
-"""Only the units that a bench needs, so that slips (kg, mT) are rejected."""
+Only the units that a bench needs, so that slips (kg, mT) are rejected.
+"""
+_NAMED: Final = {name: size for names, size in _SIZES.items() for name in names}
 
 _UNITS: Final = ("V", "mV", "uV", "A", "mA", "uA", "deg", "arcmin", "arcsec", "rad", "mrad", "urad", "rev", "s",
                  "ms", "min", "h", "d", "year", "Hz", "m", "mm", "degC", "K", "g", "mg", "ug", "ppm",
@@ -57,6 +57,7 @@ _QUANTITY: Final = re.compile(
     r"\s*(?P<number>[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*(?P<unit>.*?)\s*"
 )
 _UNIT: Final = re.compile(r"(?:1|[A-Za-z_]+(?:\^-?[0-9])?)(?:\s*[*/ ]\s*[A-Za-z_]+(?:\^-?[0-9])?)*")
+_ONE_UNIT: Final = re.compile(r"([*/ ]?)\s*([A-Za-z_]+)(?:\^(-?[0-9]))?")
 _SPELLINGS: Final = (
     ("°C", "degC"), ("℃", "degC"), ("°", "deg"), ("″", "arcsec"), ("′", "arcmin"), ("%", "percent"),
     ("µ", "u"), ("μ", "u"), ("²", "^2"), ("³", "^3"), ("·", "*"), ("**", "^"),
@@ -95,15 +96,41 @@ FREQUENCY: Final = QuantityKind("a frequency", "50 Hz", "Hz")
 RATIO: Final = QuantityKind("a plain number", "0.01", "")
 
 
-@cache
-def _registry() -> UnitRegistry[float]:
-    """Return the unit registry, built on first use because importing pint is slow."""
-    from pint import UnitRegistry
+class _Unit(NamedTuple):
+    """A unit with its prefix: the sizes of both, and the power of an SI unit that it is a multiple of."""
 
-    registry: UnitRegistry[float] = UnitRegistry(None)
-    for definition in _DEFINITIONS:
-        registry.define(definition)
-    return registry
+    prefix: float
+    size: float
+    si: str
+    power: int
+
+
+def _unit(name: str) -> _Unit:
+    """Return a unit by its name with a prefix and a plural "s", if it has them. Raises `ValueError` if unknown."""
+    for plural, (prefix, size) in product(("", "s"), _PREFIXES.items()):
+        rest = name.removeprefix(prefix).removesuffix(plural)
+        if prefix + rest + plural == name and rest in _NAMED and not (plural and len(rest) == 1):
+            return _Unit(size, *_NAMED[rest])
+    near = difflib.get_close_matches(name, _UNITS, n=1)
+    hint = f", did you mean '{near[0]}'?" if near else f"; known are {', '.join(_UNITS)}"
+    raise ValueError(f"unknown unit '{name}'{hint}")
+
+
+def _size(unit: str, si: str = "") -> tuple[float, dict[str, int]]:
+    """Return the size of the units `unit` / `si`, and their powers of SI units other than 0.
+
+    Raises `ValueError` for an unknown unit.
+    """
+    powers: Counter[_Unit] = Counter()
+    for text, sign in ((unit, 1), (si, -1)):
+        for divided, name, power in _ONE_UNIT.findall(text):
+            powers[_unit(name)] += (-sign if divided == "/" else sign) * int(power or 1)
+    factor, of_si = 1.0, Counter[str]()
+    for one, power in powers.items():
+        factor *= one.prefix**power
+        factor *= one.size**power
+        of_si[one.si] += one.power * power
+    return factor, {name: power for name, power in of_si.items() if power}
 
 
 @lru_cache(maxsize=256)
@@ -112,15 +139,8 @@ def _factor(unit: str, si: str) -> float | None:
 
     Raises `ValueError` for an unknown unit.
     """
-    registry = _registry()
-    for name in re.findall(r"[A-Za-z_]+", unit):
-        if name not in registry:
-            near = difflib.get_close_matches(name, _UNITS, n=1)
-            hint = f", did you mean '{near[0]}'?" if near else f"; known are {', '.join(_UNITS)}"
-            raise ValueError(f"unknown unit '{name}'{hint}")
-    one = registry.Quantity(1.0, registry.parse_units(unit))
-    wanted = registry.parse_units(si)
-    return float(one.to(wanted).magnitude) if one.is_compatible_with(wanted) else None
+    factor, powers = _size(unit, si)
+    return None if powers else factor
 
 
 def parse_quantity(text: object, kind: QuantityKind) -> float:
@@ -191,20 +211,10 @@ def unit_of(unit: str) -> tuple[float, Dimension]:
         return 1.0, ()
     if _UNIT.fullmatch(unit) is None:
         raise ValueError(f"'{unit}' is not a unit; known are {', '.join(_UNITS)}")
-    _factor(unit, "")
-    dimensionality: Mapping[str, Any] = (
-        _registry().Quantity(1.0, _registry().parse_units(unit)).dimensionality
-    )
-    powers = [(_SI_OF[name], float(power)) for name, power in dimensionality.items()]
-    factor = _factor(unit, " * ".join(f"{si} ** {power:g}" for si, power in powers))
-    kept = tuple(sorted((si, power) for si, power in powers if si not in _PLAIN))
-    return (1.0 if factor is None else factor), kept
+    factor, powers = _size(unit)
+    return factor, tuple(sorted((si, float(power)) for si, power in powers.items() if si not in _PLAIN))
 
 
-_SI_OF: Final = {
-    "[time]": "s", "[length]": "m", "[voltage]": "V", "[current]": "A", "[celsius]": "K", "[angle]": "rad",
-    "[gravity]": "g",
-}  # fmt: skip
 _PLAIN: Final = ("rad", "g")
 
 

@@ -104,7 +104,6 @@ def test_every_package_that_is_imported_comes_with_the_program_or_is_known_with_
         "scipy",
         "yaml",
         "pydantic",
-        "pint",
         "typer",
         "rich",
         "matplotlib",
