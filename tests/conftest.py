@@ -93,8 +93,11 @@ def cache_of_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        base = tmp_path_factory.getbasetemp()
+        shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+        patch.setenv("MPLCONFIGDIR", str(shared / "matplotlib"))  # one list of fonts for all processes
         folder = cache_folder("thresholds")
-        thresholds.unpack(folder, tmp_path_factory.getbasetemp())
+        thresholds.unpack(folder, base)
         yield
         thresholds.keep(folder)
 
