@@ -66,9 +66,9 @@ def test_a_reference_follows_its_swept_supply_and_not_the_room(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("tau_min", [15, 30, 60, 90])
+@pytest.mark.parametrize("tau_min", [15, 90])
 def test_self_heating_after_switching_on_is_named_with_its_size(tau_min, tmp_path):
-    """Size and time constant within 3.3 u: 99.9 % of an honest u, for each of eight numbers."""
+    """Size and time constant within 3.3 u: 99.9 % of an honest u, for each of four numbers."""
     readings = read_csv(switched_on(tmp_path, 3200 + tau_min, 20e-6, tau_min), ())
     found = diagnose_record(readings)
     (heating,) = found.effects
