@@ -10,7 +10,7 @@ from bench.diagnosis.record_diagnosis import diagnose_record
 from bench.diagnosis.record_model import make_record
 from bench.readings.csv import read_csv
 from bench.readings.table import is_record
-from benchmarks.real_records.cases import twin_of
+from benchmarks.real_records.twins import twin_of
 from tests.support.known_inputs import (
     BATH,
     BATH_COLUMNS,
@@ -111,6 +111,13 @@ def test_a_new_record_confirms_a_model_or_not(of_twin, tmp_path, gain_per_k, ver
     found = confirm_record(read_csv(twin(tmp_path, 2, gain_per_k), ()), of_twin.applied)
     assert found.verdict == verdict
     assert (found.unit, found.effects[0].verdict) == ("V", verdict)
+
+
+@pytest.mark.slow
+def test_a_confirmation_allows_for_an_unknown_lag_as_the_diagnosis_does(of_twin, tmp_path):
+    (found,) = confirm_record(read_csv(twin(tmp_path, 1), ()), of_twin.applied).effects
+    size, now = of_twin.effects[0].parameters[0], found.now[0]
+    assert (now.value, now.u) == pytest.approx((size.value, size.u), rel=0.02)
 
 
 @pytest.mark.slow
