@@ -335,8 +335,10 @@ class RecordWork:
         A channel whose size is no more than noise is left out, unless all are.
         """
         shown, u_of_shapes, sizes, known = [], [], [np.zeros(0)], [np.zeros(0)]
+        courses = [f.variant for f in finds]
         for number, one in enumerate(finds):
-            variant, u_shape, size, u = self.shaped([f.variant for f in finds], number)
+            variant, u_shape, size, u = self.shaped(courses, number)
+            u = np.sqrt(u**2 + self._by_other_shapes(courses, number))
             seen = special.chdtrc(1, (size / u) ** 2) < OFTEN
             if self.of_channels(variant) and seen.any():
                 columns, channels = (tuple(compress(of, seen)) for of in (variant.columns, variant.channels))
@@ -351,6 +353,27 @@ class RecordWork:
         )
         effects = effects_of(self.candidates, Naming(tuple(shown), 0.0), fitted, limit, np.zeros(0))
         return tuple(_with_u(effect, u) for effect, u in zip(effects, u_of_shapes, strict=True))
+
+    def _by_other_shapes(self, courses: Sequence[Variant], number: int) -> Floats:
+        """Return the variance that the shapes of the other courses add to the size of the course `number`.
+
+        It has an entry for each channel, or one if the size is common, and is in squares of the plausible size.
+        """
+        course, noises = courses[number], self.noises(courses) if len(courses) > 1 else []
+        own = self.of_channels(course)
+        variance = np.zeros(len(self.parts) if own else 1)
+        for place, other in enumerate(courses):
+            if place == number:
+                continue
+            forms, rest = self.forms(courses, place), [one for one in courses if one not in (course, other)]
+            for k in self.parts if own and self.of_channels(other) else range(1):
+                beside = self.design([course, *rest], k)
+                held = self.columns([other], k)
+                column = self.trials.trend.shape[1]
+                variance[k] += forms.spread_beside(noises[k], beside[:, :-1], held, beside[:, -1])[
+                    column, column
+                ]
+        return np.asarray(self.helmert.T**2 @ variance) if own else variance
 
     def fits(self, courses: Sequence[Variant], noises: Sequence[Noise]) -> Iterator[ChannelFit]:
         """Yield zero, drift and residuals of each channel, with the courses in the model.
