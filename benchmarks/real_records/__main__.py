@@ -18,7 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import rms
+from bench.base.arrays import Floats, rms
 from bench.base.numbers import quantity
 from bench.diagnosis.free_positions import diagnose_free
 from bench.diagnosis.free_records import FreeDiagnosis
@@ -133,8 +133,8 @@ def rows() -> Iterator[Row]:
 def twins(seeds: int) -> str:
     """Return the table of many twins of each record with effects, in Markdown."""
     headings = [
-        "record", "twins", SAME, TIE, FEWER, OTHER, f"{SAME}, noise known", "sizes, rms of (found − true) / u",
-        "within 2 u",
+        "record", "twins", SAME, TIE, FEWER, OTHER, f"{SAME}, noise known", "ln of the odds: record; twins",
+        "sizes, rms of (found − true) / u", "within 2 u",
     ]  # fmt: skip
     lines = []
     with tempfile.TemporaryDirectory() as folder:
@@ -146,10 +146,24 @@ def twins(seeds: int) -> str:
             known = "–" if made.known is None else f"{made.known[SAME]} of {KNOWN}"
             near = int(np.sum(np.abs(made.off) <= 2.0))
             counts = (str(made.names[word]) for word in (SAME, TIE, FEWER, OTHER))
+            odds = "–" if made.odds is None else _odds(*made.odds)
             lines.append(
-                [case.title, str(seeds), *counts, known, f"{rms(made.off):.2f}", f"{near} of {made.off.size}"]
+                [
+                    case.title,
+                    str(seeds),
+                    *counts,
+                    known,
+                    odds,
+                    f"{rms(made.off):.2f}",
+                    f"{near} of {made.off.size}",
+                ]
             )
     return "\n".join(markdown(headings, lines))
+
+
+def _odds(record: float, twins: Floats, limit: float) -> str:
+    share = np.mean(twins > limit)
+    return f"{record:.2f}; {twins.mean():.1f} ± {twins.std():.1f}, {share:.0%} above {limit:.1f}"
 
 
 def verdicts(found: Sequence[Row]) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy import special
 
 from bench.base.arrays import Floats
 from bench.diagnosis.record_diagnosis import RecordDiagnosis, diagnose_record
@@ -17,7 +18,7 @@ from bench.readings.table import Readings
 
 SEED: Final = 11
 KNOWN: Final = 300
-"""Number of twins that are searched with the noise known."""
+"""Number of twins that are searched with the noise known, and of those whose odds are computed."""
 SAME, TIE, FEWER, OTHER = "same names", "another tie", "fewer names", "another name"
 """What the names of a twin are beside those of its record."""
 Names = Sequence[frozenset[str]]
@@ -100,13 +101,14 @@ def _sizes(found: RecordDiagnosis) -> Sizes:
 class Twins:
     """The outcome of many twins of a record.
 
-    `names` counts what `judged` returns; `known`, the same for twins that are searched with the noise known, or
-    None for a record of several channels. `off` are the deviations of all sizes in u, of twins with the same
-    names.
+    `names` counts what `judged` returns; `known`, the same for twins that are searched with the noise known.
+    `odds` is what `odds_of_the_last` returns. Both are None for a record of several channels. `off` are the
+    deviations of all sizes in u, of twins with the same names.
     """
 
     names: Counter[str]
     known: Counter[str] | None
+    odds: tuple[float, Floats, float] | None
     off: Floats
 
 
@@ -120,8 +122,23 @@ def make_twins(readings: Readings, found: RecordDiagnosis, seeds: int) -> Twins:
         if word == SAME
         for value in sizes_off(found, twin).values()
     ]
-    known = Counter(searched_with_the_noise_known(found)) if len(found.noises) == 1 else None
-    return Twins(Counter(words), known, np.array(off))
+    if len(found.noises) > 1:
+        return Twins(Counter(words), None, None, np.array(off))
+    known, odds = Counter(searched_with_the_noise_known(found)), odds_of_the_last(found)
+    return Twins(Counter(words), known, odds, np.array(off))
+
+
+def odds_of_the_last(found: RecordDiagnosis) -> tuple[float, Floats, float]:
+    """Return ln of the odds of the last effect of a record, those of `KNOWN` twins, and the limit that they exceed.
+
+    The other effects are in the model. The record has one channel.
+    """
+    rng, record = np.random.default_rng(SEED), found.record
+    work = RecordWork.of(record, make_courses(record))
+    finds, limit = work.search()
+    drawn = np.hstack([simulated_v(found, record, rng) for _ in range(KNOWN)]) / record.scale[:, None]
+    odds = work.log_odds([one.variant for one in finds[:-1]], [drawn])[1]
+    return finds[-1].total, np.asarray(special.logsumexp(odds, axis=0)), max(limit.value, 0.0)
 
 
 @dataclass(frozen=True)
