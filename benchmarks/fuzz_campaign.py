@@ -34,7 +34,6 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
 
-import matplotlib
 import numpy as np
 
 from bench.base.text import visible
@@ -370,6 +369,8 @@ def inputs(count: int) -> list[tuple[str, int]]:
 @cache
 def own_place(parent: str) -> Path:
     """Return a folder for this process, and load slow modules first, so that no input's time includes this."""
+    import matplotlib
+
     os.environ["MPLCONFIGDIR"] = matplotlib.get_cachedir()  # making the list of fonts takes half a minute
     import bench.cli.app  # noqa: F401
 

@@ -10,6 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -20,6 +21,7 @@ from tests.support import thresholds
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
+TESTS = Path(__file__).parent
 HANGS_S = 300.0
 """After so long in one test, or a few, all threads are shown: a test that hangs shows where."""
 
@@ -40,18 +42,27 @@ def pytest_xdist_auto_num_workers() -> int:
     return 1 + (os.cpu_count() or 1)
 
 
-def pytest_configure() -> None:
-    """Keep the session's standard error; let no speed of the machine decide; collect without garbage passes."""
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep the session's standard error; let no speed of the machine decide; collect without garbage passes.
+
+    Workers of the whole suite begin their collection at different folders: each compiles its share of the tests,
+    and reads the bytecode of the others.
+    """
     Session.stderr = os.dup(2)
     settings.register_profile("any speed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
     settings.load_profile("any speed")
     gc.disable()
+    worker: dict[str, Any] = getattr(config, "workerinput", {})
+    if worker and config.args == config.getini("testpaths"):
+        folders = sorted(str(folder) for folder in TESTS.iterdir() if any(folder.rglob("test_*.py")))
+        first = len(folders) * int(worker["workerid"].removeprefix("gw")) // worker["workercount"]
+        config.args = [*folders[first:], *folders[:first]]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the files with most slow tests first, so that at the end no worker is left alone with one of them."""
     slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
-    items.sort(key=lambda item: -slow[item.path])
+    items.sort(key=lambda item: (-slow[item.path], item.path))
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -82,8 +93,11 @@ def cache_of_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        base = tmp_path_factory.getbasetemp()
+        shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+        patch.setenv("MPLCONFIGDIR", str(shared / "matplotlib"))  # one list of fonts for all processes
         folder = cache_folder("thresholds")
-        thresholds.unpack(folder, tmp_path_factory.getbasetemp())
+        thresholds.unpack(folder, base)
         yield
         thresholds.keep(folder)
 

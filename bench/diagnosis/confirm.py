@@ -27,7 +27,7 @@ from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.pipeline import diagnose
 from bench.diagnosis.posterior import NoiseSize, posterior, whiten_rows
 from bench.diagnosis.record_diagnosis import RecordDiagnosis, diagnose_record
-from bench.diagnosis.record_model import courses_of, make_record, shape_of
+from bench.diagnosis.record_model import MOVE, courses_of, forms_of, make_record, shape_of
 from bench.diagnosis.record_search import RecordWork
 from bench.diagnosis.result import Diagnosis, EffectValue
 from bench.diagnosis.single_run_search import in_the_noise_of
@@ -131,8 +131,10 @@ def confirm(
 def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Confirmation:
     """Compare a new record at a known input with a model's effects, and diagnose it for further ones.
 
-    The effects keep their values. Root mean squares are in V. Raises `CalibrationError` if the record cannot
-    be evaluated, or could not show any of the effects.
+    The effects keep their values. Their sizes from the new record alone are averages over the shapes that this
+    record allows, so that u includes the uncertainty of a lag, a width or a time constant; a jump keeps its time,
+    and a supply its rail. Root mean squares are in V. Raises `CalibrationError` if the record cannot be evaluated,
+    or could not show any of the effects.
     """
     record = make_record(readings)
     forms = [(one.effect, shape_of(one.effect, one.complete_values())) for one in effects]
@@ -159,7 +161,11 @@ def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Conf
         mine = [i for i, one in enumerate(unknowns) if one.effect == number]
         if course is not None and mine:
             # estimate each effect from this record alone, with the others at the model's values
-            size, u_size = left.less(-record.added(applied)).sizes([course])
+            alone = left.less(-record.added(applied))
+            tried = [] if course.family == MOVE else forms_of(record, *forms[number])
+            free = replace(alone, candidates=courses_of(record, tried))
+            near = free.nearest(course.family, course.shape) if len(tried) > 1 else None
+            size, u_size = alone.sizes([course]) if near is None else free.shaped([near], 0)[2:]
             at = [0 if (c := unknowns[i].channel) is None else record.channels.index(c) for i in mine]
             of.change[mine], of.covariance[mine, mine] = size[at] - of.found[mine], u_size[at] ** 2
     p_after = float(special.chdtrc(freedom, after.reduced * freedom))

@@ -16,9 +16,20 @@ from scipy.special import softmax
 
 from bench.base.arrays import CHANNELS, Floats, Ints, u_of
 from bench.diagnosis.levels import FOLDS
-from bench.diagnosis.record_model import LEAST, Noise, NoiseTrials, Record, make_record, solved
+from bench.diagnosis.record_model import (
+    LEAST,
+    Noise,
+    NoiseTrials,
+    Record,
+    courses_of,
+    forms_of,
+    make_record,
+    shape_of,
+    solved,
+)
+from bench.diagnosis.record_search import Forms, RecordWork
 from bench.model.conditions import Conditions
-from bench.model.effects import AppliedEffect
+from bench.model.effects import CATALOGUE, AppliedEffect
 from bench.readings.columns import numbers
 from bench.readings.table import REFERENCE, REFERENCE_SD_V, REFERENCE_V, Readings
 from bench.stats.repeats import Repeats, compare_repeats
@@ -28,6 +39,8 @@ LEVELS: Final = 0.01
 
 With less, u of the gain is over 200 times that from one level with a known offset.
 """
+GAIN: Final = "voltmeter_gain"
+"""The effect that adds a multiple of the reference to a signal."""
 ZERO_V: Final = 1e-3
 """If the reference has a single level below this, V, the record determines the offset only.
 
@@ -105,9 +118,9 @@ def calibrate_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) 
     """Calibrate meters from readings at a known input, after known effects are subtracted.
 
     Effects with a stated u keep their values, and their u adds to the result. Effects without u were found in
-    these readings and are estimated again together with gain and offset. u also includes the slow noise and
-    the scatter of the reference (column `reference_sd_v`). Raises `CalibrationError` if the readings cannot
-    be evaluated.
+    these readings and are estimated again together with gain and offset; u includes the uncertainty of their
+    shapes (lag, width, time constant). u also includes the slow noise and the scatter of the reference (column
+    `reference_sd_v`). Raises `CalibrationError` if the readings cannot be evaluated.
     """
     record = make_record(readings)
     known = record.added_by(effects)
@@ -120,14 +133,55 @@ def calibrate_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) 
     return RecordCalibration(
         record=record,
         channels=_channels(
-            left, np.stack(errors), [record.added(one) for one in effects if not one.u], apart
+            left, np.stack(errors), _refitted(left, [e for e in effects if not e.u], apart), apart
         ),
         level_v=level,
         known_v=known,
         not_observable=() if apart else tuple(_hidden(level)),
-        notes=(*record.notes, *note),
+        notes=(*record.notes, *note, *_shapes_kept(record, effects)),
         repeats=_parts(left, apart),
     )
+
+
+@dataclass(frozen=True)
+class _Refitted:
+    """An effect to estimate again: the voltages (n, c) that it adds with its values, and its forms.
+
+    The `forms` are None if its shape is known.
+    """
+
+    added_v: Floats
+    forms: Forms | None
+
+
+def _refitted(left: Record, effects: Sequence[AppliedEffect], several_levels: bool) -> list[_Refitted]:
+    """Return the effects to estimate again. `left` is the record after they are subtracted with their values."""
+    if not effects:
+        return []
+    record = left.less(-left.added_by(effects))
+    given = [(one.effect, shape_of(one.effect, one.complete_values())) for one in effects]
+    tried = [forms_of(record, *one) for one in given]
+    every = {(effect.name, shape): (effect, shape) for one in tried for effect, shape in one}
+    if several_levels:
+        every[GAIN, ()] = (CATALOGUE[GAIN], ())
+    work = RecordWork.of(record, courses_of(record, every.values()))
+    courses = [work.nearest(effect.name, shape) for effect, shape in given]
+    known = list(dict.fromkeys(one for one in (*work.shapes_of(GAIN), *courses) if one is not None))
+    return [
+        _Refitted(left.added(one), work.forms(known, known.index(near)) if near and len(forms) > 1 else None)
+        for one, near, forms in zip(effects, courses, tried, strict=True)
+    ]
+
+
+def _shapes_kept(record: Record, effects: Sequence[AppliedEffect]) -> Iterator[str]:
+    """Yield a sentence for each effect that keeps its values, if other shapes of it are possible."""
+    for one in effects:
+        shape = shape_of(one.effect, one.complete_values())
+        if one.u and shape and len(forms_of(record, one.effect, shape)) > 1:
+            yield (
+                f"{one.effect.name} keeps {one.shapes_text()} of the model; u leaves out the uncertainty of this "
+                "shape, which no model file states"
+            )
 
 
 def _levels_apart(record: Record) -> bool:
@@ -157,25 +211,31 @@ def _part(record: Record, rows: Ints) -> Record:
 
 
 def _channels(
-    record: Record, errors: Floats, again: Sequence[Floats], several_levels: bool
+    record: Record, errors: Floats, again: Sequence[_Refitted], several_levels: bool
 ) -> tuple[ChannelCalibration, ...]:
     """Return the calibration of each channel.
 
     `errors` (e, n, c) has, for each of e errors common to all readings, the voltages for an error of one u.
-    `again` are the voltages (n, c) of the effects to estimate again.
+    `again` are the effects to estimate again.
     """
     trials, level = NoiseTrials.of(record), float(record.reference_v.mean())
     reference = [record.reference_v - level] if several_levels else []
     found = []
     for number, channel in enumerate(record.channels):
-        effects = [one[:, number] for one in again if np.any(one[:, number])]
-        design = np.column_stack([record.trend, *reference, *effects]) / record.scale[:, None]
+        effects = [one for one in again if np.any(one.added_v[:, number])]
+        columns = [one.added_v[:, number] for one in effects]
+        design = np.column_stack([record.trend, *reference, *columns]) / record.scale[:, None]
         targets = (
             np.column_stack([record.deviation_v[:, number], *errors[:, :, number]]) / record.scale[:, None]
         )
         mean, spread, noise = averaged(trials, design, targets)
         left = (targets[:, 0] - design @ mean[:, 0]) * record.scale
         count = 2 + several_levels
+        for place, one in enumerate(effects, count):
+            if one.forms is not None:
+                own, others = design[:, place], np.delete(design, place, axis=1)
+                of_form = one.forms.spread_beside(noise, others, own, targets[:, 0] + own)
+                spread[:count, :count] += of_form[:count, :count]
         found.append(
             _channel(record, CHANNELS[channel], level, mean[:count], spread[:count, :count], noise, left)
         )

@@ -101,9 +101,7 @@ def make_record(readings: Readings) -> Record:
     Raises `CalibrationError` if the readings cannot be evaluated.
     """
     time_s, reference_v, channels = _checked(readings)
-    edges = np.linspace(time_s[0], time_s[-1], min(BINS, len(readings)) + 1)
-    of_row = np.clip(np.searchsorted(edges, time_s, side="right") - 1, 0, len(edges) - 2)
-    groups = [np.flatnonzero(of_row == number) for number in np.unique(of_row)]
+    groups = groups_of(time_s)
     if len(groups) < LEAST:
         raise CalibrationError(
             f"{readings.source}: {len(groups)} readings at different times are too few to tell an effect from "
@@ -142,6 +140,16 @@ def make_record(readings: Readings) -> Record:
     return Record(
         readings.source, tuple(channels), means[begin:], at_inputs, size, conditions, used, tuple(notes)
     )
+
+
+def groups_of(time_s: Floats) -> list[Ints]:
+    """Return the indices of the readings in each mean: at most `BINS` means over equal intervals of time.
+
+    `time_s` (m,) are the times of the readings, s. Intervals without readings give no mean.
+    """
+    edges = np.linspace(time_s[0], time_s[-1], min(BINS, len(time_s)) + 1)
+    of_row = np.clip(np.searchsorted(edges, time_s, side="right") - 1, 0, len(edges) - 2)
+    return [np.flatnonzero(of_row == number) for number in np.unique(of_row)]
 
 
 def _settled(means: Floats) -> int:
@@ -454,6 +462,18 @@ def _shapes(record: Record, effect: Effect) -> list[Shape]:
     shapes = [default, *({**default, p.name: v} for p in of_shape for v in p.grid)]
     shapes += [{**default, p.name: BEYOND * p.grid[-1]} for p in of_shape if p.unit != "1"]
     return list(dict.fromkeys(shape_of(effect, shape) for shape in shapes))
+
+
+def forms_of(record: Record, effect: Effect, shape: Shape) -> list[tuple[Effect, Shape]]:
+    """Return the shapes that an effect of a model may have in a record.
+
+    It is the given shape alone for a supply, whose rail is known, for a formula, and for an effect with several
+    shape parameters that are not zero.
+    """
+    known = any(p.is_shape and p.unit == "1" for p in effect.parameters)
+    if known or effect.name not in FOLLOWS or len(shape) > 1:
+        return [(effect, shape)]
+    return [(effect, one) for one in _shapes(record, effect)]
 
 
 def shape_of(effect: Effect, values: Mapping[str, Any]) -> Shape:

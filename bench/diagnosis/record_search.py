@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import compress
 from typing import Final
 
@@ -13,10 +13,10 @@ from scipy import linalg, special
 from bench.base.arrays import CHANNELS, Floats
 from bench.diagnosis.candidates import Candidates, Variant
 from bench.diagnosis.evidence import SEED, Scores, Threshold, fit_tail
-from bench.diagnosis.levels import OFTEN
+from bench.diagnosis.levels import INSEPARABLE, OFTEN
 from bench.diagnosis.naming import MOST_EFFECTS, FoundEffect, Naming, holding, ranked_odds
 from bench.diagnosis.pipeline import effects_of
-from bench.diagnosis.posterior import Posterior
+from bench.diagnosis.posterior import Posterior, Shape
 from bench.diagnosis.record_model import MOVE, Noise, NoiseTrials, Record, courses_of, solved
 from bench.diagnosis.result import NamedEffect
 from bench.model.effects import CATALOGUE
@@ -51,6 +51,40 @@ class ChannelFit:
 
 
 @dataclass(frozen=True)
+class Forms:
+    """The h forms that a course may have in a record, with what the record says of each.
+
+    `columns` (n, h) are their columns, as in `courses_of`. `log` (h,) is ln of the likelihood; `size` and
+    `variance` (parts, h) are the size and its variance in each component. The first forms have the `values` of
+    the shape `parameter`, with the probabilities `of_values` among each other; the parameter is None if there is
+    none, or it has no unit.
+    """
+
+    columns: Floats
+    log: Floats
+    size: Floats
+    variance: Floats
+    parameter: str | None = None
+    values: Floats = field(default_factory=lambda: np.zeros(0))
+    of_values: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def spread_beside(self, noise: Noise, design: Floats, held: Floats, target: Floats) -> Floats:
+        """Return the covariance (p, p) that the unknown form adds to the estimates of the columns of a design.
+
+        `design` (n, p) lacks the column of the course. `held` (n,) is the column with which the estimates were
+        made: deviations are from these estimates. `target` (n,) are the data.
+        """
+        weight = special.softmax(self.log)
+        likely = weight > INSEPARABLE
+        white = noise.whiten(np.column_stack([design, target, held, self.columns[:, likely]]))
+        count = design.shape[1]
+        own, aim = white[:, :count], white[:, count]
+        each = [solved(np.column_stack([own, one]), aim)[0][:count] for one in white[:, count + 1 :].T]
+        off = np.array(each[1:]) - each[0]
+        return np.asarray((off.T * weight[likely]) @ off)
+
+
+@dataclass(frozen=True)
 class RecordWork:
     """A record, the courses that may explain it, and its trial noises.
 
@@ -70,6 +104,13 @@ class RecordWork:
     def shapes_of(self, family: str) -> list[Variant]:
         """Return the candidates of the effect with the name `family`, one for each shape."""
         return [variant for variant in self.candidates.variants if variant.family == family]
+
+    def nearest(self, family: str, shape: Shape) -> Variant | None:
+        """Return the candidate of the effect `family` with the nearest shape; None if none has its parameters."""
+        names = [name for name, _ in shape]
+        alike = [one for one in self.shapes_of(family) if [name for name, _ in one.shape] == names]
+        apart = [sum(abs(a - b) for (_, a), (_, b) in zip(one.shape, shape, strict=True)) for one in alike]
+        return alike[int(np.argmin(apart))] if alike else None
 
     def of_channels(self, variant: Variant) -> bool:
         """Return whether each channel has its own size of the effect; otherwise one size is common to all."""
@@ -197,13 +238,27 @@ class RecordWork:
         known. The u is None if there is no such parameter, or it has no unit. The other courses keep their
         shapes.
         """
+        forms, course = self.forms(courses, number), courses[number]
+        averaged = self._averaged(course, forms.log, forms.size, forms.variance)
+        if forms.parameter is None:
+            return course, None, *averaged
+        value = float(forms.of_values @ forms.values)
+        steps = np.gradient(forms.values)
+        u = float(np.sqrt(forms.of_values @ ((forms.values - value) ** 2 + steps**2 / 12.0)))
+        return replace(course, shape=((forms.parameter, value),)), u, *averaged
+
+    def forms(self, courses: Sequence[Variant], number: int) -> Forms:
+        """Return the forms that the course `number` may have, with the likelihood of each.
+
+        All other `courses` are in the model and keep their shapes.
+        """
         course = courses[number]
         names = dict(course.shape)
         parameter = next((p for p in CATALOGUE[course.family].parameters if p.name in names), None)
         family = self.shapes_of(course.family)
         if parameter is None or parameter.unit == "1":
-            scored = self._scored(courses, number, self._columns(self.candidates, family))
-            return course, None, *self._averaged(course, *scored)
+            columns = self._columns(self.candidates, family)
+            return Forms(columns, *self._scored(courses, number, columns))
         own = sorted((one for one in family if parameter.name in dict(one.shape)), key=lambda one: one.shape)
         tried = [one.shape[0][1] for one in own]
         if course.family == MOVE:
@@ -211,15 +266,13 @@ class RecordWork:
         else:
             values, columns = self._along(courses, number, tried)
         others = self._columns(self.candidates, [one for one in family if one not in own])
-        log, size, variance = self._scored(courses, number, np.column_stack([columns, others]))
+        columns = np.column_stack([columns, others])
+        log, size, variance = self._scored(courses, number, columns)
         count = len(values)
-        weight = special.softmax(log[:count])
-        value = float(weight @ values)
-        u = float(np.sqrt(weight @ ((values - value) ** 2 + np.gradient(values) ** 2 / 12.0)))
+        of_values = special.softmax(log[:count])
         # each value counts as the part of the interval between two tried values that it stands for
         log[:count] += np.log(np.gradient(np.interp(values, tried, np.arange(len(tried)))))
-        shaped = replace(course, shape=((parameter.name, value),))
-        return shaped, u, *self._averaged(course, log, size, variance)
+        return Forms(columns, log, size, variance, parameter.name, values, of_values)
 
     def _along(
         self, courses: Sequence[Variant], number: int, tried: Sequence[float]
@@ -284,8 +337,10 @@ class RecordWork:
         A channel whose size is no more than noise is left out, unless all are.
         """
         shown, u_of_shapes, sizes, known = [], [], [np.zeros(0)], [np.zeros(0)]
+        courses = [f.variant for f in finds]
         for number, one in enumerate(finds):
-            variant, u_shape, size, u = self.shaped([f.variant for f in finds], number)
+            variant, u_shape, size, u = self.shaped(courses, number)
+            u = np.sqrt(u**2 + self._by_other_shapes(courses, number))
             seen = special.chdtrc(1, (size / u) ** 2) < OFTEN
             if self.of_channels(variant) and seen.any():
                 columns, channels = (tuple(compress(of, seen)) for of in (variant.columns, variant.channels))
@@ -301,14 +356,42 @@ class RecordWork:
         effects = effects_of(self.candidates, Naming(tuple(shown), 0.0), fitted, limit)
         return tuple(_with_u(effect, u) for effect, u in zip(effects, u_of_shapes, strict=True))
 
+    def _by_other_shapes(self, courses: Sequence[Variant], number: int) -> Floats:
+        """Return the variance that the shapes of the other courses add to the size of the course `number`.
+
+        It has an entry for each channel, or one if the size is common, and is in squares of the plausible size.
+        """
+        course, noises = courses[number], self.noises(courses) if len(courses) > 1 else []
+        own = self.of_channels(course)
+        variance = np.zeros(len(self.parts) if own else 1)
+        for place, other in enumerate(courses):
+            if place == number:
+                continue
+            forms, rest = self.forms(courses, place), [one for one in courses if one not in (course, other)]
+            for k in self.parts if own and self.of_channels(other) else range(1):
+                beside = self.design([course, *rest], k)
+                held = self.columns([other], k)
+                column = self.trials.trend.shape[1]
+                variance[k] += forms.spread_beside(noises[k], beside[:, :-1], held, beside[:, -1])[
+                    column, column
+                ]
+        return np.asarray(self.helmert.T**2 @ variance) if own else variance
+
     def fits(self, courses: Sequence[Variant], noises: Sequence[Noise]) -> Iterator[ChannelFit]:
         """Yield zero, drift and residuals of each channel, with the courses in the model.
 
-        `noises` has the noise of each component.
+        `noises` has the noise of each component. u includes the uncertainty of the shapes of the courses.
         """
         estimates = [self.fitted(k, courses, noises[k]) for k in self.parts]
         trend = np.array([mean[:2] for mean, _, _ in estimates])
         variance = np.array([np.diag(spread)[:2] for _, spread, _ in estimates])
+        for number, course in enumerate(courses):
+            forms, others = self.forms(courses, number), [*courses[:number], *courses[number + 1 :]]
+            for k in self.parts if self.of_channels(course) else range(1):
+                beside, held = self.design(others, k), self.columns([course], k)
+                variance[k] += np.diag(forms.spread_beside(noises[k], beside[:, :-1], held, beside[:, -1]))[
+                    :2
+                ]
         designs = [self.design(courses, k) for k in self.parts]
         left = [one[:, -1] - one[:, :-1] @ mean for one, (mean, _, _) in zip(designs, estimates, strict=True)]
         residual_v = self.record.scale * (self.helmert.T @ np.array(left))

@@ -229,7 +229,10 @@ def correlations(calibration: Calibration) -> str:
                 r = matrix[i, j]
                 text = f"{r:.2f}".replace("-", MINUS) if abs(r) >= 0.005 else "0"
                 colour = "white" if abs(r) > 0.6 else "#222222" if abs(r) >= 0.1 else "#8A939B"
-                axes.text(j + 0.5, i + 0.5, text, ha="center", va="center", fontsize=6.5, color=colour)
+                axes.text(
+                    j + 0.5, i + 0.5, text, ha="center", va="center", fontsize=6.5, color=colour,
+                    in_layout=False,  # it is inside the axes, so that the layout need not measure it
+                )  # fmt: skip
         ticks = np.arange(12) + 0.5
         axes.set_xticks(ticks[:-1], [symbol(name) for name in COEFFICIENTS[:-1]])
         axes.set_yticks(ticks[1:], [symbol(name) for name in COEFFICIENTS[1:]])

@@ -2,16 +2,15 @@
 
 python -m benchmarks.real_records            # tables of verdicts, names, sizes, gap, twins, and of repeats
     python -m benchmarks.real_records --page     # the same into docs/real-records.md; five minutes
-    python -m benchmarks.real_records --seeds 20 # how many twins of each record get its names; three minutes
+    python -m benchmarks.real_records --seeds 20 # instead, 20 twins of each record; six minutes
 
 The truth is what the publishers state (`truth.yaml`). It was sealed with the records by hash (`sealed.json`) before
-the first run. A twin is a simulation with the times and temperatures of a record and with the effects found in it:
-its diagnosis must give the same names and sizes.
+the first run. A twin is a simulation with the times and temperatures of a record, and with the effects and noise
+found in it: its diagnosis must give the same names and sizes (`benchmarks/real_records/twins.py`).
 """
 
 import sys
 import tempfile
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Final
 
 import numpy as np
 
+from bench.base.arrays import Floats, rms
 from bench.base.numbers import quantity
 from bench.diagnosis.free_positions import diagnose_free
 from bench.diagnosis.free_records import FreeDiagnosis
@@ -28,7 +28,19 @@ from bench.readings.csv import read_csv
 from bench.results.diagnosis_words import parameter_in_words
 from bench.stats.repeats import Ratio, Repeats, compare_repeats
 from benchmarks.campaign import arguments, markdown
-from benchmarks.real_records.cases import ROOT, Case, cases, require_sealed, twin_of
+from benchmarks.real_records.cases import ROOT, Case, cases, require_sealed
+from benchmarks.real_records.twins import (
+    FEWER,
+    KNOWN,
+    OTHER,
+    SAME,
+    TIE,
+    judged,
+    make_twins,
+    names_of,
+    sizes_off,
+    twin_of,
+)
 
 PAGE: Final = ROOT / "docs/real-records.md"
 JUMP: Final = "voltmeter_move"
@@ -91,27 +103,12 @@ class Row:
 
     @property
     def twin_in_words(self) -> str:
-        """Whether the twin has the same names, and the differences of its sizes from those of the record, in u."""
+        """Whether the twin has the same names, and how far its sizes are from those put in, in its u."""
         if self.twin is None or not isinstance(self.found, RecordDiagnosis):
             return "–"
-        pairs = [_sizes(one) for one in (self.found, self.twin)]
-        if pairs[0].keys() != pairs[1].keys():
-            return "other name"
-        off = [
-            abs(value - pairs[1][key][0]) / float(np.hypot(u, pairs[1][key][1]))
-            for key, (value, u) in pairs[0].items()
-        ]
-        return f"same names, sizes within {max(off):.1f} u"
-
-
-def _sizes(found: RecordDiagnosis) -> dict[tuple[frozenset[str], str, str], tuple[float, float]]:
-    """Return value and u of each size, by possible names, parameter and channel."""
-    return {
-        (frozenset({one.name, *one.cannot_tell_from}), v.parameter, v.channel): (v.value, v.u)
-        for one in found.effects
-        for v in one.parameters
-        if v.u
-    }
+        word = judged(names_of(self.found), names_of(self.twin))
+        off = sizes_off(self.found, self.twin).values()
+        return f"{word}, sizes within {max(map(abs, off)):.1f} u" if word == SAME else word
 
 
 def rows() -> Iterator[Row]:
@@ -133,22 +130,40 @@ def rows() -> Iterator[Row]:
             yield Row(case, found, twin, before, after)
 
 
-def twins(seeds: int) -> Iterator[str]:
-    """Yield for each record with effects how many of its twins get the same names, and other names given."""
+def twins(seeds: int) -> str:
+    """Return the table of many twins of each record with effects, in Markdown."""
+    headings = [
+        "record", "twins", SAME, TIE, FEWER, OTHER, f"{SAME}, noise known", "ln of the odds: record; twins",
+        "sizes, rms of (found − true) / u", "within 2 u",
+    ]  # fmt: skip
+    lines = []
     with tempfile.TemporaryDirectory() as folder:
         for case in cases():
             if case.free or not (found := diagnose_record(readings := case.readings(Path(folder)))).applied:
                 continue
-            each = [_names(diagnose_record(twin_of(readings, found, seed))) for seed in range(1, seeds + 1)]
-            counts = Counter(each)
-            same = counts.pop(_names(found), 0)
-            others = "".join(f"; {count} {' + '.join(names) or 'none'}" for names, count in counts.items())
-            yield f"{case.title}: {same} of {seeds}{others}"
+            print(case.title, file=sys.stderr, flush=True)
+            made = make_twins(readings, found, seeds)
+            known = "–" if made.known is None else f"{made.known[SAME]} of {KNOWN}"
+            near = int(np.sum(np.abs(made.off) <= 2.0))
+            counts = (str(made.names[word]) for word in (SAME, TIE, FEWER, OTHER))
+            odds = "–" if made.odds is None else _odds(*made.odds)
+            lines.append(
+                [
+                    case.title,
+                    str(seeds),
+                    *counts,
+                    known,
+                    odds,
+                    f"{rms(made.off):.2f}",
+                    f"{near} of {made.off.size}",
+                ]
+            )
+    return "\n".join(markdown(headings, lines))
 
 
-def _names(found: RecordDiagnosis) -> tuple[str, ...]:
-    """Return the possible names of each effect, in an order that does not depend on the evidence."""
-    return tuple(sorted(" or ".join(sorted((one.name, *one.cannot_tell_from))) for one in found.effects))
+def _odds(record: float, twins: Floats, limit: float) -> str:
+    share = np.mean(twins > limit)
+    return f"{record:.2f}; {twins.mean():.1f} ± {twins.std():.1f}, {share:.0%} above {limit:.1f}"
 
 
 def verdicts(found: Sequence[Row]) -> str:
@@ -198,20 +213,21 @@ def main() -> None:
     """Print the tables, or write them into the page."""
     asked = arguments(
         __doc__, page=(False, "write docs/real-records.md"),
-        seeds=(0, "print only the names of this many twins of each"),
+        seeds=(0, "instead, diagnose this many twins of each record"),
     )  # fmt: skip
     require_sealed()
     if asked.seeds:
-        print(*twins(asked.seeds), sep="\n")
-        return
-    found = list(rows())
-    made = {"records": verdicts(found), "repeats": repeats(found)}
+        made = {"twins": twins(asked.seeds)}
+    else:
+        found = list(rows())
+        made = {"records": verdicts(found), "repeats": repeats(found)}
     if not asked.page:
         print("\n\n".join(made.values()))
         return
     text = PAGE.read_text(encoding="utf-8")
     for name, table in made.items():
-        begin = f"<!-- {name}: made by python -m benchmarks.real_records --page -->"
+        seeds = f"--seeds {asked.seeds} " if asked.seeds else ""
+        begin = f"<!-- {name}: made by python -m benchmarks.real_records {seeds}--page -->"
         end = f"<!-- end of the {name} -->"
         before, _, rest = text.partition(begin)
         text = f"{before}{begin}\n\n{table}\n\n{end}{rest.partition(end)[2]}"

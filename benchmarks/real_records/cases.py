@@ -1,26 +1,21 @@
-"""The records of the trial with their truth, sealed by hash, and their simulated twins."""
+"""The records of the trial with their truth, sealed by hash."""
 
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 import yaml
 
 from bench.config.foreign_log import LogColumns, convert_log
-from bench.diagnosis.record_diagnosis import RecordDiagnosis
-from bench.diagnosis.record_model import make_record
-from bench.diagnosis.record_search import RecordWork
 from bench.readings.csv import read_csv
 from bench.readings.table import Readings
 
 ROOT: Final = Path(__file__).parents[2]
 TRUTH: Final = Path(__file__).with_name("truth.yaml")
 SEALED: Final = Path(__file__).with_name("sealed.json")
-SEED: Final = 11
 
 
 @dataclass(frozen=True)
@@ -79,26 +74,3 @@ def require_sealed() -> None:
     """Raise `SystemExit` if the truth or a record differs from the sealed one."""
     if json.loads(SEALED.read_text(encoding="utf-8")) != hashes():
         raise SystemExit("benchmarks/real_records: truth or records are not those that were sealed")
-
-
-def twin_of(readings: Readings, found: RecordDiagnosis, seed: int = SEED) -> Readings:
-    """Return simulated readings at the times of a record, with the effects and the noise found in it.
-
-    Before the first mean of the record, the effects continue as straight lines.
-    """
-    rng = np.random.default_rng(seed)
-    record = make_record(readings)
-    noise = np.column_stack([one.drawn(rng, 1)[:, 0] for one in found.noises])
-    noise = noise @ RecordWork.of(record).helmert * record.scale[:, None]
-    added = np.sum([record.added(one) for one in found.applied], axis=0)
-    at_h = (readings.time_s - record.conditions.elapsed_s[0]) / 3600.0
-    scatter = np.sqrt(found.noises[0].variance * len(readings) / len(record))
-    signal = np.full(readings.signal.shape, np.nan)
-    for number, fit in enumerate(found.fits):
-        course = record.reference_v + fit.zero_v + added[:, number] + noise[:, number]
-        slope = (added[1, number] - added[0, number]) / record.time_h[1]
-        level = np.interp(at_h, record.time_h, course) + slope * np.minimum(at_h, 0.0)
-        signal[:, record.channels[number]] = level + rng.normal(0.0, scatter, len(readings))
-    reference = np.interp(at_h, record.time_h, record.reference_v)
-    extra = {**readings.extra, "reference_v": np.array([repr(v) for v in reference.tolist()])}
-    return replace(readings, signal=signal, extra=extra)

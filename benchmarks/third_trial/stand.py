@@ -6,13 +6,15 @@ It is written from the paper's description with rotation matrices, and uses noth
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Floats = NDArray[np.float64]
 ARCSEC: Final = np.radians(1 / 3600)
@@ -192,8 +194,10 @@ def read(on: Day, kind: str, rng: Rng, forms: Sequence[Form] = (), truth: Truth 
     return np.round(signal, 5) if kind == "rounded" else signal
 
 
-def table(on: Day, signal: Floats) -> pd.DataFrame:
+def table(on: Day, signal: Floats) -> "pd.DataFrame":
     """Return a table with the columns of a readings file."""
+    import pandas as pd
+
     frame = pd.DataFrame({"installation": on.label, "pass": on.pass_number, "point": on.point})
     frame["angle_deg"] = np.round(np.degrees(on.angle), 9)
     frame["direction"], frame["time_s"] = 1, on.time_s

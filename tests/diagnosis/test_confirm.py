@@ -46,7 +46,7 @@ def test_an_effect_that_is_there_again_is_confirmed_and_closes_the_gap():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("k2", "verdict"), [(170e-6, "changed"), (-100e-6, "changed"), (0.0, "gone")])
+@pytest.mark.parametrize(("k2", "verdict"), [(170e-6, "changed"), (0.0, "gone")])
 def test_another_size_is_a_change_and_none_is_gone(k2, verdict):
     told = held_against(FOUND, 62, K2=(0.0, k2, 0.0))
     assert told.verdict == verdict

@@ -108,9 +108,16 @@ def test_nothing_gets_no_form(run):
     assert form_of(run) is None
 
 
+@pytest.fixture(scope="module")
+def wave(run):
+    """Readings with half a wave in the bias of y, and the form that describes it."""
+    readings = with_added(run, in_channel(200e-6 * np.sin(run.angle_rad / 2), 1))
+    return readings, form_of(readings)
+
+
 @pytest.mark.slow
-def test_half_a_wave_is_described_and_predicts(run):
-    form = form_of(with_added(run, in_channel(200e-6 * np.sin(run.angle_rad / 2), 1)))
+def test_half_a_wave_is_described_and_predicts(wave):
+    _, form = wave
     (term,) = form.terms
     assert term.family == "a wave, 0.5 per turn, in the bias"
     assert term.effect.stage is Stage.BLOCK_OUTPUT
@@ -141,9 +148,9 @@ def test_a_burst_of_noise_is_told_where_it_is(run):
 
 
 @pytest.mark.slow
-def test_terms_in_the_model_keep_their_names(run):
-    readings = with_added(run, in_channel(200e-6 * np.sin(run.angle_rad / 2), 1))
-    (term,) = form_of(readings).terms
+def test_terms_in_the_model_keep_their_names(wave):
+    readings, form = wave
+    (term,) = form.terms
     assert form_of(readings, replace(MODEL, effects=(term.applied,))) is None
 
 

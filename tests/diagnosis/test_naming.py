@@ -156,11 +156,11 @@ def test_the_tail_of_an_exponential_is_found():
 @pytest.mark.slow
 def test_a_cached_threshold_belongs_to_its_design(tmp_path, monkeypatch):
     """Times and temperatures are part of the design; the size of a signal's noise digits is not."""
-    monkeypatch.setattr("bench.diagnosis.evidence.NULLS", 300)
+    monkeypatch.setattr("bench.diagnosis.evidence.NULLS", 100)
     made = []
     monkeypatch.setattr(
         "bench.diagnosis.evidence.make_threshold",
-        lambda linear, whitened: made.append(1) or make_threshold(linear, whitened, 300),
+        lambda linear, whitened: made.append(1) or make_threshold(linear, whitened, 100),
     )
     cache = ThresholdCache(tmp_path / "kept")
     readings = paper_run(np.random.default_rng(29))
@@ -245,7 +245,7 @@ def in_pass(readings, mount, *numbers):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("axis", "degrees"), [((0, 1, 0), 0.9), ((0, 0, 1), 1.0), ((0, 1, 0), 0.02)])
+@pytest.mark.parametrize(("axis", "degrees"), [((0, 0, 1), 1.0), ((0, 1, 0), 0.02)])
 def test_a_slip_is_in_the_set_and_the_noise_stays_what_it_is(axis, degrees):
     """From pass 2 on, up to a degree, where second order is ten times the noise.
 

@@ -1,11 +1,15 @@
 """Calibrations of records at a known input: gain and offset with a u that slow noise and the reference widen."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from bench.diagnosis.record_calibration import calibrate_record
+from bench.diagnosis.record_diagnosis import diagnose_record
 from bench.model.effects import CATALOGUE, AppliedEffect
 from bench.readings.csv import read_csv
+from tests.support.known_inputs import switched_on
 
 GAIN, OFFSET = 1.0 + 12e-6, 3e-6
 
@@ -82,3 +86,35 @@ def test_effects_of_a_model_are_taken_away_and_widen_u(tmp_path, u):
     left = after.residual_of(readings)[:, 0]
     assert np.std(left) == pytest.approx(0.2e-6, rel=0.15)
     assert abs(after.channels[0].offset_v.value - OFFSET) < 4 * after.channels[0].offset_v.u
+
+
+@pytest.mark.slow
+def test_u_includes_the_uncertainty_of_a_time_constant_found_in_the_same_readings(tmp_path):
+    """A time constant of 80 min in a record of 10 h is hardly separable from zero and drift."""
+    readings = read_csv(switched_on(tmp_path, 3100, 20e-6, 80), ())
+    (heating,) = diagnose_record(readings).applied
+    tau, u_tau = 82.6 * 60.0, 10.5 * 60.0
+    assert float(heating.values["tau"]) == pytest.approx(tau, rel=0.01)
+    low, high = (
+        calibrate_record(
+            readings, [replace(heating, u={}, values={**heating.values, "tau": np.array(value)})]
+        ).channels[0]
+        for value in (tau - u_tau, tau + u_tau)
+    )
+    found = calibrate_record(readings, [replace(heating, u={})]).channels[0]
+    by_tau = abs(high.gain.value - low.gain.value) / 2.0
+    assert by_tau == pytest.approx(0.53e-6, rel=0.1)
+    assert found.gain.u_readings == pytest.approx(by_tau, rel=0.3)
+
+
+@pytest.mark.slow
+def test_a_note_says_that_a_model_states_no_u_of_a_shape(tmp_path):
+    readings = record(tmp_path, 4, per_k=1e-6)
+    size = np.array([1e-6, 0.0, 0.0])
+    values = {"offset": size, "lag": np.array(600.0)}
+    applied = AppliedEffect(CATALOGUE["voltmeter_thermal_offset"], values, ("x",), u={"offset": size / 10.0})
+    note = "voltmeter_thermal_offset keeps lag 10 min"
+    assert any(note in one for one in calibrate_record(readings, [applied]).notes)
+    again = calibrate_record(readings, [replace(applied, u={})])
+    assert not any(note in one for one in again.notes)
+    assert abs(again.channels[0].gain.value - GAIN) < 4 * again.channels[0].gain.u

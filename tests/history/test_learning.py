@@ -1,10 +1,8 @@
 """Sizes of a bench from many runs of known truth; their likelihood against dense matrices."""
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy import linalg, stats
-from statsmodels.regression.mixed_linear_model import MixedLM
 
 from bench.calibration.calibrate import calibrate
 from bench.calibration.result import CalibrationError
@@ -253,6 +251,9 @@ def test_a_balanced_design_is_that_of_statsmodels():
     rng = np.random.default_rng(4)
     runs, repeats = 12, 5
     y = 3.0 + 0.8 * rng.normal(size=(runs, 1)) + rng.normal(size=(runs, repeats))
+    import pandas as pd  # in the one worker that has this test
+    from statsmodels.regression.mixed_linear_model import MixedLM
+
     told = pd.DataFrame({"y": y.ravel(), "one": 1.0, "run": np.repeat(np.arange(runs), repeats)})
     judge = MixedLM(told["y"], told[["one"]], groups=told["run"]).fit(reml=True)
     W = [np.column_stack([np.ones(repeats), own]) / np.sqrt(judge.scale) for own in y]

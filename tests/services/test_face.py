@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import bench as program
@@ -41,6 +40,8 @@ def test_a_calibration_is_that_of_the_command(bench, readings):
 
 def test_a_calibration_of_a_frame_is_five_lines(readings, monkeypatch):
     monkeypatch.setenv("COLUMNS", "60")  # a narrow terminal cuts no table
+    import pandas as pd
+
     frame = pd.read_csv("r.csv")
     result = program.calibrate(frame)
     assert np.array_equal(result.covariance, program.calibrate(readings).covariance)
@@ -55,6 +56,8 @@ def test_a_calibration_of_a_frame_is_five_lines(readings, monkeypatch):
 
 
 def test_a_frame_is_read_as_strictly_as_its_file(readings):
+    import pandas as pd
+
     frame = pd.read_csv("r.csv")
     frame["direction"] = frame["direction"].astype(float)
     frame.loc[0, "direction"] = np.nan

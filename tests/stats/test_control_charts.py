@@ -5,8 +5,6 @@ from itertools import accumulate
 import numpy as np
 import pytest
 from scipy import stats
-from statsmodels.stats.multivariate import test_mvmean as hotelling
-from statsmodels.stats.weightstats import DescrStatsW
 
 from bench.calibration.result import CalibrationError
 from bench.stats.control_charts import (
@@ -54,6 +52,8 @@ def test_the_first_values_of_an_ewma_have_less_scatter():
 
 
 def test_a_new_value_is_judged_by_students_t():
+    from statsmodels.stats.weightstats import DescrStatsW
+
     values = np.array([[3.0], [4.0], [6.0], [5.0], [4.5]])
     centre = centre_of(values, np.ones((5, 1, 1)), "scaled")
     found = judge(centre, np.array([[9.0]]), np.ones((1, 1, 1)))
@@ -65,6 +65,8 @@ def test_a_new_value_is_judged_by_students_t():
 
 
 def test_hotellings_t2_of_scatter_is_that_of_another_program():
+    from statsmodels.stats.multivariate import test_mvmean as hotelling
+
     rng = np.random.default_rng(3)
     sample = rng.normal(size=(30, 4)) @ rng.normal(size=(4, 4))
     centre = centre_of(sample, np.tile(np.eye(4), (30, 1, 1)), "scatter")

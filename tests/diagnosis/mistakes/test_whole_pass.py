@@ -54,7 +54,7 @@ def test_an_angle_read_wrong_in_a_pass_is_put_right(off_arcmin):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("off_arcsec", [20.0, 60.0, 300.0, 560.0, 3500.0])
+@pytest.mark.parametrize("off_arcsec", [20.0, 560.0, 3500.0])
 def test_another_zero_of_the_head_that_is_no_mark_stays_an_effect(off_arcsec):
     """40 arcsec off a mark are 25 standard deviations."""
     seed = int(off_arcsec)
@@ -64,19 +64,16 @@ def test_another_zero_of_the_head_that_is_no_mark_stays_an_effect(off_arcsec):
 
 @pytest.mark.slow
 def test_another_block_in_a_pass_is_named_and_its_pass_left_out():
-    for seed in range(2):
-        where = of_a_pass(np.random.default_rng([105, seed]))
-        bad = run(
-            [106, seed], added=in_a_pass(where, lambda force, _: force @ (OTHER_K - K).T + OTHER_U0 - U0)
-        )
-        found = find(bad)
-        (mistake,) = found.mistakes
-        assert (mistake.name, mistake.channels) == ("another_block", ("x", "y", "z")), seed
-        assert (mistake.installations, mistake.pass_number, mistake.point) == ((where[0],), where[1], None)
-        assert mistake.cannot_tell_from == ()
-        assert len(found.corrected) == len(bad) - 9
-        assert len(found.corrected.skipped) == 1
-        assert mistake.evidence.after < 1.25
+    where = of_a_pass(np.random.default_rng([105, 0]))
+    bad = run([106, 0], added=in_a_pass(where, lambda force, _: force @ (OTHER_K - K).T + OTHER_U0 - U0))
+    found = find(bad)
+    (mistake,) = found.mistakes
+    assert (mistake.name, mistake.channels) == ("another_block", ("x", "y", "z"))
+    assert (mistake.installations, mistake.pass_number, mistake.point) == ((where[0],), where[1], None)
+    assert mistake.cannot_tell_from == ()
+    assert len(found.corrected) == len(bad) - 9
+    assert len(found.corrected.skipped) == 1
+    assert mistake.evidence.after < 1.25
 
 
 EFFECTS = {
@@ -88,20 +85,18 @@ EFFECTS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_a_slip_of_the_block_in_a_pass_is_no_other_block(effect):
-    for seed in range(2):
-        rng = np.random.default_rng([107, seed])
-        where, vector = of_a_pass(rng), EFFECTS[effect](rng)
-        size = np.linalg.norm(vector)
-        axis = vector / size
+    rng = np.random.default_rng([107, 0])
+    where, vector = of_a_pass(rng), EFFECTS[effect](rng)
+    size = np.linalg.norm(vector)
+    axis = vector / size
 
-        def slipped(force, _, axis=axis, size=size):
-            along = np.outer(force @ axis, axis)
-            moved = along + np.cos(size) * (force - along) + np.sin(size) * np.cross(axis, force)
-            return (moved - force) @ K.T
+    def slipped(force, _):
+        along = np.outer(force @ axis, axis)
+        moved = along + np.cos(size) * (force - along) + np.sin(size) * np.cross(axis, force)
+        return (moved - force) @ K.T
 
-        assert "another_block" not in [
-            m.name for m in find(run([108, seed], added=in_a_pass(where, slipped))).mistakes
-        ]
+    found = find(run([108, 0], added=in_a_pass(where, slipped)))
+    assert "another_block" not in [one.name for one in found.mistakes]
 
 
 @pytest.mark.slow
