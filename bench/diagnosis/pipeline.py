@@ -362,7 +362,7 @@ def _mostly_in(
     """Return in words the channel with most of the square of an effect's signature; "" if there is none."""
     if linear is None:
         return ""
-    square = (candidates.columns[:, list(variant.columns)] @ amplitudes) ** 2
+    square = (candidates.columns[:, list(variant.sizes)] @ amplitudes) ** 2
     of_channel = [float(square[linear.rows.channel == c].sum()) for c in range(len(CHANNELS))]
     most = int(np.argmax(of_channel))
     return f"mostly in channel {CHANNELS[most]}" if of_channel[most] > MOSTLY * square.sum() else ""
