@@ -164,6 +164,9 @@ def group(name: str, example: str, cls: type[CommandGroup] = CommandGroup) -> ty
     )
 
 
+_PLACEHOLDERS: Final = (ESTIMATORS_TOLD, ESTIMATORS_IN_A_BUDGET)
+
+
 class WithEstimators(BenchCommand):
     """A command whose help names the estimators.
 
@@ -174,10 +177,19 @@ class WithEstimators(BenchCommand):
         """Return the help with the names of the estimators."""
         from bench.calibration.estimators import estimators_in_words
 
-        for option in self.params:
-            if isinstance(option, TyperOption) and option.help in {ESTIMATORS_TOLD, ESTIMATORS_IN_A_BUDGET}:
+        named = [
+            option
+            for option in self.params
+            if isinstance(option, TyperOption) and option.help in _PLACEHOLDERS
+        ]
+        placeholders = [option.help for option in named]
+        try:
+            for option in named:
                 option.help = estimators_in_words(budget=option.help == ESTIMATORS_IN_A_BUDGET)
-        return super().get_help(ctx)
+            return super().get_help(ctx)
+        finally:  # a later call may know further estimators
+            for option, text in zip(named, placeholders, strict=True):
+                option.help = text
 
 
 def _writable(target: str | None) -> str | None:

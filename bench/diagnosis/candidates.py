@@ -432,14 +432,12 @@ def _starts(
         size = next(p for p in effect.parameters if p.name == start.start_of)
         spread = effect.start_spread(linear.conditions) * size.plausible
         everywhere = plausible_columns(linear, effect, start, shape, ())
-        labels = [str(m) for m in linear.conditions.mounts if m.installation not in UNORIENTED]
-        for mount in labels:
-            rows = linear.rows_in((mount,))
-            for channel, column in everywhere.items():
-                own = np.where(rows, column, 0.0) * (spread / start.plausible)
-                if np.any(own):
-                    kind = Column(start.name, channel, (mount,))
-                    index.setdefault(channel, []).append(collector.add(own, kind, spread))
+        mounts = [str(m) for m in linear.conditions.mounts if m.installation not in UNORIENTED]
+        for mount, (channel, column) in itertools.product(mounts, everywhere.items()):
+            own = np.where(linear.rows_in((mount,)), column, 0.0) * (spread / start.plausible)
+            if np.any(own):
+                kind = Column(start.name, channel, (mount,))
+                index.setdefault(channel, []).append(collector.add(own, kind, spread))
     return index
 
 

@@ -30,20 +30,22 @@ from bench.diagnosis.naming import FamilyOdds, FoundEffect, Naming, Scored, name
 from bench.diagnosis.next_measurement import Proposal, propose
 from bench.diagnosis.noise_grid import RATIOS, digit_of
 from bench.diagnosis.noise_kinds import NoiseFinding, noise_findings, noise_kinds
+from bench.diagnosis.open_parts import (
+    beside,
+    channels_of,
+    left_open,
+    starting_states,
+    with_other_shapes,
+)
 from bench.diagnosis.posterior import (
     NoiseSize,
     Posterior,
     applied_of,
-    beside,
-    channels_of,
     common_volts,
     fit_found,
     known_together,
-    left_open,
     noise_size,
     posterior,
-    starting_states,
-    with_other_shapes,
 )
 from bench.diagnosis.residual_dictionary import WITH_CHANNELS
 from bench.diagnosis.residual_model import UNNAMED_FORM, FreeForm, UnexplainedScatter, describe

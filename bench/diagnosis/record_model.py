@@ -23,7 +23,7 @@ from bench.diagnosis.candidates import Candidates, Column, Variant
 from bench.diagnosis.evidence import LOG_SIZE_WEIGHTS, SIZES
 from bench.diagnosis.levels import FAR, NEGLIGIBLE, OFTEN
 from bench.diagnosis.noise_kinds import LARGER
-from bench.diagnosis.posterior import BEYOND, Shape
+from bench.diagnosis.open_parts import BEYOND, Shape
 from bench.model.conditions import Conditions
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Seen
 from bench.model.geometry import Block

@@ -15,8 +15,9 @@ from bench.diagnosis.candidates import Candidates, Variant
 from bench.diagnosis.evidence import SEED, Scores, Threshold, fit_tail
 from bench.diagnosis.levels import INSEPARABLE, OFTEN
 from bench.diagnosis.naming import MOST_EFFECTS, FoundEffect, Naming, holding, ranked_odds
+from bench.diagnosis.open_parts import Shape
 from bench.diagnosis.pipeline import effects_of
-from bench.diagnosis.posterior import Posterior, Shape
+from bench.diagnosis.posterior import Posterior
 from bench.diagnosis.record_model import MOVE, Noise, NoiseTrials, Record, courses_of, solved
 from bench.diagnosis.result import NamedEffect
 from bench.model.effects import CATALOGUE

@@ -29,13 +29,8 @@ from bench.diagnosis.noise_grid import (
     with_rounding,
 )
 from bench.diagnosis.noise_kinds import LOG_PRIOR, log_density, log_null, noise_hypotheses
-from bench.diagnosis.posterior import (
-    applied_of,
-    beside,
-    fit_found,
-    noise_size,
-    with_other_shapes,
-)
+from bench.diagnosis.open_parts import beside, with_other_shapes
+from bench.diagnosis.posterior import applied_of, fit_found, noise_size
 from bench.model.forward import ForwardModel
 from bench.model.geometry import Block
 from bench.readings.table import Readings

@@ -151,10 +151,10 @@ def test_a_fit_returns_the_truth_where_the_run_determines_it(name):
     values = some_values(chosen, np.random.default_rng(NAMES.index(name)))
     truth = AppliedEffect(chosen, values, installations=mountings)
     signal = ForwardModel(INSTALLATIONS, (truth,)).readings(BLOCK, conditions, stand)
-    shapes = {p.name: values[p.name] for p in chosen.parameters if p.is_shape}
-    model = ForwardModel(INSTALLATIONS, (AppliedEffect(chosen, shapes, installations=mountings),))
+    held = {p.name: values[p.name] for p in chosen.parameters if not p.is_size}
+    model = ForwardModel(INSTALLATIONS, (AppliedEffect(chosen, held, installations=mountings),))
     problem = make_problem(model, conditions, {})
-    assert {e.parameter for e in problem.effects} == set(values) - set(shapes)
+    assert {e.parameter for e in problem.effects} == set(values) - set(held)
 
     plausible = {p.name: p.plausible for p in chosen.parameters}
     scale = np.concatenate([np.ones(FIXED), [plausible[e.parameter] for e in problem.effects]])
