@@ -237,7 +237,11 @@ def lead(diagnosis: AnyDiagnosis) -> str:
 def closed_in_words(
     part: float | None, before_g: float, after_g: float, noise_g: float, unit: str = "g"
 ) -> str:
-    """Return how far a gap closes: "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)"."""
+    """Return how far a gap closes: "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)".
+
+    `part` is of the reduced chi-square, which weighs each reading by u of its prediction. The root mean square
+    (`before_g`, `after_g`) does not, and may rise if few held-out readings have uncertain predictions.
+    """
     before, after, noise = (
         micro_g(v) if unit == "g" else quantity(v, unit) for v in (before_g, after_g, noise_g)
     )
@@ -246,7 +250,13 @@ def closed_in_words(
         return message(f"gap {sizes}, no larger than chance before")
     if part <= 0.0:
         return message(f"gap not closed, {sizes}")
-    return message(f"gap closed {min(100.0 * part, 100.0):.0f} %, {sizes}")
+    closed = f"{min(100.0 * part, 100.0):.0f}"
+    if after_g > before_g:
+        return message(
+            f"gap closed {closed} % by chi-square; rms from {before} to {after} "
+            f"(noise and u of the prediction: {noise})"
+        )
+    return message(f"gap closed {closed} %, {sizes}")
 
 
 def micro_g(value_g: float) -> str:

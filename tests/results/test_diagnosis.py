@@ -12,6 +12,7 @@ from bench.diagnosis import NamedEffect
 from bench.diagnosis.result import EffectValue
 from bench.readings.csv import write_csv
 from bench.results.diagnosis_words import (
+    closed_in_words,
     effect_title,
     micro_g,
     parameters_in_words,
@@ -166,3 +167,12 @@ def test_parameters_read_as_a_person_writes_them():
     assert effect_title(mounting) == "mounting_error in installation 1"
     assert list(parameters_in_words(mounting)) == ["angle in installation 1 = 93.2 ± 4.1″ (u)"]
     assert unit_in_print("ug/g^3") == "µg/g³"
+
+
+def test_a_headline_does_not_claim_a_smaller_rms_than_the_details_show():
+    assert closed_in_words(0.99, 412e-6, 9e-6, 8.8e-6) == (
+        "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)"
+    )
+    assert closed_in_words(0.97, 20e-6, 27e-6, 26e-6) == (
+        "gap closed 97 % by chi-square; rms from 20 µg to 27 µg (noise and u of the prediction: 26 µg)"
+    )
