@@ -478,7 +478,7 @@ def evidence_in_words(full: FullDiagnosis, file_of_copy: Path | None) -> dict[st
             f"1 expected; p after {gap.p_after:.2g}; root mean square {micro_g(gap.before_rms_g)} before, "
             f"{micro_g(gap.after_rms_g)} after"
         )
-    if full.shown.after is not None:
+    if full.shown.after is not None and np.isfinite(full.shown.after.test.p):
         evidence["simulation"] = f"p of the readings under the model {full.shown.after.test.p:.2g}"
     evidence["threshold"] = f"ln odds {diagnosis.registered.threshold:.3f}"
     evidence["registered"] = diagnosis.registered.sha256
