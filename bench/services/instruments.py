@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import Any, Final
 
 from bench.base.arrays import ARCSEC
 from bench.base.computing import versions
@@ -23,7 +23,7 @@ from bench.results.records import (
     render_commissioning,
 )
 from bench.run.assembly.served import dry_evening, real_bench, real_evening
-from bench.run.commission.course import go_through
+from bench.run.commission.course import HasScale, go_through
 from bench.run.commission.session import CommissioningSession, SessionEnded, status_of
 from bench.run.instruments import leave_safe
 from bench.run.interrupts import Interrupts
@@ -56,15 +56,6 @@ _LONGEST_S: Final = 180.0
 _BY_HAND: Final = "manual"
 _NO_TEST: Final = "none"
 _PASSED: Final = "passed"
-
-
-@runtime_checkable
-class _HasScale(Protocol):
-    """A head whose angle can be read back without a move."""
-
-    def position_rad(self) -> float:
-        """Return the angle read back."""
-        ...
 
 
 class Nobody:
@@ -225,7 +216,7 @@ def _read(instrument: Instrument, row: InstrumentLook, range_v: float) -> None:
         found = instrument.inclination("instruments", turned=False)
         row.value = {"along": found.along_rad, "across": found.across_rad}
         row.shows = ", ".join(f"{axis} {value / ARCSEC:+.1f} arcsec" for axis, value in row.value.items())
-    elif isinstance(instrument, _HasScale):
+    elif isinstance(instrument, HasScale):
         row.value = instrument.position_rad()
         row.shows = format_dms(row.value)
 

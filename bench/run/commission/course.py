@@ -26,7 +26,7 @@ PAUSE_S: Final = 2.0
 
 
 @runtime_checkable
-class _HasScale(Protocol):
+class HasScale(Protocol):
     """A head that can report its angle without moving."""
 
     def position_rad(self) -> float:
@@ -119,7 +119,7 @@ def _look(evening: CommissioningSession, instrument: Instrument) -> Callable[[],
         return partial(instrument.temperature, "commission/cable", settling=True)
     if isinstance(instrument, PowerSupply):
         return partial(instrument.state, "commission/cable")
-    if isinstance(instrument, _HasScale):
+    if isinstance(instrument, HasScale):
         return instrument.position_rad
     return instrument.open
 

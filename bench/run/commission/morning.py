@@ -15,7 +15,7 @@ from bench.base.text import degrees
 from bench.config.devices.sections import HeadForm, MotorisedHeadForm
 from bench.readings.reading import Reading
 from bench.run.commission import meters
-from bench.run.commission.course import BENCH, IDENTITY, who
+from bench.run.commission.course import BENCH, IDENTITY, HasScale, who
 from bench.run.commission.devices import MANUAL_WAY_RAD
 from bench.run.commission.session import CommissioningSession, Figure, Finding, SessionEnded, Skipped, State
 from bench.run.expectation import ReadingJudgement
@@ -134,15 +134,6 @@ class _TurnedByPerson(Protocol):
         ...
 
 
-@runtime_checkable
-class _WithScale(Protocol):
-    """A head whose angle can be read without moving it."""
-
-    def position_rad(self) -> float:
-        """Return the angle read back, rad."""
-        ...
-
-
 @dataclass(frozen=True)
 class _Stand:
     """The head at rest near `target_rad`: the angle read, rad, and the three signals there, V."""
@@ -232,7 +223,7 @@ def _at_home(evening: CommissioningSession, stands: list[_Stand]) -> Finding:
     angle_rad = math.inf
     if isinstance(head, _TurnedByPerson):
         angle_rad = head.stands_at(f"{KEY}-0")
-    elif isinstance(head, _WithScale):
+    elif isinstance(head, HasScale):
         angle_rad = wrapped_rad(head.position_rad())
     if not isinstance(form, HeadForm) or abs(angle_rad) > form.tolerance:
         angle_rad = head.move(0.0, 1, f"{KEY}-1").angle_rad
@@ -246,7 +237,7 @@ def _there_and_back(evening: CommissioningSession, home_rad: float, returned_rad
     if isinstance(head, _TurnedByPerson):
         position = head.return_to(home_rad, 1, f"{KEY}-2", by_way_of_rad=MANUAL_WAY_RAD)
     else:
-        if not isinstance(head, _WithScale):  # an encoder itself sees that the head leaves its angle
+        if not isinstance(head, HasScale):  # an encoder itself sees that the head leaves its angle
             head.move(MANUAL_WAY_RAD, 1, f"{KEY}-2")
         position = head.move(home_rad, 1, f"{KEY}-3")
     returned_rad.append(position.angle_rad)
