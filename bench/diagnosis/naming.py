@@ -199,6 +199,8 @@ class Scored:
 
 FARTHEST_START: Final = 3.0
 """Largest starting state of a mounting, in its standard deviations for the size found, beside twice its u."""
+NEAR_BEST: Final = 10.0
+"""Only forms whose ln of the evidence is within this of the largest are examined: others weigh below 5e-5."""
 
 
 def _with_tied_starts(search: Search, left: Data, scores: Scores) -> Scores:
@@ -209,7 +211,7 @@ def _with_tied_starts(search: Search, left: Data, scores: Scores) -> Scores:
     """
     candidates = search.whitened.candidates
     evidence, ratio = scores.variants.copy(), int(np.argmax(scores.ratio[:, 0]))
-    for number in np.flatnonzero(evidence[:, 0] > max(evidence[:, 0].max() - 10.0, 0.0)):
+    for number in np.flatnonzero(evidence[:, 0] > max(evidence[:, 0].max() - NEAR_BEST, 0.0)):
         variant = candidates.variants[number]
         if not variant.starts:
             continue

@@ -112,7 +112,7 @@ UNEXPECTED_K: Final = 5.0
 
 
 @dataclass(frozen=True)
-class MakeSure:
+class TemperatureCheck:
     """Asks a person about a temperature that was entered far from what is expected, °C.
 
     Expected is `last_c`, the temperature entered before, else `demanded_c`, the set point, else a room.
@@ -140,40 +140,43 @@ class MakeSure:
 
     def _question(self, shown_c: float) -> str:
         """Return the question about a temperature, empty if it is expected."""
-        if self.last_c is not None and abs(off_k := shown_c - self.last_c) > UNEXPECTED_K:
-            return message(
-                f"{shown_c:g} °C: {abs(off_k):.3g} °C from the {self.last_c:g} °C read before. Is that right?"
-            )
         if self.last_c is not None:
+            expected_c, within_k = self.last_c, UNEXPECTED_K
+        elif self.demanded_c is not None:
+            expected_c, within_k = self.demanded_c, UNEXPECTED_K
+        else:
+            expected_c, within_k = ROOM_C, ROOM_K
+        off_k = abs(shown_c - expected_c)
+        if off_k <= within_k:
             return ""
-        if self.demanded_c is not None and abs(off_k := shown_c - self.demanded_c) > UNEXPECTED_K:
+        if self.last_c is not None:
             return message(
-                f"{shown_c:g} °C: {abs(off_k):.3g} °C from the {self.demanded_c:g} °C set. Is that right?"
+                f"{shown_c:g} °C: {off_k:.3g} °C from the {expected_c:g} °C read before. Is that right?"
             )
-        if self.demanded_c is None and abs(off_k := shown_c - ROOM_C) > ROOM_K:
-            return message(
-                f"{shown_c:g} °C: {abs(off_k):.3g} °C from the {ROOM_C:g} °C of a usual room. Is that right?"
-            )
-        return ""
+        if self.demanded_c is not None:
+            return message(f"{shown_c:g} °C: {off_k:.3g} °C from the {expected_c:g} °C set. Is that right?")
+        return message(
+            f"{shown_c:g} °C: {off_k:.3g} °C from the {expected_c:g} °C of a usual room. Is that right?"
+        )
 
 
-def told_at_mounting(instruments: Instruments, key: str, sure: MakeSure) -> float | None:
+def told_at_mounting(instruments: Instruments, key: str, check: TemperatureCheck) -> float | None:
     """Return the block's temperature, °C, that a person enters at a mounting; None if no person enters it.
 
-    `sure` asks about an unexpected temperature. Raises `BenchError`.
+    `check` asks about an unexpected temperature. Raises `BenchError`.
     """
     chamber, thermometer = instruments.chamber, instruments.thermometer
     if thermometer is not None:
-        return sure(thermometer.block_c, key) if thermometer.asks_person else None
-    return sure(chamber.temperature, key) if chamber is not None and chamber.asks_person else None
+        return check(thermometer.block_c, key) if thermometer.asks_person else None
+    return check(chamber.temperature, key) if chamber is not None and chamber.asks_person else None
 
 
 def told_at_reading(
-    instruments: Instruments, known_c: float | None, key: str, sure: MakeSure
+    instruments: Instruments, known_c: float | None, key: str, check: TemperatureCheck
 ) -> tuple[float | None, float | None]:
     """Return the temperatures of block and chamber air, °C; the second is None if only one is measured.
 
-    `known_c` is the block's temperature, if known; a person is then not asked for it. `sure` asks about an
+    `known_c` is the block's temperature, if known; a person is then not asked for it. `check` asks about an
     unexpected temperature that a person enters. Raises `BenchError`.
     """
     chamber, thermometer = instruments.chamber, instruments.thermometer
@@ -182,7 +185,7 @@ def told_at_reading(
         return thermometer.block_c(key), air_c
     if thermometer is None and air_c is not None:
         return air_c, None
-    return told_at_mounting(instruments, key, sure) if known_c is None else known_c, air_c
+    return told_at_mounting(instruments, key, check) if known_c is None else known_c, air_c
 
 
 def told_around(
@@ -190,18 +193,18 @@ def told_around(
     known: Mapping[str, float],
     air_c: float | None,
     key: str,
-    sure: Callable[[str], MakeSure],
+    check: Callable[[str], TemperatureCheck],
 ) -> dict[str, float]:
     """Return the temperatures of meters and room, °C, by column; `air_c` is the chamber's air, if known.
 
-    `known` holds values already entered in this mounting; a person is not asked for them again. `sure` of a
+    `known` holds values already entered in this mounting; a person is not asked for them again. `check` of a
     column asks about an unexpected temperature that a person enters. Raises `BenchError`.
     """
 
     def told(column: str, by: interfaces.Thermometer) -> float:
         if not by.asks_person:
             return by.block_c(key)
-        return known[column] if column in known else sure(column)(by.block_c, key)
+        return known[column] if column in known else check(column)(by.block_c, key)
 
     by_column = {
         column: air_c if by == "chamber" else told(column, by) for column, by in instruments.around.items()

@@ -41,7 +41,13 @@ from bench.run.events import (
     TemperatureSet,
     Turned,
 )
-from bench.run.instruments import Instruments, MakeSure, told_around, told_at_mounting, told_at_reading
+from bench.run.instruments import (
+    Instruments,
+    TemperatureCheck,
+    told_around,
+    told_at_mounting,
+    told_at_reading,
+)
 from bench.run.person import UNTOUCHED, ask, confirm, mount_prompt, untouched_prompt
 from bench.run.power import Feeding, UnitPower, warm_up
 from bench.run.samples import SLOW_AFTER_S, ChamberWatch, Criterion, Settling, describe, wait_until_settled
@@ -294,11 +300,11 @@ class Workbench:
         """Ask the person to mount the block, and to enter the temperatures that no instrument measures."""
         confirm(self.person, mount_prompt(step, chamber=self.instruments.chamber is not None))
         self._position = None
-        sure = MakeSure(self.person, self.temperature_c, self.demanded_c)
-        self.temperature_c = told_at_mounting(self.instruments, step.key, sure)
+        check = TemperatureCheck(self.person, self.temperature_c, self.demanded_c)
+        self.temperature_c = told_at_mounting(self.instruments, step.key, check)
         by_person = {c: by for c, by in self.instruments.around.items() if by != "chamber" and by.asks_person}
         around = replace(self.instruments, around=by_person)
-        self._around_c = told_around(around, {}, None, step.key, self._sure_around)
+        self._around_c = told_around(around, {}, None, step.key, self._check_around)
         if self.power is not None and self.power.on and self.power.supply.asks_person:
             self.power.look(step.key)
         return Mounted(self.temperature_c)
@@ -521,10 +527,12 @@ class Workbench:
         A person is asked only once after each mounting and each new set point. Raises `LimitExceeded` if the
         block is outside its permitted temperatures; this stops the run and makes the chamber safe.
         """
-        sure = MakeSure(self.person, demanded_c=self.demanded_c)
-        self.temperature_c, self._chamber_c = told_at_reading(self.instruments, self.temperature_c, key, sure)
+        check = TemperatureCheck(self.person, demanded_c=self.demanded_c)
+        self.temperature_c, self._chamber_c = told_at_reading(
+            self.instruments, self.temperature_c, key, check
+        )
         air_c = self.temperature_c if self.instruments.thermometer is None else self._chamber_c
-        self._around_c = told_around(self.instruments, self._around_c, air_c, key, self._sure_around)
+        self._around_c = told_around(self.instruments, self._around_c, air_c, key, self._check_around)
         low_c, high_c = self.bench.block_limits_c
         if self.temperature_c is not None and not low_c <= self.temperature_c <= high_c:
             raise LimitExceeded(
@@ -533,8 +541,8 @@ class Workbench:
                 "find out why the chamber went there, then continue",
             )
 
-    def _sure_around(self, column: str) -> MakeSure:
-        return MakeSure(self.person, self._around_c.get(column))
+    def _check_around(self, column: str) -> TemperatureCheck:
+        return TemperatureCheck(self.person, self._around_c.get(column))
 
     @staticmethod
     def _sample(meters: Sequence[Voltmeter]) -> dict[str, tuple[float, ...]]:

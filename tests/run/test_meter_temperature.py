@@ -12,7 +12,7 @@ from bench.config.shipped import find_bench
 from bench.diagnosis.candidates import KnownBench
 from bench.readings.csv import read_csv
 from bench.run.folder import Run
-from bench.run.instruments import Instruments, MakeSure, told_around
+from bench.run.instruments import Instruments, TemperatureCheck, told_around
 from drivers.instruments.manual import ManualThermometer
 from drivers.person import Answer
 
@@ -83,12 +83,12 @@ def test_a_person_is_asked_once_per_mounting_and_the_chamber_is_read_already():
     )
     around = Instruments((), None, around={"meter_temperature_c": by_hand, "room_c": "chamber"})
 
-    def sure(column):
-        return MakeSure(SimpleNamespace(ask=answer))
+    def check(column):
+        return TemperatureCheck(SimpleNamespace(ask=answer))
 
-    told = told_around(around, {}, None, "1/mount", sure)
+    told = told_around(around, {}, None, "1/mount", check)
     assert told == {"meter_temperature_c": 24.5}
-    assert told_around(around, told, 40.0, "1/read", sure) == {"meter_temperature_c": 24.5, "room_c": 40.0}
+    assert told_around(around, told, 40.0, "1/read", check) == {"meter_temperature_c": 24.5, "room_c": 40.0}
     assert [(key, action) for key, _, action in asked] == [
         ("1/mount/meter_thermometer#1", {"do": "read_temperature", "of": "meter"})
     ]

@@ -2,7 +2,13 @@
 
 import pytest
 
-from bench.run.instruments import Instruments, MakeSure, told_around, told_at_mounting, told_at_reading
+from bench.run.instruments import (
+    Instruments,
+    TemperatureCheck,
+    told_around,
+    told_at_mounting,
+    told_at_reading,
+)
 from drivers.instruments.manual import ManualChamber, ManualThermometer
 from drivers.person import Answer, PromptKind
 
@@ -46,7 +52,7 @@ def thermometer(person: Typing, of: str = "block") -> ManualThermometer:
 )  # fmt: skip
 def test_an_unexpected_temperature_is_asked_about_once(typed, before, doubt):
     person = Typing(typed, "yes")
-    found_c = told_at_mounting(chamber(person), "3/mount", MakeSure(person, **before))
+    found_c = told_at_mounting(chamber(person), "3/mount", TemperatureCheck(person, **before))
     assert found_c == float(typed.replace(",", "."))
     assert person.doubts == [doubt]
     assert person.asked[1].default is None  # Enter alone confirms nothing
@@ -58,7 +64,7 @@ def test_an_unexpected_temperature_is_asked_about_once(typed, before, doubt):
 )  # fmt: skip
 def test_an_expected_temperature_is_not_asked_about(typed, before):
     person = Typing(typed)
-    assert told_at_reading(chamber(person), None, "4/read", MakeSure(person, **before)) == (
+    assert told_at_reading(chamber(person), None, "4/read", TemperatureCheck(person, **before)) == (
         float(typed),
         None,
     )
@@ -68,7 +74,7 @@ def test_an_expected_temperature_is_not_asked_about(typed, before):
 def test_after_no_the_temperature_is_typed_again():
     person = Typing("44", "no", "33.2", "no", "23.2")
     block = Instruments((), None, thermometer=thermometer(person))
-    assert told_at_mounting(block, "3/mount", MakeSure(person, 23.0)) == 23.2
+    assert told_at_mounting(block, "3/mount", TemperatureCheck(person, 23.0)) == 23.2
     assert len(person.doubts) == 2
     ids = [prompt.id for prompt in person.asked]
     assert ids[0] == "3/mount/thermometer#1"
@@ -80,7 +86,11 @@ def test_room_and_meters_are_compared_with_what_was_typed_before():
     around = {"meter_temperature_c": thermometer(person, "meter"), "room_c": thermometer(person, "room")}
     before = {"meter_temperature_c": 23.5}
     told = told_around(
-        Instruments((), None, around=around), {}, None, "5/mount", lambda c: MakeSure(person, before.get(c))
+        Instruments((), None, around=around),
+        {},
+        None,
+        "5/mount",
+        lambda c: TemperatureCheck(person, before.get(c)),
     )
     assert told == {"meter_temperature_c": 23.0, "room_c": 24.0}
     assert person.doubts == ["32 °C: 8.5 °C from the 23.5 °C read before. Is that right?"]
