@@ -62,7 +62,7 @@ class RunPart(ResultModel):
     readings: int
     verdict: str | None = Field(
         description="verdict at the run's own verification points: passed, conditional pass, conditional "
-        "fail, failed, inconclusive or not complete; null if there is none"
+        "fail, failed, inconclusive, not complete or does not fit; null if there is none"
     )
     to_go_on: str = Field(description="command that resumes the run; empty if nothing is left to do")
 
