@@ -27,7 +27,9 @@ def test_coefficients_of_another_block_are_refused(bench, run):
     told = json.loads(Path("runs/run/calibrate.json").read_text())
     told["unit_under_test"]["serial"] = "7"
     Path("other.json").write_text(json.dumps(told))
-    refused(bench("verify", "run", "--coefficients", "other.json"), "of block 'triaxial block of the paper 7'")
+    refused(
+        bench("verify", "run", "--coefficients", "other.json"), "of block 'triaxial block of the paper 7'"
+    )
 
 
 @pytest.mark.slow
