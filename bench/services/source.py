@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
+import numpy as np
+
+from bench.base.arrays import Floats
 from bench.base.computing import versions
 from bench.base.languages import message
 from bench.base.text import civil_minute, repeated, shown_path
@@ -273,7 +277,7 @@ def _load(given: Given, request: Request) -> Source:
     if learned.meters is not None:
         traced = replace(traced, by=traced.by.then(learned.meters.gain, learned.meters.offset_v))
         readings = corrected(as_read, traced.by)
-    notes += _on_power(own, readings)
+    notes += (*_on_power(own, readings), *_on_copies(as_read))
     readings = replace(readings, notes=(*notes, *learned.notes, *traced.notes(), *readings.notes))
     name = given if isinstance(given, str) else readings.source
     return Source(
@@ -291,6 +295,33 @@ def _on_power(own: Iterable[Effect], readings: Readings) -> tuple[str, ...]:
         f"these readings do not say when the block was switched on (column {SINCE_POWER_ON_S}): "
         f"{SINCE_POWER_ON} of {', '.join(names)} counts from the start of the run",
     )
+
+
+FINE: Final = 1e-5
+"""Largest step of the last digit, as a fraction of the largest signal, at which repeats differ by their noise."""
+LEAST_COPIED: Final = 3
+"""Least number of points that two passes must have in common to count as copies."""
+
+
+def _on_copies(readings: Readings) -> Iterator[str]:
+    """Yield a note for each pass whose signals equal those of an earlier pass of its installation in every digit."""
+    if readings.resolution > FINE * np.max(np.abs(readings.signal), initial=0.0):
+        return
+    passes: dict[tuple[str, int, int], dict[int, Floats]] = {}
+    rows = zip(readings.installation, readings.series, readings.pass_number, readings.point, strict=True)
+    for row, (installation, series, number, point) in enumerate(rows):
+        own = passes.setdefault((str(installation), int(series), int(number)), {})
+        own[int(point)] = readings.signal[row]
+    for later, earlier in combinations(reversed(passes), 2):
+        common = passes[later].keys() & passes[earlier].keys() if later[0] == earlier[0] else ()
+        if len(common) >= LEAST_COPIED and all(
+            np.array_equal(passes[later][at], passes[earlier][at]) for at in common
+        ):
+            copy, original = (f"pass {number} of series {series}" for _, series, number in (later, earlier))
+            yield (
+                f"{copy} in installation {later[0]} equals {original} in every digit: copied rows are no repeats "
+                "and make u too small; delete the copy"
+            )
 
 
 def _learned(
