@@ -215,6 +215,11 @@ class _Rows:
             return self._since_begin(column, cell)
         if not cell and name != TIME:
             return math.nan
+        if self.mapping.decimal == "," and "." in cell:
+            raise ValueError(
+                f"column {column}: the point in {shortened(cell)!r} may separate thousands; "
+                "remove it, or state decimal: '.'"
+            )
         text = cell.replace(",", ".") if self.mapping.decimal == "," else cell
         try:
             value = read_number(text) * self._factor[name]

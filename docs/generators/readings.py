@@ -106,9 +106,10 @@ _LOGS: Final = """\
 `bench import LOG --columns MAPPING.yaml` makes a readings file of a log
 ([example](../real-records.md#use-your-own-log)). The log is UTF-8 text with one header line and one line for
 each row. Lines that begin with `comment` are ignored, also before the header. With `decimal: ","` numbers have
-a decimal comma; the separator must then be another character. The program lists a cell
-that is no number with line and column, and imports nothing; `--skip-bad-rows` leaves such rows out. An empty cell
-stays empty, but a time is required. Without `time_format` times are numbers; with `iso` or a format of `strptime`
+a decimal comma; the separator must then be another character. Numbers must not have separators of thousands: with
+`decimal: ","` a point is refused, otherwise a comma. The program lists a cell that is no number with line and
+column, and imports nothing; `--skip-bad-rows` leaves such rows out. An empty cell stays empty, but a time is
+required. Without `time_format` times are numbers; with `iso` or a format of `strptime`
 they become seconds since the first row.
 """
 

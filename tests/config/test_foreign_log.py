@@ -87,3 +87,17 @@ def test_a_log_is_previewed_and_imported_with_its_mapping(bench, tmp_path):
     folder = tmp_path / "runs/bath"
     assert (folder / "columns.yaml").read_text() == MAPPING
     assert "reference_sd_v" in (folder / "readings.csv").read_text()
+
+
+@pytest.mark.parametrize("column", ["time_s: t, ux_v: v", "time_s: v, ux_v: t"])
+def test_a_point_in_a_number_with_decimal_comma_is_refused(tmp_path, column):
+    rows = f'log_columns: 1\nseparator: ";"\ndecimal: ","\ncolumns: {{{column}}}\n'
+    with pytest.raises(ReadingsError, match=r"line 3, column v: the point in '25\.340' may separate") as told:
+        convert_log(Path("log"), b"t;v\n0;25338,0\n1;25.340\n", mapping(tmp_path, rows))
+    assert "line 2" not in str(told.value)
+
+
+def test_a_comma_in_a_number_with_decimal_point_is_refused(tmp_path):
+    rows = 'log_columns: 1\nseparator: ";"\ncolumns: {time_s: t, ux_v: v}\n'
+    with pytest.raises(ReadingsError, match="log, line 2, column v: expected a number, got '25,340'"):
+        convert_log(Path("log"), b"t;v\n0;25,340\n", mapping(tmp_path, rows))
