@@ -78,15 +78,22 @@ class LogColumns(FileModel):
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield place and sentence for each unit of the log that does not fit the column of the readings file."""
+        """Yield place and sentence for a unit that does not fit its column, and a column that a mean has twice."""
         columns = data.get("columns") if isinstance(data, dict) else None
         for name, value in columns.items() if isinstance(columns, dict) else ():
             unit = value.get("unit") if isinstance(value, dict) else None
+            listed = value.get("columns") if isinstance(value, dict) else value
+            for one in _repeated(listed) if isinstance(listed, list) else ():
+                yield ("columns", name), f"the mean has the column {shortened(str(one))} twice; list it once"
             if isinstance(unit, str):
                 try:
                     _factor(name, unit)
                 except ValueError as problem:
                     yield ("columns", name, "unit"), str(problem)
+
+
+def _repeated(names: Sequence[Any]) -> list[Any]:
+    return [name for k, name in enumerate(names) if names.index(name) < k]
 
 
 def _factor(name: str, unit: str | None) -> float:
@@ -172,12 +179,18 @@ def convert_log(
 
 
 def _require(path: Path, header: Sequence[str], mapping: LogColumns) -> None:
+    """Raise `ReadingsError` unless the header has each column that is mapped exactly once."""
     wanted = [name for column in mapping.columns.values() for name in column.columns]
     missing = [name for name in dict.fromkeys(wanted) if name not in header]
     if missing:
         raise ReadingsError(
             f"{path}, line 1: the header lacks {', '.join(missing)}; the log has {', '.join(header)}"
         )
+    for name in wanted:
+        if len(at := [str(k) for k, one in enumerate(header, start=1) if one == name]) > 1:
+            raise ReadingsError(
+                f"{path}, line 1: columns {' and '.join(at)} have the same name {name}; give each a name of its own"
+            )
 
 
 class _Rows:

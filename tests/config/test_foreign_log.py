@@ -101,3 +101,16 @@ def test_a_comma_in_a_number_with_decimal_point_is_refused(tmp_path):
     rows = 'log_columns: 1\nseparator: ";"\ncolumns: {time_s: t, ux_v: v}\n'
     with pytest.raises(ReadingsError, match="log, line 2, column v: expected a number, got '25,340'"):
         convert_log(Path("log"), b"t;v\n0;25,340\n", mapping(tmp_path, rows))
+
+
+def test_two_columns_of_the_wanted_name_are_refused(tmp_path):
+    log, rows = b"t,v,n,v,n\n0,1,2,3,4\n", "log_columns: 1\ncolumns: {time_s: t, ux_v: v}\n"
+    with pytest.raises(ReadingsError, match="log, line 1: columns 2 and 4 have the same name v"):
+        convert_log(Path("log"), log, mapping(tmp_path, rows))
+
+
+@pytest.mark.parametrize("mean", ["[v, w, v]", "{columns: [v, w, v], unit: V}"])
+def test_a_mean_with_a_column_twice_is_a_mistake_at_its_line(tmp_path, mean):
+    rows = f"log_columns: 1\ncolumns:\n  time_s: t\n  ux_v: {mean}\n"
+    with pytest.raises(FileMistakes, match=r"columns.yaml:4: columns\.ux_v: the mean has the column v twice"):
+        mapping(tmp_path, rows)
