@@ -31,9 +31,14 @@ from bench.base.text import shortened
 from bench.base.units import plain_unit, unit_of
 from bench.base.yaml_files import FileModel, Place
 from bench.readings.csv import LISTED_AT_ONCE, ReadingsError
+from bench.readings.table import REFERENCE_SD_V, REFERENCE_V, UNITS
 
 SUFFIXES: Final[Mapping[str, str]] = {"_v": "V", "_s": "s", "_a": "A"}
 """The SI unit of a column of a readings file, by its suffix; other columns are not converted."""
+SCATTER: Final[Mapping[str, str]] = {REFERENCE_V: REFERENCE_SD_V} | {
+    f"u{axis}_{unit}": f"u{axis}_sd_{unit}" for axis in "xyz" for unit in UNITS
+}
+"""The columns of a readings file that have a column of scatter, with its name."""
 TIME: Final = "time_s"
 KELVIN: Final = 273.15
 MOST_PREVIEWED: Final = 5
@@ -53,6 +58,7 @@ def _listed(value: Any) -> Any:
 class LogColumn(FileModel):
     """Columns of a log; their mean becomes one column of the readings file.
 
+    The scatter of several columns is kept for a signal (`ux_sd_v`) and for `reference_v` (`reference_sd_v`) alone.
     `unit` is the unit in the log. `add`, in the unit of the readings file, is added to the mean.
     """
 
@@ -202,11 +208,12 @@ class _Rows:
         self._at = {
             name: [header.index(c) for c in column.columns] for name, column in mapping.columns.items()
         }
-        self._scatter = [name for name, at in self._at.items() if len(at) > 1]
+        self._scatter = {
+            name: sd for name, at in self._at.items() if len(at) > 1 and (sd := SCATTER.get(name))
+        }
         self._factor = {name: _factor(name, column.unit) for name, column in mapping.columns.items()}
         self._began: float | None = None
-        sd = [name.replace("_v", "_sd_v") for name in self._scatter]
-        self.names = [*mapping.constants, *mapping.columns, *sd]
+        self.names = [*mapping.constants, *mapping.columns, *self._scatter.values()]
 
     def row(self, cells: Sequence[str]) -> list[str]:
         """Return the cells of one row. Raises `ValueError` that names the first wrong cell."""

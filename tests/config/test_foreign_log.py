@@ -114,3 +114,14 @@ def test_a_mean_with_a_column_twice_is_a_mistake_at_its_line(tmp_path, mean):
     rows = f"log_columns: 1\ncolumns:\n  time_s: t\n  ux_v: {mean}\n"
     with pytest.raises(FileMistakes, match=r"columns.yaml:4: columns\.ux_v: the mean has the column v twice"):
         mapping(tmp_path, rows)
+
+
+def test_a_mean_of_thermometers_is_imported_and_only_signals_and_references_have_scatter(bench, tmp_path):
+    (tmp_path / "log.csv").write_text("t,v,w,ta,tb,p,q\n0,1,3,20,22,15,16\n1,2,4,21,23,15,16\n")
+    columns = "{time_s: t, ux_v: [v, w], meter_temperature_c: [ta, tb], rail_p15_v: [p, q]}"
+    constants = "{installation: R, reference_v: 1}"
+    mapping(tmp_path, f"log_columns: 1\ncolumns: {columns}\nconstants: {constants}\n")
+    assert bench("import", "log.csv", "--columns", "columns.yaml", "--name", "two")[0] in (0, None)
+    header, first, *_ = (tmp_path / "runs/two/readings.csv").read_text().splitlines()
+    assert header == "installation,reference_v,time_s,ux_v,meter_temperature_c,rail_p15_v,ux_sd_v"
+    assert first.startswith("R,1,0.0,2.0,21.0,15.5,1.414")
