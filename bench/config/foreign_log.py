@@ -26,6 +26,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import BeforeValidator, Field
 
+from bench.base.arrays import HOUR, MINUTE
 from bench.base.numbers import read_number
 from bench.base.text import shortened
 from bench.base.units import plain_unit, unit_of
@@ -140,8 +141,9 @@ def convert_log(
 ) -> ConvertedLog:
     """Return a log converted to a readings file; times count from the first row of the log.
 
-    Raises `ReadingsError` with file, line and column for a column that the log lacks and for every cell that is
-    no number (the first 20, then a count); with `skip_bad_rows` such rows are left out.
+    Raises `ReadingsError` with file, line and column for a column that the log lacks, for an hour that a clock
+    repeated, and for every cell that is no number (the first 20, then a count); with `skip_bad_rows` rows with
+    such cells are left out.
     """
     try:
         text = content.decode("utf-8-sig")
@@ -171,6 +173,8 @@ def convert_log(
     for (number, _), cells in zip(lines[1:], rows[1:], strict=True):
         try:
             made.append(reader.row(cells))
+        except _HourRepeatedError as problem:
+            raise ReadingsError(f"{path}, line {number}, {problem}") from None
         except ValueError as problem:
             bad.append(f"{path}, line {number}, {problem}")
     if bad and not (skip_bad_rows and made):
@@ -199,6 +203,10 @@ def _require(path: Path, header: Sequence[str], mapping: LogColumns) -> None:
             )
 
 
+class _HourRepeatedError(Exception):
+    """Local time goes back as if a clock was put back: all times after it may be an hour too early."""
+
+
 class _Rows:
     """The conversion of rows of a log."""
 
@@ -213,6 +221,7 @@ class _Rows:
         }
         self._factor = {name: _factor(name, column.unit) for name, column in mapping.columns.items()}
         self._began: float | None = None
+        self._latest = -math.inf
         self.names = [*mapping.constants, *mapping.columns, *self._scatter.values()]
 
     def row(self, cells: Sequence[str]) -> list[str]:
@@ -257,5 +266,11 @@ class _Rows:
         except ValueError:
             raise ValueError(f"column {column}: expected a time as {form}, got {shortened(cell)!r}") from None
         seconds = (at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp()
+        back, self._latest = self._latest - seconds, seconds
+        if at.tzinfo is None and HOUR / 2 <= back <= HOUR:
+            raise _HourRepeatedError(
+                f"column {column}: the time goes back by {back / MINUTE:.0f} min; if the clock was put back, write "
+                "times with their UTC offset (%z), otherwise sort the rows"
+            )
         self._began = seconds if self._began is None else self._began
         return seconds - self._began

@@ -125,3 +125,35 @@ def test_a_mean_of_thermometers_is_imported_and_only_signals_and_references_have
     header, first, *_ = (tmp_path / "runs/two/readings.csv").read_text().splitlines()
     assert header == "installation,reference_v,time_s,ux_v,meter_temperature_c,rail_p15_v,ux_sd_v"
     assert first.startswith("R,1,0.0,2.0,21.0,15.5,1.414")
+
+
+def log_in_kyiv(form, times=("03:54:00", "03:57:00", "03:00:00", "03:03:00"), offsets=("",) * 4):
+    """Return a log of the night in which the clock of Kyiv is put back, and its mapping."""
+    rows = [f"2026-10-25 {time}{at},1" for time, at in zip(times, offsets, strict=True)]
+    columns = "columns: {time_s: t, ux_v: v}"
+    return "\n".join(["t,v", *rows]).encode(), f"log_columns: 1\ntime_format: '{form}'\n{columns}\n"
+
+
+@pytest.mark.parametrize("form", ["%Y-%m-%d %H:%M:%S", "iso"])
+@pytest.mark.parametrize("skip", [False, True])
+def test_an_hour_repeated_in_local_time_is_refused(tmp_path, form, skip):
+    log, rows = log_in_kyiv(form)
+    with pytest.raises(ReadingsError) as told:
+        convert_log(Path("log"), log, mapping(tmp_path, rows), skip_bad_rows=skip)
+    assert str(told.value) == (
+        "log, line 4, column t: the time goes back by 57 min; if the clock was put back, write times with their "
+        "UTC offset (%z), otherwise sort the rows"
+    )
+
+
+@pytest.mark.parametrize("form", ["%Y-%m-%d %H:%M:%S%z", "iso"])
+def test_an_hour_repeated_is_resolved_by_the_utc_offset(tmp_path, form):
+    log, rows = log_in_kyiv(form, offsets=("+03:00", "+03:00", "+02:00", "+02:00"))
+    made = convert_log(Path("log"), log, mapping(tmp_path, rows))
+    assert [float(row.split(",")[0]) for row in made.text.splitlines()[1:]] == [0.0, 180.0, 360.0, 540.0]
+
+
+@pytest.mark.parametrize("third", ["03:56:59", "02:30:00", "03:58:00"])
+def test_a_clock_that_is_set_or_an_older_row_is_no_change_of_the_clock(tmp_path, third):
+    log, rows = log_in_kyiv("iso", times=("03:54:00", "03:57:00", third, "04:00:00"))
+    assert convert_log(Path("log"), log, mapping(tmp_path, rows)).rows == 4
