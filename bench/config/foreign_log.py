@@ -26,14 +26,20 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import BeforeValidator, Field
 
+from bench.base.arrays import HOUR, MINUTE
 from bench.base.numbers import read_number
 from bench.base.text import shortened
 from bench.base.units import plain_unit, unit_of
 from bench.base.yaml_files import FileModel, Place
 from bench.readings.csv import LISTED_AT_ONCE, ReadingsError
+from bench.readings.table import REFERENCE_SD_V, REFERENCE_V, UNITS
 
 SUFFIXES: Final[Mapping[str, str]] = {"_v": "V", "_s": "s", "_a": "A"}
 """The SI unit of a column of a readings file, by its suffix; other columns are not converted."""
+SCATTER: Final[Mapping[str, str]] = {REFERENCE_V: REFERENCE_SD_V} | {
+    f"u{axis}_{unit}": f"u{axis}_sd_{unit}" for axis in "xyz" for unit in UNITS
+}
+"""The columns of a readings file that have a column of scatter, with its name."""
 TIME: Final = "time_s"
 KELVIN: Final = 273.15
 MOST_PREVIEWED: Final = 5
@@ -53,6 +59,7 @@ def _listed(value: Any) -> Any:
 class LogColumn(FileModel):
     """Columns of a log; their mean becomes one column of the readings file.
 
+    The scatter of several columns is kept for a signal (`ux_sd_v`) and for `reference_v` (`reference_sd_v`) alone.
     `unit` is the unit in the log. `add`, in the unit of the readings file, is added to the mean.
     """
 
@@ -78,15 +85,22 @@ class LogColumns(FileModel):
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield place and sentence for each unit of the log that does not fit the column of the readings file."""
+        """Yield place and sentence for a unit that does not fit its column, and a column that a mean has twice."""
         columns = data.get("columns") if isinstance(data, dict) else None
         for name, value in columns.items() if isinstance(columns, dict) else ():
             unit = value.get("unit") if isinstance(value, dict) else None
+            listed = value.get("columns") if isinstance(value, dict) else value
+            for one in _repeated(listed) if isinstance(listed, list) else ():
+                yield ("columns", name), f"the mean has the column {shortened(str(one))} twice; list it once"
             if isinstance(unit, str):
                 try:
                     _factor(name, unit)
                 except ValueError as problem:
                     yield ("columns", name, "unit"), str(problem)
+
+
+def _repeated(names: Sequence[Any]) -> list[Any]:
+    return [name for k, name in enumerate(names) if names.index(name) < k]
 
 
 def _factor(name: str, unit: str | None) -> float:
@@ -127,8 +141,9 @@ def convert_log(
 ) -> ConvertedLog:
     """Return a log converted to a readings file; times count from the first row of the log.
 
-    Raises `ReadingsError` with file, line and column for a column that the log lacks and for every cell that is
-    no number (the first 20, then a count); with `skip_bad_rows` such rows are left out.
+    Raises `ReadingsError` with file, line and column for a column that the log lacks, for an hour that a clock
+    repeated, and for every cell that is no number (the first 20, then a count); with `skip_bad_rows` rows with
+    such cells are left out.
     """
     try:
         text = content.decode("utf-8-sig")
@@ -158,6 +173,8 @@ def convert_log(
     for (number, _), cells in zip(lines[1:], rows[1:], strict=True):
         try:
             made.append(reader.row(cells))
+        except _HourRepeatedError as problem:
+            raise ReadingsError(f"{path}, line {number}, {problem}") from None
         except ValueError as problem:
             bad.append(f"{path}, line {number}, {problem}")
     if bad and not (skip_bad_rows and made):
@@ -172,12 +189,22 @@ def convert_log(
 
 
 def _require(path: Path, header: Sequence[str], mapping: LogColumns) -> None:
+    """Raise `ReadingsError` unless the header has each column that is mapped exactly once."""
     wanted = [name for column in mapping.columns.values() for name in column.columns]
     missing = [name for name in dict.fromkeys(wanted) if name not in header]
     if missing:
         raise ReadingsError(
             f"{path}, line 1: the header lacks {', '.join(missing)}; the log has {', '.join(header)}"
         )
+    for name in wanted:
+        if len(at := [str(k) for k, one in enumerate(header, start=1) if one == name]) > 1:
+            raise ReadingsError(
+                f"{path}, line 1: columns {' and '.join(at)} have the same name {name}; give each a name of its own"
+            )
+
+
+class _HourRepeatedError(Exception):
+    """Local time goes back as if a clock was put back: all times after it may be an hour too early."""
 
 
 class _Rows:
@@ -189,11 +216,13 @@ class _Rows:
         self._at = {
             name: [header.index(c) for c in column.columns] for name, column in mapping.columns.items()
         }
-        self._scatter = [name for name, at in self._at.items() if len(at) > 1]
+        self._scatter = {
+            name: sd for name, at in self._at.items() if len(at) > 1 and (sd := SCATTER.get(name))
+        }
         self._factor = {name: _factor(name, column.unit) for name, column in mapping.columns.items()}
         self._began: float | None = None
-        sd = [name.replace("_v", "_sd_v") for name in self._scatter]
-        self.names = [*mapping.constants, *mapping.columns, *sd]
+        self._latest = -math.inf
+        self.names = [*mapping.constants, *mapping.columns, *self._scatter.values()]
 
     def row(self, cells: Sequence[str]) -> list[str]:
         """Return the cells of one row. Raises `ValueError` that names the first wrong cell."""
@@ -215,6 +244,11 @@ class _Rows:
             return self._since_begin(column, cell)
         if not cell and name != TIME:
             return math.nan
+        if self.mapping.decimal == "," and "." in cell:
+            raise ValueError(
+                f"column {column}: the point in {shortened(cell)!r} may separate thousands; "
+                "remove it, or state decimal: '.'"
+            )
         text = cell.replace(",", ".") if self.mapping.decimal == "," else cell
         try:
             value = read_number(text) * self._factor[name]
@@ -232,5 +266,11 @@ class _Rows:
         except ValueError:
             raise ValueError(f"column {column}: expected a time as {form}, got {shortened(cell)!r}") from None
         seconds = (at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp()
+        back, self._latest = self._latest - seconds, seconds
+        if at.tzinfo is None and HOUR / 2 <= back <= HOUR:
+            raise _HourRepeatedError(
+                f"column {column}: the time goes back by {back / MINUTE:.0f} min; if the clock was put back, write "
+                "times with their UTC offset (%z), otherwise sort the rows"
+            )
         self._began = seconds if self._began is None else self._began
         return seconds - self._began

@@ -104,8 +104,8 @@ def make_record(readings: Readings) -> Record:
     groups = groups_of(time_s)
     if len(groups) < LEAST:
         raise CalibrationError(
-            f"{readings.source}: {len(groups)} readings at different times are too few to tell an effect from "
-            f"noise; a record needs {LEAST}"
+            f"{readings.source}: {len(readings)} readings give means in {len(groups)} equal intervals of time, too "
+            f"few to separate an effect from noise; a record needs {LEAST}"
         )
     means, spread, used = _robust_means(readings.signal[:, channels] - reference_v[:, None], groups)
     begin = _settled(means)
@@ -168,7 +168,10 @@ def _checked(readings: Readings) -> tuple[Floats, Floats, list[int]]:
     if not np.isfinite(readings.time_s).all():
         wrong.append("time_s is empty in a row; fill it in, or delete the row")
     elif np.any(np.diff(readings.time_s) < 0.0) or readings.time_s[-1] == readings.time_s[0]:
-        wrong.append("time_s runs backwards or stands still; sort the rows by time")
+        wrong.append(
+            "time_s runs backwards or stands still; if the clock was put back, give times in UTC, otherwise sort "
+            "the rows"
+        )
     known = readings.extra.get(REFERENCE_V)
     reference_v = np.full(len(readings), np.nan) if known is None else numbers(known)
     if not np.isfinite(reference_v).all():

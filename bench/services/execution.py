@@ -470,7 +470,7 @@ def _recorded(record: Record) -> str:
     if place is None:
         return f"{record.folder} was moved or deleted during the run"
     try:
-        done = sum(taken is not None for taken in read_history(place).taken)
+        done = len(read_history(place).readings)
     except RecordError as error:
         return str(error)
     return f"{'1 reading is' if done == 1 else f'{done} readings are'} kept in {place}"

@@ -101,6 +101,15 @@ def test_when_the_answers_end_the_run_stops_and_goes_on_later(served, bench):
     assert run.readings().point.tolist() == [1, 2]
 
 
+def test_a_reading_that_was_redone_is_counted_once(served, bench):
+    status, _, err = start(bench, answers="yes\n23\n0 0 2\n:redo\n0 0 3\n")
+    assert status == 2
+    assert "; 1 reading is kept in runs/run" in err
+    assert len(Run(Path("runs/run")).history.taken) == 2
+    assert re.search(r"^run .* failed +1 ", bench("runs")[1], re.MULTILINE)
+    assert "\nreadings: 1\n" in bench("show", "run")[1]
+
+
 def test_at_the_question_of_a_resumed_run_a_pause_waits_and_the_end_ends(served, bench):
     start(bench, answers="yes\n23\n0 0 2\n")
     status, out, err = bench("resume", "run", stdin=":pause\n:redo\n?\n\n:abort no use\n")

@@ -87,3 +87,73 @@ def test_a_log_is_previewed_and_imported_with_its_mapping(bench, tmp_path):
     folder = tmp_path / "runs/bath"
     assert (folder / "columns.yaml").read_text() == MAPPING
     assert "reference_sd_v" in (folder / "readings.csv").read_text()
+
+
+@pytest.mark.parametrize("column", ["time_s: t, ux_v: v", "time_s: v, ux_v: t"])
+def test_a_point_in_a_number_with_decimal_comma_is_refused(tmp_path, column):
+    rows = f'log_columns: 1\nseparator: ";"\ndecimal: ","\ncolumns: {{{column}}}\n'
+    with pytest.raises(ReadingsError, match=r"line 3, column v: the point in '25\.340' may separate") as told:
+        convert_log(Path("log"), b"t;v\n0;25338,0\n1;25.340\n", mapping(tmp_path, rows))
+    assert "line 2" not in str(told.value)
+
+
+def test_a_comma_in_a_number_with_decimal_point_is_refused(tmp_path):
+    rows = 'log_columns: 1\nseparator: ";"\ncolumns: {time_s: t, ux_v: v}\n'
+    with pytest.raises(ReadingsError, match="log, line 2, column v: expected a number, got '25,340'"):
+        convert_log(Path("log"), b"t;v\n0;25,340\n", mapping(tmp_path, rows))
+
+
+def test_two_columns_of_the_wanted_name_are_refused(tmp_path):
+    log, rows = b"t,v,n,v,n\n0,1,2,3,4\n", "log_columns: 1\ncolumns: {time_s: t, ux_v: v}\n"
+    with pytest.raises(ReadingsError, match="log, line 1: columns 2 and 4 have the same name v"):
+        convert_log(Path("log"), log, mapping(tmp_path, rows))
+
+
+@pytest.mark.parametrize("mean", ["[v, w, v]", "{columns: [v, w, v], unit: V}"])
+def test_a_mean_with_a_column_twice_is_a_mistake_at_its_line(tmp_path, mean):
+    rows = f"log_columns: 1\ncolumns:\n  time_s: t\n  ux_v: {mean}\n"
+    with pytest.raises(FileMistakes, match=r"columns.yaml:4: columns\.ux_v: the mean has the column v twice"):
+        mapping(tmp_path, rows)
+
+
+def test_a_mean_of_thermometers_is_imported_and_only_signals_and_references_have_scatter(bench, tmp_path):
+    (tmp_path / "log.csv").write_text("t,v,w,ta,tb,p,q\n0,1,3,20,22,15,16\n1,2,4,21,23,15,16\n")
+    columns = "{time_s: t, ux_v: [v, w], meter_temperature_c: [ta, tb], rail_p15_v: [p, q]}"
+    constants = "{installation: R, reference_v: 1}"
+    mapping(tmp_path, f"log_columns: 1\ncolumns: {columns}\nconstants: {constants}\n")
+    assert bench("import", "log.csv", "--columns", "columns.yaml", "--name", "two")[0] in (0, None)
+    header, first, *_ = (tmp_path / "runs/two/readings.csv").read_text().splitlines()
+    assert header == "installation,reference_v,time_s,ux_v,meter_temperature_c,rail_p15_v,ux_sd_v"
+    assert first.startswith("R,1,0.0,2.0,21.0,15.5,1.414")
+
+
+def log_in_kyiv(form, times=("03:54:00", "03:57:00", "03:00:00", "03:03:00"), offsets=("",) * 4):
+    """Return a log of the night in which the clock of Kyiv is put back, and its mapping."""
+    rows = [f"2026-10-25 {time}{at},1" for time, at in zip(times, offsets, strict=True)]
+    columns = "columns: {time_s: t, ux_v: v}"
+    return "\n".join(["t,v", *rows]).encode(), f"log_columns: 1\ntime_format: '{form}'\n{columns}\n"
+
+
+@pytest.mark.parametrize("form", ["%Y-%m-%d %H:%M:%S", "iso"])
+@pytest.mark.parametrize("skip", [False, True])
+def test_an_hour_repeated_in_local_time_is_refused(tmp_path, form, skip):
+    log, rows = log_in_kyiv(form)
+    with pytest.raises(ReadingsError) as told:
+        convert_log(Path("log"), log, mapping(tmp_path, rows), skip_bad_rows=skip)
+    assert str(told.value) == (
+        "log, line 4, column t: the time goes back by 57 min; if the clock was put back, write times with their "
+        "UTC offset (%z), otherwise sort the rows"
+    )
+
+
+@pytest.mark.parametrize("form", ["%Y-%m-%d %H:%M:%S%z", "iso"])
+def test_an_hour_repeated_is_resolved_by_the_utc_offset(tmp_path, form):
+    log, rows = log_in_kyiv(form, offsets=("+03:00", "+03:00", "+02:00", "+02:00"))
+    made = convert_log(Path("log"), log, mapping(tmp_path, rows))
+    assert [float(row.split(",")[0]) for row in made.text.splitlines()[1:]] == [0.0, 180.0, 360.0, 540.0]
+
+
+@pytest.mark.parametrize("third", ["03:56:59", "02:30:00", "03:58:00"])
+def test_a_clock_that_is_set_or_an_older_row_is_no_change_of_the_clock(tmp_path, third):
+    log, rows = log_in_kyiv("iso", times=("03:54:00", "03:57:00", third, "04:00:00"))
+    assert convert_log(Path("log"), log, mapping(tmp_path, rows)).rows == 4

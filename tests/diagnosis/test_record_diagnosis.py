@@ -187,10 +187,17 @@ def test_a_record_needs_no_pass_no_point_and_one_signal(tmp_path):
 @pytest.mark.parametrize(
     ("rows", "told"),
     [
-        ([ROW.format(time=10 * i, digit=1) for i in range(12)], "12 readings at different times are too few"),
+        (
+            [ROW.format(time=10 * i, digit=1) for i in range(12)],
+            "12 readings give means in 12 equal intervals",
+        ),
+        (
+            [ROW.format(time=10 * i + 200 * (i > 18), digit=1) for i in range(40)],
+            "40 readings give means in 27 equal intervals of time, too few",
+        ),
         (["R,,1,1,", "R,2,1,1,"], "time_s is empty"),
         (["R,1,,1,", "R,2,1,1,"], "reference_v is empty"),
-        (["R,2,1,1,", "R,1,1,1,"], "runs backwards"),
+        (["R,2,1,1,", "R,1,1,1,"], "runs backwards .* if the clock was put back, give times in UTC"),
     ],
 )
 def test_a_record_that_cannot_be_evaluated_says_why(tmp_path, rows, told):
