@@ -135,7 +135,8 @@ def program() -> Mapping[str, str]:
     }
 
 
-TEXT, NUMBER, WHOLE, FLAG, NUMBERS = "text", "number", "whole", "flag", "numbers"
+TEXT, NUMBER, WHOLE, FLAG, NUMBERS = "string", "float64", "int64", "bool", "numbers"
+"""The kinds of columns, by their Arrow names; `NUMBERS` is a list of numbers."""
 
 OF_METERS: Final = tuple(f"{what}_{channel}" for channel in CHANNELS for what in ("gain", "offset_v"))
 """Columns of a record at a known input: gain and offset of each channel's meter."""
@@ -192,11 +193,8 @@ def arrow_schema(command: str) -> Any:
     """Return the Arrow schema of the table of a command."""
     import pyarrow as arrow
 
-    kinds = {
-        TEXT: arrow.string(),
-        NUMBER: arrow.float64(),
-        WHOLE: arrow.int64(),
-        FLAG: arrow.bool_(),
-        NUMBERS: arrow.list_(arrow.float64()),
-    }
-    return arrow.schema([(name, kinds[kind]) for name, kind in COLUMNS[command].items()])
+    numbers = arrow.list_(arrow.float64())
+    columns = COLUMNS[command].items()
+    return arrow.schema(
+        [(name, numbers if kind == NUMBERS else arrow.type_for_alias(kind)) for name, kind in columns]
+    )

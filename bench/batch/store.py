@@ -6,6 +6,7 @@ import glob
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
@@ -118,12 +119,8 @@ def _matches(pattern: str, runs: Path) -> list[Path]:
     if not glob.has_magic(pattern):
         places = [Path(pattern), runs / pattern]
         return [place for place in places if place.exists()][:1]
-    return [Path(path) for path in _globbed(pattern) or _globbed(str(runs / pattern))]
-
-
-def _globbed(pattern: str) -> list[str]:
-    """Return the paths that match a pattern, which may be absolute (unlike for `Path.glob`)."""
-    return glob.glob(pattern, recursive=True)  # noqa: PTH207
+    matching = partial(glob.glob, recursive=True)  # a pattern may be absolute, unlike for `Path.glob`
+    return [Path(path) for path in matching(pattern) or matching(str(runs / pattern))]
 
 
 def _sorted(found: Iterable[Path], others: Iterable[Path]) -> Listed:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
 from math import isnan
@@ -42,7 +41,7 @@ def worked(job: Job, run: str) -> Row:
     with _ONE_AT_A_TIME:
         try:
             row |= _told_by_manifest(Path(run))
-            with _knowing(job.effects):
+            with CATALOGUE.also(_effects(job.effects)):
                 row |= _of_run(job, run)
         except Exception as error:  # a bad run never ends the batch; the table lists its error
             row["failed"] = visible(sentence(error))
@@ -62,12 +61,6 @@ def _told_by_manifest(folder: Path) -> Row:
         "measured_with": said.get("triaxial-bench"),
         **({"unit_type": unit["type"], "serial": unit["serial"]} if unit else {}),
     }
-
-
-@contextmanager
-def _knowing(files: tuple[str, ...]) -> Iterator[None]:
-    with CATALOGUE.also(_effects(files)):
-        yield
 
 
 @lru_cache(maxsize=1)
@@ -361,10 +354,10 @@ def changes(before: CalibrationValues | None, now: CalibrationValues) -> Row:
     that had no u (fixed by convention). If neither has a u, the change is zero or unknown. Results in
     different units of the signals are not compared.
     """
-    row: Row = {**_columns(now, ""), **({} if before is None else _columns(before, "_stored"))}
+    row = _columns(now, "")
     if before is None:
         return row
-    row["fit_differs"] = before.fit != now.fit
+    row |= {**_columns(before, "_stored"), "fit_differs": before.fit != now.fit}
     if before.unit != now.unit:
         return row
     change = change_in_u(before, now)
