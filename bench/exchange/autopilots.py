@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.exchange.checks import READ_CHECKS, check_lines, how_to_test, judged, own_test, picture
+from bench.exchange.checks import READ_CHECKS, check_lines, judged, own_test, picture
 from bench.exchange.result import BlockResult
 
 STANDARD_GRAVITY: Final = 9.80665
@@ -231,8 +231,7 @@ def _tested(of: Autopilot, result: BlockResult, sensor: Sensor, values: dict[str
     lines = [
         *picture(result.unit),
         *check_lines(raw, (sensor.signal(raw) - off) * by, "U, then a as this form gives it", "m/s^2"),
-        how_to_test("FILE"),
-        *own_test(test),
+        *own_test("FILE", test),
     ]
     return [f"# {line}" for line in lines]
 
@@ -276,8 +275,7 @@ def kalibr_yaml(result: BlockResult, nominal: Floats | None = None) -> str:
         "gyroscopes, noise densities, rostopic and update_rate are not known to this bench: add your own",
         *picture(result.unit),
         *check_lines(raw, corrected, "U, then a = C^T M^-1 (z - b)", "m/s^2"),
-        how_to_test("FILE.yaml") + " (needs numpy, PyYAML)",
-        *own_test(test),
+        *own_test("FILE.yaml", test, " (needs numpy, PyYAML)"),
     ]
     accelerometers = {"M": form.M.tolist(), "bias": form.b.tolist(), "C_accel_block": form.R.tolist()}
     content = {"imu0": {"model": "scale-misalignment", "accelerometers": accelerometers}}

@@ -18,7 +18,6 @@ from bench.exchange.checks import (
     READ_CHECKS,
     c_self_test,
     check_lines,
-    how_to_test,
     judged,
     own_test,
     picture,
@@ -177,8 +176,7 @@ def table_csv(model: TemperatureModel, table: CompensationTable, of: str) -> str
     told = [
         *facts(model, table, one_line(of)),
         *check_lines(checks[:, :4], checks[:, 4:], "T / deg C, U, then a = N (U - U0)", "g"),
-        how_to_test("FILE.csv"),
-        *own_test((read, INTERPOLATED, judged(at=4, count=len(checks)))),
+        *own_test("FILE.csv", (read, INTERPOLATED, judged(at=4, count=len(checks)))),
     ]
     out.writelines(f"# {line}\r\n" for line in told)
     writer = csv.writer(out, lineterminator="\r\n")
