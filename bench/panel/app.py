@@ -9,7 +9,7 @@ import os
 import socket
 import threading
 from collections.abc import AsyncIterator, Callable, Sequence
-from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
+from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -120,9 +120,16 @@ KNOWN = (RecordError, FileMistakes, Refused, ReadingsError, BenchError, OSError,
 def make_app(settings: Settings) -> Starlette:
     """Return the application of a panel. Raises `RecordError` if its folder cannot be used."""
     panel = Panel(settings)
+
+    @asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        threading.Thread(target=prepare, args=(panel,), daemon=True).start()
+        yield
+        panel.followers.close()
+
     app = Starlette(
         routes=ROUTES,
-        lifespan=_preparing(panel),
+        lifespan=lifespan,
         middleware=[Middleware(Gate, settings=settings, refuse=refused)],
         exception_handlers={
             HTTPException: by_framework,
@@ -164,18 +171,6 @@ def prepare(panel: Panel) -> None:
         with suppress(ImportError):  # the page that needs a missing extra reports it
             import_module(name)
     panel.table.read_all()
-
-
-def _preparing(panel: Panel) -> Callable[[Starlette], AbstractAsyncContextManager[None]]:
-    """Return the lifespan function of the application, which prepares the panel in the background."""
-
-    @asynccontextmanager
-    async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        threading.Thread(target=prepare, args=(panel,), daemon=True).start()
-        yield
-        panel.followers.close()
-
-    return lifespan
 
 
 MOST_CONNECTIONS: Final = 200

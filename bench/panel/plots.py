@@ -19,13 +19,11 @@ from bench.panel.access import Refusal
 from bench.panel.folder import RunsFolder
 from bench.panel.outcome import previous_calibration
 from bench.panel.results import CALIBRATE, DIAGNOSE, VERIFY, is_plain, told_by
+from bench.panel.stream import COVERAGE
 from bench.readings.csv import ReadingsError
 from bench.run.events import EVENTS, RecordError
 from bench.run.folder import BENCH, Run
 from bench.services.errors import Refused
-
-COVERAGE: Final = 2.0
-"""Coverage factor: half-width of the plotted bands in standard uncertainties."""
 
 Numbers = dict[str, Any]
 Rows = list[list[Any]]
@@ -179,7 +177,6 @@ def _simulated(point: Mapping[str, Any]) -> Numbers:
 
 # --- tables ---------------------------------------------------------------------------------------------
 
-TABLES: Final = ("residuals", "delta-g", "diagnosis", "diagnosis-delta-g", "held-out", "ranking")
 FORMS: Final = {
     "csv": "text/csv; charset=utf-8",
     "xlsx": "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet",

@@ -8,7 +8,7 @@ from __future__ import annotations
 import secrets
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from datetime import datetime, timedelta
+from datetime import timedelta
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar
 
@@ -73,10 +73,9 @@ class DayNote(_Row):
 class DayQueue:
     """The queue of a panel, in files of its private folder that survive a restart."""
 
-    def __init__(self, folder: Path, now: Callable[[], datetime] = utc_now) -> None:
+    def __init__(self, folder: Path) -> None:
         self._items = KeptList(folder, ITEMS, REMEDY)
         self._notes = KeptList(folder, NOTES, REMEDY)
-        self._now = now
 
     def items(self) -> list[QueueItem]:
         """Return the items in order. Raises `RecordError` for a damaged file."""
@@ -123,11 +122,11 @@ class DayQueue:
             item = items[at]
             if item.run and (exists(item.run) or self.is_starting(item)):
                 raise Refusal(409, message(f"{item.words} was begun already; see the run {item.run}"))
-            items[at] = item.model_copy(update={"run": run, "begun": self._now()})
+            items[at] = item.model_copy(update={"run": run, "begun": utc_now()})
 
     def is_starting(self, item: QueueItem) -> bool:
         """Whether the run of an item was requested so recently that its folder may not exist yet."""
-        return item.begun is not None and self._now() - item.begun < timedelta(seconds=2 * LONGEST_START_S)
+        return item.begun is not None and utc_now() - item.begun < timedelta(seconds=2 * LONGEST_START_S)
 
     # --- notes of the day ---------------------------------------------------------------------------
 
@@ -135,7 +134,7 @@ class DayQueue:
         """Store a note of the day; `what` is as in `DayNote`."""
         with self._notes.changed() as rows:
             rows.append(
-                DayNote(what=what, who=person.name, at=self._now(), bench=bench).model_dump(mode="json")
+                DayNote(what=what, who=person.name, at=utc_now(), bench=bench).model_dump(mode="json")
             )
             del rows[:-MOST_NOTES]
 
@@ -150,8 +149,8 @@ class DayQueue:
 
     def put_aside(self) -> None:
         """Rename damaged files, so that an empty queue replaces them. Raises `OSError`."""
-        self._items.put_aside(self._now(), lambda rows: _read(rows, QueueItem))
-        self._notes.put_aside(self._now(), lambda rows: _read(rows, DayNote))
+        self._items.put_aside(utc_now(), lambda rows: _read(rows, QueueItem))
+        self._notes.put_aside(utc_now(), lambda rows: _read(rows, DayNote))
 
     def _notes_read(self) -> list[DayNote]:
         return _read(self._notes.rows(), DayNote)

@@ -116,18 +116,12 @@ DRIFTS: Final = 0.01
 
 @dataclass(frozen=True)
 class About:
-    """The constant part of a run's snapshot: texts from its manifest, and the installations of its bench.
+    """What does not change in a run's snapshot: its first members (`told`), and the installations of its bench.
 
     `chamber` says whether the bench has a thermal chamber.
     """
 
-    run: str
-    title: str
-    simulated: bool
-    unit: str
-    operator: str
-    procedure: str
-    bench: str
+    told: Mapping[str, Any]
     installations: Mapping[str, Installation]
     chamber: bool
 
@@ -141,13 +135,7 @@ def snapshot(
     """
     latest = seen.latest
     return {
-        "run": about.run,
-        "title": about.title,
-        "simulated": about.simulated,
-        "unit": about.unit,
-        "operator": about.operator,
-        "procedure": about.procedure,
-        "bench": about.bench,
+        **about.told,
         "events": seen.events,
         "last_time": None if latest is None else latest.time,
         "now": now.isoformat(),
@@ -397,7 +385,7 @@ def _soak(seen: RunView, about: About) -> dict[str, Any] | None:
         words, lasts_s = message(f"until the {step.what} settle, at most"), step.timeout_s
     left_s = max(0.0, lasts_s - (seen.latest.bench_s - event.bench_s))
     until = None
-    if not about.simulated:
+    if not about.told["simulated"]:
         until = (datetime.fromisoformat(event.time) + timedelta(seconds=lasts_s)).isoformat()
     return {
         "words": words,

@@ -39,7 +39,7 @@ COVERAGE: Final = 2.0
 
 @dataclass(frozen=True)
 class PlottedPoints:
-    """The points of a `ResidualPlot` at some moment; `version` increases when earlier points change."""
+    """The points of a `ResidualPlot` at some moment; `version` counts the changes to earlier points."""
 
     version: int = 0
     points: tuple[dict[str, Any], ...] = ()
@@ -51,11 +51,11 @@ class PlottedPoints:
 
 
 class ResidualPlot:
-    """The readings of a run minus their predictions, as `points` for viewers.
+    """The readings of a run minus their predictions, as points for viewers; each change gives a new `plotted`.
 
     A point has the keys `n` (event number), `step`, `installation`, `series`, `pass`, `point`, `angle_deg`,
     `time_s`; per channel the `residual`, its standard uncertainty `u` (both in `unit`) and `sigma`; and `struck` if
-    the reading was replaced by a repetition. `version` counts changes to earlier points.
+    the reading was replaced by a repetition.
     """
 
     def __init__(self, plan: Plan, bench: BenchFile) -> None:
@@ -63,8 +63,7 @@ class ResidualPlot:
         self._steps = plan.steps
         self._waiting: deque[Event] = deque()
         self._readings = 0
-        self.points: list[dict[str, Any]] = []
-        self.version = 0
+        self.plotted = PlottedPoints()
 
     def note(self, event: Event) -> None:
         """Queue an event for `judge_next`."""
@@ -98,37 +97,34 @@ class ResidualPlot:
         return False
 
     def _strike(self, redo: Event) -> None:
-        steps = set(redo.steps)
-        for point in self.points:
-            if point["step"] in steps and not point["struck"]:
-                point["struck"] = True
-                self.version += 1
+        points, steps = self.plotted.points, set(redo.steps)
+        struck = [{**one, "struck": one["struck"] or one["step"] in steps} for one in points]
+        if struck != [*points]:
+            self.plotted = PlottedPoints(self.plotted.version + 1, tuple(struck))
 
     def _add(self, event: Event, reading: Reading) -> None:
         judged = self._watcher.judged
         if judged is None or reading.angle_deg is None:
             return
         u = np.sqrt(np.diagonal(judged.covariance[0]))
-        self.points.append(
-            {
-                "n": event.number,
-                "step": event.step,
-                "installation": reading.installation,
-                "series": reading.series,
-                "pass": reading.pass_number,
-                "point": reading.point,
-                "angle_deg": reading.angle_deg,
-                "time_s": event.bench_s if reading.time_s is None else reading.time_s,
-                "unit": reading.unit,
-                "residual": [float(f"{value:.6g}") for value in judged.residual[0]],
-                "u": [float(f"{value:.4g}") for value in u],
-                "sigma": [float(f"{value:.3g}") for value in judged.sigma[0]],
-                "struck": False,
-            }
-        )
-        if len(self.points) > MOST_POINTS:
-            del self.points[0]
-            self.version += 1
+        point = {
+            "n": event.number,
+            "step": event.step,
+            "installation": reading.installation,
+            "series": reading.series,
+            "pass": reading.pass_number,
+            "point": reading.point,
+            "angle_deg": reading.angle_deg,
+            "time_s": event.bench_s if reading.time_s is None else reading.time_s,
+            "unit": reading.unit,
+            "residual": [float(f"{value:.6g}") for value in judged.residual[0]],
+            "u": [float(f"{value:.4g}") for value in u],
+            "sigma": [float(f"{value:.3g}") for value in judged.sigma[0]],
+            "struck": False,
+        }
+        before = self.plotted
+        too_many = len(before.points) == MOST_POINTS
+        self.plotted = PlottedPoints(before.version + too_many, (*before.points[too_many:], point))
 
 
 _TOLD: Final = frozenset({EventType.STEP_DONE, EventType.REMOUNTED, EventType.REDO, EventType.WENT_ON})
@@ -156,23 +152,20 @@ class Follower:
         self._seen = RunView(run.plan)
         with knowing_effects_on_record(run):
             bench = load_bench(folder / BENCH)
-        self._residuals = ResidualPlot(run.plan, bench)
+        self.residuals = ResidualPlot(run.plan, bench)
         supply = bench.unit_under_test.supply
         step_s = [run.plan.step_duration_s(step, bench.line_frequency, supply) for step in run.plan.steps]
         self._time_left = TimeLeft(step_s)
         manifest = run.manifest
         unit = manifest.get("unit_under_test", {"type": "", "serial": ""})
-        self._about = About(
-            run=run.name,
-            title=run.plan.name,
-            simulated=run.simulated,
-            unit=f"{unit.get('type', '')} {unit.get('serial', '')}".strip(),
-            operator=str(manifest.get("operator", "")),
-            procedure=str(manifest.get("procedure", "")),
-            bench=str(manifest.get("bench", "")),
-            installations=bench.installation_models(),
-            chamber=bench.instruments.chamber is not None,
-        )
+        told = {
+            "run": run.name,
+            "title": run.plan.name,
+            "simulated": run.simulated,
+            "unit": f"{unit.get('type', '')} {unit.get('serial', '')}".strip(),
+            **{name: str(manifest.get(name, "")) for name in ("operator", "procedure", "bench")},
+        }
+        self._about = About(told, bench.installation_models(), bench.instruments.chamber is not None)
         self._alive, self._looked_s = False, -ALIVE_LOOK_S
         self._unheard = 0
         """Questions up to this event number cannot be answered: the program that asked them has ended."""
@@ -187,15 +180,11 @@ class Follower:
                 self._seen.take(event)
                 if event.type == EventType.CHOSEN:
                     self._time_left.choose(event.data)
-                self._residuals.note(event)
+                self.residuals.note(event)
                 changed = True
         if not self._alive:
             self._unheard = self._seen.events
         return changed
-
-    def judge(self) -> bool:
-        """Compare the next queued reading with its prediction; return whether a reading was queued."""
-        return self._residuals.judge_next()
 
     @property
     def prompt(self) -> AskedPrompt | None:
@@ -213,11 +202,6 @@ class Follower:
         except OSError:
             return b""
 
-    @property
-    def waiting(self) -> bool:
-        """Whether queued readings still await comparison with their predictions."""
-        return self._residuals.waiting
-
     def state(self) -> dict[str, Any]:
         """Return the current snapshot of the run, see `bench.panel.run_state.snapshot`."""
         if (begun := self._seen.begun) is not None:
@@ -225,15 +209,6 @@ class Follower:
         return snapshot(
             self._seen, self._about, self._time_left, self.prompt, alive=self._alive, now=utc_now()
         )
-
-    @property
-    def points_version(self) -> tuple[int, int]:
-        """The version of the points: how often earlier points changed, and how many points there are."""
-        return self._residuals.version, len(self._residuals.points)
-
-    def points(self) -> PlottedPoints:
-        """Return the present points: readings minus their predictions."""
-        return PlottedPoints(self._residuals.version, tuple(self._residuals.points))
 
     def _look_for_writer(self, *, at_once: bool) -> bool:
         """Check, when due or `at_once`, whether a program carries out the run; return whether this has changed."""
@@ -311,7 +286,7 @@ class SharedFollower:
     @property
     def judging(self) -> bool:
         """Whether readings still await comparison with their predictions."""
-        return self._follower is not None and self._follower.waiting
+        return self._follower is not None and self._follower.residuals.waiting
 
     @property
     def over(self) -> bool:
@@ -370,22 +345,20 @@ class SharedFollower:
         """Read new events; return whether there is an update to send."""
         if self._follower is None:
             self._follower = Follower(self._folder)
-        follower = self._follower
-        before = follower.points_version
+        follower, before = self._follower, self.points
         read = follower.look()
         if not read:
             for _ in range(JUDGED_AT_ONCE):
-                if not follower.judge():
+                if not follower.residuals.judge_next():
                     break
-        if follower.points_version != before:
-            self.points = follower.points()
+        self.points = follower.residuals.plotted
         added = self._add(self._folder)
         if read or added != self._added or not self.state:
             self._added = added
             self.state = {**follower.state(), **added}
             self.sent_state = as_event("state", self.state)
             return True
-        return follower.points_version != before
+        return self.points is not before
 
 
 class Followers:

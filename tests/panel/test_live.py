@@ -147,10 +147,10 @@ def append(folder, data):
 
 def all_of(follower):
     follower.look()
-    while follower.judge():
+    while follower.residuals.judge_next():
         pass
     state = follower.state()
-    return {key: value for key, value in state.items() if key not in MOMENTS}, follower.points()
+    return {key: value for key, value in state.items() if key not in MOMENTS}, follower.residuals.plotted
 
 
 def test_a_line_counts_once_it_is_whole(growing, lines):
@@ -186,7 +186,7 @@ def test_followed_line_by_line_it_is_what_it_is_at_once(growing, lines):
     for line in lines:
         append(growing, line)
         follower.look()
-        follower.judge()
+        follower.residuals.judge_next()
     little_by_little, points = all_of(follower)
     at_once, all_points = all_of(Follower(growing))
     assert little_by_little == at_once

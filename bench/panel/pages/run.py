@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Any, Final, TypeVar
+from urllib.parse import quote
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -253,6 +254,4 @@ def _done(request: Request, run: Run, what: str) -> Response:
     """Return the response to a successful request: a script gets a sentence, a form the page of the run."""
     if wants_json(request):
         return JSONResponse({"done": what})
-    from urllib.parse import quote
-
     return RedirectResponse(f"/runs/{quote(run.name)}/", status_code=303)
