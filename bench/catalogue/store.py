@@ -345,10 +345,7 @@ def _connect_args(kind: str) -> dict[str, Any]:
 
 
 def _prepare_file(file: Path, *, existing: bool) -> None:
-    """Create the folder of the catalogue's file.
-
-    Raises `Refused` if the path is no file, or if the file is missing and must exist.
-    """
+    """Create the folder of the catalogue's file. Raises `Refused` for a folder, or for a missing file to read."""
     if file.is_dir():
         raise Refused(f"{file}: is a folder; name a file for the catalogue")
     if existing and not file.is_file():
@@ -387,10 +384,7 @@ def _listen(engine: Engine) -> None:
 
 
 def _take_up_wal(connection: Any) -> None:
-    """Switch a database file to a write-ahead log.
-
-    Retry, because SQLite fails at once if several programs switch the file at the same time.
-    """
+    """Switch to a write-ahead log; retry, because SQLite fails at once if several programs switch a file."""
     until = time.monotonic() + BUSY_MS / 1e3
     while True:
         try:

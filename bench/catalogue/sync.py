@@ -113,7 +113,7 @@ def sync(
         if row["reason"]:
             done.problems[path] = row["reason"]
         if row["vanished"]:
-            back.append(row)
+            back.append(path)
     for batch in _batches(_read(waiting, whole, count), BATCH):
         with catalogue.writing() as connection:
             _write(connection, batch, known, done)
@@ -129,7 +129,8 @@ def sync(
     if not (back or odd or seen.registers or gone):
         return done
     with catalogue.writing() as connection:
-        _put_back(connection, back)
+        for path in back:
+            _mark(connection, path, vanished=False)
         _mark_odd(connection, odd)
         _write_registers(connection, seen.registers, done)
         done.vanished = _mark_vanished(connection, gone)
@@ -332,12 +333,11 @@ def _upsert(connection: Connection, table: Table, rows: list[Row]) -> None:
     connection.execute(written, [by_key[key] for key in sorted(by_key)])
 
 
-def _put_back(connection: Connection, rows: list[Row]) -> None:
-    """Mark folders and their runs as present again."""
-    for row in rows:
-        forget_dues(connection, RUNS.c.path == row["path"])
-        connection.execute(update(FOLDERS).where(FOLDERS.c.path == row["path"]).values(vanished=False))
-        connection.execute(update(RUNS).where(RUNS.c.path == row["path"]).values(vanished=False))
+def _mark(connection: Connection, path: str, *, vanished: bool) -> None:
+    """Mark a folder and its run as vanished, or as present again."""
+    forget_dues(connection, RUNS.c.path == path)
+    for table in (FOLDERS, RUNS):
+        connection.execute(update(table).where(table.c.path == path).values(vanished=vanished))
 
 
 def _mark_odd(connection: Connection, odd: dict[str, str]) -> None:
@@ -370,9 +370,7 @@ def _mark_vanished(connection: Connection, rows: list[Row]) -> int:
         if row["run"] is None or (row["reason"] or "").startswith(_COPY):
             connection.execute(delete(FOLDERS).where(FOLDERS.c.path == row["path"]))
         elif not row["vanished"]:
-            forget_dues(connection, RUNS.c.path == row["path"])
-            connection.execute(update(FOLDERS).where(FOLDERS.c.path == row["path"]).values(vanished=True))
-            connection.execute(update(RUNS).where(RUNS.c.path == row["path"]).values(vanished=True))
+            _mark(connection, row["path"], vanished=True)
             count += 1
     return count
 
