@@ -205,9 +205,7 @@ def _between_pilots(pilots: Sequence[str], there: Mapping[str, Snapshot]) -> Ite
 
 
 def _between_checks(kit: Kit, checks: Mapping[str, Sequence[str]]) -> Iterator[_Seen]:
-    """Yield the change of the block between successive monitor runs at one stop, and between the pilot's
-    stops.
-    """
+    """Yield the change of the block between successive monitor runs at a stop, and between the pilot's stops."""
     before: tuple[str, CheckRun] | None = None
     for stop in sorted(kit.stops, key=lambda stop: not stop.pilot):
         of_stop = Request(list(checks.get(stop.code, ())), runs_folder(None))

@@ -8,7 +8,7 @@ DCC as a statement.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -58,6 +58,14 @@ class Texts:
         """Return a text with its blanks filled. Raises `KeyError` for an unknown key or a blank with no value."""
         with speaking(known_language(self.language) or ENGLISH):
             return _BLANK.sub(lambda blank: local_number(str(values[blank[1]])), self.entries[key])
+
+
+def in_each(texts: Sequence[Texts], key: str, **values: object) -> list[str]:
+    """Return the text `key` in each language; a list in `values` has a wording for each language."""
+    return [
+        text.say(key, **{name: of[i] if isinstance(of, list) else of for name, of in values.items()})
+        for i, text in enumerate(texts)
+    ]
 
 
 @cache

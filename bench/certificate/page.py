@@ -117,10 +117,7 @@ def _front(certificate: Certificate, write: Writer) -> list[Block]:
         ("item", [item.type, manufacturer or ""]),
         ("serial", [item.serial]),
         ("customer", [] if customer is None else [customer.name, ", ".join(customer.address.lines)]),
-        (
-            "order",
-            [] if order is None else [" · ".join(filter(None, (order.number, reference)))],
-        ),
+        ("order", [] if order is None else [" · ".join(filter(None, (order.number, reference)))]),
         ("received", [] if unit is None else [f"{unit.received} · {unit.condition}"]),
         ("calibrated", [_days(certificate)]),
         ("place", [certificate.place]),
@@ -129,13 +126,7 @@ def _front(certificate: Certificate, write: Writer) -> list[Block]:
     ]
     blocks = [write.pairs(rows)]
     if issue is not None and issue.before is not None:
-        before = issue.before
-        told = {
-            "kind": write.say(before.kind),
-            "number": before.number,
-            "issued": before.issued,
-            "reason": before.reason,
-        }
+        told = {**vars(issue.before), "kind": write.say(issue.before.kind)}
         blocks.append(write.words("replaces", **told))
     return [*blocks, write.heading("results"), write.words("answer_text", k=f"{certificate.k:.3g}"),
             _matrix(certificate, write), *proof.verdict(certificate, write)]  # fmt: skip

@@ -40,10 +40,7 @@ class NumberStatus:
 
 @dataclass
 class Register(Chain):
-    """A register, open and locked against other writers; `folder` contains it and the issued files.
-
-    `standings` maps each number to its status.
-    """
+    """A register, open and locked against other writers; `standings` maps each number to its status."""
 
     FIRST: ClassVar[str] = first_head("triaxial-bench register 1\n")
 
@@ -98,10 +95,7 @@ class Register(Chain):
         return wrong
 
     def catch_up(self) -> None:
-        """Read the lines that were added since the last call, and finish issues that were interrupted.
-
-        Raises `Refused` for a changed line.
-        """
+        """Read the lines added since the last call; finish interrupted issues. Raises `Refused` if one was changed."""
         self.read_lines()
         for part in self.folder.glob(f"*{_PART}"):
             self._finish(part)

@@ -61,10 +61,7 @@ class SignedXml:
 
 
 def sign_xml(document: bytes, signatory: Signatory, now: datetime) -> bytes:
-    """Return a document with a XAdES signature as the last element of its root.
-
-    Raises `Refused` if the document is already signed.
-    """
+    """Return a document with a XAdES signature as the last element. Raises `Refused` if it is already signed."""
     xades, methods = _packages()
     root = _read(document)
     if next(root.iter(f"{{{SIGNATURE}}}Signature"), None) is not None:
@@ -376,6 +373,7 @@ def _who(signature: Any) -> SignedPdf:
     from cryptography import x509
     from pyhanko.sign.fields import MDPPerm, SigSeedSubFilter
     from pyhanko.sign.validation import validate_pdf_signature
+    from pyhanko.sign.validation.settings import KeyUsageConstraints
     from pyhanko_certvalidator import ValidationContext
 
     _check_wrapping(signature.signed_data, signature.signer_info)
@@ -386,7 +384,8 @@ def _who(signature: Any) -> SignedPdf:
         raise NotIntact("its signature has no time")
     # trust the signer here, to check the signature alone; `why_not_trusted` checks who signed
     context = ValidationContext(trust_roots=[signature.signer_cert], moment=when, allow_fetching=False)
-    status = validate_pdf_signature(signature, context, key_usage_settings=_any_usage())
+    any_usage = KeyUsageConstraints(key_usage=set())
+    status = validate_pdf_signature(signature, context, key_usage_settings=any_usage)
     if not status.intact:
         raise NotIntact("it was changed after it was signed")
     if not status.valid:
@@ -395,9 +394,3 @@ def _who(signature: Any) -> SignedPdf:
         raise NotIntact("its signature allows changes, which certificates never do")
     chain = (signature.signer_cert, *signature.other_embedded_certs)
     return SignedPdf(tuple(x509.load_der_x509_certificate(one.dump()) for one in chain), when)
-
-
-def _any_usage() -> Any:
-    from pyhanko.sign.validation.settings import KeyUsageConstraints
-
-    return KeyUsageConstraints(key_usage=set())

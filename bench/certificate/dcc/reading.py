@@ -173,9 +173,7 @@ def _about(root: Node) -> dict[str, str]:
 
 
 def said(root: Node, path: str) -> str:
-    """Return the text at `path` in a document as one line with control characters visible; "" if there is
-    none.
-    """
+    """Return the text at `path` in one line, with control characters visible; "" if there is none."""
     return " ".join(visible(root.findtext(path, "", NAMESPACES)).split())
 
 
@@ -274,10 +272,7 @@ class Section:
 
 
 def section_of(path: Path, root: Node) -> Section:
-    """Return the section `certificate` of an instrument from its DCC.
-
-    Raises `Refused` if the document does not state number, laboratory or date.
-    """
+    """Return an instrument's section `certificate` from its DCC. Raises `Refused` without number or date."""
     stated: dict[str, Any] = {**_about(root)}
     lacking = [name for name, text in stated.items() if not text]
     if lacking:

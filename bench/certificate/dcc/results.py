@@ -7,6 +7,7 @@ import binascii
 import math
 from collections.abc import Iterator, Sequence, Sized
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -32,6 +33,7 @@ from bench.certificate.dcc.nodes import (
     Node,
     byte_data,
     ellipsoidal,
+    in_languages,
     node,
     plain,
     real,
@@ -39,7 +41,7 @@ from bench.certificate.dcc.nodes import (
     said,
     si_unit,
 )
-from bench.certificate.laboratory import Texts
+from bench.certificate.laboratory import Texts, in_each
 from bench.certificate.signatures import NoCertificate, NotIntact, parser
 from bench.readings.table import Readings
 from bench.results.certificate import CertificateSays, CertifiedCoefficient
@@ -92,20 +94,9 @@ def _measured(certificate: Certificate, found: RunFindings, prefix: str) -> Node
 
 def _method(texts: Sequence[Texts], found: RunFindings) -> Node:
     method = found.method
-    words = tuple(
-        node(
-            "dcc:content",
-            one.say(
-                "method_text",
-                procedure=method.procedure or one.say("procedure_unknown"),
-                plan=method.plan_hash or "–",
-                estimator=method.estimator,
-                model=method.model,
-            ),
-            lang=one.language,
-        )
-        for one in texts
-    )
+    procedure, plan = method.procedure or in_each(texts, "procedure_unknown"), method.plan_hash or "–"
+    told = {"procedure": procedure, "plan": plan, "estimator": method.estimator, "model": method.model}
+    words = said(texts, "method_text", **told)
     return node(
         "dcc:usedMethod",
         node("dcc:name", *said(texts, "method")),
@@ -261,10 +252,7 @@ def _checked(texts: Sequence[Texts], verification: Verification) -> Node:
             "dcc:quantity",
             node("dcc:name", *said(texts, "delta_g")),
             delta,
-            node(
-                "dcc:measurementMetaData",
-                node("dcc:metaData", node("dcc:conformityXMLList", statements)),
-            ),
+            node("dcc:measurementMetaData", node("dcc:metaData", node("dcc:conformityXMLList", statements))),
             refType="bench_delta_g",
         ),
         _quantity(said(texts, "limit"), real(verification.limit_g, nodes.ONE), "limit"),
@@ -280,24 +268,12 @@ def _quantity(name: Node | Sequence[Node], quantity: Node, ref: str) -> Node:
 def _conformity(texts: Sequence[Texts], verification: Verification) -> Node:
     """Return the overall statement of conformity, with limit and decision rule."""
     statement, _ = stated(verification)
-    words = tuple(
-        node(
-            "dcc:content",
-            one.say(
-                "conformity_text",
-                points=len(verification.points),
-                limit=f"{verification.limit_g:g}",
-                statement=one.say(str(statement)),
-            )
-            + " "
-            + rule_said(one.say, verification.decision)
-            + "; "
-            + one.say("accepted" if verification.passed else "not_accepted")
-            + ".",
-            lang=one.language,
-        )
-        for one in texts
-    )
+    say = partial(in_each, texts)
+    points, limit = len(verification.points), f"{verification.limit_g:g}"
+    told = say("conformity_text", points=points, limit=limit, statement=say(str(statement)))
+    accepted = say("accepted" if verification.passed else "not_accepted")
+    parts = zip(told, rule_said(say, verification.decision), accepted, strict=True)
+    words = in_languages(texts, (f"{whole} {rule}; {verdict}." for whole, rule, verdict in parts))
     return node(
         "dcc:metaData",
         node("dcc:name", *said(texts, "conformity")),
@@ -310,12 +286,8 @@ def _conformity(texts: Sequence[Texts], verification: Verification) -> Node:
 
 
 def _uncertainty(certificate: Certificate) -> Node:
-    told = said(
-        certificate.texts,
-        "uncertainty_text",
-        k=f"{certificate.k:g}",
-        coverage=f"{100 * certificate.coverage:.4g}",
-    )
+    k, coverage = f"{certificate.k:g}", f"{100 * certificate.coverage:.4g}"
+    told = said(certificate.texts, "uncertainty_text", k=k, coverage=coverage)
     return node("dcc:metaData", node("dcc:declaration", *told), refType="bench_uncertainty")
 
 
