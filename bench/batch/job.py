@@ -68,10 +68,7 @@ class Job:
         return VerdictOptions(self.limit_g, self.rule, self.guard_band, self.population)
 
     def checked(self) -> Job:
-        """Return the job with absolute paths.
-
-        Raises the errors of the commands for options that are invalid for every run.
-        """
+        """Return the job with absolute paths. Raises the commands' errors for options invalid for every run."""
         estimator = find_estimator(self.estimator).name
         check_gravity(self.g_m_s2)
         self.asked().check()

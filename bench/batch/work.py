@@ -218,9 +218,7 @@ def _diagnosis(source: Source) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class CalibrationValues:
-    """The calibration in a row: values and u (12,) in unit/g and unit, and the p-value of lack of fit (or
-    None).
-    """
+    """The calibration in a row: values and u (12,) in unit/g and unit; p of lack of fit, None if not judged."""
 
     estimator: str
     model: str
@@ -242,10 +240,7 @@ class CalibrationValues:
 
     @classmethod
     def of_file(cls, told: Mapping[str, Any]) -> CalibrationValues:
-        """Return the calibration in a result, computed now or read from a file.
-
-        Raises `KeyError`, `TypeError` and the like for any other data.
-        """
+        """Return the calibration in a result. Raises `KeyError`, `TypeError` and the like for any other data."""
         sizes = [told["coefficients"][name] for name in COEFFICIENTS]
         p = told["residual"]["p"]
         return cls(

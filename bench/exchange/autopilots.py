@@ -252,10 +252,7 @@ def _head(result: BlockResult, sensor: Sensor, notes: list[str]) -> list[str]:
 
 
 def kalibr_yaml(result: BlockResult, nominal: Floats | None = None) -> str:
-    """Return the Kalibr file: the chain `imu0` with the model and M.
-
-    The file also has `bias` and `C_accel_block`, which Kalibr ignores.
-    """
+    """Return the Kalibr file: the chain `imu0` with the model and M, and (for other readers) bias and turn."""
     sensor = sensor_of(result, nominal)
     form = lower_triangular(sensor)
     raw = result.check[0]

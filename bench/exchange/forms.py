@@ -295,9 +295,7 @@ def print_coefficients(result: BlockResult, on: Console) -> None:
 
 
 def _table(rows: Iterable[ReportedNumber], k: float, times: float = 1.0, unit: str = "") -> Table:
-    """Return a table of numbers with u and U, multiplied by `times` (then in `unit`), rounded to two digits
-    of u.
-    """
+    """Return a table of numbers with u and U, multiplied by `times` (then in `unit`), to two digits of u."""
     shown = table("", ">value", ">u", f">U (k={k:g})", "")
     for row in rows:
         digits = places(times * row.u)

@@ -225,10 +225,7 @@ class Connection(H11Protocol):
 
 
 class OncePerMinute(logging.Filter):
-    """A log filter that passes each warning at most once a minute, and all errors.
-
-    Clients therefore cannot fill the disk with warnings.
-    """
+    """A log filter that passes all errors, but each warning at most once a minute: clients cannot fill the disk."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -246,10 +246,7 @@ def _words(annotation: Any, metadata: Iterable[Any]) -> str | None:
 
 
 def bare(annotation: Any) -> Any:
-    """Return the type of an annotation without metadata and without None.
-
-    A union of several types is returned unchanged.
-    """
+    """Return the type of an annotation without metadata and None; a union of several types is unchanged."""
     if get_origin(annotation) is Annotated:
         return bare(get_args(annotation)[0])
     if get_origin(annotation) in {Union, types.UnionType}:

@@ -162,10 +162,7 @@ def change(
 
 
 def _checked(holding: Holding, word: str, person: Person, to: str) -> str:
-    """Return the person to whom a command grants or denies control; "" for other commands.
-
-    Raises `Refusal` if the command is not allowed.
-    """
+    """Return the person to whom a command grants or denies control, or "". Raises `Refusal` if not allowed."""
     person.require(Role.SUPERVISOR if word == "force" else Role.OPERATOR)
     holds = holding.holder == person.name
     match word:

@@ -169,10 +169,7 @@ class TrialResult:
 
     @property
     def startable(self) -> bool:
-        """Whether the run may be started.
-
-        A dry run that ended at a prompt without a default answer does not prevent this.
-        """
+        """Whether the run may be started, even if the dry run ended at a prompt without a default answer."""
         if self.stage != "done" or self.check is None or self.check["problems"]:
             return False
         return self.tried in {0, 1} or bool(self.check["dry_run_refuses"])
@@ -388,10 +385,7 @@ def choices(kind: str, working: Path | None = None) -> dict[str, Path]:
 
 
 def chosen_procedure(name: str, runs: RunsFolder) -> Path:
-    """Return the procedure with this name or, for `next:RUN`, the one that the diagnosis of this run proposes.
-
-    Raises `Refusal` if there is none.
-    """
+    """Return the procedure of this name; `next:RUN` is the one that a diagnosis proposes. Raises `Refusal`."""
     if name.startswith(OF_RUN):
         run = runs.run(name.removeprefix(OF_RUN))
         file = run.folder / NEXT

@@ -52,10 +52,7 @@ def block_axes(installation: Installation, angle_rad: float) -> Floats:
 
 @dataclass
 class Sheet:
-    """A drawing in progress: SVG elements in drawing order.
-
-    Each argument `kind` is a CSS class, each `more` further attributes of the element.
-    """
+    """A drawing: SVG elements in drawing order; each `kind` is a CSS class, each `more` further attributes."""
 
     shapes: list[str] = field(default_factory=list)
 
@@ -195,10 +192,7 @@ def _block(sheet: Sheet, installation: Installation, angle_rad: float) -> None:
 
 
 def _aside(axis: Floats) -> Floats:
-    """Return the offset of an axis's letter on the sheet.
-
-    On the sheet an axis along the shaft is short, so its letter must be moved aside.
-    """
+    """Return the offset of an axis's letter on the sheet, where an axis along the shaft is short."""
     return np.array([10.0, 0.0]) if abs(axis[1]) > 0.9 else np.zeros(2)
 
 

@@ -49,9 +49,7 @@ class EditedFile:
     difference: str = ""
 
     def target(self, kind: str) -> Path | None:
-        """Return the path to write; None for a new name that cannot be used (a mistake is then noted at its
-        field).
-        """
+        """Return the path to write; None for an unusable new name, which is noted as a mistake at its field."""
         try:
             return new_path(kind, self.name) if self.start else self.base.path
         except Refusal as refusal:
@@ -67,10 +65,7 @@ class EditedFile:
 
 
 def own_files(kind: str) -> dict[str, Path]:
-    """Return the files of a kind (`CONFIG`, `PROCEDURES`) in the working folder, by name.
-
-    Links that lead out of the folder are left out.
-    """
+    """Return the working folder's files of a kind (`CONFIG`, `PROCEDURES`) by name, without links out of it."""
     here = Path().resolve()
     shipped = shipped_folder(kind).resolve()
     found = {name: (path, path.resolve()) for name, path in choices(kind).items() if "/" not in name}

@@ -190,10 +190,7 @@ _JUDGED: Final = ("n", "installation", "series", "pass", "point", "angle_deg", "
 
 
 def table_of(plots: Numbers, name: str) -> Rows:
-    """Return a plot's numbers as a table with a header row.
-
-    Raises `Refusal` (404) for a plot that the run lacks.
-    """
+    """Return a plot's numbers as a table with a header row. Raises `Refusal` (404) if the run lacks the plot."""
     found = list(_rows(plots, name))
     if len(found) < 2:  # a header row alone
         raise Refusal(404, message("no such table; choose one of the page"))

@@ -194,10 +194,7 @@ def with_copy(text: str, at: Place) -> str:
 
 
 def without_step(text: str, at: Place) -> str:
-    """Return a procedure without the step at the path `at`, and without the comments above this step.
-
-    Raises `Refusal` (409).
-    """
+    """Return a procedure without the step at the path `at` and the comments above it. Raises `Refusal` (409)."""
     lines = text.splitlines()
     comments, _, end = _block(text, at)
     return _compared(text, [*lines[:comments], *lines[end:]], at, times=0)

@@ -60,9 +60,7 @@ class QueueItem(_Row):
 
 
 class DayNote(_Row):
-    """A note of the day: `what` (`DUTY`, `OFF_DUTY`, `SWITCHED_ON`), its author, its time, and the bench it
-    concerns.
-    """
+    """A note of the day: `what` (`DUTY`, `OFF_DUTY`, `SWITCHED_ON`), its author and time, and its bench."""
 
     what: str
     who: str

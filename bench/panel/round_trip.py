@@ -188,10 +188,7 @@ def _arrange(tree: Any, values: Values, before: Values, groups: list[Group]) -> 
 
 
 def _gravity(stated: str) -> Any:
-    """Return the section on gravity in the form `stated`, with empty values.
-
-    A value that stays empty is reported as a mistake at its field.
-    """
+    """Return the section on gravity in the form `stated`; a value that stays empty becomes a mistake."""
     empty = _scalar("", None)
     if stated == FORMS_OF_GRAVITY["value"]:
         return empty
@@ -230,10 +227,7 @@ def _put(tree: Any, one: BenchField, text: str) -> None:
 
 
 def _scalar(text: str, before: Any) -> Any:
-    """Return a text as a scalar with the quotes of the scalar `before`.
-
-    A word that YAML reads as null is quoted.
-    """
+    """Return a text as a scalar with the quotes of the scalar `before`; what YAML reads as null is quoted."""
     from ruamel.yaml.scalarstring import DoubleQuotedScalarString, SingleQuotedScalarString
 
     if isinstance(before, SingleQuotedScalarString):

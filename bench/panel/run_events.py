@@ -204,10 +204,7 @@ _BEGUN: Final = f'"type": "{EventType.STEP_STARTED}"'.encode()
 
 
 class Tail:
-    """A reader of all events of a growing record.
-
-    An incomplete last line is read once it is complete.
-    """
+    """A reader of all events of a growing record; an incomplete last line is read once it is complete."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / EVENTS

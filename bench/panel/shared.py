@@ -97,10 +97,7 @@ async def acting(request: Request, least: Role, most: int = MOST_FIELDS) -> tupl
 
 
 async def fields(request: Request, most: int = MOST_FIELDS) -> dict[str, str]:
-    """Return the fields of a form, or of a JSON object of texts.
-
-    Raises `Refusal` for any other body, and for more than `most` fields.
-    """
+    """Return the fields of a form or of a JSON object of texts. Raises `Refusal` for anything else, or too many."""
     try:
         body = await request.body()
     except ClientDisconnect:

@@ -245,10 +245,7 @@ def as_event(name: str, data: Any) -> bytes:
 
 
 def as_live(value: bytes) -> bytes:
-    """Return a server-sent event with the live value from the run's program.
-
-    The data of the event are {} if the value is missing or damaged.
-    """
+    """Return a server-sent event with a run's live value; its data are {} if the value is missing or damaged."""
     try:
         told = from_text(value) if value else {}
     except ValueError:
@@ -379,10 +376,7 @@ class Followers:
             return shared.prompt
 
     async def points(self, folder: Path) -> tuple[dict[str, Any], ...]:
-        """Return the points of a run once all its readings were compared with their predictions.
-
-        Raises `RecordError`.
-        """
+        """Return the points of a run once all its readings were compared. Raises `RecordError`."""
         async with self._watched(folder) as shared:
             while shared.judging and not shared.trouble:
                 await shared.wait(shared.version)

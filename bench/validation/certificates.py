@@ -26,10 +26,7 @@ UNITS = {"units": [{"received": "2026-11-16", "condition": "undamaged", "state":
 
 
 def write_files(folder: Path, laboratory: Any = None, order: Any = None) -> tuple[Path, Path]:
-    """Write the shipped laboratory and order files into a folder, with the given sections replaced.
-
-    Return both paths.
-    """
+    """Write the shipped laboratory and order files with sections replaced into a folder; return both paths."""
     written = []
     for name, sections in (("laboratory", laboratory), ("order", order)):
         data = yaml.safe_load((shipped_folder(CERTIFICATE) / f"{name}.yaml").read_text(encoding="utf-8"))

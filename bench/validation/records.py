@@ -54,10 +54,7 @@ def bench_to_run(context: Context) -> tuple[Path, str]:
 
 
 def whole_run(context: Context) -> Run:
-    """Return a finished dry run of 'quick' on the bench under validation.
-
-    The run is made at the first call, then reused.
-    """
+    """Return a finished dry run of 'quick' on the bench under validation, made at the first call."""
     return _finished(context, bench_to_run(context)[0], "whole")
 
 

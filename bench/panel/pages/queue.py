@@ -295,10 +295,7 @@ def _asked(panel: Panel, person: Person, sent: dict[str, str]) -> list[QueueItem
 
 
 async def item_changed(request: Request) -> Response:
-    """Begin, move, remove or put back an item. "Begin" starts only the check of the item.
-
-    Another button, shown after the check, starts the run.
-    """
+    """Begin, move, remove or put back an item; to begin starts only its check, after which the run can start."""
     person, sent = await acting(request, Role.OPERATOR)
     to = await run_in_threadpool(
         _item_changed, panel_of(request), person, request.path_params["item"], sent.get("do", "")

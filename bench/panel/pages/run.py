@@ -42,10 +42,7 @@ MOST_STREAMS: Final = 30
 
 
 def run_of(request: Request) -> Run:
-    """Return the run in a request's address.
-
-    Raises `Refusal` if nobody is signed in, and if there is no such run.
-    """
+    """Return the run in a request's address. Raises `Refusal` if nobody is signed in or there is no such run."""
     looking(request)
     return panel_of(request).runs.run(request.path_params["name"])
 
@@ -205,10 +202,7 @@ async def control(request: Request) -> Response:
 
 
 async def resume(request: Request) -> Response:
-    """Resume a run that no program carries out.
-
-    The person must have control of the run, and gets control if nobody has it.
-    """
+    """Resume a run that no program carries out; the person must have control of it, or take it from nobody."""
     person, _ = await acting(request, Role.OPERATOR)
     run = panel_of(request).runs.run(request.path_params["name"])
     await _doing(_hold, run, person)
