@@ -44,7 +44,6 @@ from bench.panel.launching import start as start_program
 from bench.panel.pages import (
     bench,
     catalogue,
-    plots,
     procedure,
     queue,
     run,
@@ -103,10 +102,10 @@ ROUTES = [
     Route("/runs/{name}/diagnosis", verdict.diagnosis),
     Route("/runs/{name}/diagnose", verdict.diagnose, methods=["POST"]),
     Route("/runs/{name}/figures/{figure}", verdict.figure),
-    Route("/runs/{name}/plots", plots.plots),
-    Route("/runs/{name}/plots/data", plots.data),
-    Route("/runs/{name}/plots/previous", plots.previous),
-    Route("/runs/{name}/plots/{table}.{form}", plots.table),
+    Route("/runs/{name}/plots", verdict.plots),
+    Route("/runs/{name}/plots/data", verdict.data),
+    Route("/runs/{name}/plots/previous", verdict.previous),
+    Route("/runs/{name}/plots/{table}.{form}", verdict.table),
     Route("/runs/{name}/certificate/{file}", verdict.certificate),
     Route("/runs/{name}/state", run.state),
     Route("/runs/{name}/stream", run.stream),
@@ -383,10 +382,7 @@ def open_panel(runs: Path, after: str = "/", name: str = "", laboratory: Path | 
 
 
 def begin_panel(runs: Path, ports: Sequence[int] = (PORT, 0), laboratory: Path | None = None) -> Started:
-    """Start a panel that outlives this program, on the first free port of `ports`; wait until it serves.
-
-    Raises `RecordError` if it does not start.
-    """
+    """Start a panel that outlives this program, on the first free of `ports`. Raises `RecordError`."""
     state = private_folder(runs / STATE)
     trouble = ""
     for port in ports:

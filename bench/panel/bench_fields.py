@@ -10,16 +10,16 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin
 
-from pydantic import BaseModel, Tag
+from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from bench.base.arrays import CHANNELS
 from bench.base.languages import message
-from bench.base.units import QuantityKind, quantity_of, written_quantity
+from bench.base.units import AccelerationMS2, QuantityKind, quantity_of, written_quantity
 from bench.base.yaml_files import FileMistake, Place, dotted
 from bench.config.bench_file.file import BenchFile
-from bench.config.bench_file.stand import UnitUnderTest
+from bench.config.bench_file.stand import Location, MeasuredGravity, UnitUnderTest
 from bench.config.devices.device import Role
 from bench.config.devices.registry import devices
 
@@ -89,40 +89,17 @@ def groups_of(values: Values) -> list[Group]:
 
 
 def _gravity(values: Values) -> Group:
-    forms = _forms_of_gravity()
     chosen = values.get(GRAVITY_FORM, "")
-    words = (("", message("not stated")), *((tag, tag) for tag in forms))
+    words = (("", message("not stated")), *((form, form) for form in FORMS_OF_GRAVITY.values()))
     choice = BenchField(GRAVITY_FORM, GRAVITY, message("Gravity is stated as"), choices=words, shows=True)
     told = ""
     inner: tuple[BenchField, ...] = ()
-    if chosen in forms:
-        annotation, metadata = forms[chosen]
-        if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
-            told = first_sentence(annotation)
-            inner = tuple(dict(fields_in(annotation, GRAVITY)).values())
-        else:
-            inner = (
-                BenchField("gravity", GRAVITY, "Gravity", _words(annotation, metadata) or "", required=True),
-            )
+    if chosen == FORMS_OF_GRAVITY["value"]:
+        inner = (BenchField("gravity", GRAVITY, "Gravity", _words(AccelerationMS2, ()) or "", required=True),)
+    elif chosen in FORMS_OF_GRAVITY.values():
+        model = Location if chosen == FORMS_OF_GRAVITY["place"] else MeasuredGravity
+        told, inner = first_sentence(model), tuple(dict(fields_in(model, GRAVITY)).values())
     return Group(message("Local gravity"), GRAVITY, told, (choice, *inner))
-
-
-def _forms_of_gravity() -> dict[str, tuple[Any, tuple[Any, ...]]]:
-    """Return type and metadata of each way to state gravity, keyed by its tag in the model."""
-    found: dict[str, tuple[Any, tuple[Any, ...]]] = {}
-
-    def look(annotation: Any) -> None:
-        if get_origin(annotation) is Annotated:
-            inner, *metadata = get_args(annotation)
-            tag = next((entry.tag for entry in metadata if isinstance(entry, Tag)), None)
-            if tag is not None:
-                found[tag] = (inner, tuple(metadata))
-                return
-        for part in get_args(annotation):
-            look(part)
-
-    look(BenchFile.model_fields["gravity"].annotation)
-    return found
 
 
 def _voltmeters(values: Values) -> Iterator[Group]:

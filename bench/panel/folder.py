@@ -83,10 +83,7 @@ class Issued:
 
 
 class Certificates:
-    """The certificates in a laboratory's register, read-only; without a laboratory file there are none.
-
-    Raises `FileMistakes` for an invalid laboratory file.
-    """
+    """A laboratory's certificates, read-only; none without its file. Raises `FileMistakes` for an invalid file."""
 
     def __init__(self, laboratory: Path | None) -> None:
         self._folder = None if laboratory is None else load_laboratory(laboratory).register_folder

@@ -55,10 +55,7 @@ class Started:
 
 
 def start(arguments: Sequence[str], log: Path, *, program: Sequence[str] = BENCH) -> Started:
-    """Start a process that outlives this program, with its output in the file `log`. Raises `OSError`.
-
-    The arguments are passed as a list, never through a shell.
-    """
+    """Start a process that outlives this program, without a shell; its output goes to `log`. Raises `OSError`."""
     with log.open("wb") as out:
         process = subprocess.Popen(  # noqa: S603 - a program of ours, arguments that were checked
             [sys.executable, *program, *arguments],
@@ -300,10 +297,7 @@ def name_of(wanted: WantedRun, runs: RunsFolder) -> str:
 
 
 def start_run(wish: WishFolder, name: str, runs: RunsFolder) -> Run:
-    """Start a requested run in a separate process; return the run once its record exists. Raises `Refusal`.
-
-    `name` is the run's name, from `name_of`.
-    """
+    """Start a requested run called `name` in a separate process, and wait for its record. Raises `Refusal`."""
     wanted = wish.wanted()
     if wanted.changed():
         raise Refusal(409, message("procedure or bench file changed after the check; check them again"))
@@ -370,10 +364,7 @@ BEGINNING: Final = 65_536
 
 
 def choices(kind: str, working: Path | None = None) -> dict[str, Path]:
-    """Return the files of a kind (`PROCEDURES` or `CONFIG`) that may be chosen, by name.
-
-    A file in the working folder replaces the shipped file of the same name, as in commands.
-    """
+    """Return the files of a kind (`PROCEDURES`, `CONFIG`) by name; own files replace shipped ones."""
     here = working or Path()
     found = {file.stem: file for file in _yaml(shipped_folder(kind))}
     found |= {file.stem: file for file in _yaml(here / kind)}

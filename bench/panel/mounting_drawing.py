@@ -197,10 +197,7 @@ def _aside(axis: Floats) -> Floats:
 
 
 def _seen(normal: Floats) -> bool:
-    """Return whether a face of the cube is visible, from its normal.
-
-    The line of sight is the direction in space that the projection maps to a single point.
-    """
+    """Return whether a face with this normal is visible along the direction that projects to a point."""
     return float(normal @ np.array([-AWAY[0], 1.0, AWAY[1]])) < -1e-9
 
 

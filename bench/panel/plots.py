@@ -253,10 +253,7 @@ def _diagnosed_rows(diagnosis: Numbers, name: str) -> Iterator[list[Any]]:
 
 
 def written(rows: Rows, title: str, form: str, *, simulated: bool) -> bytes:
-    """Return a table as a file of the `form` "csv", or "xlsx" (a workbook).
-
-    The CSV file states the numbers exactly; the workbook has about 16 digits.
-    """
+    """Return a table as CSV (`form` "csv"), which states numbers exactly, or as a workbook ("xlsx", 16 digits)."""
     if form == "xlsx":
         from bench.exchange.forms import tables_workbook
 

@@ -142,10 +142,7 @@ def values_in(data: Any, fields: Iterable[BenchField]) -> dict[str, str]:
 
 
 def table_text(text: str, values: Values, fields: Sequence[BenchField]) -> str:
-    """Return the text of a procedure with the values that were typed in its table.
-
-    First the values of existing fields are set, then angles are rewritten in the chosen form.
-    """
+    """Return a procedure with the values typed in its table; angles are rewritten last, in the chosen form."""
     text = edited_text(text, values, fields)
     return edited_text(text, {}, (), lambda tree, _: _arrange_angles(tree, values, fields))
 

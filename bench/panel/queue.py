@@ -111,10 +111,7 @@ class DayQueue:
             items[at] = items[at].model_copy(update=values)
 
     def claim(self, item_id: str, run: str, exists: Callable[[str], bool]) -> None:
-        """Note the name of an item's run before this run is started.
-
-        Raises `Refusal` (409) if the item was begun already: its run exists, or is being started.
-        """
+        """Note the name of an item's run before its start. Raises `Refusal` (409) if the item was begun already."""
         with self._changed() as items:
             at = _index(items, item_id)
             item = items[at]

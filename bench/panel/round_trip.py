@@ -290,10 +290,7 @@ def _sequence() -> Any:
 
 
 def with_comments(before: str, after: str) -> str:
-    """Return `after`, a changed text, with each whole-line comment of `before` above the same key.
-
-    If that key is gone, the comment is above the next remaining key.
-    """
+    """Return `after` with each whole-line comment of `before` above its key, else above the next that is left."""
     blocks = _blocks(before)
     if _blocks(after) == blocks:
         return after

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -43,7 +43,7 @@ class Findings:
     problem: str = ""
     when: str = ""
     resources_when: str = ""
-    order: Sequence[str] = field(default_factory=tuple)
+    order: Sequence[str] = ()
     """The resources that are addressed."""
 
 

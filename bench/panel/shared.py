@@ -185,10 +185,7 @@ def load() -> None:
 
 
 def rendered(name: str, **content: Any) -> str:
-    """Return a template rendered with `content`: HTML-escaped, control and invisible characters visible.
-
-    A variable missing from `content` is an error.
-    """
+    """Return a template rendered with all its `content`: HTML-escaped, control and invisible characters visible."""
     return visible(_environment(language()).get_template(name).render(**content))
 
 

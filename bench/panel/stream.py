@@ -139,10 +139,7 @@ ALIVE_LOOK_S: Final = 1.0
 
 
 class Follower:
-    """A follower of one run: it reads new events and compares readings with their predictions.
-
-    Raises `RecordError`, `FileMistakes` if the run's files or its record cannot be read.
-    """
+    """A follower of one run: its events and residuals. Raises `RecordError`, `FileMistakes` if unreadable."""
 
     def __init__(self, folder: Path, clock: Clock | None = None) -> None:
         run = Run(folder)
@@ -383,10 +380,7 @@ class Followers:
             return shared.points.points
 
     async def stream(self, folder: Path) -> AsyncIterator[bytes]:
-        """Yield server-sent events of a run for one viewer: "state", "points", "live", "beat" and "trouble".
-
-        Raises `RecordError` before the first event if the record cannot be read.
-        """
+        """Yield a run's server-sent events for one viewer. Raises `RecordError` before the first if unreadable."""
         async with self._watched(folder) as shared:
             told, sent, live = PlottedPoints(), b"", b""
             while not shared.trouble:

@@ -106,10 +106,7 @@ async def stream(request: Request) -> Response:
 async def _as_long_as_signed_in(
     request: Request, events: AsyncIterator[bytes], name: str
 ) -> AsyncIterator[bytes]:
-    """Yield `events` until the person signs out or the token is revoked; count the person's streams.
-
-    An unreadable run is reported as an event, because the response has begun: it can no longer be a refusal.
-    """
+    """Yield `events` while the person may look, and count the streams; an unreadable run becomes an event."""
     streams = panel_of(request).streams
     streams[name] += 1
     try:
@@ -132,10 +129,7 @@ async def check_answer(request: Request) -> Response:
 
 
 def checked(asked: AskedPrompt | None, prompt_id: str, text: str) -> dict[str, str]:
-    """Return the `problem` with an answer ("" if acceptable), and how the answer is `understood`.
-
-    Raises `Refusal` (409) if the question is no longer open.
-    """
+    """Return the `problem` with an answer and how it is `understood`. Raises `Refusal` (409) if it is late."""
     if asked is None or asked.prompt.id != prompt_id:
         raise Refusal(409, message("this question is closed; load the page again"))
     return {
@@ -168,10 +162,7 @@ async def answer(request: Request) -> Response:
 
 
 async def wish(request: Request) -> Response:
-    """Store a wish, such as pause or stop, for the program that carries out a run.
-
-    Everybody may stop the run; other wishes need control of the run.
-    """
+    """Store a wish for the program that carries out a run; all but stop (by anybody) need control of the run."""
     person, sent = await acting(request, Role.VIEWER)
     run = panel_of(request).runs.run(request.path_params["name"])
     word, reason = sent.get("wish", "").strip(), " ".join(sent.get("reason", "").split())

@@ -33,8 +33,7 @@ from bench.panel.launching import (
     start,
     start_run,
 )
-from bench.panel.own_files import own_files
-from bench.panel.procedure_files import offered_procedures
+from bench.panel.own_files import offered_procedures, own_files
 from bench.panel.shared import Panel, acting, operator, page, panel_of
 from bench.run.sentences import duration
 from bench.services.requests.measuring import RunRequest
