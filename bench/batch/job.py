@@ -117,10 +117,7 @@ def _named(file: str) -> dict[str, str]:
 
 @cache
 def program() -> Mapping[str, str]:
-    """Return the identity of the program that computes the results: its versions and the SHA-256 of its code.
-
-    The hash is needed because the code in a git checkout can change while the version stays the same.
-    """
+    """Return the versions of the program and the SHA-256 of its code, which changes between versions, too."""
     package = Path(__file__).parents[1]
     files = sorted(package.rglob("*.py"))
     told = "".join(f"{file.relative_to(package).as_posix()} {sha256(file.read_bytes())}\n" for file in files)

@@ -184,10 +184,7 @@ class Store:
     # --- what was asked -----------------------------------------------------------------------------
 
     def begin(self, job: Job, over: Sequence[str], runs: Sequence[str]) -> BatchProgress:
-        """Record the job and its runs; return the progress, with the runs left to do.
-
-        Raises `Refused` with all differences if the folder belongs to another job or program.
-        """
+        """Record the job and its runs; return what is left. Raises `Refused` for the folder of another job."""
         asked = {
             "command": job.command,
             "asked": job.to_json(),

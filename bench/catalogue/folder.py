@@ -41,11 +41,7 @@ Row = dict[str, Any]
 
 
 def instruments_of(bench: BenchFile | None, run: int, started: Mapping[str, Any]) -> dict[str, list[Row]]:
-    """Return, by table, the rows of a run's instruments, of their uses and of their certificates.
-
-    `started` are the data of the event with which the run began, such as reported identities and serial
-    numbers.
-    """
+    """Return, by table, the rows of a run's instruments, uses and certificates, from its bench and first event."""
     answered = {str(k): str(v) for k, v in (started.get("instruments") or {}).items()}
     serials = {str(k): str(v).strip() for k, v in (started.get("serials") or {}).items()}
     instruments: dict[int, Row] = {}
@@ -159,10 +155,7 @@ class RecordSeen:
 
     @property
     def proved(self) -> str:
-        """How thoroughly the record was verified.
-
-        The value is "read" (every event), "chain" (hashes only), "none" or, if the check failed, "broken".
-        """
+        """How the record was verified: "read" (every event), "chain" (hashes only), "none", or "broken"."""
         if self.problem:
             return "broken"
         return ("read" if self.whole else "chain") if self.count else "none"

@@ -246,10 +246,7 @@ def _batches(parts: Iterable[_T], size: int) -> Iterator[list[_T]]:
 
 
 def _write(connection: Connection, batch: list[FolderEntry], known: dict[str, Row], done: Synced) -> None:
-    """Write the contents of a batch of folders to the catalogue, and count them in `done`.
-
-    `known` are the catalogue's earlier rows on folders, by path.
-    """
+    """Write a batch of folders, and count them in `done`; `known` are earlier rows on folders by path."""
     places = _places(connection, [found.run for found in batch if found.run is not None])
     rows: dict[str, list[Row]] = {table.name: [] for table in (INSTRUMENTS, CERTIFICATES, RUNS, *OF_A_RUN)}
     folders, left, runs = [], [], []

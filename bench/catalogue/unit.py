@@ -254,10 +254,7 @@ def _calibration(table: CoefficientTable, k: int) -> UnitCalibration:
 
 
 def unit_calibrations(catalogue: Catalogue, unit: str) -> list[UnitCalibration]:
-    """Return the comparable calibrations of a unit, as in its history, for the figure of the unit.
-
-    Raises `Refused` if no unit or several have that name.
-    """
+    """Return the comparable calibrations of one unit, for its figure. Raises `Refused` as `unit_history`."""
     table, _, _ = compared_of(catalogue, _name_of(catalogue, unit))
     return [_calibration(table, k) for k in range(len(table))]
 

@@ -56,10 +56,7 @@ class Desk:
 
 
 def desk_of(request: Issuing, passphrase: Callable[[], bytes]) -> Desk:
-    """Return the checked inputs for an issue; `passphrase` is called if the key needs a passphrase.
-
-    Raises `Refused` with every missing option of the request, and `FileMistakes` for mistakes in its files.
-    """
+    """Return the inputs for an issue. Raises `Refused` for missing options, `FileMistakes` for bad files."""
     needed = {
         "--laboratory FILE": request.laboratory,
         "--order FILE": request.order,
@@ -264,10 +261,7 @@ def refuse_incomplete(certificate: Certificate) -> None:
 
 
 def bodies_of(certificate: Certificate, schemas: Schemas | None = None) -> Bodies:
-    """Return the unsigned forms of a numbered certificate after checking them.
-
-    Raises `Refused` if the XML violates a rule of this program or of the schemas.
-    """
+    """Return the unsigned forms of a numbered certificate. Raises `Refused` if the XML breaks rules or schemas."""
     from bench.certificate.dcc.document import document_of
     from bench.certificate.dcc.nodes import broken_rules
 
@@ -352,10 +346,7 @@ def checked(request: CheckRegister) -> tuple[RegisterResult, list[Path]]:
 
 
 def register_result(register: Register, number: str | None, runs: Path | None) -> RegisterResult:
-    """Return the content of an open register, for one number or (None) all.
-
-    If `runs` is given, each certificate is also reproduced from its record in that folder and compared.
-    """
+    """Return an open register, for one number or all; with `runs`, each certificate is made again and compared."""
     numbers = list(register.standings) if number is None else [issued(register, number).entry.number]
     problems = [problem for problem in register.damaged_files() if number is None or f"{number}." in problem]
     rows = []

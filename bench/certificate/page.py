@@ -225,10 +225,7 @@ def _inputs(certificate: Certificate, dcc: bytes) -> dict[str, str]:
 
 
 def typeset_pdf(data: dict[str, str], moment: int, template: bytes | None = None) -> bytes:
-    """Return the PDF typeset from a template, by default the template of certificates.
-
-    `moment` (s since 1970) is the creation time that the PDF states.
-    """
+    """Return the PDF of a template, by default that of certificates, made at `moment` (s since 1970)."""
     import typst
 
     try:

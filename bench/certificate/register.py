@@ -51,11 +51,7 @@ class Register(Chain):
         return next(number for number in numbers if number not in self.standings)
 
     def issue(self, entry: Entry, contents: Mapping[str, bytes]) -> None:
-        """Issue a certificate; `contents` are its files by name.
-
-        Raises `Refused` if the number is already issued, and `OSError` if the certificate could not be
-        issued.
-        """
+        """Issue a certificate with its files. Raises `Refused` for a number issued before, `OSError` on failure."""
         if entry.number in self.standings:
             raise Refused(f"{entry.number}: this number was issued before; choose another")
         for name, content in contents.items():
@@ -95,7 +91,7 @@ class Register(Chain):
         return wrong
 
     def catch_up(self) -> None:
-        """Read the lines added since the last call; finish interrupted issues. Raises `Refused` if one was changed."""
+        """Read the lines added since; finish interrupted issues. Raises `Refused` for a changed line."""
         self.read_lines()
         for part in self.folder.glob(f"*{_PART}"):
             self._finish(part)

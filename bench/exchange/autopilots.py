@@ -103,10 +103,7 @@ def diagonal(sensor: Sensor) -> Diagonal:
 
 @dataclass(frozen=True)
 class Triangular:
-    """The form of Kalibr: z = M R a + b, with M lower triangular and R the rotation to the axes of M.
-
-    `turn_rad` is the angle (rad) of the rotation R.
-    """
+    """The form of Kalibr: z = M R a + b, M lower triangular, R a rotation by `turn_rad` (rad) to the axes of M."""
 
     M: Floats
     R: Floats
@@ -215,10 +212,7 @@ ARDUPILOT: Final = Autopilot(
 
 
 def _tested(of: Autopilot, result: BlockResult, sensor: Sensor, values: dict[str, float]) -> list[str]:
-    """Return comment lines: the drawing of axes and signs, the check vectors, and the test in the file.
-
-    Accelerations are computed in double precision from the values as written, without cross-axis terms.
-    """
+    """Return comment lines: axes and signs, check vectors (without cross-axis terms), and the file's test."""
     written = {name: float(f"{value:.9g}") for name, value in values.items()}
     off, by = (np.array([written[name.format(axis)] for axis in "XYZ"]) for name in (of.offset, of.scale))
     raw = result.check[0]

@@ -59,10 +59,7 @@ THRESHOLD_U: Final = 0.1
 
 
 def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationResult:
-    """Carry out a validation; write result, page, PDF and seal into a folder; return the result.
-
-    Raises `Refused` for a folder that already holds a validation or cannot be written, and for an unusable key.
-    """
+    """Carry out a validation; write result, page, PDF and seal. Raises `Refused` for an unusable folder or key."""
     began, clock, cpu_s = utc_now(), SystemClock(), _cpu_s()
     began_s = clock.now_s()
     _check_release(request)
@@ -144,10 +141,7 @@ def _take(folder: Path) -> None:
 
 
 def _accepted(laboratory: Path | None, bench: Path) -> tuple[str, dict[str, Any] | None]:
-    """Return number and result of the accepted validation to compare with; "" and None without one.
-
-    It is the latest valid one for a bench file with the name of `bench`.
-    """
+    """Return number and result of the latest accepted validation for this bench file; "" and None without one."""
     if laboratory is None:
         return "", None
     register = read_validations(laboratory)
