@@ -145,8 +145,8 @@ def _result(ask: Ask, folder: Path, noted: Mapping[str, Any]) -> BatchResult:
             "verdicts": {**_flag(ask, "verdict_differs"), "changes": changes},
             "names": _flag(ask, "names_differ") if diagnosis else None,
             "fit": None if diagnosis else _flag(ask, "fit_differs"),
-            "change_in_u": None if diagnosis else _sizes(ask),
-            "u_ratio": None if diagnosis else _ratio(ask),
+            "change_in_u": None if diagnosis else _summary(ask, _SIZES),
+            "u_ratio": None if diagnosis else _summary(ask, _RATIO),
             "different": _different(ask, diagnosis=diagnosis),
             "failed": rows_of(ask, failed),
             "measured_with": rows_of(
@@ -166,19 +166,18 @@ def _flag(ask: Ask, name: str) -> dict[str, int]:
     return found
 
 
-def _sizes(ask: Ask) -> dict[str, Any] | None:
-    (found,) = rows_of(
-        ask,
-        "SELECT quantile_cont(c, 0.5) AS median, quantile_cont(c, 0.95) AS of_95_percent, max(c) AS most, "
-        "arg_max(run, c) AS most_of, arg_max(largest_change_of, c) AS most_in "
-        "FROM (SELECT *, largest_change_in_u AS c FROM changes)",
-    )
+_SIZES: Final = (
+    "SELECT quantile_cont(c, 0.5) AS median, quantile_cont(c, 0.95) AS of_95_percent, max(c) AS most, "
+    "arg_max(run, c) AS most_of, arg_max(largest_change_of, c) AS most_in "
+    "FROM (SELECT *, largest_change_in_u AS c FROM changes)"
+)
+_RATIO: Final = "SELECT min(least_u_ratio) AS least, max(most_u_ratio) AS most FROM changes"
+
+
+def _summary(ask: Ask, question: str) -> dict[str, Any] | None:
+    """Return the only row of an answer; None if no run has the compared values."""
+    (found,) = rows_of(ask, question)
     return None if found["most"] is None else found
-
-
-def _ratio(ask: Ask) -> dict[str, Any] | None:
-    (found,) = rows_of(ask, "SELECT min(least_u_ratio) AS least, max(most_u_ratio) AS most FROM changes")
-    return None if found["least"] is None else found
 
 
 def _different(ask: Ask, *, diagnosis: bool) -> list[dict[str, Any]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from math import isnan
 from pathlib import Path
@@ -96,8 +96,7 @@ def _calibrated(job: Job, source: Source) -> Row:
         row["page"] = str(_written(job, source, page))
     elif len(source.readings.verification()) and not job.join_verification:
         verdict = verification_of(result.source, result, job.asked())
-    stored = stored_calibration(Path(source.name))
-    return row | _compared(result, verdict, stored)
+    return row | _compared(result, verdict, Path(source.name))
 
 
 def _of_meters(job: Job, source: Source, result: RecordCalibrationResult) -> Row:
@@ -144,13 +143,16 @@ def _written(job: Job, source: Source, page: str) -> Path:
     return file
 
 
-def _compared(result: CalibrationResult, verdict: VerificationResult | None, stored: Stored) -> Row:
-    now, before = CalibrationValues.of_file(result.to_dict()), stored.calibration
+def _compared(result: CalibrationResult, verdict: VerificationResult | None, folder: Path) -> Row:
+    """Return the columns of a calibration and its verdict, and of those stored in the folder of the run."""
+    notes: list[str] = []
+    now, before = CalibrationValues.of_file(result.to_dict()), stored_calibration(folder, notes)
     judged = None if verdict is None else VerdictValues.of_file(verdict.to_dict())
-    notes = [*stored.notes, *(() if before is None else _notes_on(before, result)), *result.notes]
+    judged_before: VerdictValues | None = _read(folder / VERIFY_FILE, VerdictValues.of_file, notes)
+    notes += [*(() if before is None else _notes_on(before, result)), *result.notes]
     return {
         **changes(before, now),
-        **_verdicts(stored.verdict, judged),
+        **_verdicts(judged_before, judged),
         "readings_used": now.used,
         "covariance": result.covariance.ravel().tolist(),
         "notes": "; ".join(map(visible, notes)),
@@ -186,8 +188,9 @@ def _verdicts(before: VerdictValues | None, now: VerdictValues | None) -> Row:
 
 def _diagnosed(source: Source) -> Row:
     found = _diagnosis(source)
-    now, stored = Named.of_file(found), stored_diagnosis(Path(source.name))
-    before = stored.diagnosis
+    notes: list[str] = []
+    now = Named.of_file(found)
+    before: Named | None = _read(Path(source.name) / DIAGNOSE_FILE, Named.of_file, notes)
     row: Row = {
         "model": source.model.name,
         "verdict": now.verdict,
@@ -195,7 +198,7 @@ def _diagnosed(source: Source) -> Row:
         "gap_before": now.before,
         "gap_after": now.after,
         "result": to_text(found),
-        "notes": "; ".join(map(visible, (*stored.notes, *source.readings.notes, *found.get("notes", ())))),
+        "notes": "; ".join(map(visible, (*notes, *source.readings.notes, *found.get("notes", ())))),
     }
     if before is None:
         return row
@@ -305,31 +308,14 @@ class Named:
         return cls(str(told["verdict"]), ", ".join(names), before, after)
 
 
-@dataclass(frozen=True)
-class Stored:
-    """Earlier results in a run's folder; one that is missing or unreadable is None, and `notes` say why."""
-
-    calibration: CalibrationValues | None = None
-    verdict: VerdictValues | None = None
-    diagnosis: Named | None = None
-    notes: list[str] = field(default_factory=list)
-
-
-def stored_calibration(folder: Path) -> Stored:
-    """Return the earlier coefficients and verdict that are stored in a run's folder."""
-    notes: list[str] = []
-    found = _read(folder / CALIBRATE_FILE, CalibrationValues.of_file, notes)
-    judged = _read(folder / VERIFY_FILE, VerdictValues.of_file, notes)
-    return Stored(calibration=found, verdict=judged, notes=notes)
-
-
-def stored_diagnosis(folder: Path) -> Stored:
-    """Return the earlier diagnosis that is stored in a run's folder."""
-    notes: list[str] = []
-    return Stored(diagnosis=_read(folder / DIAGNOSE_FILE, Named.of_file, notes), notes=notes)
+def stored_calibration(folder: Path, notes: list[str]) -> CalibrationValues | None:
+    """Return the calibration stored in a run's folder; None if it is missing or, as `notes` say, unreadable."""
+    found: CalibrationValues | None = _read(folder / CALIBRATE_FILE, CalibrationValues.of_file, notes)
+    return found
 
 
 def _read(file: Path, understood: Any, notes: list[str]) -> Any:
+    """Return an earlier result, read by `understood`; None if missing or, as `notes` then say, unreadable."""
     try:
         told = read_json(read_regular(file))
         return understood(told[0] if isinstance(told, list) and len(told) == 1 else told)

@@ -167,7 +167,7 @@ def against(request: Validate, over: str, folder: Path) -> AgainstPart:
     """
     by_estimator: dict[str, list[str]] = {}
     for run in _past_runs(request, over):
-        stored = stored_calibration(Path(run)).calibration
+        stored = stored_calibration(Path(run), [])
         by_estimator.setdefault(_known(GLS if stored is None else stored.estimator), []).append(run)
     rows: list[dict[str, Any]] = []
     for estimator, runs in by_estimator.items():

@@ -43,10 +43,7 @@ _COMMAND: Final = "from bench.cli.program import main; main()"
 
 
 def bench_to_run(context: Context) -> tuple[Path, str]:
-    """Return the bench file for the validation's runs, and a note.
-
-    If the given bench file cannot run the procedure, another bench file replaces it, and the note says so.
-    """
+    """Return the bench file for the validation's runs, and a note if another must replace the given one."""
     plan = load_procedure(find_procedure(PROCEDURE)).expand()
     if not plan_check(plan, context.bench, dry_run=True):
         return context.bench_path, ""
