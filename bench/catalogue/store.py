@@ -304,7 +304,9 @@ def open_catalogue(
     in_file = url.get_backend_name() == "sqlite"
     if in_file:
         _prepare_file(Path(url.database or ""), existing=existing)
-    engine = sqlalchemy.create_engine(url, connect_args=_connect_args(url.get_backend_name()))
+    on_server = {"connect_timeout": 10, "options": "-c timezone=UTC"}
+    waiting = {"timeout": BUSY_MS / 1e3} if in_file else on_server
+    engine = sqlalchemy.create_engine(url, connect_args=waiting)
     _listen(engine)
     catalogue = Catalogue(engine, named if in_file else url.render_as_string(hide_password=True))
     try:
@@ -336,12 +338,6 @@ def _url(named: str) -> Any:
             "give a file, or postgresql://USER@HOST/NAME"
         )
     return url.set(drivername="postgresql+psycopg")
-
-
-def _connect_args(kind: str) -> dict[str, Any]:
-    if kind == "sqlite":
-        return {"timeout": BUSY_MS / 1e3}
-    return {"connect_timeout": 10, "options": "-c timezone=UTC"}
 
 
 def _prepare_file(file: Path, *, existing: bool) -> None:

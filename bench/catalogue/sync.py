@@ -67,10 +67,7 @@ MOST_IN: Final = 5000
 
 @dataclass
 class Synced:
-    """The result of a sync: counts of folders `added`, `changed`, `unchanged`, `moved`, `vanished`; `problems`.
-
-    `problems` lists folders without a usable run and runs with a damaged record, each with the reason.
-    """
+    """Counts of folders in a sync; `problems` gives the reason for unusable folders and damaged records."""
 
     added: int = 0
     changed: int = 0
@@ -131,7 +128,8 @@ def sync(
     with catalogue.writing() as connection:
         for path in back:
             _mark(connection, path, vanished=False)
-        _mark_odd(connection, odd)
+        nothing = {"fingerprint": "", "run": None, "vanished": False}
+        _upsert(connection, FOLDERS, [{"path": path, "reason": why, **nothing} for path, why in odd.items()])
         _write_registers(connection, seen.registers, done)
         done.vanished = _mark_vanished(connection, gone)
     return done
@@ -335,14 +333,6 @@ def _mark(connection: Connection, path: str, *, vanished: bool) -> None:
     forget_dues(connection, RUNS.c.path == path)
     for table in (FOLDERS, RUNS):
         connection.execute(update(table).where(table.c.path == path).values(vanished=vanished))
-
-
-def _mark_odd(connection: Connection, odd: dict[str, str]) -> None:
-    rows = [
-        {"path": path, "fingerprint": "", "run": None, "reason": why, "vanished": False}
-        for path, why in odd.items()
-    ]
-    _upsert(connection, FOLDERS, rows)
 
 
 def _write_registers(connection: Connection, registers: Sequence[str], done: Synced) -> None:

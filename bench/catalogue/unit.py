@@ -194,11 +194,7 @@ def _keep(catalogue: Catalogue, found: Reckoned, asked: str) -> None:
 
 
 def _mark(connection: Connection, name: str) -> str:
-    """Return a fingerprint of a unit's runs in the catalogue; "" if a run was written only just now.
-
-    The files of such a run may still change without a change of their times
-    (`bench.catalogue.sync.SETTLED_NS`).
-    """
+    """Return a fingerprint of a unit's runs; "" if one was written just now, and might change unnoticed."""
     asked = (
         select(FOLDERS.c.path, FOLDERS.c.fingerprint, FOLDERS.c.reason, RUNS.c.vanished, RUNS.c.record)
         .join(RUNS, RUNS.c.id == FOLDERS.c.run)

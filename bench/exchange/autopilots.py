@@ -48,11 +48,7 @@ class Sensor:
 
 
 def sensor_of(result: BlockResult, nominal: Floats | None = None) -> Sensor:
-    """Return the block as a sensor in m/s^2.
-
-    `nominal` (3,) are its nominal scale factors in unit/g; None takes the block's own, rounded to `DIGITS`
-    digits.
-    """
+    """Return the block as a sensor in m/s²; `nominal` (3,), in unit/g, is by default its own scale, rounded."""
     if result.unit == "m/s^2":
         own = np.full(3, STANDARD_GRAVITY)
     elif result.unit == "g":

@@ -42,10 +42,7 @@ def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[st
 
 
 def table_checks(model: TemperatureModel, table: CompensationTable) -> Floats:
-    """Return the check vectors (n, 7): temperature (deg C), signals, and the table's accelerations (g).
-
-    There are 20 vectors or, if that is more, one for each step of the table, so that each row is tested.
-    """
+    """Return check vectors (n, 7): temperature (deg C), signals, accelerations (g); 20, or one for each step."""
     steps = table.nodes - 1
     even = np.linspace(model.minimum_c, model.maximum_c, len(POSITIONS))
     middles = table.first_c + table.step_k * (np.arange(steps) + 0.5)
