@@ -251,11 +251,7 @@ def _conditions(source: Source) -> Iterator[Condition]:
 
 
 def _of_temperature(source: Source) -> tuple[float, str]:
-    """Return the standard uncertainty (K) of the block's temperature, and the origin of that uncertainty.
-
-    The origin is a thermometer at the block or, without one, the air temperature and how far the block may
-    differ from it.
-    """
+    """Return u (K) of the block's temperature and its origin: a thermometer, or the air and the band around it."""
     known = {error.name: error for error in hidden_sources(source.bench, source.model)}
     thermometer, band = known.get("thermometer"), known["temperature"]
     if thermometer is not None and source.bench.instruments.thermometer is not None:

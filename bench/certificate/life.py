@@ -226,7 +226,8 @@ def _write(
     signed_by = None if desk.signatory is None else desk.signatory.name
     issue = Issue(number, issued_at(now), person, before, signed_by or "")
     whole = replace(certificate, issue=issue)
-    refuse_incomplete(whole)
+    if lacking := missing(whole):
+        raise Refused(f"{whole.found.record.run}: not issued; missing: {'; '.join(lacking)}")
     bodies = bodies_of(whole, desk.schemas)
     contents = signed(bodies, whole, desk.signatory, now)
     found = whole.found
@@ -251,13 +252,6 @@ def _write(
     entry = Entry(ISSUED, number, issue.issued, person.name, data)
     register.issue(entry, contents)
     return _outcome(found.record.run, number, files=[str(register.folder / name) for name in contents])
-
-
-def refuse_incomplete(certificate: Certificate) -> None:
-    """Raise `Refused` with all missing items if a certificate is incomplete."""
-    lacking = missing(certificate)
-    if lacking:
-        raise Refused(f"{certificate.found.record.run}: not issued; missing: {'; '.join(lacking)}")
 
 
 def bodies_of(certificate: Certificate, schemas: Schemas | None = None) -> Bodies:
@@ -297,11 +291,7 @@ def signed(
 
 
 def made_again(register: Register, number: str, runs: Path) -> Bodies:
-    """Reproduce the unsigned forms of an issued certificate from its record and its stored inputs.
-
-    Raises `Refused` if a stored input or the record has changed, and all errors of `certificate_of` and
-    `bodies_of`.
-    """
+    """Make the unsigned forms of a certificate again. Raises `Refused` if the record or a stored input changed."""
     entry = issued(register, number).entry
     kept = entry.data["made_from"]
     paths = {name: register.folder / "made-from" / digest for name, digest in kept.items() if digest}

@@ -200,10 +200,7 @@ _NO_SIGN: Final = re.compile(r'the text `"(.+?)"` could not be displayed')
 
 
 def body_of(certificate: Certificate, dcc: bytes) -> bytes:
-    """Return the PDF/A-3b of a certificate with its attachments; `dcc` is the digital certificate (XML).
-
-    Raises `Refused` for a logo that is not a picture, and for a character without a glyph in the fonts.
-    """
+    """Return the PDF/A-3b of a certificate with its attachments. Raises `Refused` for a bad logo or no glyph."""
     return typeset_pdf(_inputs(certificate, dcc), _moment(certificate))
 
 

@@ -79,11 +79,7 @@ class Writer:
         *,
         whole: bool = False,
     ) -> Block:
-        """Return a table block: `align` has "l" or "r" for each column; `columns` has the width of each, "auto" or
-        a share.
-
-        A `whole` table is kept on one page.
-        """
+        """Return a table; `align` has "l" or "r", `columns` "auto" or a share; a `whole` one stays on one page."""
         widths = [str(width) for width in columns]
         return {
             "kind": "table", "head": list(head), "rows": [list(row) for row in rows], "align": list(align),

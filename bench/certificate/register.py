@@ -134,8 +134,5 @@ class Register(Chain):
 
 
 def opened(folder: Path, known: Register | None = None) -> AbstractContextManager[Register]:
-    """Return the open register of a folder, created if missing; `known` is a `Register` of that folder to reuse.
-
-    Raises `Refused` if the register is damaged or not writable, or if another program keeps it open.
-    """
+    """Return the open register of a folder (or `known`), created if missing. Raises `Refused` if it cannot open."""
     return chain.opened(known or Register(folder))

@@ -130,11 +130,7 @@ def unsigned_content(document: bytes) -> bytes:
 
 
 def _read(document: bytes) -> Any:
-    """Parse a document without network access; return its root.
-
-    Raises `NotIntact` if it is too large, is not XML, or has a document type, entities or processing
-    instructions.
-    """
+    """Parse a document offline; return its root. Raises `NotIntact` for anything that certificates never have."""
     if len(document) > _MOST_BYTES:
         raise NotIntact(f"it has more than {_MOST_BYTES // 1_000_000} MB")
     try:
@@ -152,10 +148,7 @@ def _read(document: bytes) -> Any:
 
 
 def _the_signature(root: Any) -> Any:
-    """Return the only signature of a document: the last element of its root, with exactly the required parts.
-
-    Raises `Unsigned` if there is none, `NotIntact` if there are several or if one is misplaced or malformed.
-    """
+    """Return the only signature, the last element. Raises `Unsigned` without one, `NotIntact` if malformed."""
     found = list(root.iter(f"{{{SIGNATURE}}}Signature"))
     if not found:
         raise Unsigned("it has no XML signature")
