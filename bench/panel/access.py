@@ -90,11 +90,7 @@ def is_loopback(host: str) -> bool:
 
 
 class Role(StrEnum):
-    """The role of a person.
-
-    Each role has all rights of the roles before it. A viewer may look at runs and stop them, an operator
-    carry them out, a supervisor also take control by force.
-    """
+    """The role of a person, with the rights of those before it: look and stop; carry out; take control by force."""
 
     VIEWER = "viewer"
     OPERATOR = "operator"

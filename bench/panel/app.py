@@ -52,7 +52,7 @@ from bench.panel.pages import (
     start,
     verdict,
 )
-from bench.panel.shared import Panel, by_framework, by_record, by_refusal, load, refused, send_asset
+from bench.panel.shared import Panel, by_error, load, refused, send_asset
 from bench.readings.csv import ReadingsError
 from bench.run.events import RecordError
 from bench.services.errors import Refused
@@ -130,11 +130,7 @@ def make_app(settings: Settings) -> Starlette:
         routes=ROUTES,
         lifespan=lifespan,
         middleware=[Middleware(Gate, settings=settings, refuse=refused)],
-        exception_handlers={
-            HTTPException: by_framework,
-            Refusal: by_refusal,
-            **dict.fromkeys(KNOWN, by_record),
-        },
+        exception_handlers=dict.fromkeys((HTTPException, Refusal, *KNOWN), by_error),
     )
     app.state.panel = panel
     return app
@@ -370,12 +366,7 @@ def link_of(runs: Path, name: str = "", laboratory: Path | None = None) -> str:
 
 
 def open_panel(runs: Path, after: str = "/", name: str = "", laboratory: Path | None = None) -> str:
-    """Return a one-time link to the page `after` of a folder's panel; start the panel if none serves the folder.
-
-    `name` is the person who follows the link, by default the user of this computer.
-
-    Raises `RecordError` if no panel starts.
-    """
+    """Return a person's one-time link to the page `after`; start a panel if none serves. Raises `RecordError`."""
     if not is_serving(runs):
         begin_panel(runs, laboratory=laboratory)
     return new_link(runs, after, name, laboratory)

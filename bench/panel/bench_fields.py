@@ -85,7 +85,11 @@ def groups_of(values: Values) -> list[Group]:
         first_sentence(UnitUnderTest),
         tuple(dict(fields_in(UnitUnderTest, ("unit_under_test",))).values()),
     )
-    return [bench, _gravity(values), *_voltmeters(values), *_others(values), block]
+    others = [
+        _instrument(role, ("instruments", role), role.capitalize(), values, required=required)
+        for role, required in ONE_ROLE
+    ]
+    return [bench, _gravity(values), *_voltmeters(values), *others, block]
 
 
 def _gravity(values: Values) -> Group:
@@ -123,16 +127,10 @@ def number_of_meters(values: Values) -> int:
     return int(text) if text in {"1", "2", "3"} else len(CHANNELS)
 
 
-def _others(values: Values) -> Iterator[Group]:
-    for role, required in ONE_ROLE:
-        title = role.replace("_", " ").capitalize()
-        yield _instrument(role, ("instruments", role), title, values, required=required)
-
-
 def _instrument(role: Role, at: Place, title: str, values: Values, *, required: bool) -> Group:
     known = devices().of(role)
     name = dotted((*at, "driver"))
-    words = tuple((device.name, _driver_words(device.name, device.section)) for device in known)
+    words = tuple((one.name, f"by hand ({one.name})" if one.section.by_hand else one.name) for one in known)
     stated = values.get(name, "")
     choices = words if required else (("", "none"), *words)
     choice = BenchField(name, (*at, "driver"), "Instrument", choices=choices, required=required, shows=True)
@@ -141,10 +139,6 @@ def _instrument(role: Role, at: Place, title: str, values: Values, *, required: 
         return Group(title, at, "", (choice,))
     inner = dict(fields_in(device.section, at, skip=frozenset({"driver"})))
     return Group(title, at, first_sentence(device.section), (choice, *inner.values()), device.section)
-
-
-def _driver_words(name: str, section: type[Any]) -> str:
-    return f"by hand ({name})" if section.by_hand else name
 
 
 # --- fields -----------------------------------------------------------------------------------------
@@ -320,7 +314,8 @@ def completed(values: Values, before: Values) -> dict[str, str]:
     full = dict(values)
     number = number_of_meters(full)
     names = [dotted((*METERS_PLACE, index)) for index in range(number)]
-    if number == 1 and (scanning := _scanners()) and full.get(f"{names[0]}.driver") not in scanning:
+    scanning = [one.name for one in devices().of("voltmeter") if "inputs" in one.section.model_fields]
+    if number == 1 and scanning and full.get(f"{names[0]}.driver") not in scanning:
         full[f"{names[0]}.driver"] = scanning[0]
     for index, name in enumerate(names):
         if not full.get(f"{name}.driver"):
@@ -333,10 +328,6 @@ def completed(values: Values, before: Values) -> dict[str, str]:
     for role, _ in ONE_ROLE:
         _exemplify(full, before, dotted(("instruments", role)))
     return full
-
-
-def _scanners() -> list[str]:
-    return [one.name for one in devices().of("voltmeter") if "inputs" in one.section.model_fields]
 
 
 def _exemplify(values: dict[str, str], before: Values, name: str) -> None:
@@ -369,10 +360,7 @@ _MISSING: Final = re.compile(r"'([^']+)' is missing")
 
 
 def placed(mistakes: Iterable[FileMistake], groups: Iterable[Group]) -> Placed:
-    """Return the mistakes assigned to the fields of the form.
-
-    A mistake of no field is listed at its group; a mistake of no group is among the others.
-    """
+    """Return the mistakes by field or, without a field, by group; those of neither are `elsewhere`."""
     groups = list(groups)
     fields = {one.name for group in groups for one in group.fields}
     known = fields | {group.place for group in groups if group.at}

@@ -70,10 +70,7 @@ def start(arguments: Sequence[str], log: Path, *, program: Sequence[str] = BENCH
 
 
 def wait_until(begun: Callable[[], bool], started: Started, clock: Clock | None = None) -> bool:
-    """Wait until `begun` returns True; return False after 30 s (`LONGEST_START_S`).
-
-    Raises `Refusal`, with the end of the output, if the process ends before that.
-    """
+    """Wait until `begun` is True; return False after 30 s. Raises `Refusal` with the output if the process ends."""
     clock = clock or SystemClock()
     until_s = clock.now_s() + LONGEST_START_S
     while not begun():
@@ -227,11 +224,8 @@ class WishFolder(WorkFolder):
             return ""
 
     def _read(self, name: str) -> dict[str, Any]:
-        try:
-            told = from_text(read_regular(self.path / name))
-        except (OSError, ValueError):
-            told = None
-        if not isinstance(told, dict):
+        told = _object_in(self.path / name)
+        if told is None:
             raise Refusal(404, message("this prepared run no longer exists; prepare it again"))
         return told
 
@@ -317,11 +311,7 @@ def start_run(wish: WishFolder, name: str, runs: RunsFolder) -> Run:
 
 
 def resume_run(run: Run, by: str = "") -> None:
-    """Resume a run in the name of `by`, or make its missing results, in a separate process; wait until it
-    begins.
-
-    Raises `Refusal` if a program is carrying out the run, or if the process ends before it has begun.
-    """
+    """Resume a run for `by`, or make its results, in a process of its own. Raises `Refusal` if it cannot begin."""
     if is_being_written(run.folder):
         raise Refusal(409, message("a program is carrying out this run now; follow it on the run's page"))
     started = start(
@@ -457,10 +447,10 @@ def tried(wish: WishFolder, found: TrialResult) -> TrialResult:
             [sys.executable, *BENCH, *arguments],
             stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT, check=False,
         ).returncode  # fmt: skip
-    return replace(found, stage="done", tried=status, said=last_words(log), result=_result(result))
+    return replace(found, stage="done", tried=status, said=last_words(log), result=_object_in(result))
 
 
-def _result(file: Path) -> dict[str, Any] | None:
+def _object_in(file: Path) -> dict[str, Any] | None:
     try:
         told = from_text(read_regular(file))
     except (OSError, ValueError):

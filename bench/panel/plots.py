@@ -42,8 +42,9 @@ def plots_of(run: Run, runs: RunsFolder) -> Numbers:
     own = _measured(run, trouble)
     earlier = previous_calibration(run, runs)
     before = None if earlier is None else _measured(earlier, trouble)
-    if before and own["residuals"] and before["residuals"]:
-        before["residuals"] = before["residuals"] if _same_unit(own, before) else None
+    units = {one["residuals"]["unit"] for one in (own, before) if one and one["residuals"]}
+    if before and len(units) > 1:
+        before["residuals"] = None
     told = {
         "run": run.name,
         "simulated": run.simulated,
@@ -55,10 +56,6 @@ def plots_of(run: Run, runs: RunsFolder) -> Numbers:
     }
     cleaned: Numbers = without_infinity(told)
     return cleaned
-
-
-def _same_unit(one: Numbers, other: Numbers) -> bool:
-    return bool(one["residuals"]["unit"] == other["residuals"]["unit"])
 
 
 def _measured(run: Run, trouble: list[str]) -> Numbers:

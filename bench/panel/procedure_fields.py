@@ -246,10 +246,7 @@ _BESIDE: Final = re.compile(r"[\w+-][\w.+-]*")
 
 
 def judged(path: Path, text: str) -> tuple[tuple[FileMistake, ...], Procedure | None]:
-    """Return the mistakes of a procedure with this text, and the procedure if there are none.
-
-    The panel's users may include files of the same folder only.
-    """
+    """Return a procedure's mistakes, and the procedure without any; it may include files of its folder only."""
     beside = [
         FileMistake(
             0,

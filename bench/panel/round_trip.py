@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -69,7 +69,8 @@ def edited_text(
     tree = yaml.load(text)
     before = values_of(read_yaml(text).data)
     arrange(tree, before)
-    before = {**before, **_emptied(tree, before)}
+    there = values_of(tree)
+    before = {name: there.get(name, "") for name in before}
     for one in fields:
         wanted = values.get(one.name, "").strip()
         if not one.name.startswith("form:") and wanted != (
@@ -180,7 +181,8 @@ def _arrange(tree: Any, values: Values, before: Values, groups: list[Group]) -> 
         if not values.get(f"instruments.{role}.driver", "").strip():
             instruments.pop(role, None)
     for group in groups:
-        if group.section is not None and _another_driver(group, values, before):
+        driver = dotted((*group.at, "driver"))
+        if group.section is not None and values.get(driver, "") != before.get(driver, ""):
             section = _reach(tree, group.at)
             known = {info.alias or name for name, info in group.section.model_fields.items()}
             for key in [key for key in section if key not in known]:
@@ -196,17 +198,6 @@ def _gravity(stated: str) -> Any:
     if stated == FORMS_OF_GRAVITY["source"]:
         section["value"] = empty
     return section
-
-
-def _another_driver(group: Group, values: Values, before: Values) -> bool:
-    name = dotted((*group.at, "driver"))
-    return values.get(name, "") != before.get(name, "")
-
-
-def _emptied(tree: Any, before: Values) -> Mapping[str, str]:
-    """Return the texts in `tree` at the paths in `before`; "" for a path that no longer exists."""
-    there = values_of(tree)
-    return {name: there.get(name, "") for name in before}
 
 
 # --- values -----------------------------------------------------------------------------------------

@@ -129,10 +129,7 @@ class About:
 def snapshot(
     seen: RunView, about: About, time_left: TimeLeft, asked: AskedPrompt | None, *, alive: bool, now: datetime
 ) -> dict[str, Any]:
-    """Return the snapshot of a run as a JSON object: state, position in the plan, last reading, warnings and log.
-
-    `asked` is the open question; `alive` says whether a program is carrying out the run.
-    """
+    """Return the snapshot of a run as a JSON object; `asked` is the open question, `alive` if a program runs."""
     latest = seen.latest
     return {
         **about.told,
@@ -409,14 +406,8 @@ def _warning(event: Event) -> dict[str, Any]:
 
 
 def _answer(event: Event) -> dict[str, Any]:
-    data = event.data
-    return {
-        "id": str(data.get("id", "")),
-        "answer": str(data.get("answer", "")),
-        "by": str(data.get("by", "")),
-        "place": str(data.get("where", "")),
-        "why": str(data.get("why", "")),
-    }
+    members = {"id": "id", "answer": "answer", "by": "by", "place": "where", "why": "why"}
+    return {name: str(event.data.get(member, "")) for name, member in members.items()}
 
 
 def _line(event: Event, seen: RunView) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections import deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +19,7 @@ from bench.base.numbers import without_infinity
 from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import BenchFile, load_bench
 from bench.config.procedure.plan import Mount, Plan, Read
+from bench.panel.holding import Holding, read_holding
 from bench.panel.run_events import RunView, Tail
 from bench.panel.run_state import About, snapshot
 from bench.readings.reading import Reading
@@ -231,9 +232,6 @@ MOST_LIVE: Final = 4096
 JUDGED_AT_ONCE: Final = 20
 """Number of readings judged between updates, so that a long run can be viewed while it is judged."""
 
-Add = Callable[[Path], dict[str, Any]]
-"""A function that returns additional data for the snapshot of the run in a folder: who is in control."""
-
 
 def as_event(name: str, data: Any) -> bytes:
     """Return a server-sent event with JSON data, which never contains a line end."""
@@ -256,11 +254,11 @@ class SharedFollower:
     `state` is the latest snapshot, `trouble` the error that ended it, or an empty string.
     """
 
-    def __init__(self, folder: Path, add: Add) -> None:
-        self._folder, self._add = folder, add
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
         self._follower: Follower | None = None
         self._news = asyncio.Event()
-        self._added: dict[str, Any] = {}
+        self._holding: Holding | None = None
         self.version = 0
         self.points = PlottedPoints()
         self.state: dict[str, Any] = {}
@@ -346,10 +344,10 @@ class SharedFollower:
                 if not follower.residuals.judge_next():
                     break
         self.points = follower.residuals.plotted
-        added = self._add(self._folder)
-        if read or added != self._added or not self.state:
-            self._added = added
-            self.state = {**follower.state(), **added}
+        holding = read_holding(self._folder)
+        if read or holding != self._holding or not self.state:
+            self._holding = holding
+            self.state = {**follower.state(), "control": holding.to_json()}
             self.sent_state = as_event("state", self.state)
             return True
         return self.points is not before
@@ -358,8 +356,7 @@ class SharedFollower:
 class Followers:
     """The followers of all runs that have viewers; all followers belong to one event loop."""
 
-    def __init__(self, add: Add = lambda folder: {}) -> None:
-        self._add = add
+    def __init__(self) -> None:
         self._shared: dict[Path, SharedFollower] = {}
 
     async def state(self, folder: Path) -> dict[str, Any]:
@@ -409,7 +406,7 @@ class Followers:
         """Yield the follower of a run; start one if there is none. Raises `RecordError` for a damaged run."""
         shared = self._shared.get(folder)
         if shared is None or shared.over:
-            shared = self._shared[folder] = SharedFollower(folder, self._add)
+            shared = self._shared[folder] = SharedFollower(folder)
         shared.watchers += 1
         try:
             await shared.ready()

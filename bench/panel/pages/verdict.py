@@ -11,8 +11,9 @@ from starlette.responses import JSONResponse, RedirectResponse, Response
 
 from bench.base.languages import message
 from bench.base.numbers import without_infinity
+from bench.certificate.register import NumberStatus
 from bench.panel.access import Refusal, Role
-from bench.panel.folder import Issued, read_page
+from bench.panel.folder import read_page
 from bench.panel.launching import NEXT
 from bench.panel.launching import diagnose as begin
 from bench.panel.outcome import previous_calibration
@@ -107,12 +108,12 @@ async def diagnose(request: Request) -> Response:
     return RedirectResponse(f"/runs/{quote(run.name)}/verdict#diagnosis", status_code=303)
 
 
-def _certificates(request: Request, run: Run) -> tuple[tuple[Issued, ...], str]:
+def _certificates(request: Request, run: Run) -> tuple[dict[str, NumberStatus], str]:
     """Return the certificates of a run, and the reason if they cannot be read."""
     try:
         return panel_of(request).certificates.of(run), ""
     except Refused as why:
-        return (), str(why)
+        return {}, str(why)
 
 
 def _apart(content: bytes, kind: str) -> Response:
