@@ -62,11 +62,11 @@ class EditedFile:
             self.placed.at.setdefault("new_name", []).append(refusal.text)
             return None
 
-    def write(self, path: Path, text: str, expected_sha256: str, state: Path) -> bool:
-        """Write the file as `write_file` does; if it has changed on disk, note the difference."""
+    def write(self, path: Path, text: str, expected_sha256: str, state: Path, refusal: str) -> bool:
+        """Write the file as `write_file` does; if it has changed on disk, note the difference and the `refusal`."""
         if expected_sha256 == self.base.sha256 and write_file(path, text, expected_sha256, state):
             return True
-        self.difference = difference(read_file(path).text, text, path.name)
+        self.difference, self.refusal = difference(read_file(path).text, text, path.name), refusal
         return False
 
 

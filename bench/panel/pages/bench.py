@@ -247,12 +247,8 @@ def _write(panel: Panel, person: Person, state: FormState, expected: str) -> boo
         state.refusal = message(f"Not written: {state.placed.number} mistakes. See each at its field.")
         return False
     state.written = signed(state.written, person.name, utc_now())
-    if state.write(path, state.written, expected, panel.settings.runs / STATE):
-        return True
-    state.refusal = message(
-        "Not written: the file changed since this form was opened. See the difference below."
-    )
-    return False
+    changed = message("Not written: the file changed since this form was opened. See the difference below.")
+    return state.write(path, state.written, expected, panel.settings.runs / STATE, changed)
 
 
 def _form_page(request: Request, state: FormState) -> Response:

@@ -215,12 +215,10 @@ def _write(panel: Panel, person: Person, state: TableState, expected: str) -> bo
         state.refusal = message("Not written: there are mistakes, each shown beside its field.")
         return False
     state.text = signed(state.text, person.name, utc_now())
-    if state.write(path, state.text, expected, panel.settings.runs / STATE):
-        return True
-    state.refusal = message(
+    changed = message(
         "Not written: the file was changed since this table was shown. Look at the difference below."
     )
-    return False
+    return state.write(path, state.text, expected, panel.settings.runs / STATE, changed)
 
 
 def _named(state: TableState) -> str:
