@@ -20,7 +20,6 @@ from bench.base.languages import ENGLISH, known_language, local_number, speaking
 from bench.base.numbers import rounded, uncertainty
 from bench.certificate import proof
 from bench.certificate.content import Attached, Certificate, day_of
-from bench.certificate.laboratory import Contact
 from bench.certificate.proof import NOBODY_SAYS, Block, Cell, Writer, plain
 from bench.services.errors import Refused
 
@@ -95,17 +94,12 @@ def _letter_head(certificate: Certificate, write: Writer) -> list[str]:
     laboratory = certificate.laboratory
     if laboratory is None:
         return []
-    lines = [", ".join(laboratory.address.lines), *reached(laboratory)]
+    ways = " · ".join(filter(None, (laboratory.email, laboratory.phone)))
+    lines = [", ".join(laboratory.address.lines), *([ways] if ways else [])]
     body = laboratory.accreditation
     if body is not None and not (certificate.simulated or certificate.draft):
         lines += write.say("accreditation", body=body.body, number=body.number, standard=body.standard)
     return lines
-
-
-def reached(contact: Contact) -> list[str]:
-    """Return the contact details of a company in one line; an empty list if none are stated."""
-    ways = [way for way in (contact.email, contact.phone) if way]
-    return [" · ".join(ways)] if ways else []
 
 
 def _front(certificate: Certificate, write: Writer) -> list[Block]:

@@ -32,7 +32,7 @@ CELSIUS: Final = r"\degreecelsius"
 AMPERE: Final = r"\ampere"
 MS2: Final = r"\metre\second\tothe{-2}"
 
-_OURS: Final = {
+SI_UNITS: Final = {
     "V": VOLT, "V/g": VOLT, "g/V": PER_VOLT, "counts": ONE, "counts/g": ONE, "g/counts": ONE, "g": ONE, "g/g": ONE,
     "m/s^2": MS2, "m/s^2/g": MS2, "g/(m/s^2)": r"\metre\tothe{-1}\second\tothe{2}", "rad": RADIAN, "deg": DEGREE,
     "°C": CELSIUS, "A": AMPERE, "m/s²": MS2, "": ONE,
@@ -57,13 +57,8 @@ _POWER: Final = re.compile(r"\\([a-z]+)(?:\\tothe\{(-?\d+)\})?")
 _WORD: Final = re.compile(r"\\([a-z]+)(?:\{([+-]?\d+)\})?")
 
 
-def si_unit(unit: str) -> str:
-    """Return the D-SI notation of a unit of results. Raises `KeyError` for any other unit."""
-    return _OURS[unit]
-
-
 def product(first: str, second: str) -> str:
-    r"""Return the unit of the product of two units in `_OURS`, as for a covariance: `\volt\tothe{2}`."""
+    r"""Return the unit of the product of two units in `SI_UNITS`, as for a covariance: `\volt\tothe{2}`."""
     powers: dict[str, int] = {}
     for name, power in _POWER.findall(first + second):
         if name != "one":

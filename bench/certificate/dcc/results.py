@@ -30,6 +30,7 @@ from bench.certificate.content import (
 )
 from bench.certificate.dcc import nodes
 from bench.certificate.dcc.nodes import (
+    SI_UNITS,
     Node,
     byte_data,
     ellipsoidal,
@@ -39,7 +40,6 @@ from bench.certificate.dcc.nodes import (
     real,
     real_list,
     said,
-    si_unit,
 )
 from bench.certificate.laboratory import Texts, in_each
 from bench.certificate.signatures import NoCertificate, NotIntact, parser
@@ -135,7 +135,7 @@ def _instrument(texts: Sequence[Texts], one: Instrument) -> Node:
 
 
 def _condition(texts: Sequence[Texts], one: Condition, status: str) -> Node:
-    unit = si_unit(one.unit)
+    unit = SI_UNITS[one.unit]
     shown = [real(end, unit, one.u) for end in dict.fromkeys((one.low, one.high))]
     ends = ["value"] if len(shown) == 1 else ["minimum", "maximum"]
     quantities = [
@@ -189,7 +189,8 @@ def _per_ms2(found: RunFindings) -> Values:
     covariance = own.covariance * np.outer(scale, scale) + np.outer(of_g, of_g)
     per = {"V": nodes.VOLT_PER_MS2, "m/s^2": nodes.ONE}.get(own.unit, r"\metre\tothe{-1}\second\tothe{2}")
     named = {
-        one.name: si_unit(own.unit) if one.name.startswith("U0") else per for one in found.coefficients.values
+        one.name: SI_UNITS[own.unit] if one.name.startswith("U0") else per
+        for one in found.coefficients.values
     }
     dof = dof_through(own, np.diag(scale), of_g**2)
     return Values.of(named, values, covariance, found.coefficients.values[0].k, dof)
@@ -198,7 +199,7 @@ def _per_ms2(found: RunFindings) -> Values:
 def _listed(values: Values, certificate: Certificate) -> Node:
     """Return results as one D-SI list: names, values, U with k, and covariance matrix."""
     members = values.values
-    spelt = [one.unit if "\\" in one.unit else si_unit(one.unit) for one in members]
+    spelt = [one.unit if "\\" in one.unit else SI_UNITS[one.unit] for one in members]
     coverage = certificate.coverage
     listed = real_list(
         [one.value for one in members],
@@ -293,7 +294,7 @@ def _uncertainty(certificate: Certificate) -> Node:
 
 def _table(texts: Sequence[Texts], readings: Readings) -> Node:
     """Return the uncorrected readings, with a list for each column."""
-    unit = si_unit(readings.unit)
+    unit = SI_UNITS[readings.unit]
     columns: dict[str, tuple[Floats, str]] = {
         "series": (readings.series.astype(float), nodes.ONE),
         "pass": (readings.pass_number.astype(float), nodes.ONE),
