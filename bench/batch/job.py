@@ -68,10 +68,7 @@ class Job:
         return VerdictOptions(self.limit_g, self.rule, self.guard_band, self.population)
 
     def checked(self) -> Job:
-        """Return the job with absolute paths.
-
-        Raises the errors of the commands for options that are invalid for every run.
-        """
+        """Return the job with absolute paths. Raises the commands' errors for options invalid for every run."""
         estimator = find_estimator(self.estimator).name
         check_gravity(self.g_m_s2)
         self.asked().check()
@@ -120,10 +117,7 @@ def _named(file: str) -> dict[str, str]:
 
 @cache
 def program() -> Mapping[str, str]:
-    """Return the identity of the program that computes the results: its versions and the SHA-256 of its code.
-
-    The hash is needed because the code in a git checkout can change while the version stays the same.
-    """
+    """Return the versions of the program and the SHA-256 of its code, which changes between versions, too."""
     package = Path(__file__).parents[1]
     files = sorted(package.rglob("*.py"))
     told = "".join(f"{file.relative_to(package).as_posix()} {sha256(file.read_bytes())}\n" for file in files)
@@ -135,7 +129,8 @@ def program() -> Mapping[str, str]:
     }
 
 
-TEXT, NUMBER, WHOLE, FLAG, NUMBERS = "text", "number", "whole", "flag", "numbers"
+TEXT, NUMBER, WHOLE, FLAG, NUMBERS = "string", "float64", "int64", "bool", "numbers"
+"""The kinds of columns, by their Arrow names; `NUMBERS` is a list of numbers."""
 
 OF_METERS: Final = tuple(f"{what}_{channel}" for channel in CHANNELS for what in ("gain", "offset_v"))
 """Columns of a record at a known input: gain and offset of each channel's meter."""
@@ -192,11 +187,8 @@ def arrow_schema(command: str) -> Any:
     """Return the Arrow schema of the table of a command."""
     import pyarrow as arrow
 
-    kinds = {
-        TEXT: arrow.string(),
-        NUMBER: arrow.float64(),
-        WHOLE: arrow.int64(),
-        FLAG: arrow.bool_(),
-        NUMBERS: arrow.list_(arrow.float64()),
-    }
-    return arrow.schema([(name, kinds[kind]) for name, kind in COLUMNS[command].items()])
+    numbers = arrow.list_(arrow.float64())
+    columns = COLUMNS[command].items()
+    return arrow.schema(
+        [(name, numbers if kind == NUMBERS else arrow.type_for_alias(kind)) for name, kind in columns]
+    )

@@ -123,15 +123,15 @@ def _write_tables(ask: Ask, folder: Path, command: str) -> None:
 
 def _result(ask: Ask, folder: Path, noted: Mapping[str, Any]) -> BatchResult:
     diagnosis = noted["command"] == DIAGNOSE
-    (listed,) = _rows(ask, f"SELECT count(*) AS listed FROM read_parquet({_literal(folder / RUNS)})")  # noqa: S608
-    (found,) = _rows(
+    (listed,) = rows_of(ask, f"SELECT count(*) AS listed FROM read_parquet({_literal(folder / RUNS)})")  # noqa: S608
+    (found,) = rows_of(
         ask,
         "SELECT count(*) AS done, count(failed) AS failed, count(*) FILTER (WHERE failed IS NULL) AS computed, "
         "count(*) FILTER (WHERE simulated) AS simulated, "
         "count(*) FILTER (WHERE failed IS NULL AND verdict_stored IS NULL) AS without_stored_verdict FROM changes",
     )
     runs = {**listed, **found}
-    changes = _rows(
+    changes = rows_of(
         ask,
         "SELECT verdict_stored AS stored, verdict AS now, simulated, count(*) AS runs FROM changes "
         "WHERE verdict_differs GROUP BY 1, 2, 3 ORDER BY runs DESC, 1, 2, 3",
@@ -145,11 +145,11 @@ def _result(ask: Ask, folder: Path, noted: Mapping[str, Any]) -> BatchResult:
             "verdicts": {**_flag(ask, "verdict_differs"), "changes": changes},
             "names": _flag(ask, "names_differ") if diagnosis else None,
             "fit": None if diagnosis else _flag(ask, "fit_differs"),
-            "change_in_u": None if diagnosis else _sizes(ask),
-            "u_ratio": None if diagnosis else _ratio(ask),
+            "change_in_u": None if diagnosis else _summary(ask, _SIZES),
+            "u_ratio": None if diagnosis else _summary(ask, _RATIO),
             "different": _different(ask, diagnosis=diagnosis),
-            "failed": _rows(ask, failed),
-            "measured_with": _rows(
+            "failed": rows_of(ask, failed),
+            "measured_with": rows_of(
                 ask, "SELECT measured_with AS version, count(*) AS runs FROM changes GROUP BY 1 ORDER BY 1"
             ),
             "files": [f"{TABLE}.parquet", f"{TABLE}.csv", DIFFERENT, FAILED],
@@ -158,7 +158,7 @@ def _result(ask: Ask, folder: Path, noted: Mapping[str, Any]) -> BatchResult:
 
 
 def _flag(ask: Ask, name: str) -> dict[str, int]:
-    (found,) = _rows(
+    (found,) = rows_of(
         ask,
         f"SELECT count(*) FILTER (WHERE {name}) AS different, count(*) FILTER (WHERE NOT {name}) AS same, "  # noqa: S608 - one of our own names
         f"count(*) FILTER (WHERE {name} IS NULL AND failed IS NULL) AS unknown FROM changes",
@@ -166,19 +166,18 @@ def _flag(ask: Ask, name: str) -> dict[str, int]:
     return found
 
 
-def _sizes(ask: Ask) -> dict[str, Any] | None:
-    (found,) = _rows(
-        ask,
-        "SELECT quantile_cont(c, 0.5) AS median, quantile_cont(c, 0.95) AS of_95_percent, max(c) AS most, "
-        "arg_max(run, c) AS most_of, arg_max(largest_change_of, c) AS most_in "
-        "FROM (SELECT *, largest_change_in_u AS c FROM changes)",
-    )
+_SIZES: Final = (
+    "SELECT quantile_cont(c, 0.5) AS median, quantile_cont(c, 0.95) AS of_95_percent, max(c) AS most, "
+    "arg_max(run, c) AS most_of, arg_max(largest_change_of, c) AS most_in "
+    "FROM (SELECT *, largest_change_in_u AS c FROM changes)"
+)
+_RATIO: Final = "SELECT min(least_u_ratio) AS least, max(most_u_ratio) AS most FROM changes"
+
+
+def _summary(ask: Ask, question: str) -> dict[str, Any] | None:
+    """Return the only row of an answer; None if no run has the compared values."""
+    (found,) = rows_of(ask, question)
     return None if found["most"] is None else found
-
-
-def _ratio(ask: Ask) -> dict[str, Any] | None:
-    (found,) = _rows(ask, "SELECT min(least_u_ratio) AS least, max(most_u_ratio) AS most FROM changes")
-    return None if found["least"] is None else found
 
 
 def _different(ask: Ask, *, diagnosis: bool) -> list[dict[str, Any]]:
@@ -187,14 +186,15 @@ def _different(ask: Ask, *, diagnosis: bool) -> list[dict[str, Any]]:
         ("worst_delta_g_stored", "worst_delta_g", "largest_change_in_u", "largest_change_of")
     )  # fmt: skip
     differs = "(verdict_differs OR names_differ)" if diagnosis else "verdict_differs"
-    return _rows(
+    return rows_of(
         ask,
         "SELECT run, unit_type, serial, simulated, verdict_stored AS stored, verdict AS now, "  # noqa: S608
         f"{', '.join(own)} FROM changes WHERE {differs} ORDER BY run LIMIT {LISTED}",
     )
 
 
-def _rows(ask: Ask, question: str) -> list[dict[str, Any]]:
+def rows_of(ask: Ask, question: str) -> list[dict[str, Any]]:
+    """Return the rows of the answer to an SQL question, each by column."""
     found = ask.execute(question)
     names = [column[0] for column in found.description]
     return [dict(zip(names, row, strict=True)) for row in found.fetchall()]

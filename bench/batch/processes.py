@@ -31,10 +31,7 @@ _PATIENCE_S: Final = 5.0
 
 
 def by_processes(job: Job, runs: Iterator[str], count: int, recycled: int | None = None) -> Iterator[Row]:
-    """Yield the rows of runs as they are done, in any order, computed by `count` processes.
-
-    `runs` is read only as fast as the processes need runs. Raises `Refused` when no process can be started.
-    """
+    """Yield the rows of runs, in any order, computed by `count` processes. Raises `Refused` if none can start."""
     usual = RECYCLED_DIAGNOSES if job.command == DIAGNOSE else RECYCLED
     pool = _Pool(job, runs, count, recycled or usual)
     try:

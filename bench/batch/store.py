@@ -6,6 +6,7 @@ import glob
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
@@ -118,12 +119,8 @@ def _matches(pattern: str, runs: Path) -> list[Path]:
     if not glob.has_magic(pattern):
         places = [Path(pattern), runs / pattern]
         return [place for place in places if place.exists()][:1]
-    return [Path(path) for path in _globbed(pattern) or _globbed(str(runs / pattern))]
-
-
-def _globbed(pattern: str) -> list[str]:
-    """Return the paths that match a pattern, which may be absolute (unlike for `Path.glob`)."""
-    return glob.glob(pattern, recursive=True)  # noqa: PTH207
+    matching = partial(glob.glob, recursive=True)  # a pattern may be absolute, unlike for `Path.glob`
+    return [Path(path) for path in matching(pattern) or matching(str(runs / pattern))]
 
 
 def _sorted(found: Iterable[Path], others: Iterable[Path]) -> Listed:
@@ -161,9 +158,7 @@ class Store:
         self._lock = FileLock(folder / _LOCK, timeout=0)
 
     def __enter__(self) -> Store:
-        """Lock the folder. Raises `Refused` if another program holds the folder, or if the folder is not that
-        of a batch.
-        """
+        """Lock the folder. Raises `Refused` if another program holds it, or if it is not that of a batch."""
         if self.folder.exists() and not self.folder.is_dir():
             raise Refused(f"--out {self.folder}: this is a file; name a folder")
         there = self.folder.is_dir() and any(one.name not in _BEFORE for one in self.folder.iterdir())
@@ -189,10 +184,7 @@ class Store:
     # --- what was asked -----------------------------------------------------------------------------
 
     def begin(self, job: Job, over: Sequence[str], runs: Sequence[str]) -> BatchProgress:
-        """Record the job and its runs; return the progress, with the runs left to do.
-
-        Raises `Refused` with all differences if the folder belongs to another job or program.
-        """
+        """Record the job and its runs; return what is left. Raises `Refused` for the folder of another job."""
         asked = {
             "command": job.command,
             "asked": job.to_json(),

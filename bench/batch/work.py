@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from math import isnan
 from pathlib import Path
@@ -42,7 +41,7 @@ def worked(job: Job, run: str) -> Row:
     with _ONE_AT_A_TIME:
         try:
             row |= _told_by_manifest(Path(run))
-            with _knowing(job.effects):
+            with CATALOGUE.also(_effects(job.effects)):
                 row |= _of_run(job, run)
         except Exception as error:  # a bad run never ends the batch; the table lists its error
             row["failed"] = visible(sentence(error))
@@ -62,12 +61,6 @@ def _told_by_manifest(folder: Path) -> Row:
         "measured_with": said.get("triaxial-bench"),
         **({"unit_type": unit["type"], "serial": unit["serial"]} if unit else {}),
     }
-
-
-@contextmanager
-def _knowing(files: tuple[str, ...]) -> Iterator[None]:
-    with CATALOGUE.also(_effects(files)):
-        yield
 
 
 @lru_cache(maxsize=1)
@@ -103,8 +96,7 @@ def _calibrated(job: Job, source: Source) -> Row:
         row["page"] = str(_written(job, source, page))
     elif len(source.readings.verification()) and not job.join_verification:
         verdict = verification_of(result.source, result, job.asked())
-    stored = stored_calibration(Path(source.name))
-    return row | _compared(result, verdict, stored)
+    return row | _compared(result, verdict, Path(source.name))
 
 
 def _of_meters(job: Job, source: Source, result: RecordCalibrationResult) -> Row:
@@ -151,13 +143,16 @@ def _written(job: Job, source: Source, page: str) -> Path:
     return file
 
 
-def _compared(result: CalibrationResult, verdict: VerificationResult | None, stored: Stored) -> Row:
-    now, before = CalibrationValues.of_file(result.to_dict()), stored.calibration
+def _compared(result: CalibrationResult, verdict: VerificationResult | None, folder: Path) -> Row:
+    """Return the columns of a calibration and its verdict, and of those stored in the folder of the run."""
+    notes: list[str] = []
+    now, before = CalibrationValues.of_file(result.to_dict()), stored_calibration(folder, notes)
     judged = None if verdict is None else VerdictValues.of_file(verdict.to_dict())
-    notes = [*stored.notes, *(() if before is None else _notes_on(before, result)), *result.notes]
+    judged_before: VerdictValues | None = _read(folder / VERIFY_FILE, VerdictValues.of_file, notes)
+    notes += [*(() if before is None else _notes_on(before, result)), *result.notes]
     return {
         **changes(before, now),
-        **_verdicts(stored.verdict, judged),
+        **_verdicts(judged_before, judged),
         "readings_used": now.used,
         "covariance": result.covariance.ravel().tolist(),
         "notes": "; ".join(map(visible, notes)),
@@ -193,8 +188,9 @@ def _verdicts(before: VerdictValues | None, now: VerdictValues | None) -> Row:
 
 def _diagnosed(source: Source) -> Row:
     found = _diagnosis(source)
-    now, stored = Named.of_file(found), stored_diagnosis(Path(source.name))
-    before = stored.diagnosis
+    notes: list[str] = []
+    now = Named.of_file(found)
+    before: Named | None = _read(Path(source.name) / DIAGNOSE_FILE, Named.of_file, notes)
     row: Row = {
         "model": source.model.name,
         "verdict": now.verdict,
@@ -202,7 +198,7 @@ def _diagnosed(source: Source) -> Row:
         "gap_before": now.before,
         "gap_after": now.after,
         "result": to_text(found),
-        "notes": "; ".join(map(visible, (*stored.notes, *source.readings.notes, *found.get("notes", ())))),
+        "notes": "; ".join(map(visible, (*notes, *source.readings.notes, *found.get("notes", ())))),
     }
     if before is None:
         return row
@@ -225,9 +221,7 @@ def _diagnosis(source: Source) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class CalibrationValues:
-    """The calibration in a row: values and u (12,) in unit/g and unit, and the p-value of lack of fit (or
-    None).
-    """
+    """The calibration in a row: values and u (12,) in unit/g and unit; p of lack of fit, None if not judged."""
 
     estimator: str
     model: str
@@ -249,10 +243,7 @@ class CalibrationValues:
 
     @classmethod
     def of_file(cls, told: Mapping[str, Any]) -> CalibrationValues:
-        """Return the calibration in a result, computed now or read from a file.
-
-        Raises `KeyError`, `TypeError` and the like for any other data.
-        """
+        """Return the calibration in a result. Raises `KeyError`, `TypeError` and the like for any other data."""
         sizes = [told["coefficients"][name] for name in COEFFICIENTS]
         p = told["residual"]["p"]
         return cls(
@@ -317,31 +308,14 @@ class Named:
         return cls(str(told["verdict"]), ", ".join(names), before, after)
 
 
-@dataclass(frozen=True)
-class Stored:
-    """Earlier results in a run's folder; one that is missing or unreadable is None, and `notes` say why."""
-
-    calibration: CalibrationValues | None = None
-    verdict: VerdictValues | None = None
-    diagnosis: Named | None = None
-    notes: list[str] = field(default_factory=list)
-
-
-def stored_calibration(folder: Path) -> Stored:
-    """Return the earlier coefficients and verdict that are stored in a run's folder."""
-    notes: list[str] = []
-    found = _read(folder / CALIBRATE_FILE, CalibrationValues.of_file, notes)
-    judged = _read(folder / VERIFY_FILE, VerdictValues.of_file, notes)
-    return Stored(calibration=found, verdict=judged, notes=notes)
-
-
-def stored_diagnosis(folder: Path) -> Stored:
-    """Return the earlier diagnosis that is stored in a run's folder."""
-    notes: list[str] = []
-    return Stored(diagnosis=_read(folder / DIAGNOSE_FILE, Named.of_file, notes), notes=notes)
+def stored_calibration(folder: Path, notes: list[str]) -> CalibrationValues | None:
+    """Return the calibration stored in a run's folder; None if it is missing or, as `notes` say, unreadable."""
+    found: CalibrationValues | None = _read(folder / CALIBRATE_FILE, CalibrationValues.of_file, notes)
+    return found
 
 
 def _read(file: Path, understood: Any, notes: list[str]) -> Any:
+    """Return an earlier result, read by `understood`; None if missing or, as `notes` then say, unreadable."""
     try:
         told = read_json(read_regular(file))
         return understood(told[0] if isinstance(told, list) and len(told) == 1 else told)
@@ -361,10 +335,10 @@ def changes(before: CalibrationValues | None, now: CalibrationValues) -> Row:
     that had no u (fixed by convention). If neither has a u, the change is zero or unknown. Results in
     different units of the signals are not compared.
     """
-    row: Row = {**_columns(now, ""), **({} if before is None else _columns(before, "_stored"))}
+    row = _columns(now, "")
     if before is None:
         return row
-    row["fit_differs"] = before.fit != now.fit
+    row |= {**_columns(before, "_stored"), "fit_differs": before.fit != now.fit}
     if before.unit != now.unit:
         return row
     change = change_in_u(before, now)

@@ -41,11 +41,7 @@ Row = dict[str, Any]
 
 
 def instruments_of(bench: BenchFile | None, run: int, started: Mapping[str, Any]) -> dict[str, list[Row]]:
-    """Return, by table, the rows of a run's instruments, of their uses and of their certificates.
-
-    `started` are the data of the event with which the run began, such as reported identities and serial
-    numbers.
-    """
+    """Return, by table, the rows of a run's instruments, uses and certificates, from its bench and first event."""
     answered = {str(k): str(v) for k, v in (started.get("instruments") or {}).items()}
     serials = {str(k): str(v).strip() for k, v in (started.get("serials") or {}).items()}
     instruments: dict[int, Row] = {}
@@ -81,13 +77,8 @@ def instruments_of(bench: BenchFile | None, run: int, started: Mapping[str, Any]
 
 
 def _certificate(stated: Any) -> Row:
-    row = {
-        "number": stated.number,
-        "laboratory": stated.laboratory,
-        "date": stated.date,
-        "valid_until": stated.valid_until,
-        "serial": stated.serial,
-    }
+    names = ("number", "laboratory", "date", "valid_until", "serial")
+    row = {name: getattr(stated, name) for name in names}
     return {"id": key_of("certificate", *(str(value) for value in row.values())), **row}
 
 
@@ -143,10 +134,7 @@ class RecordSeen:
         self._note(content[: sum(len(line) + 1 for line in lines[:count])])
 
     def _note(self, content: bytes) -> None:
-        """Note state, readings and temperatures of the run.
-
-        An operator's text cannot match the patterns, because its quotation marks are escaped.
-        """
+        """Note state, readings, temperatures; an operator's text never matches: its quotation marks are escaped."""
         for found in _CHANGING.finditer(content):
             name = found.group(1).decode()
             self.state = state_after_one(self.state, name)
@@ -167,10 +155,7 @@ class RecordSeen:
 
     @property
     def proved(self) -> str:
-        """How thoroughly the record was verified.
-
-        The value is "read" (every event), "chain" (hashes only), "none" or, if the check failed, "broken".
-        """
+        """How the record was verified: "read" (every event), "chain" (hashes only), "none", or "broken"."""
         if self.problem:
             return "broken"
         return ("read" if self.whole else "chain") if self.count else "none"
@@ -204,6 +189,8 @@ DIAGNOSE: Final = "diagnose.json"
 MOST: Final = 2**31 - 1
 """The largest whole number that an integer column can hold; keys use larger columns."""
 _KEYS: Final = frozenset({"id", "run", "instrument", "certificate"})
+_NOT_OURS: Final = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
+"""Errors in reading a file that another program wrote or changed."""
 
 
 @dataclass(frozen=True)
@@ -224,18 +211,15 @@ class FolderEntry:
 def read_folder(path: str, fingerprint: str, *, whole: bool = False) -> FolderEntry:
     """Return the rows of a run folder, or the reason why it has none; `whole` reads every event of its record."""
     try:
-        rows = _rows(Path(path), whole=whole)
-        return FolderEntry(
-            path, fingerprint, {name: [_storable(row) for row in own] for name, own in rows.items()}
-        )
+        rows = _rows(Path(path), whole=whole).items()
+        return FolderEntry(path, fingerprint, {name: [_storable(row) for row in own] for name, own in rows})
     except (RecordError, Refused) as error:
         return FolderEntry(path, fingerprint, reason=_in_a_line(error, path))
     except OSError as error:
         return FolderEntry(path, fingerprint, reason=f"cannot be read ({error.strerror})")
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        return FolderEntry(
-            path, fingerprint, reason=f"not in the format of this program ({_in_a_line(error, path)})"
-        )
+    except _NOT_OURS as error:
+        why = f"not in the format of this program ({_in_a_line(error, path)})"
+        return FolderEntry(path, fingerprint, reason=why)
 
 
 def _rows(folder: Path, *, whole: bool) -> dict[str, list[Row]]:
@@ -251,6 +235,7 @@ def _rows(folder: Path, *, whole: bool) -> dict[str, list[Row]]:
     unit: Any = manifest.get("unit_under_test") or {}
     imported = "imported" in manifest
     results = _results(folder, run, record)
+    problem, bench_name = results.pop("problem"), results.pop("bench", None)
     said = {name: text_of(unit.get(name)) for name in ("type", "serial")}
     stated = said if any(said.values()) else _block_of(bench)
     whole_unit = " ".join(word for word in (stated["type"], stated["serial"]) if word) or None
@@ -271,7 +256,7 @@ def _rows(folder: Path, *, whole: bool) -> dict[str, list[Row]]:
         "unit_type": stated["type"],
         "serial": stated["serial"],
         "unit": whole_unit,
-        "bench": bench.name if bench else results.get("bench"),
+        "bench": bench.name if bench else bench_name,
         "bench_sha256": bench_sha256,
         "temperature_c": record.temperature_c,
         "readings": int(manifest.get("readings", 0)) if imported else len(record.steps),
@@ -279,10 +264,8 @@ def _rows(folder: Path, *, whole: bool) -> dict[str, list[Row]]:
         "head": record.head if record.count else None,
         "events": record.count,
         "record": record.proved,
-        "problem": record.problem or results.pop("problem") or None,
+        "problem": record.problem or problem or None,
     }
-    results.pop("problem", None)
-    results.pop("bench", None)
     return {"runs": [row], **instruments_of(bench, run, record.started), **results}
 
 
@@ -297,10 +280,7 @@ def _storable(row: Row) -> Row:
 
 
 def _results(folder: Path, run: int, record: RecordSeen) -> dict[str, Any]:
-    """Return the rows of a run's results by table.
-
-    The key `problem` describes results that cannot be read; `bench` is the bench's name, if known.
-    """
+    """Return the rows of a run's results by table; `problem` says what cannot be read, `bench` names the bench."""
     rows: dict[str, Any] = {"problem": ""}
     for name, read in ((CALIBRATE, _calibration), (f"{VERIFY}.json", _verification), (DIAGNOSE, _diagnosis)):
         try:
@@ -312,15 +292,7 @@ def _results(folder: Path, run: int, record: RecordSeen) -> dict[str, Any]:
             continue
         try:
             rows |= read(read_json(content), run, record)
-        except (
-            Refused,
-            ValueError,
-            KeyError,
-            TypeError,
-            AttributeError,
-            OverflowError,
-            RecursionError,
-        ) as error:
+        except (Refused, *_NOT_OURS) as error:
             rows["problem"] = f"{name} is not a result of this program ({_in_a_line(error, str(folder))})"
     return rows
 

@@ -16,6 +16,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
+from operator import eq, ge, gt, le, lt, ne
 from pathlib import Path
 from typing import Any, Final
 
@@ -82,10 +83,7 @@ def condition_of(query: Sequence[str]) -> Condition:
 
 
 def run_folders(catalogue: Catalogue, query: Sequence[str]) -> list[Path]:
-    """Return the existing folders of the runs that satisfy a question, oldest first.
-
-    Raises `Refused` for an invalid question.
-    """
+    """Return the folders of the runs that satisfy a question, oldest first. Raises `Refused` for an invalid one."""
     asked = select(RUNS.c.path).where(condition_of(query), ~RUNS.c.vanished)
     with catalogue.reading() as connection:
         paths = connection.execute(asked.order_by(RUNS.c.created, RUNS.c.path)).scalars()
@@ -106,9 +104,7 @@ def _like(column: ColumnElement[Any], value: str) -> Condition:
 
 
 def _signed(operator: str, condition: Condition) -> Condition:
-    """Return `condition` for the operator `=`, and its negation for `!=`. Raises `ValueError` for any other
-    operator.
-    """
+    """Return `condition` for `=`, its negation for `!=`. Raises `ValueError` for any other operator."""
     if operator == "=":
         return condition
     if operator == "!=":
@@ -159,15 +155,11 @@ def _size(column: ColumnElement[Any], table: Table | None = None) -> Build:
 
 
 def _compared(column: ColumnElement[Any], operator: str, value: Any) -> Condition:
-    compared: dict[str, Condition] = {
-        "=": column == value,
-        "!=": column != value,
-        "<": column < value,
-        "<=": column <= value,
-        ">": column > value,
-        ">=": column >= value,
-    }
-    return compared[operator]
+    compared: Condition = _COMPARISONS[operator](column, value)
+    return compared
+
+
+_COMPARISONS: Final = {"=": eq, "!=": ne, "<": lt, "<=": le, ">": gt, ">=": ge}
 
 
 def _whether(column: ColumnElement[Any]) -> Build:
@@ -302,9 +294,7 @@ class AnswerTable:
         return AskResult(query=list(query), of=of, count=len(self), rows=self.mappings())
 
     def write_csv(self, file: Path) -> None:
-        """Write the table as CSV (RFC 4180). A text that a spreadsheet would run as a formula gets a leading
-        apostrophe.
-        """
+        """Write the table as CSV (RFC 4180); a text that a spreadsheet would run gets a leading apostrophe."""
         text = io.StringIO()
         writer = csv.writer(text)
         writer.writerow(self.columns)
@@ -316,20 +306,14 @@ class AnswerTable:
         import pyarrow
         from pyarrow import parquet
 
-        names = self.columns
-        table = pyarrow.table(
-            [pyarrow.array([row[k] for row in self.rows]) for k in range(len(names))], names=list(names)
-        )
+        table = pyarrow.table({name: [row[k] for row in self.rows] for k, name in enumerate(self.columns)})
         written = io.BytesIO()
         parquet.write_table(table, written)
         write_whole(file, written.getvalue())
 
 
 def answer(catalogue: Catalogue, query: Sequence[str], of: str = "runs") -> AnswerTable:
-    """Return the answer to a question: its runs or, by the kind `of` (see `KINDS`), what they used.
-
-    Raises `Refused` for an invalid question.
-    """
+    """Return the runs of a question or what they used, by the kind `of` (see `KINDS`). Raises `Refused`."""
     if of not in KINDS:
         raise Refused(f"--of {of}: choose from {', '.join(KINDS)}")
     statement = KINDS[of](condition_of(query))

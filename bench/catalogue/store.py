@@ -304,7 +304,9 @@ def open_catalogue(
     in_file = url.get_backend_name() == "sqlite"
     if in_file:
         _prepare_file(Path(url.database or ""), existing=existing)
-    engine = sqlalchemy.create_engine(url, connect_args=_connect_args(url.get_backend_name()))
+    on_server = {"connect_timeout": 10, "options": "-c timezone=UTC"}
+    waiting = {"timeout": BUSY_MS / 1e3} if in_file else on_server
+    engine = sqlalchemy.create_engine(url, connect_args=waiting)
     _listen(engine)
     catalogue = Catalogue(engine, named if in_file else url.render_as_string(hide_password=True))
     try:
@@ -338,17 +340,8 @@ def _url(named: str) -> Any:
     return url.set(drivername="postgresql+psycopg")
 
 
-def _connect_args(kind: str) -> dict[str, Any]:
-    if kind == "sqlite":
-        return {"timeout": BUSY_MS / 1e3}
-    return {"connect_timeout": 10, "options": "-c timezone=UTC"}
-
-
 def _prepare_file(file: Path, *, existing: bool) -> None:
-    """Create the folder of the catalogue's file.
-
-    Raises `Refused` if the path is no file, or if the file is missing and must exist.
-    """
+    """Create the folder of the catalogue's file. Raises `Refused` for a folder, or for a missing file to read."""
     if file.is_dir():
         raise Refused(f"{file}: is a folder; name a file for the catalogue")
     if existing and not file.is_file():
@@ -387,10 +380,7 @@ def _listen(engine: Engine) -> None:
 
 
 def _take_up_wal(connection: Any) -> None:
-    """Switch a database file to a write-ahead log.
-
-    Retry, because SQLite fails at once if several programs switch the file at the same time.
-    """
+    """Switch to a write-ahead log; retry, because SQLite fails at once if several programs switch a file."""
     until = time.monotonic() + BUSY_MS / 1e3
     while True:
         try:

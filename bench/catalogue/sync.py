@@ -67,10 +67,7 @@ MOST_IN: Final = 5000
 
 @dataclass
 class Synced:
-    """The result of a sync: counts of folders `added`, `changed`, `unchanged`, `moved`, `vanished`; `problems`.
-
-    `problems` lists folders without a usable run and runs with a damaged record, each with the reason.
-    """
+    """Counts of folders in a sync; `problems` gives the reason for unusable folders and damaged records."""
 
     added: int = 0
     changed: int = 0
@@ -113,7 +110,7 @@ def sync(
         if row["reason"]:
             done.problems[path] = row["reason"]
         if row["vanished"]:
-            back.append(row)
+            back.append(path)
     for batch in _batches(_read(waiting, whole, count), BATCH):
         with catalogue.writing() as connection:
             _write(connection, batch, known, done)
@@ -129,8 +126,10 @@ def sync(
     if not (back or odd or seen.registers or gone):
         return done
     with catalogue.writing() as connection:
-        _put_back(connection, back)
-        _mark_odd(connection, odd)
+        for path in back:
+            _mark(connection, path, vanished=False)
+        nothing = {"fingerprint": "", "run": None, "vanished": False}
+        _upsert(connection, FOLDERS, [{"path": path, "reason": why, **nothing} for path, why in odd.items()])
         _write_registers(connection, seen.registers, done)
         done.vanished = _mark_vanished(connection, gone)
     return done
@@ -245,10 +244,7 @@ def _batches(parts: Iterable[_T], size: int) -> Iterator[list[_T]]:
 
 
 def _write(connection: Connection, batch: list[FolderEntry], known: dict[str, Row], done: Synced) -> None:
-    """Write the contents of a batch of folders to the catalogue, and count them in `done`.
-
-    `known` are the catalogue's earlier rows on folders, by path.
-    """
+    """Write a batch of folders, and count them in `done`; `known` are earlier rows on folders by path."""
     places = _places(connection, [found.run for found in batch if found.run is not None])
     rows: dict[str, list[Row]] = {table.name: [] for table in (INSTRUMENTS, CERTIFICATES, RUNS, *OF_A_RUN)}
     folders, left, runs = [], [], []
@@ -332,20 +328,11 @@ def _upsert(connection: Connection, table: Table, rows: list[Row]) -> None:
     connection.execute(written, [by_key[key] for key in sorted(by_key)])
 
 
-def _put_back(connection: Connection, rows: list[Row]) -> None:
-    """Mark folders and their runs as present again."""
-    for row in rows:
-        forget_dues(connection, RUNS.c.path == row["path"])
-        connection.execute(update(FOLDERS).where(FOLDERS.c.path == row["path"]).values(vanished=False))
-        connection.execute(update(RUNS).where(RUNS.c.path == row["path"]).values(vanished=False))
-
-
-def _mark_odd(connection: Connection, odd: dict[str, str]) -> None:
-    rows = [
-        {"path": path, "fingerprint": "", "run": None, "reason": why, "vanished": False}
-        for path, why in odd.items()
-    ]
-    _upsert(connection, FOLDERS, rows)
+def _mark(connection: Connection, path: str, *, vanished: bool) -> None:
+    """Mark a folder and its run as vanished, or as present again."""
+    forget_dues(connection, RUNS.c.path == path)
+    for table in (FOLDERS, RUNS):
+        connection.execute(update(table).where(table.c.path == path).values(vanished=vanished))
 
 
 def _write_registers(connection: Connection, registers: Sequence[str], done: Synced) -> None:
@@ -370,9 +357,7 @@ def _mark_vanished(connection: Connection, rows: list[Row]) -> int:
         if row["run"] is None or (row["reason"] or "").startswith(_COPY):
             connection.execute(delete(FOLDERS).where(FOLDERS.c.path == row["path"]))
         elif not row["vanished"]:
-            forget_dues(connection, RUNS.c.path == row["path"])
-            connection.execute(update(FOLDERS).where(FOLDERS.c.path == row["path"]).values(vanished=True))
-            connection.execute(update(RUNS).where(RUNS.c.path == row["path"]).values(vanished=True))
+            _mark(connection, row["path"], vanished=True)
             count += 1
     return count
 

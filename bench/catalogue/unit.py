@@ -6,16 +6,15 @@ import hashlib
 import json
 import os
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from datetime import timedelta
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from sqlalchemy import delete, insert, select
 
-from bench.base.arrays import Mask, u_of
+from bench.base.arrays import u_of
 from bench.base.computing import tracked
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.result import CalibrationError
@@ -34,7 +33,6 @@ from bench.catalogue.store import (
 from bench.catalogue.sync import pool_of
 from bench.catalogue.values import CoefficientTable, coefficient_table
 from bench.history.drift import Due, due
-from bench.history.measured import to_gravity
 from bench.model.geometry import COEFFICIENTS
 from bench.results.catalogue import (
     CoefficientThen,
@@ -196,11 +194,7 @@ def _keep(catalogue: Catalogue, found: Reckoned, asked: str) -> None:
 
 
 def _mark(connection: Connection, name: str) -> str:
-    """Return a fingerprint of a unit's runs in the catalogue; "" if a run was written only just now.
-
-    The files of such a run may still change without a change of their times
-    (`bench.catalogue.sync.SETTLED_NS`).
-    """
+    """Return a fingerprint of a unit's runs; "" if one was written just now, and might change unnoticed."""
     asked = (
         select(FOLDERS.c.path, FOLDERS.c.fingerprint, FOLDERS.c.reason, RUNS.c.vanished, RUNS.c.record)
         .join(RUNS, RUNS.c.id == FOLDERS.c.run)
@@ -256,19 +250,33 @@ def _calibration(table: CoefficientTable, k: int) -> UnitCalibration:
 
 
 def unit_calibrations(catalogue: Catalogue, unit: str) -> list[UnitCalibration]:
-    """Return the comparable calibrations of a unit, as in its history, for the figure of the unit.
-
-    Raises `Refused` if no unit or several have that name.
-    """
+    """Return the comparable calibrations of one unit, for its figure. Raises `Refused` as `unit_history`."""
     table, _, _ = compared_of(catalogue, _name_of(catalogue, unit))
     return [_calibration(table, k) for k in range(len(table))]
 
 
 def compared_of(catalogue: Catalogue, name: str) -> tuple[CoefficientTable, bool, list[str]]:
-    """Return the comparable calibrations of a unit, whether they are simulated, and notes on any left out."""
-    table = coefficient_table(catalogue, [f"unit={name}"])
-    notes = [f"without {words}" for words in table.left_out]
-    return *_compared(table, notes), notes
+    """Return the comparable calibrations of a unit, whether they are simulated, and notes on any left out.
+
+    Their scale factors are per local g of the last one.
+    """
+    kept = coefficient_table(catalogue, [f"unit={name}"])
+    notes = [f"without {words}" for words in kept.left_out]
+    dated = ~np.isnat(kept.when)
+    if not np.all(dated):
+        notes.append(f"without {np.sum(~dated)} calibrations that have no date")
+    kept = kept.of(dated)
+    simulated = bool(len(kept)) and bool(np.all(kept.simulated))
+    if not simulated and np.any(kept.simulated):
+        notes.append(f"without {np.sum(kept.simulated)} calibrations of simulated runs")
+        kept = kept.of(~kept.simulated)
+    if len(kept):
+        same = np.array([one == kept.signal_unit[-1] for one in kept.signal_unit], dtype=np.bool_)
+        if not np.all(same):
+            notes.append(f"without {np.sum(~same)} calibrations of signals in another unit")
+            kept = kept.of(same)
+        kept = kept.per(float(kept.g_m_s2[-1]))
+    return kept, simulated, notes
 
 
 def _name_of(catalogue: Catalogue, unit: str) -> str:
@@ -287,53 +295,8 @@ def _name_of(catalogue: Catalogue, unit: str) -> str:
     return names[0]
 
 
-def _compared(table: CoefficientTable, notes: list[str]) -> tuple[CoefficientTable, bool]:
-    """Return the comparable calibrations, converted to the local g of the last one, and whether they are
-    simulated.
-
-    Notes on the calibrations left out are appended to `notes`.
-    """
-    dated = ~np.isnat(table.when)
-    if not np.all(dated):
-        notes.append(f"without {np.sum(~dated)} calibrations that have no date")
-    kept = _rows(table, dated)
-    simulated = bool(len(kept)) and bool(np.all(kept.simulated))
-    if not simulated and np.any(kept.simulated):
-        notes.append(f"without {np.sum(kept.simulated)} calibrations of simulated runs")
-        kept = _rows(kept, ~kept.simulated)
-    if len(kept):
-        same = np.array([one == kept.signal_unit[-1] for one in kept.signal_unit], dtype=np.bool_)
-        if not np.all(same):
-            notes.append(f"without {np.sum(~same)} calibrations of signals in another unit")
-            kept = _rows(kept, same)
-        kept = _per_g(kept, float(kept.g_m_s2[-1]))
-    return kept, simulated
-
-
-def _rows(table: CoefficientTable, mask: Mask) -> CoefficientTable:
-    arrays: Mapping[str, Any] = {
-        name: value[mask] for name, value in vars(table).items() if isinstance(value, np.ndarray)
-    }
-    return replace(table, **arrays)
-
-
-def _per_g(table: CoefficientTable, g_m_s2: float) -> CoefficientTable:
-    """Return the calibrations with scale factors in unit/g for g = `g_m_s2` (m/s²); biases stay the same."""
-    factor = to_gravity(table.g_m_s2, g_m_s2)
-    return replace(
-        table,
-        g_m_s2=np.full(len(table), g_m_s2),
-        vector=table.vector * factor,
-        covariance=table.covariance * factor[:, :, None] * factor[:, None, :],
-        u_meters=table.u_meters * factor,
-    )
-
-
 def limit_of(catalogue: Catalogue, query: list[str]) -> float | None:
-    """Return the limit of |Δg|, in local g, in the last verification among the runs of a question.
-
-    None if no run states a limit.
-    """
+    """Return the limit of |Δg| (local g) of the last verification of a question's runs; None if unstated."""
     joined = RUNS.join(VERIFICATIONS, VERIFICATIONS.c.run == RUNS.c.id)
     asked = (
         select(VERIFICATIONS.c.limit_g)

@@ -57,6 +57,22 @@ class CoefficientTable:
     def __len__(self) -> int:
         return len(self.path)
 
+    def of(self, mask: Mask) -> CoefficientTable:
+        """Return the calibrations in a mask (n,)."""
+        arrays = {name: value[mask] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        return replace(self, **arrays)  # type: ignore[arg-type]
+
+    def per(self, g_m_s2: float) -> CoefficientTable:
+        """Return the calibrations with scale factors in unit/g for g = `g_m_s2` (m/s²); biases stay the same."""
+        factor = to_gravity(self.g_m_s2, g_m_s2)
+        return replace(
+            self,
+            g_m_s2=np.full(len(self), g_m_s2),
+            vector=self.vector * factor,
+            covariance=self.covariance * factor[:, :, None] * factor[:, None, :],
+            u_meters=self.u_meters * factor,
+        )
+
 
 def coefficient_table(catalogue: Catalogue, query: Sequence[str]) -> CoefficientTable:
     """Return the calibrations of the runs that a question selects.
@@ -154,32 +170,30 @@ def measured_of(table: CoefficientTable) -> tuple[ComparedCalibrations, Mask, tu
     if not known.any():
         told = f" ({'; '.join(notes)})" if notes else ""
         raise Refused(f"no calibration of a known unit on a known bench matches{told}")
-    simulated = table.simulated[known]
+    kept = table.of(known).per(STANDARD_GRAVITY)
+    simulated = kept.simulated
     if simulated.any() and not simulated.all():
         raise Refused(
             f"{int(simulated.sum())} of {len(simulated)} calibrations are simulated; add simulated=yes or "
             "simulated=no"
         )
-    signals = sorted(set(table.signal_unit[known].tolist()))
+    signals = sorted(set(kept.signal_unit.tolist()))
     if len(signals) > 1:
         raise Refused(f"signals in {', '.join(signals)} cannot be compared; narrow the question")
-    factor = to_gravity(table.g_m_s2[known])
-    meters = np.nan_to_num(table.u_meters[known])
-    if np.isnan(table.u_meters[known]).any():
+    if np.isnan(kept.u_meters).any():
         notes.append(
             "some results do not state the part of u that their meters share; it counts as independent"
         )
     if simulated.all():
         notes.append("all of these were found on simulated instruments")
-    kinds = [kind or "" for kind in table.unit_type[known]]
     measured = ComparedCalibrations(
-        unit=np.array(table.unit[known], dtype=str),
-        kind=np.array(kinds, dtype=str),
-        bench=np.array(table.bench[known], dtype=str),
-        when=table.when[known],
-        vector=table.vector[known] * factor,
-        covariance=table.covariance[known] * factor[:, :, None] * factor[:, None, :],
-        meters=meters * factor,
+        unit=np.array(kept.unit, dtype=str),
+        kind=np.array([kind or "" for kind in kept.unit_type], dtype=str),
+        bench=np.array(kept.bench, dtype=str),
+        when=kept.when,
+        vector=kept.vector,
+        covariance=kept.covariance,
+        meters=np.nan_to_num(kept.u_meters),
         signal=signals[0],
         simulated=bool(simulated.all()),
     )

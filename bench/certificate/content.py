@@ -205,10 +205,7 @@ class RunFindings:
 
 @dataclass(frozen=True)
 class Before:
-    """The certificate that a new certificate supersedes.
-
-    `kind` is "amended" or "replaced"; `sha256` is the hash of the superseded certificate's XML as issued.
-    """
+    """The certificate that a new one supersedes: `kind` is "amended" or "replaced", `sha256` that of its XML."""
 
     kind: str
     number: str
@@ -369,10 +366,7 @@ def stated(of: Verification) -> tuple[Statement, tuple[Statement, ...]]:
 
 
 def uncertified(found: RunFindings) -> tuple[str, ...]:
-    """Return the names of the voltmeters, and of the head, without a valid certificate on the day of the run.
-
-    A certificate that is missing, has expired or belongs to another instrument is not valid.
-    """
+    """Return the names of voltmeters and head without a valid certificate of their own on the day of the run."""
     return tuple(
         one.name
         for one in found.instruments

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
@@ -19,7 +19,7 @@ from bench.calibration.budget.sources import hidden_sources
 from bench.calibration.budget.whole import dof_through
 from bench.calibration.conformity import DecisionRule
 from bench.calibration.intrinsic import intrinsic_unit
-from bench.calibration.result import INVERSE, MISALIGNMENTS
+from bench.calibration.result import INVERSE, MISALIGNMENTS, Derived
 from bench.certificate.content import (
     Certificate,
     Condition,
@@ -88,9 +88,7 @@ def _house_rule(laboratory: Laboratory | None) -> DecisionRule | None:
 
 
 def texts_for(laboratory: Laboratory | None) -> tuple[Texts, ...]:
-    """Return the certificate's texts in each language of the laboratory, with its wordings; by default in
-    English.
-    """
+    """Return the certificate's texts in each language of the laboratory, by default in English."""
     if laboratory is None:
         return (texts_of(_FIRST_LANGUAGE),)
     return tuple(
@@ -157,14 +155,15 @@ def found_by(
     verdict = None
     if len(source.readings.verification()):
         verdict = verification_of(result.source, result, asked, agreed)
+    last = run.history.events[-1] if len(run.history.events) else None
     # only the global risks: the other notes of a verdict advise the operator and do not belong on a certificate
     of_all = () if verdict is None else global_risk_in_words(verdict.verification)
-    record, begun = _record(run), _begun(source)
+    record, begun, unit = _record(run), _begun(source), source.bench.unit_under_test
     return RunFindings(
         record=record,
-        item=_item(source),
+        item=Item(_one_line(unit.type), _one_line(unit.serial)),
         begun=begun,
-        ended=begun if begun and run.imported else _ended(run),
+        ended=begun if begun and run.imported else last.time if last else "",
         operator=_one_line("" if source.origin is None else source.origin.operator),
         method=_method(source, result),
         **_values(result, k),
@@ -185,29 +184,16 @@ def _values(result: CalibrationResult, k: float) -> dict[str, Values]:
     units = {name: coefficient_unit(name, own.unit) for name in COEFFICIENTS}
     inverted = {name: own.unit if name.startswith("U0") else derived.inverse_unit for name in INVERSE}
     n, angles, nine = derived.inverse, derived.misalignments, derived.intrinsic
+
+    def values_of(named: Mapping[str, str], of: Derived) -> Values:
+        return Values.of(named, of.values, of.covariance, k, dof_through(own, of.jacobian))
+
     return {
         "coefficients": Values.of(units, own.block.vector, own.covariance, k, own.dof),
-        "inverse": Values.of(inverted, n.values, n.covariance, k, dof_through(own, n.jacobian)),
-        "misalignments": Values.of(
-            dict.fromkeys(MISALIGNMENTS, "rad"),
-            angles.values,
-            angles.covariance,
-            k,
-            dof_through(own, angles.jacobian),
-        ),
-        "intrinsic": Values.of(
-            {name: intrinsic_unit(name, own.unit) for name in nine.names},
-            nine.values,
-            nine.covariance,
-            k,
-            dof_through(own, nine.jacobian),
-        ),
+        "inverse": values_of(inverted, n),
+        "misalignments": values_of(dict.fromkeys(MISALIGNMENTS, "rad"), angles),
+        "intrinsic": values_of({name: intrinsic_unit(name, own.unit) for name in nine.names}, nine),
     }
-
-
-def _item(source: Source) -> Item:
-    unit = source.bench.unit_under_test
-    return Item(_one_line(unit.type), _one_line(unit.serial))
 
 
 def _method(source: Source, result: CalibrationResult) -> Method:
@@ -241,11 +227,6 @@ def _begun(source: Source) -> str:
     return "" if source.origin is None else source.origin.begun
 
 
-def _ended(run: Run) -> str:
-    events = run.history.events
-    return events[-1].time if len(events) else ""
-
-
 def _conditions(source: Source) -> Iterator[Condition]:
     readings = source.readings
     used = readings.select(readings.is_oriented | (readings.installation == VERIFICATION))
@@ -270,11 +251,7 @@ def _conditions(source: Source) -> Iterator[Condition]:
 
 
 def _of_temperature(source: Source) -> tuple[float, str]:
-    """Return the standard uncertainty (K) of the block's temperature, and the origin of that uncertainty.
-
-    The origin is a thermometer at the block or, without one, the air temperature and how far the block may
-    differ from it.
-    """
+    """Return u (K) of the block's temperature and its origin: a thermometer, or the air and the band around it."""
     known = {error.name: error for error in hidden_sources(source.bench, source.model)}
     thermometer, band = known.get("thermometer"), known["temperature"]
     if thermometer is not None and source.bench.instruments.thermometer is not None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import yaml
+from pydantic import BaseModel, ConfigDict, Field
 
 from bench.base.arrays import u_of
 from bench.base.files import read_given, to_text, write_whole
@@ -37,26 +37,26 @@ CHECK: Final = "monitor-4 on arrival and before departure; both accompany the re
 SHA256: Final = re.compile(r"[0-9a-f]{64}")
 
 
-@dataclass(frozen=True)
-class Stop:
-    """A stop of the block: blind `code`, laboratory (`pilot`: the pilot laboratory), and the seal of its
-    result.
+class _PlanPart(BaseModel):
+    model_config = ConfigDict(frozen=True, coerce_numbers_to_str=True)
 
-    `seal` is empty until the result is sealed.
-    """
+
+class Stop(_PlanPart):
+    """A stop: blind `code`, laboratory, whether it is the `pilot`, and the result's seal (empty until sealed)."""
 
     code: str
     laboratory: str
-    pilot: bool = False
+    pilot: bool
+    check: str = CHECK
     seal: str = ""
 
 
-@dataclass(frozen=True)
-class Kit:
+class Kit(_PlanPart):
     """The plan of a comparison: the block and its stops in order."""
 
+    kit_file: Literal[1] = 1
     block: str
-    stops: tuple[Stop, ...] = field(default_factory=tuple)
+    stops: Annotated[tuple[Stop, ...], Field(min_length=1)]
 
     def stop(self, code: str) -> Stop:
         """Return the stop with this blind code. Raises `Refused` for an unknown code."""
@@ -83,36 +83,23 @@ def plan_kit(block: str, laboratories: Sequence[str], seed: int) -> Kit:
     while len(codes) < len(route):
         code = "".join(rng.choice(list(LETTERS), 4))
         codes += [code] * (code not in codes)
-    stops = (Stop(code, name, name == pilot) for code, name in zip(codes, route, strict=True))
-    return Kit(block, tuple(stops))
+    pairs = zip(codes, route, strict=True)
+    stops = tuple(Stop(code=code, laboratory=name, pilot=name == pilot) for code, name in pairs)
+    return Kit(block=block, stops=stops)
 
 
 def write_kit(path: Path, kit: Kit) -> None:
     """Write the plan as YAML; only the coordinator may have it, because it maps codes to laboratories."""
-    stops = [
-        {"code": s.code, "laboratory": s.laboratory, "pilot": s.pilot, "check": CHECK, "seal": s.seal}
-        for s in kit.stops
-    ]
-    text = yaml.safe_dump(
-        {"kit_file": 1, "block": kit.block, "stops": stops}, sort_keys=False, allow_unicode=True
-    )
-    write_whole(path, text)
+    write_whole(path, yaml.safe_dump(kit.model_dump(mode="json"), sort_keys=False, allow_unicode=True))
 
 
 def load_kit(path: Path) -> Kit:
     """Read a plan that `write_kit` wrote. Raises `Refused` for another file."""
     try:
-        data = yaml.safe_load(read_given(path))
-        stops = tuple(
-            Stop(str(s["code"]), str(s["laboratory"]), bool(s["pilot"]), str(s["seal"]))
-            for s in data["stops"]
-        )
-        if data["kit_file"] != 1 or not stops:
-            raise ValueError
-        return Kit(str(data["block"]), stops)
+        return Kit.model_validate(yaml.safe_load(read_given(path)))
     except OSError as error:
         raise Refused(f"{path}: cannot be read ({error.strerror}); check the name") from error
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError):
+    except (yaml.YAMLError, ValueError):
         raise Refused(f"{path}: not a plan of 'bench kit plan'; give the file that it wrote") from None
 
 
@@ -131,9 +118,9 @@ def sealed(kit: Kit, given: Mapping[str, str]) -> Kit:
     for code in given:
         if kit.stop(code).seal not in {"", seal_of(given[code])}:
             raise Refused(f"{code}: is sealed already with another result; agree on a new code")
-    return replace(
-        kit, stops=tuple(replace(s, seal=seal_of(given[s.code])) if s.code in given else s for s in kit.stops)
-    )
+    seals = {stop.code: seal_of(given[stop.code]) if stop.code in given else stop.seal for stop in kit.stops}
+    stops = tuple(stop.model_copy(update={"seal": seals[stop.code]}) for stop in kit.stops)
+    return kit.model_copy(update={"stops": stops})
 
 
 def evaluate_kit(
@@ -194,10 +181,7 @@ _Seen = tuple[str, str, Literal["calibration", "monitor"], Drift]
 
 
 def _between_pilots(pilots: Sequence[str], there: Mapping[str, Snapshot]) -> Iterator[_Seen]:
-    """Yield the change of the nine intrinsic numbers from each stop of the pilot to the pilot's next stop.
-
-    Errors that two stops have in common cancel.
-    """
+    """Yield the change of the nine numbers from one stop of the pilot to the next; common errors cancel."""
     for first, last in pairwise(pilots):
         nine = [there[code].per(STANDARD_GRAVITY).in_nine() for code in (first, last)]
         covariance = joint_of(nine).of_sums(np.tile([-1.0, 1.0], (len(INTRINSIC), 1)))
@@ -205,9 +189,7 @@ def _between_pilots(pilots: Sequence[str], there: Mapping[str, Snapshot]) -> Ite
 
 
 def _between_checks(kit: Kit, checks: Mapping[str, Sequence[str]]) -> Iterator[_Seen]:
-    """Yield the change of the block between successive monitor runs at one stop, and between the pilot's
-    stops.
-    """
+    """Yield the change of the block between successive monitor runs at a stop, and between the pilot's stops."""
     before: tuple[str, CheckRun] | None = None
     for stop in sorted(kit.stops, key=lambda stop: not stop.pilot):
         of_stop = Request(list(checks.get(stop.code, ())), runs_folder(None))

@@ -8,7 +8,7 @@ DCC as a statement.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -60,6 +60,14 @@ class Texts:
             return _BLANK.sub(lambda blank: local_number(str(values[blank[1]])), self.entries[key])
 
 
+def in_each(texts: Sequence[Texts], key: str, **values: object) -> list[str]:
+    """Return the text `key` in each language; a list in `values` has a wording for each language."""
+    return [
+        text.say(key, **{name: of[i] if isinstance(of, list) else of for name, of in values.items()})
+        for i, text in enumerate(texts)
+    ]
+
+
 @cache
 def texts_of(language: str) -> Texts:
     """Return the texts of a language of `LANGUAGES`; a text that is missing in this language is in English."""
@@ -92,10 +100,7 @@ class StatedField:
 def stated_fields(
     laboratory: Laboratory | None, unit: UnitOrder | None, order: Order | None
 ) -> Iterator[StatedField]:
-    """Yield a `StatedField` for each field that is marked with `OnCertificate`, file by file.
-
-    `texts` are empty if the file is None or does not state the field.
-    """
+    """Yield a `StatedField` for each field marked with `OnCertificate`; it has no texts if not stated."""
     for model, file in ((Laboratory, laboratory), (UnitOrder, unit), (Order, order)):
         for name, field in (type(file) if file else model).model_fields.items():
             for place in (one for one in field.metadata if isinstance(one, OnCertificate)):
@@ -242,11 +247,7 @@ class Laboratory(Contact, StatedRule):
         return (SIMULATED_SERIES if simulated else "") + _FIELD.sub(filled, self.numbers)
 
     def authorised_person(self, name: str, option: str = "--authorised-by") -> Person:
-        """Return the person of this name who may authorise certificates.
-
-        The person must be in the register of persons or, without a register, in the laboratory file. Raises
-        `Refused`, naming the option, for anybody else.
-        """
+        """Return the person who may authorise by the register of persons, else by this file. Raises `Refused`."""
         from bench.services.persons import authorised_by
 
         known = authorised_by(self._file, name, Right.AUTHORISE, option)
@@ -265,10 +266,7 @@ def load_laboratory(path: Path) -> Laboratory:
 
 
 def laboratory_of(document: Document, logo: Path | None = None) -> Laboratory:
-    """Return the laboratory in a loaded file. Raises `FileMistakes` with every mistake in it.
-
-    `logo`, if given, is used instead of the logo file that the laboratory file names.
-    """
+    """Return the laboratory in a loaded file, with the given `logo`. Raises `FileMistakes` with every mistake."""
     laboratory = validated(document, Laboratory)
     laboratory._file = document.path.absolute()
     laboratory._logo = logo

@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import cached_property
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -39,26 +40,23 @@ class Desk:
     signatory: Signatory | None = None
     schemas: Schemas | None = None
 
-    @property
+    @cached_property
     def laboratory(self) -> Laboratory:
         """The laboratory file, validated. Raises `FileMistakes`."""
         return laboratory_of(self.laboratory_file)
 
-    @property
+    @cached_property
     def order(self) -> Order:
         """The order file, validated. Raises `FileMistakes`."""
         return validated(self.order_file, Order)
 
-    def person(self, laboratory: Laboratory) -> Person:
+    def person(self) -> Person:
         """Return the authorising person. Raises `Refused` if that person may not authorise."""
-        return laboratory.authorised_person(self.authorised_by)
+        return self.laboratory.authorised_person(self.authorised_by)
 
 
 def desk_of(request: Issuing, passphrase: Callable[[], bytes]) -> Desk:
-    """Return the checked inputs for an issue; `passphrase` is called if the key needs a passphrase.
-
-    Raises `Refused` with every missing option of the request, and `FileMistakes` for mistakes in its files.
-    """
+    """Return the inputs for an issue. Raises `Refused` for missing options, `FileMistakes` for bad files."""
     needed = {
         "--laboratory FILE": request.laboratory,
         "--order FILE": request.order,
@@ -79,7 +77,7 @@ def desk_of(request: Issuing, passphrase: Callable[[], bytes]) -> Desk:
         signatory = signatory_of(request.key, request.chain, passphrase, utc_now())
     files = load_document(laboratory), load_document(order)
     desk = Desk(runs_folder(request.runs), *files, by, utc_now, signatory, schemas)
-    desk.person(desk.laboratory)
+    desk.person()
     return desk
 
 
@@ -96,24 +94,20 @@ def _outcome(run: str, number: str | None = None, **told: Any) -> IssuedRun:
     return IssuedRun(run=run, number=number, **{**usual, **told})
 
 
-@dataclass(frozen=True)
-class Bodies:
-    """The unsigned forms of a certificate, PDF and XML."""
+Bodies = dict[str, bytes]
+"""The unsigned forms of a certificate by suffix of the file: "xml" and "pdf"."""
 
-    xml: bytes
-    pdf: bytes
 
-    def sha256(self) -> dict[str, str]:
-        """Return the SHA-256 of each form by its file suffix."""
-        return {name: hashlib.sha256(body).hexdigest() for name, body in vars(self).items()}
+def _digests(bodies: Bodies) -> dict[str, str]:
+    return {suffix: hashlib.sha256(body).hexdigest() for suffix, body in bodies.items()}
 
 
 def issue_all(names: Sequence[str], desk: Desk) -> Iterator[IssuedRun]:
     """Issue a certificate for each run in turn; yield the outcomes. A failure stops no other run."""
-    laboratory, order = desk.laboratory, desk.order
-    person, register = desk.person(laboratory), Register(laboratory.register_folder)
+    _ = desk.order  # mistakes in this file concern every run
+    person, register = desk.person(), Register(desk.laboratory.register_folder)
     for name in names:
-        yield _tried(name, lambda one: _issue(one, desk, laboratory, order, person, register))
+        yield _tried(name, lambda one: _issue(one, desk, person, register))
 
 
 def drafts(request: IssueCertificates) -> Iterator[IssuedRun]:
@@ -146,25 +140,20 @@ def _tried(name: str, make: Callable[[str], IssuedRun]) -> IssuedRun:
         return _outcome(name, why=sentence(error))
 
 
-def _issue(
-    name: str, desk: Desk, laboratory: Laboratory, order: Order, person: Person, register: Register
-) -> IssuedRun:
-    certificate = _wanted(name, desk, laboratory, order)
+def _issue(name: str, desk: Desk, person: Person, register: Register) -> IssuedRun:
+    certificate = _wanted(name, desk)
     with opened(register.folder, register):
         before = _holding(register, certificate)
         if before is not None:
             files = [str(register.folder / file) for file in before.entry.files]
             return _outcome(name, before.entry.number, files=files, issued_before=True)
-        return _write(certificate, desk, laboratory, person, register, None)
+        return _write(certificate, desk, person, register, None)
 
 
-def _wanted(name: str, desk: Desk, laboratory: Laboratory, order: Order) -> Certificate:
-    """Return the certificate of a run.
-
-    Raises `Refused` if the laboratory requires a validated program and this program is not validated.
-    """
-    certificate = certificate_of(name, desk.runs, laboratory, order)
-    if laboratory.require_validation and not certificate.simulated:
+def _wanted(name: str, desk: Desk) -> Certificate:
+    """Return a run's certificate. Raises `Refused` if the laboratory requires a validated program, unlike this."""
+    certificate = certificate_of(name, desk.runs, desk.laboratory, desk.order)
+    if desk.laboratory.require_validation and not certificate.simulated:
         from bench.services.validated import refuse_unvalidated_certificate
 
         refuse_unvalidated_certificate(desk.laboratory_file.path)
@@ -184,17 +173,15 @@ def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) ->
     The old certificate becomes "replaced" (`replaced`) or "amended". The new certificate states the number of
     the old one and the `reason`. Raises `Refused` if the old certificate is not valid or is for another unit.
     """
-    laboratory, order = desk.laboratory, desk.order
-    person = desk.person(laboratory)
-    certificate = _wanted(name, desk, laboratory, order)
-    with opened(laboratory.register_folder) as register:
+    person, certificate = desk.person(), _wanted(name, desk)
+    with opened(desk.laboratory.register_folder) as register:
         old = holds(register, number).entry
         item = certificate.found.item
         if old.data["unit"] != {"type": item.type, "serial": item.serial}:
             raise Refused(f"{number}: is for another unit than {name}; name a run of the same unit")
         kind = "replaced" if replaced else "amended"
         before = Before(kind, number, old.time[:10], reason, old.files[f"{number}.xml"])
-        return _write(certificate, desk, laboratory, person, register, before)
+        return _write(certificate, desk, person, register, before)
 
 
 def revoke(request: RevokeCertificate) -> None:
@@ -230,21 +217,17 @@ def issued(register: Register, number: str) -> NumberStatus:
 
 
 def _write(
-    certificate: Certificate,
-    desk: Desk,
-    laboratory: Laboratory,
-    person: Person,
-    register: Register,
-    before: Before | None,
+    certificate: Certificate, desk: Desk, person: Person, register: Register, before: Before | None
 ) -> IssuedRun:
     """Number, produce and issue a certificate in an open register; return the outcome."""
-    now = desk.now()
+    laboratory, now = desk.laboratory, desk.now()
     simulated = certificate.simulated
     number = register.number_after(laboratory.number(n, now.year, simulated=simulated) for n in count(1))
     signed_by = None if desk.signatory is None else desk.signatory.name
     issue = Issue(number, issued_at(now), person, before, signed_by or "")
     whole = replace(certificate, issue=issue)
-    refuse_incomplete(whole)
+    if lacking := missing(whole):
+        raise Refused(f"{whole.found.record.run}: not issued; missing: {'; '.join(lacking)}")
     bodies = bodies_of(whole, desk.schemas)
     contents = signed(bodies, whole, desk.signatory, now)
     found = whole.found
@@ -258,7 +241,7 @@ def _write(
         "simulated": simulated,
         "before": None if before is None else vars(before),
         "signed_by": signed_by,
-        "bodies": bodies.sha256(),
+        "bodies": _digests(bodies),
         "made_from": {
             "laboratory": register.keep(desk.laboratory_file.text.encode()),
             "order": register.keep(desk.order_file.text.encode()),
@@ -271,18 +254,8 @@ def _write(
     return _outcome(found.record.run, number, files=[str(register.folder / name) for name in contents])
 
 
-def refuse_incomplete(certificate: Certificate) -> None:
-    """Raise `Refused` with all missing items if a certificate is incomplete."""
-    lacking = missing(certificate)
-    if lacking:
-        raise Refused(f"{certificate.found.record.run}: not issued; missing: {'; '.join(lacking)}")
-
-
 def bodies_of(certificate: Certificate, schemas: Schemas | None = None) -> Bodies:
-    """Return the unsigned forms of a numbered certificate after checking them.
-
-    Raises `Refused` if the XML violates a rule of this program or of the schemas.
-    """
+    """Return the unsigned forms of a numbered certificate. Raises `Refused` if the XML breaks rules or schemas."""
     from bench.certificate.dcc.document import document_of
     from bench.certificate.dcc.nodes import broken_rules
 
@@ -293,7 +266,7 @@ def bodies_of(certificate: Certificate, schemas: Schemas | None = None) -> Bodie
             f"{certificate.number}: its document is not a valid DCC; correct the laboratory and "
             f"order files: {'; '.join(wrong[:5])}"
         )
-    return Bodies(xml, _body(certificate, xml))
+    return {"xml": xml, "pdf": _body(certificate, xml)}
 
 
 def _body(certificate: Certificate, xml: bytes) -> bytes:
@@ -305,27 +278,20 @@ def _body(certificate: Certificate, xml: bytes) -> bytes:
 def signed(
     bodies: Bodies, certificate: Certificate, signatory: Signatory | None, now: datetime
 ) -> dict[str, bytes]:
-    """Return the files of a certificate by name, signed if there is a signatory.
-
-    The PDF embeds the signed XML and is then signed itself.
-    """
+    """Return the files of a certificate by name, signed if there is a signatory: the XML, then the PDF with it."""
     number = certificate.number
     if signatory is None:
-        return {f"{number}.xml": bodies.xml, f"{number}.pdf": bodies.pdf}
+        return {f"{number}.{suffix}": body for suffix, body in bodies.items()}
     from bench.certificate.signatures import sign_pdf, sign_xml
 
-    xml = sign_xml(bodies.xml, signatory, now)
+    xml = sign_xml(bodies["xml"], signatory, now)
     title = certificate.texts[0].say("title")
     pdf = sign_pdf(_body(certificate, xml), signatory, now, f"{title} {number}", certificate.place)
     return {f"{number}.xml": xml, f"{number}.pdf": pdf}
 
 
 def made_again(register: Register, number: str, runs: Path) -> Bodies:
-    """Reproduce the unsigned forms of an issued certificate from its record and its stored inputs.
-
-    Raises `Refused` if a stored input or the record has changed, and all errors of `certificate_of` and
-    `bodies_of`.
-    """
+    """Make the unsigned forms of a certificate again. Raises `Refused` if the record or a stored input changed."""
     entry = issued(register, number).entry
     kept = entry.data["made_from"]
     paths = {name: register.folder / "made-from" / digest for name, digest in kept.items() if digest}
@@ -370,10 +336,7 @@ def checked(request: CheckRegister) -> tuple[RegisterResult, list[Path]]:
 
 
 def register_result(register: Register, number: str | None, runs: Path | None) -> RegisterResult:
-    """Return the content of an open register, for one number or (None) all.
-
-    If `runs` is given, each certificate is also reproduced from its record in that folder and compared.
-    """
+    """Return an open register, for one number or all; with `runs`, each certificate is made again and compared."""
     numbers = list(register.standings) if number is None else [issued(register, number).entry.number]
     problems = [problem for problem in register.damaged_files() if number is None or f"{number}." in problem]
     rows = []
@@ -405,7 +368,7 @@ def _same(register: Register, number: str, runs: Path, problems: list[str]) -> b
     """Return whether the unsigned forms, made again, are as issued; add any failure to `problems`."""
     stated = register.standings[number].entry.data["bodies"]
     try:
-        again = made_again(register, number, runs).sha256()
+        again = _digests(made_again(register, number, runs))
     except Exception as error:
         problems.append(f"{number}: cannot be made again; restore the run from a copy: {sentence(error)}")
         return False

@@ -20,7 +20,6 @@ from bench.base.languages import ENGLISH, known_language, local_number, speaking
 from bench.base.numbers import rounded, uncertainty
 from bench.certificate import proof
 from bench.certificate.content import Attached, Certificate, day_of
-from bench.certificate.laboratory import Contact
 from bench.certificate.proof import NOBODY_SAYS, Block, Cell, Writer, plain
 from bench.services.errors import Refused
 
@@ -95,17 +94,12 @@ def _letter_head(certificate: Certificate, write: Writer) -> list[str]:
     laboratory = certificate.laboratory
     if laboratory is None:
         return []
-    lines = [", ".join(laboratory.address.lines), *reached(laboratory)]
+    ways = " · ".join(filter(None, (laboratory.email, laboratory.phone)))
+    lines = [", ".join(laboratory.address.lines), *([ways] if ways else [])]
     body = laboratory.accreditation
     if body is not None and not (certificate.simulated or certificate.draft):
         lines += write.say("accreditation", body=body.body, number=body.number, standard=body.standard)
     return lines
-
-
-def reached(contact: Contact) -> list[str]:
-    """Return the contact details of a company in one line; an empty list if none are stated."""
-    ways = [way for way in (contact.email, contact.phone) if way]
-    return [" · ".join(ways)] if ways else []
 
 
 def _front(certificate: Certificate, write: Writer) -> list[Block]:
@@ -117,10 +111,7 @@ def _front(certificate: Certificate, write: Writer) -> list[Block]:
         ("item", [item.type, manufacturer or ""]),
         ("serial", [item.serial]),
         ("customer", [] if customer is None else [customer.name, ", ".join(customer.address.lines)]),
-        (
-            "order",
-            [] if order is None else [" · ".join(filter(None, (order.number, reference)))],
-        ),
+        ("order", [] if order is None else [" · ".join(filter(None, (order.number, reference)))]),
         ("received", [] if unit is None else [f"{unit.received} · {unit.condition}"]),
         ("calibrated", [_days(certificate)]),
         ("place", [certificate.place]),
@@ -129,13 +120,7 @@ def _front(certificate: Certificate, write: Writer) -> list[Block]:
     ]
     blocks = [write.pairs(rows)]
     if issue is not None and issue.before is not None:
-        before = issue.before
-        told = {
-            "kind": write.say(before.kind),
-            "number": before.number,
-            "issued": before.issued,
-            "reason": before.reason,
-        }
+        told = {**vars(issue.before), "kind": write.say(issue.before.kind)}
         blocks.append(write.words("replaces", **told))
     return [*blocks, write.heading("results"), write.words("answer_text", k=f"{certificate.k:.3g}"),
             _matrix(certificate, write), *proof.verdict(certificate, write)]  # fmt: skip
@@ -209,10 +194,7 @@ _NO_SIGN: Final = re.compile(r'the text `"(.+?)"` could not be displayed')
 
 
 def body_of(certificate: Certificate, dcc: bytes) -> bytes:
-    """Return the PDF/A-3b of a certificate with its attachments; `dcc` is the digital certificate (XML).
-
-    Raises `Refused` for a logo that is not a picture, and for a character without a glyph in the fonts.
-    """
+    """Return the PDF/A-3b of a certificate with its attachments. Raises `Refused` for a bad logo or no glyph."""
     return typeset_pdf(_inputs(certificate, dcc), _moment(certificate))
 
 
@@ -234,10 +216,7 @@ def _inputs(certificate: Certificate, dcc: bytes) -> dict[str, str]:
 
 
 def typeset_pdf(data: dict[str, str], moment: int, template: bytes | None = None) -> bytes:
-    """Return the PDF typeset from a template, by default the template of certificates.
-
-    `moment` (s since 1970) is the creation time that the PDF states.
-    """
+    """Return the PDF of a template, by default that of certificates, made at `moment` (s since 1970)."""
     import typst
 
     try:

@@ -22,6 +22,7 @@ from bench.certificate.content import (
     stated,
     uncertified,
 )
+from bench.certificate.laboratory import in_each
 from bench.results.plots import residuals_by_angle, verification_points
 from bench.results.verification import optional_probability, probability_in_words
 
@@ -42,10 +43,7 @@ class Writer:
 
     def say(self, key: str, **values: object) -> list[str]:
         """Return the text `key` in each language; a list in `values` has a wording for each language."""
-        return [
-            text.say(key, **{name: of[i] if isinstance(of, list) else of for name, of in values.items()})
-            for i, text in enumerate(self._texts)
-        ]
+        return in_each(self._texts, key, **values)
 
     def heading(self, key: str, level: int = 1) -> Block:
         """Return a heading block with the text `key`."""
@@ -81,11 +79,7 @@ class Writer:
         *,
         whole: bool = False,
     ) -> Block:
-        """Return a table block: `align` has "l" or "r" for each column; `columns` has the width of each, "auto" or
-        a share.
-
-        A `whole` table is kept on one page.
-        """
+        """Return a table; `align` has "l" or "r", `columns` "auto" or a share; a `whole` one stays on one page."""
         widths = [str(width) for width in columns]
         return {
             "kind": "table", "head": list(head), "rows": [list(row) for row in rows], "align": list(align),
@@ -99,7 +93,7 @@ class Writer:
         return {"kind": "figure", "svg": alone, "words": told, "width": width_mm, "alt": told[0]}
 
 
-def symbol(name: str) -> Cell:
+def symbol(name: str) -> dict[str, str]:
     """Return the cell for the symbol of a coefficient: K with its indices as subscripts."""
     if name.startswith("theta_"):
         return {"symbol": "θ", "index": name[6:]}
@@ -188,10 +182,7 @@ _RESULT_COLUMNS: Final = ["auto", 1.2, 1, 0.7, 0.8, 0.6]
 
 
 def pages(certificate: Certificate, write: Writer, attached: list[tuple[str, str, str]]) -> list[Block]:
-    """Return the blocks of the certificate's pages after the first.
-
-    `attached` lists name, description and SHA-256 of each attached file.
-    """
+    """Return the blocks of all pages but the first; `attached` has name, description and SHA-256 of each file."""
     found = certificate.found
     return [
         *_method(certificate, write),
@@ -329,7 +320,7 @@ def _uncertainty(found: RunFindings, write: Writer) -> list[Block]:
         [
             typeset(translated(one.name.replace("_", " "))),
             typeset(_to_two_digits(one.size)),
-            {"part": _size(one.u, one.unit), **_as_symbol(one.most_in)},
+            {"part": _size(one.u, one.unit), **symbol(one.most_in)},
             {"lines": [typeset(translated(one.origin)), *([write.say("prior")] if one.prior else [])]},
         ]
         for one in found.contributions
@@ -350,12 +341,6 @@ def _size(u: float, unit: str) -> str:
     """Return a size with a suitable SI prefix: "25 µV/g"."""
     top, slash, below = unit.partition("/")
     return quantity(u, top) + slash + below
-
-
-def _as_symbol(name: str) -> dict[str, str]:
-    told = symbol(name)
-    assert isinstance(told, dict)  # noqa: S101 - the name of a coefficient
-    return told
 
 
 # --- conformity ---------------------------------------------------------------------------------------
@@ -380,10 +365,7 @@ def verdict_of(found: RunFindings, write: Writer) -> list[Block]:
     error, U = rounded(abs(worst.delta_g) * scale, worst.U * scale), uncertainty(worst.U * scale)
     rows: list[tuple[str, list[Cell]]] = [
         ("delta_g", [local_number(f"|Δg| ≤ {error} µg, U = {U} µg")]),
-        (
-            "rule",
-            [rule_said(write.say, result.decision)],
-        ),
+        ("rule", [rule_said(write.say, result.decision)]),
     ]
     if result.missing:
         rows.append(("missing", [str(result.missing)]))
@@ -444,7 +426,8 @@ def _drawn(draw: Callable[[Any], str], of: Any) -> str:
 
 def _record(certificate: Certificate, write: Writer, attached: list[tuple[str, str, str]]) -> list[Block]:
     record = certificate.found.record
-    sealed = [write.words("seal_text", sealed=record.sealed)] if record.sealed else [write.words("no_seal")]
+    sealed = write.words("seal_text", sealed=record.sealed) if record.sealed else write.words("no_seal")
+    signed = "unsigned" if certificate.unsigned else "signed_itself"
     head: list[Cell] = [write.say(key) for key in ("file", "description", "digest")]
     rows: list[list[Cell]] = [
         [code(name), contents, {"lines": broken(digest)}] for name, contents, digest in attached
@@ -452,17 +435,9 @@ def _record(certificate: Certificate, write: Writer, attached: list[tuple[str, s
     return [
         write.heading("record"),
         write.words("record_text", run=record.run, events=record.events, head=record.head),
-        *sealed,
+        sealed,
         write.heading("attached"),
-        *(
-            []
-            if certificate.draft
-            else [
-                write.words(
-                    "attached_text", signed=write.say("unsigned" if certificate.unsigned else "signed_itself")
-                )
-            ]
-        ),
+        *([] if certificate.draft else [write.words("attached_text", signed=write.say(signed))]),
         write.table(head, rows, "lll", ["auto", 1, "auto"]),
     ]
 

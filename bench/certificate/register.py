@@ -40,10 +40,7 @@ class NumberStatus:
 
 @dataclass
 class Register(Chain):
-    """A register, open and locked against other writers; `folder` contains it and the issued files.
-
-    `standings` maps each number to its status.
-    """
+    """A register, open and locked against other writers; `standings` maps each number to its status."""
 
     FIRST: ClassVar[str] = first_head("triaxial-bench register 1\n")
 
@@ -54,11 +51,7 @@ class Register(Chain):
         return next(number for number in numbers if number not in self.standings)
 
     def issue(self, entry: Entry, contents: Mapping[str, bytes]) -> None:
-        """Issue a certificate; `contents` are its files by name.
-
-        Raises `Refused` if the number is already issued, and `OSError` if the certificate could not be
-        issued.
-        """
+        """Issue a certificate with its files. Raises `Refused` for a number issued before, `OSError` on failure."""
         if entry.number in self.standings:
             raise Refused(f"{entry.number}: this number was issued before; choose another")
         for name, content in contents.items():
@@ -98,10 +91,7 @@ class Register(Chain):
         return wrong
 
     def catch_up(self) -> None:
-        """Read the lines that were added since the last call, and finish issues that were interrupted.
-
-        Raises `Refused` for a changed line.
-        """
+        """Read the lines added since; finish interrupted issues. Raises `Refused` for a changed line."""
         self.read_lines()
         for part in self.folder.glob(f"*{_PART}"):
             self._finish(part)
@@ -144,8 +134,5 @@ class Register(Chain):
 
 
 def opened(folder: Path, known: Register | None = None) -> AbstractContextManager[Register]:
-    """Return the open register of a folder, created if missing; `known` is a `Register` of that folder to reuse.
-
-    Raises `Refused` if the register is damaged or not writable, or if another program keeps it open.
-    """
+    """Return the open register of a folder (or `known`), created if missing. Raises `Refused` if it cannot open."""
     return chain.opened(known or Register(folder))

@@ -61,10 +61,7 @@ class SignedXml:
 
 
 def sign_xml(document: bytes, signatory: Signatory, now: datetime) -> bytes:
-    """Return a document with a XAdES signature as the last element of its root.
-
-    Raises `Refused` if the document is already signed.
-    """
+    """Return a document with a XAdES signature as the last element. Raises `Refused` if it is already signed."""
     xades, methods = _packages()
     root = _read(document)
     if next(root.iter(f"{{{SIGNATURE}}}Signature"), None) is not None:
@@ -133,11 +130,7 @@ def unsigned_content(document: bytes) -> bytes:
 
 
 def _read(document: bytes) -> Any:
-    """Parse a document without network access; return its root.
-
-    Raises `NotIntact` if it is too large, is not XML, or has a document type, entities or processing
-    instructions.
-    """
+    """Parse a document offline; return its root. Raises `NotIntact` for anything that certificates never have."""
     if len(document) > _MOST_BYTES:
         raise NotIntact(f"it has more than {_MOST_BYTES // 1_000_000} MB")
     try:
@@ -155,10 +148,7 @@ def _read(document: bytes) -> Any:
 
 
 def _the_signature(root: Any) -> Any:
-    """Return the only signature of a document: the last element of its root, with exactly the required parts.
-
-    Raises `Unsigned` if there is none, `NotIntact` if there are several or if one is misplaced or malformed.
-    """
+    """Return the only signature, the last element. Raises `Unsigned` without one, `NotIntact` if malformed."""
     found = list(root.iter(f"{{{SIGNATURE}}}Signature"))
     if not found:
         raise Unsigned("it has no XML signature")
@@ -376,6 +366,7 @@ def _who(signature: Any) -> SignedPdf:
     from cryptography import x509
     from pyhanko.sign.fields import MDPPerm, SigSeedSubFilter
     from pyhanko.sign.validation import validate_pdf_signature
+    from pyhanko.sign.validation.settings import KeyUsageConstraints
     from pyhanko_certvalidator import ValidationContext
 
     _check_wrapping(signature.signed_data, signature.signer_info)
@@ -386,7 +377,8 @@ def _who(signature: Any) -> SignedPdf:
         raise NotIntact("its signature has no time")
     # trust the signer here, to check the signature alone; `why_not_trusted` checks who signed
     context = ValidationContext(trust_roots=[signature.signer_cert], moment=when, allow_fetching=False)
-    status = validate_pdf_signature(signature, context, key_usage_settings=_any_usage())
+    any_usage = KeyUsageConstraints(key_usage=set())
+    status = validate_pdf_signature(signature, context, key_usage_settings=any_usage)
     if not status.intact:
         raise NotIntact("it was changed after it was signed")
     if not status.valid:
@@ -395,9 +387,3 @@ def _who(signature: Any) -> SignedPdf:
         raise NotIntact("its signature allows changes, which certificates never do")
     chain = (signature.signer_cert, *signature.other_embedded_certs)
     return SignedPdf(tuple(x509.load_der_x509_certificate(one.dump()) for one in chain), when)
-
-
-def _any_usage() -> Any:
-    from pyhanko.sign.validation.settings import KeyUsageConstraints
-
-    return KeyUsageConstraints(key_usage=set())

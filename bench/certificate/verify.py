@@ -275,10 +275,7 @@ def _agree(verdict: Verdict, shown: ShownValues, attached: dict[str, bytes], tit
 
 
 def _verify_pdf_beside(verdict: Verdict, file: bytes, document: bytes, name: str) -> None:
-    """Verify the PDF in the folder of an XML, and compare the XML inside the PDF with that XML.
-
-    Raises `NotIntact` if the PDF is not intact or the two differ.
-    """
+    """Verify the PDF beside an XML, and compare both. Raises `NotIntact` if it is not intact or differs."""
     apart = Verdict(name)
     try:
         attached = _verify_pdf(apart, file, None)

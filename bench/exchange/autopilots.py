@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.exchange.checks import READ_CHECKS, check_lines, how_to_test, judged, own_test, picture
+from bench.exchange.checks import READ_CHECKS, check_lines, judged, own_test, picture
 from bench.exchange.result import BlockResult
 
 STANDARD_GRAVITY: Final = 9.80665
@@ -48,11 +48,7 @@ class Sensor:
 
 
 def sensor_of(result: BlockResult, nominal: Floats | None = None) -> Sensor:
-    """Return the block as a sensor in m/s^2.
-
-    `nominal` (3,) are its nominal scale factors in unit/g; None takes the block's own, rounded to `DIGITS`
-    digits.
-    """
+    """Return the block as a sensor in m/s²; `nominal` (3,), in unit/g, is by default its own scale, rounded."""
     if result.unit == "m/s^2":
         own = np.full(3, STANDARD_GRAVITY)
     elif result.unit == "g":
@@ -103,10 +99,7 @@ def diagonal(sensor: Sensor) -> Diagonal:
 
 @dataclass(frozen=True)
 class Triangular:
-    """The form of Kalibr: z = M R a + b, with M lower triangular and R the rotation to the axes of M.
-
-    `turn_rad` is the angle (rad) of the rotation R.
-    """
+    """The form of Kalibr: z = M R a + b, M lower triangular, R a rotation by `turn_rad` (rad) to the axes of M."""
 
     M: Floats
     R: Floats
@@ -215,10 +208,7 @@ ARDUPILOT: Final = Autopilot(
 
 
 def _tested(of: Autopilot, result: BlockResult, sensor: Sensor, values: dict[str, float]) -> list[str]:
-    """Return comment lines: the drawing of axes and signs, the check vectors, and the test in the file.
-
-    Accelerations are computed in double precision from the values as written, without cross-axis terms.
-    """
+    """Return comment lines: axes and signs, check vectors (without cross-axis terms), and the file's test."""
     written = {name: float(f"{value:.9g}") for name, value in values.items()}
     off, by = (np.array([written[name.format(axis)] for axis in "XYZ"]) for name in (of.offset, of.scale))
     raw = result.check[0]
@@ -231,8 +221,7 @@ def _tested(of: Autopilot, result: BlockResult, sensor: Sensor, values: dict[str
     lines = [
         *picture(result.unit),
         *check_lines(raw, (sensor.signal(raw) - off) * by, "U, then a as this form gives it", "m/s^2"),
-        how_to_test("FILE"),
-        *own_test(test),
+        *own_test("FILE", test),
     ]
     return [f"# {line}" for line in lines]
 
@@ -253,10 +242,7 @@ def _head(result: BlockResult, sensor: Sensor, notes: list[str]) -> list[str]:
 
 
 def kalibr_yaml(result: BlockResult, nominal: Floats | None = None) -> str:
-    """Return the Kalibr file: the chain `imu0` with the model and M.
-
-    The file also has `bias` and `C_accel_block`, which Kalibr ignores.
-    """
+    """Return the Kalibr file: the chain `imu0` with the model and M, and (for other readers) bias and turn."""
     sensor = sensor_of(result, nominal)
     form = lower_triangular(sensor)
     raw = result.check[0]
@@ -276,8 +262,7 @@ def kalibr_yaml(result: BlockResult, nominal: Floats | None = None) -> str:
         "gyroscopes, noise densities, rostopic and update_rate are not known to this bench: add your own",
         *picture(result.unit),
         *check_lines(raw, corrected, "U, then a = C^T M^-1 (z - b)", "m/s^2"),
-        how_to_test("FILE.yaml") + " (needs numpy, PyYAML)",
-        *own_test(test),
+        *own_test("FILE.yaml", test, " (needs numpy, PyYAML)"),
     ]
     accelerometers = {"M": form.M.tolist(), "bias": form.b.tolist(), "C_accel_block": form.R.tolist()}
     content = {"imu0": {"model": "scale-misalignment", "accelerometers": accelerometers}}

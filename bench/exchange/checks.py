@@ -48,14 +48,10 @@ def picture(unit: str) -> list[str]:
     ]
 
 
-def how_to_test(name: str) -> str:
-    """Return a line that explains how to run the test in an exported file `name`."""
-    return f"""this file tests itself: python -c "$(sed -n 's/^# {MARK}//p' {name})" {name}"""
-
-
-def own_test(lines: tuple[str, str, str]) -> list[str]:
-    """Return the three `lines` of a file's own test, marked as such."""
-    return [f"{MARK}{line}" for line in lines]
+def own_test(name: str, test: tuple[str, str, str], needs: str = "") -> list[str]:
+    """Return how to run the test in an exported file `name`, what it `needs`, and its three lines, marked."""
+    how = f"""this file tests itself: python -c "$(sed -n 's/^# {MARK}//p' {name})" {name}"""
+    return [f"{how}{needs}", *(f"{MARK}{line}" for line in test)]
 
 
 def check_lines(raw: Floats, corrected: Floats, names: str, unit: str) -> list[str]:

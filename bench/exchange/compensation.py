@@ -18,7 +18,6 @@ from bench.exchange.checks import (
     READ_CHECKS,
     c_self_test,
     check_lines,
-    how_to_test,
     judged,
     own_test,
     picture,
@@ -43,10 +42,7 @@ def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[st
 
 
 def table_checks(model: TemperatureModel, table: CompensationTable) -> Floats:
-    """Return the check vectors (n, 7): temperature (deg C), signals, and the table's accelerations (g).
-
-    There are 20 vectors or, if that is more, one for each step of the table, so that each row is tested.
-    """
+    """Return check vectors (n, 7): temperature (deg C), signals, accelerations (g); 20, or one for each step."""
     steps = table.nodes - 1
     even = np.linspace(model.minimum_c, model.maximum_c, len(POSITIONS))
     middles = table.first_c + table.step_k * (np.arange(steps) + 0.5)
@@ -177,8 +173,7 @@ def table_csv(model: TemperatureModel, table: CompensationTable, of: str) -> str
     told = [
         *facts(model, table, one_line(of)),
         *check_lines(checks[:, :4], checks[:, 4:], "T / deg C, U, then a = N (U - U0)", "g"),
-        how_to_test("FILE.csv"),
-        *own_test((read, INTERPOLATED, judged(at=4, count=len(checks)))),
+        *own_test("FILE.csv", (read, INTERPOLATED, judged(at=4, count=len(checks)))),
     ]
     out.writelines(f"# {line}\r\n" for line in told)
     writer = csv.writer(out, lineterminator="\r\n")

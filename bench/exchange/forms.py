@@ -12,25 +12,20 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from bench.base.arrays import ARCSEC, Floats
+from bench.base.arrays import ARCSEC, CHANNELS, Floats
 from bench.base.files import to_text
 from bench.base.numbers import fixed, places
 from bench.base.tables import table
 from bench.base.text import comment, double, visible
 from bench.calibration.result import INVERSE, Derived
 from bench.exchange.autopilots import ARDUPILOT, PX4, kalibr_notes, kalibr_yaml
-from bench.exchange.checks import TOLERANCE, c_self_test, how_to_test, judged, own_test, picture
+from bench.exchange.checks import TOLERANCE, c_self_test, judged, own_test, picture
 from bench.exchange.result import CONVENTION, NINE, BlockResult, ReportedNumber
 from bench.model.geometry import COEFFICIENTS
 
 if TYPE_CHECKING:
     from openpyxl import Workbook
     from openpyxl.worksheet.worksheet import Worksheet
-
-
-def json_text(result: BlockResult) -> str:
-    """Return the result as JSON."""
-    return to_text(result.to_dict())
 
 
 def csv_text(result: BlockResult) -> str:
@@ -47,7 +42,7 @@ def csv_text(result: BlockResult) -> str:
         out.writelines(f"# {line}\r\n" for line in lines)
 
     told(*result.head(), "U = K a + U0; a = N (U - U0)", CONVENTION, NINE, *picture(result.unit))
-    told(how_to_test("FILE.csv"), *own_test(_CSV_TEST))
+    told(*own_test("FILE.csv", _CSV_TEST))
     writer.writerow(["name", "value", "u", "U", "unit"])
     inverse = result.inverse_rows[:9]
     for row in (*result.coefficient_rows, *inverse, *result.misalignment_rows, *result.intrinsic_rows):
@@ -163,9 +158,6 @@ def _row(values: Floats) -> str:
     return "{" + ", ".join(double(value) for value in values) + "}"
 
 
-AXES = "xyz"
-
-
 def workbook(result: BlockResult) -> bytes:
     """Return an .xlsx file: the origin, all numbers, three covariances, and a sheet that converts signals."""
     from openpyxl import Workbook
@@ -184,7 +176,7 @@ def workbook(result: BlockResult) -> bytes:
     _numbers(book.create_sheet("misalignments"), result.misalignment_rows)
     _numbers(book.create_sheet("intrinsic"), result.intrinsic_rows)
     for title, names, covariance in (
-        ("covariance K U0", [row.name for row in result.coefficient_rows], result.covariance),
+        ("covariance K U0", COEFFICIENTS, result.covariance),
         ("covariance N U0", result.inverse.names, result.inverse.covariance),
         ("covariance alpha", result.misalignments.names, result.misalignments.covariance),
         ("covariance intrinsic", result.intrinsic.names, result.intrinsic.covariance),
@@ -240,7 +232,7 @@ def _conversion(sheet: Worksheet, result: BlockResult) -> None:
     "inverse", U0 in B11:B13. U of |a| is computed to first order from the covariance of N and U0.
     """
     upright = result.block.output(np.array([[0.0, 0.0, 1.0]]))[0]
-    _write(sheet, [["", *AXES], [f"U / {result.unit}", *upright.tolist()]])
+    _write(sheet, [["", *CHANNELS], [f"U / {result.unit}", *upright.tolist()]])
     _write(
         sheet, [["U - U0"], ["a / g"], ["|a| / g"], [f"U of |a| / g (k = {result.k:g}), without noise of U"]]
     )
@@ -303,9 +295,7 @@ def print_coefficients(result: BlockResult, on: Console) -> None:
 
 
 def _table(rows: Iterable[ReportedNumber], k: float, times: float = 1.0, unit: str = "") -> Table:
-    """Return a table of numbers with u and U, multiplied by `times` (then in `unit`), rounded to two digits
-    of u.
-    """
+    """Return a table of numbers with u and U, multiplied by `times` (then in `unit`), to two digits of u."""
     shown = table("", ">value", ">u", f">U (k={k:g})", "")
     for row in rows:
         digits = places(times * row.u)
@@ -333,7 +323,7 @@ class ExportForm:
 
 
 FORMS: Final = {
-    "json": ExportForm("JSON", ".json", lambda result, _: json_text(result)),
+    "json": ExportForm("JSON", ".json", lambda result, _: to_text(result.to_dict())),
     "csv": ExportForm("CSV", ".csv", lambda result, _: csv_text(result)),
     "c": ExportForm("C header", ".h", lambda result, _: c_header(result)),
     "excel": ExportForm("Excel workbook", ".xlsx", lambda result, _: workbook(result)),

@@ -90,11 +90,7 @@ def is_loopback(host: str) -> bool:
 
 
 class Role(StrEnum):
-    """The role of a person.
-
-    Each role has all rights of the roles before it. A viewer may look at runs and stop them, an operator
-    carry them out, a supervisor also take control by force.
-    """
+    """The role of a person, with the rights of those before it: look and stop; carry out; take control by force."""
 
     VIEWER = "viewer"
     OPERATOR = "operator"
@@ -229,10 +225,7 @@ def counted(receive: Receive) -> Receive:
 
 
 def without_body(receive: Receive) -> Receive:
-    """Return an ASGI `receive` that drops the body of a GET or HEAD request.
-
-    An event stream calls `receive` only after its response has begun: too late to refuse a large body.
-    """
+    """Return an ASGI `receive` without the body of a GET or HEAD request, which an event stream reads too late."""
 
     async def dropped() -> Message:
         got = await receive()
@@ -336,10 +329,7 @@ MOST_LINKS: Final = 50
 
 
 class Access:
-    """The tokens, links and sessions of a panel, stored in a folder that only its owner can enter.
-
-    A laboratory's register of persons, with its rights and tokens, replaces the tokens of the panel.
-    """
+    """The tokens, links and sessions of a panel; a laboratory's register of persons replaces the tokens."""
 
     def __init__(
         self, folder: Path, now: Callable[[], datetime] = utc_now, laboratory: Path | None = None
@@ -365,10 +355,7 @@ class Access:
     # --- tokens -------------------------------------------------------------------------------------
 
     def new_token(self, name: str, role: Role) -> str:
-        """Create a token and return it; it is not shown again.
-
-        Raises `RecordError` if the name has a token already, and if the laboratory has a register of persons.
-        """
+        """Create a token, shown once. Raises `RecordError` for a second one, and with a register of persons."""
         self._refuse_own_tokens("change NAME --token")
         name = checked_name(name)
         token = secrets.token_urlsafe(32)
@@ -393,10 +380,7 @@ class Access:
         return [{key: row[key] for key in ("name", "role", "made")} for row in self._tokens.rows()]
 
     def revoke(self, name: str) -> None:
-        """Delete a person's token, which ends its sessions.
-
-        Raises `RecordError` if the person has no token, and if the laboratory has a register of persons.
-        """
+        """Delete a token and end its sessions. Raises `RecordError` without it, and with a register of persons."""
         self._refuse_own_tokens("end NAME")
         with self._tokens.changed() as rows:
             kept = [row for row in rows if row["name"] != name]

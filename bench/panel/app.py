@@ -9,7 +9,7 @@ import os
 import socket
 import threading
 from collections.abc import AsyncIterator, Callable, Sequence
-from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
+from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -44,7 +44,6 @@ from bench.panel.launching import start as start_program
 from bench.panel.pages import (
     bench,
     catalogue,
-    plots,
     procedure,
     queue,
     run,
@@ -53,7 +52,7 @@ from bench.panel.pages import (
     start,
     verdict,
 )
-from bench.panel.shared import Panel, by_framework, by_record, by_refusal, load, refused, send_asset
+from bench.panel.shared import Panel, by_error, load, refused, send_asset
 from bench.readings.csv import ReadingsError
 from bench.run.events import RecordError
 from bench.services.errors import Refused
@@ -103,10 +102,10 @@ ROUTES = [
     Route("/runs/{name}/diagnosis", verdict.diagnosis),
     Route("/runs/{name}/diagnose", verdict.diagnose, methods=["POST"]),
     Route("/runs/{name}/figures/{figure}", verdict.figure),
-    Route("/runs/{name}/plots", plots.plots),
-    Route("/runs/{name}/plots/data", plots.data),
-    Route("/runs/{name}/plots/previous", plots.previous),
-    Route("/runs/{name}/plots/{table}.{form}", plots.table),
+    Route("/runs/{name}/plots", verdict.plots),
+    Route("/runs/{name}/plots/data", verdict.data),
+    Route("/runs/{name}/plots/previous", verdict.previous),
+    Route("/runs/{name}/plots/{table}.{form}", verdict.table),
     Route("/runs/{name}/certificate/{file}", verdict.certificate),
     Route("/runs/{name}/state", run.state),
     Route("/runs/{name}/stream", run.stream),
@@ -120,15 +119,18 @@ KNOWN = (RecordError, FileMistakes, Refused, ReadingsError, BenchError, OSError,
 def make_app(settings: Settings) -> Starlette:
     """Return the application of a panel. Raises `RecordError` if its folder cannot be used."""
     panel = Panel(settings)
+
+    @asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        threading.Thread(target=prepare, args=(panel,), daemon=True).start()
+        yield
+        panel.followers.close()
+
     app = Starlette(
         routes=ROUTES,
-        lifespan=_preparing(panel),
+        lifespan=lifespan,
         middleware=[Middleware(Gate, settings=settings, refuse=refused)],
-        exception_handlers={
-            HTTPException: by_framework,
-            Refusal: by_refusal,
-            **dict.fromkeys(KNOWN, by_record),
-        },
+        exception_handlers=dict.fromkeys((HTTPException, Refusal, *KNOWN), by_error),
     )
     app.state.panel = panel
     return app
@@ -164,18 +166,6 @@ def prepare(panel: Panel) -> None:
         with suppress(ImportError):  # the page that needs a missing extra reports it
             import_module(name)
     panel.table.read_all()
-
-
-def _preparing(panel: Panel) -> Callable[[Starlette], AbstractAsyncContextManager[None]]:
-    """Return the lifespan function of the application, which prepares the panel in the background."""
-
-    @asynccontextmanager
-    async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        threading.Thread(target=prepare, args=(panel,), daemon=True).start()
-        yield
-        panel.followers.close()
-
-    return lifespan
 
 
 MOST_CONNECTIONS: Final = 200
@@ -230,10 +220,7 @@ class Connection(H11Protocol):
 
 
 class OncePerMinute(logging.Filter):
-    """A log filter that passes each warning at most once a minute, and all errors.
-
-    Clients therefore cannot fill the disk with warnings.
-    """
+    """A log filter that passes all errors, but each warning at most once a minute: clients cannot fill the disk."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -379,22 +366,14 @@ def link_of(runs: Path, name: str = "", laboratory: Path | None = None) -> str:
 
 
 def open_panel(runs: Path, after: str = "/", name: str = "", laboratory: Path | None = None) -> str:
-    """Return a one-time link to the page `after` of a folder's panel; start the panel if none serves the folder.
-
-    `name` is the person who follows the link, by default the user of this computer.
-
-    Raises `RecordError` if no panel starts.
-    """
+    """Return a person's one-time link to the page `after`; start a panel if none serves. Raises `RecordError`."""
     if not is_serving(runs):
         begin_panel(runs, laboratory=laboratory)
     return new_link(runs, after, name, laboratory)
 
 
 def begin_panel(runs: Path, ports: Sequence[int] = (PORT, 0), laboratory: Path | None = None) -> Started:
-    """Start a panel that outlives this program, on the first free port of `ports`; wait until it serves.
-
-    Raises `RecordError` if it does not start.
-    """
+    """Start a panel that outlives this program, on the first free of `ports`. Raises `RecordError`."""
     state = private_folder(runs / STATE)
     trouble = ""
     for port in ports:

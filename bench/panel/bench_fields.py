@@ -10,16 +10,16 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin
 
-from pydantic import BaseModel, Tag
+from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from bench.base.arrays import CHANNELS
 from bench.base.languages import message
-from bench.base.units import QuantityKind, quantity_of, written_quantity
+from bench.base.units import AccelerationMS2, QuantityKind, quantity_of, written_quantity
 from bench.base.yaml_files import FileMistake, Place, dotted
 from bench.config.bench_file.file import BenchFile
-from bench.config.bench_file.stand import UnitUnderTest
+from bench.config.bench_file.stand import Location, MeasuredGravity, UnitUnderTest
 from bench.config.devices.device import Role
 from bench.config.devices.registry import devices
 
@@ -85,44 +85,25 @@ def groups_of(values: Values) -> list[Group]:
         first_sentence(UnitUnderTest),
         tuple(dict(fields_in(UnitUnderTest, ("unit_under_test",))).values()),
     )
-    return [bench, _gravity(values), *_voltmeters(values), *_others(values), block]
+    others = [
+        _instrument(role, ("instruments", role), role.capitalize(), values, required=required)
+        for role, required in ONE_ROLE
+    ]
+    return [bench, _gravity(values), *_voltmeters(values), *others, block]
 
 
 def _gravity(values: Values) -> Group:
-    forms = _forms_of_gravity()
     chosen = values.get(GRAVITY_FORM, "")
-    words = (("", message("not stated")), *((tag, tag) for tag in forms))
+    words = (("", message("not stated")), *((form, form) for form in FORMS_OF_GRAVITY.values()))
     choice = BenchField(GRAVITY_FORM, GRAVITY, message("Gravity is stated as"), choices=words, shows=True)
     told = ""
     inner: tuple[BenchField, ...] = ()
-    if chosen in forms:
-        annotation, metadata = forms[chosen]
-        if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
-            told = first_sentence(annotation)
-            inner = tuple(dict(fields_in(annotation, GRAVITY)).values())
-        else:
-            inner = (
-                BenchField("gravity", GRAVITY, "Gravity", _words(annotation, metadata) or "", required=True),
-            )
+    if chosen == FORMS_OF_GRAVITY["value"]:
+        inner = (BenchField("gravity", GRAVITY, "Gravity", _words(AccelerationMS2, ()) or "", required=True),)
+    elif chosen in FORMS_OF_GRAVITY.values():
+        model = Location if chosen == FORMS_OF_GRAVITY["place"] else MeasuredGravity
+        told, inner = first_sentence(model), tuple(dict(fields_in(model, GRAVITY)).values())
     return Group(message("Local gravity"), GRAVITY, told, (choice, *inner))
-
-
-def _forms_of_gravity() -> dict[str, tuple[Any, tuple[Any, ...]]]:
-    """Return type and metadata of each way to state gravity, keyed by its tag in the model."""
-    found: dict[str, tuple[Any, tuple[Any, ...]]] = {}
-
-    def look(annotation: Any) -> None:
-        if get_origin(annotation) is Annotated:
-            inner, *metadata = get_args(annotation)
-            tag = next((entry.tag for entry in metadata if isinstance(entry, Tag)), None)
-            if tag is not None:
-                found[tag] = (inner, tuple(metadata))
-                return
-        for part in get_args(annotation):
-            look(part)
-
-    look(BenchFile.model_fields["gravity"].annotation)
-    return found
 
 
 def _voltmeters(values: Values) -> Iterator[Group]:
@@ -146,16 +127,10 @@ def number_of_meters(values: Values) -> int:
     return int(text) if text in {"1", "2", "3"} else len(CHANNELS)
 
 
-def _others(values: Values) -> Iterator[Group]:
-    for role, required in ONE_ROLE:
-        title = role.replace("_", " ").capitalize()
-        yield _instrument(role, ("instruments", role), title, values, required=required)
-
-
 def _instrument(role: Role, at: Place, title: str, values: Values, *, required: bool) -> Group:
     known = devices().of(role)
     name = dotted((*at, "driver"))
-    words = tuple((device.name, _driver_words(device.name, device.section)) for device in known)
+    words = tuple((one.name, f"by hand ({one.name})" if one.section.by_hand else one.name) for one in known)
     stated = values.get(name, "")
     choices = words if required else (("", "none"), *words)
     choice = BenchField(name, (*at, "driver"), "Instrument", choices=choices, required=required, shows=True)
@@ -164,10 +139,6 @@ def _instrument(role: Role, at: Place, title: str, values: Values, *, required: 
         return Group(title, at, "", (choice,))
     inner = dict(fields_in(device.section, at, skip=frozenset({"driver"})))
     return Group(title, at, first_sentence(device.section), (choice, *inner.values()), device.section)
-
-
-def _driver_words(name: str, section: type[Any]) -> str:
-    return f"by hand ({name})" if section.by_hand else name
 
 
 # --- fields -----------------------------------------------------------------------------------------
@@ -246,10 +217,7 @@ def _words(annotation: Any, metadata: Iterable[Any]) -> str | None:
 
 
 def bare(annotation: Any) -> Any:
-    """Return the type of an annotation without metadata and without None.
-
-    A union of several types is returned unchanged.
-    """
+    """Return the type of an annotation without metadata and None; a union of several types is unchanged."""
     if get_origin(annotation) is Annotated:
         return bare(get_args(annotation)[0])
     if get_origin(annotation) in {Union, types.UnionType}:
@@ -346,7 +314,8 @@ def completed(values: Values, before: Values) -> dict[str, str]:
     full = dict(values)
     number = number_of_meters(full)
     names = [dotted((*METERS_PLACE, index)) for index in range(number)]
-    if number == 1 and (scanning := _scanners()) and full.get(f"{names[0]}.driver") not in scanning:
+    scanning = [one.name for one in devices().of("voltmeter") if "inputs" in one.section.model_fields]
+    if number == 1 and scanning and full.get(f"{names[0]}.driver") not in scanning:
         full[f"{names[0]}.driver"] = scanning[0]
     for index, name in enumerate(names):
         if not full.get(f"{name}.driver"):
@@ -359,10 +328,6 @@ def completed(values: Values, before: Values) -> dict[str, str]:
     for role, _ in ONE_ROLE:
         _exemplify(full, before, dotted(("instruments", role)))
     return full
-
-
-def _scanners() -> list[str]:
-    return [one.name for one in devices().of("voltmeter") if "inputs" in one.section.model_fields]
 
 
 def _exemplify(values: dict[str, str], before: Values, name: str) -> None:
@@ -395,10 +360,7 @@ _MISSING: Final = re.compile(r"'([^']+)' is missing")
 
 
 def placed(mistakes: Iterable[FileMistake], groups: Iterable[Group]) -> Placed:
-    """Return the mistakes assigned to the fields of the form.
-
-    A mistake of no field is listed at its group; a mistake of no group is among the others.
-    """
+    """Return the mistakes by field or, without a field, by group; those of neither are `elsewhere`."""
     groups = list(groups)
     fields = {one.name for group in groups for one in group.fields}
     known = fields | {group.place for group in groups if group.at}

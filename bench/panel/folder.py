@@ -14,7 +14,7 @@ from typing import Any, Final
 from bench.base.files import open_regular, read_json
 from bench.base.languages import message
 from bench.certificate.laboratory import load_laboratory
-from bench.certificate.register import Register
+from bench.certificate.register import NumberStatus, Register
 from bench.panel.access import Refusal
 from bench.run.events import EVENTS, MANIFEST, RecordError
 from bench.run.folder import BENCH, PLAN, PROCEDURE, RESULTS, VERIFY, Digests, Run
@@ -71,50 +71,30 @@ def read_page(run: Run, name: str) -> bytes:
     raise Refusal(404, message(f"{run.name} has no {name}; go back to the run and make it there"))
 
 
-@dataclass(frozen=True)
-class Issued:
-    """A certificate of a run: number, status (`state`), cause of the status (`by`), signed or not, files."""
-
-    number: str
-    state: str
-    by: str
-    signed: bool
-    files: tuple[str, ...]
-
-
 class Certificates:
-    """The certificates in a laboratory's register, read-only; without a laboratory file there are none.
-
-    Raises `FileMistakes` for an invalid laboratory file.
-    """
+    """A laboratory's certificates, read-only; none without its file. Raises `FileMistakes` for an invalid file."""
 
     def __init__(self, laboratory: Path | None) -> None:
         self._folder = None if laboratory is None else load_laboratory(laboratory).register_folder
         self._lock = threading.Lock()
         self._register: Register | None = None
 
-    def of(self, run: Run) -> tuple[Issued, ...]:
-        """Return the certificates of a run's present record. Raises `Refused` for a tampered register."""
+    def of(self, run: Run) -> dict[str, NumberStatus]:
+        """Return the certificates of a run's present record by number. Raises `Refused` for a tampered register."""
         head = _head_of(run) if self._folder is not None else ""
         register = self._read()
         if not head or register is None:
-            return ()
-        return tuple(
-            Issued(
-                number,
-                one.state,
-                one.by,
-                bool(one.entry.data.get("signed_by")),
-                tuple(sorted(one.entry.files)),
-            )
+            return {}
+        return {
+            number: one
             for number, one in register.standings.items()
             if one.entry.data.get("run") == run.name and one.entry.data.get("record", {}).get("head") == head
-        )
+        }
 
     def file(self, run: Run, name: str) -> bytes:
         """Return a file of a run's certificate. Raises `Refusal` (404) if it is missing, `Refused` if altered."""
         register = self._read()
-        if register is None or not any(name in one.files for one in self.of(run)):
+        if register is None or not any(name in one.entry.files for one in self.of(run).values()):
             raise Refusal(404, message(f"{run.name} has no such certificate; see its page"))
         return register.file(name)
 

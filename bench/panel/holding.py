@@ -74,10 +74,7 @@ class Holding:
         }
 
     def after(self, deed: Deed, who: str, to: str, at: str) -> Holding:
-        """Return the state of control after one more line of the journal: `who` did `deed` at time `at`.
-
-        `to` is the person to whom control is granted or denied.
-        """
+        """Return the state of control after a line of the journal: `who` did `deed` `at` a time, to person `to`."""
         match deed:
             case Deed.TAKEN | Deed.FORCED:
                 return self._held_by(who, at, deed)
@@ -104,16 +101,11 @@ def _without(names: tuple[str, ...], name: str) -> tuple[str, ...]:
 def read_holding(folder: Path) -> Holding:
     """Return the state of control of the run in a folder, from its journal; invalid lines are skipped."""
     try:
-        text = _bytes_of(folder / JOURNAL)
+        descriptor = os.open(folder / JOURNAL, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0))
+        with os.fdopen(descriptor, "rb") as file:
+            return _holding_in(file.read())
     except OSError:
         return Holding()
-    return _holding_in(text)
-
-
-def _bytes_of(path: Path) -> bytes:
-    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0))
-    with os.fdopen(descriptor, "rb") as file:
-        return file.read()
 
 
 def _holding_in(text: bytes) -> Holding:
@@ -162,10 +154,7 @@ def change(
 
 
 def _checked(holding: Holding, word: str, person: Person, to: str) -> str:
-    """Return the person to whom a command grants or denies control; "" for other commands.
-
-    Raises `Refusal` if the command is not allowed.
-    """
+    """Return the person to whom a command grants or denies control, or "". Raises `Refusal` if not allowed."""
     person.require(Role.SUPERVISOR if word == "force" else Role.OPERATOR)
     holds = holding.holder == person.name
     match word:

@@ -55,10 +55,7 @@ class Started:
 
 
 def start(arguments: Sequence[str], log: Path, *, program: Sequence[str] = BENCH) -> Started:
-    """Start a process that outlives this program, with its output in the file `log`. Raises `OSError`.
-
-    The arguments are passed as a list, never through a shell.
-    """
+    """Start a process that outlives this program, without a shell; its output goes to `log`. Raises `OSError`."""
     with log.open("wb") as out:
         process = subprocess.Popen(  # noqa: S603 - a program of ours, arguments that were checked
             [sys.executable, *program, *arguments],
@@ -73,10 +70,7 @@ def start(arguments: Sequence[str], log: Path, *, program: Sequence[str] = BENCH
 
 
 def wait_until(begun: Callable[[], bool], started: Started, clock: Clock | None = None) -> bool:
-    """Wait until `begun` returns True; return False after 30 s (`LONGEST_START_S`).
-
-    Raises `Refusal`, with the end of the output, if the process ends before that.
-    """
+    """Wait until `begun` is True; return False after 30 s. Raises `Refusal` with the output if the process ends."""
     clock = clock or SystemClock()
     until_s = clock.now_s() + LONGEST_START_S
     while not begun():
@@ -169,10 +163,7 @@ class TrialResult:
 
     @property
     def startable(self) -> bool:
-        """Whether the run may be started.
-
-        A dry run that ended at a prompt without a default answer does not prevent this.
-        """
+        """Whether the run may be started, even if the dry run ended at a prompt without a default answer."""
         if self.stage != "done" or self.check is None or self.check["problems"]:
             return False
         return self.tried in {0, 1} or bool(self.check["dry_run_refuses"])
@@ -233,11 +224,8 @@ class WishFolder(WorkFolder):
             return ""
 
     def _read(self, name: str) -> dict[str, Any]:
-        try:
-            told = from_text(read_regular(self.path / name))
-        except (OSError, ValueError):
-            told = None
-        if not isinstance(told, dict):
+        told = _object_in(self.path / name)
+        if told is None:
             raise Refusal(404, message("this prepared run no longer exists; prepare it again"))
         return told
 
@@ -303,10 +291,7 @@ def name_of(wanted: WantedRun, runs: RunsFolder) -> str:
 
 
 def start_run(wish: WishFolder, name: str, runs: RunsFolder) -> Run:
-    """Start a requested run in a separate process; return the run once its record exists. Raises `Refusal`.
-
-    `name` is the run's name, from `name_of`.
-    """
+    """Start a requested run called `name` in a separate process, and wait for its record. Raises `Refusal`."""
     wanted = wish.wanted()
     if wanted.changed():
         raise Refusal(409, message("procedure or bench file changed after the check; check them again"))
@@ -326,11 +311,7 @@ def start_run(wish: WishFolder, name: str, runs: RunsFolder) -> Run:
 
 
 def resume_run(run: Run, by: str = "") -> None:
-    """Resume a run in the name of `by`, or make its missing results, in a separate process; wait until it
-    begins.
-
-    Raises `Refusal` if a program is carrying out the run, or if the process ends before it has begun.
-    """
+    """Resume a run for `by`, or make its results, in a process of its own. Raises `Refusal` if it cannot begin."""
     if is_being_written(run.folder):
         raise Refusal(409, message("a program is carrying out this run now; follow it on the run's page"))
     started = start(
@@ -373,10 +354,7 @@ BEGINNING: Final = 65_536
 
 
 def choices(kind: str, working: Path | None = None) -> dict[str, Path]:
-    """Return the files of a kind (`PROCEDURES` or `CONFIG`) that may be chosen, by name.
-
-    A file in the working folder replaces the shipped file of the same name, as in commands.
-    """
+    """Return the files of a kind (`PROCEDURES`, `CONFIG`) by name; own files replace shipped ones."""
     here = working or Path()
     found = {file.stem: file for file in _yaml(shipped_folder(kind))}
     found |= {file.stem: file for file in _yaml(here / kind)}
@@ -388,10 +366,7 @@ def choices(kind: str, working: Path | None = None) -> dict[str, Path]:
 
 
 def chosen_procedure(name: str, runs: RunsFolder) -> Path:
-    """Return the procedure with this name or, for `next:RUN`, the one that the diagnosis of this run proposes.
-
-    Raises `Refusal` if there is none.
-    """
+    """Return the procedure of this name; `next:RUN` is the one that a diagnosis proposes. Raises `Refusal`."""
     if name.startswith(OF_RUN):
         run = runs.run(name.removeprefix(OF_RUN))
         file = run.folder / NEXT
@@ -472,10 +447,10 @@ def tried(wish: WishFolder, found: TrialResult) -> TrialResult:
             [sys.executable, *BENCH, *arguments],
             stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT, check=False,
         ).returncode  # fmt: skip
-    return replace(found, stage="done", tried=status, said=last_words(log), result=_result(result))
+    return replace(found, stage="done", tried=status, said=last_words(log), result=_object_in(result))
 
 
-def _result(file: Path) -> dict[str, Any] | None:
+def _object_in(file: Path) -> dict[str, Any] | None:
     try:
         told = from_text(read_regular(file))
     except (OSError, ValueError):

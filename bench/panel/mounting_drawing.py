@@ -52,10 +52,7 @@ def block_axes(installation: Installation, angle_rad: float) -> Floats:
 
 @dataclass
 class Sheet:
-    """A drawing in progress: SVG elements in drawing order.
-
-    Each argument `kind` is a CSS class, each `more` further attributes of the element.
-    """
+    """A drawing: SVG elements in drawing order; each `kind` is a CSS class, each `more` further attributes."""
 
     shapes: list[str] = field(default_factory=list)
 
@@ -195,18 +192,12 @@ def _block(sheet: Sheet, installation: Installation, angle_rad: float) -> None:
 
 
 def _aside(axis: Floats) -> Floats:
-    """Return the offset of an axis's letter on the sheet.
-
-    On the sheet an axis along the shaft is short, so its letter must be moved aside.
-    """
+    """Return the offset of an axis's letter on the sheet, where an axis along the shaft is short."""
     return np.array([10.0, 0.0]) if abs(axis[1]) > 0.9 else np.zeros(2)
 
 
 def _seen(normal: Floats) -> bool:
-    """Return whether a face of the cube is visible, from its normal.
-
-    The line of sight is the direction in space that the projection maps to a single point.
-    """
+    """Return whether a face with this normal is visible along the direction that projects to a point."""
     return float(normal @ np.array([-AWAY[0], 1.0, AWAY[1]])) < -1e-9
 
 

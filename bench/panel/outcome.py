@@ -67,10 +67,7 @@ class Outcome:
 
 
 def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool) -> Outcome:
-    """Return the outcome of a run that has ended; `alive` says whether its program is running.
-
-    `finished` says whether the run carried out all its steps.
-    """
+    """Return the outcome of a run that ended: `alive` while its program runs, `finished` after all its steps."""
     found = results_of(run)
     state = "ready" if found.calibration is not None else "none"
     # coefficients are written before the verdict: they alone are not the end
@@ -136,10 +133,7 @@ def _row(name: str, difference: float, expanded: float, unit: str) -> str:
 
 
 def previous_calibration(run: Run, runs: RunsFolder) -> Run | None:
-    """Return the run of the unit's last calibration before a run; None if there is none.
-
-    Both runs are on real instruments, or both on simulated ones.
-    """
+    """Return the unit's last calibrated run before a run, both real or both simulated; None if there is none."""
     mine = _identity(run)
     if mine is None:
         return None

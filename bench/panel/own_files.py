@@ -1,10 +1,12 @@
-"""Bench files and procedures of the working folder: listed, and written if nobody else changed them."""
+"""Bench files and procedures of the working folder: listed, offered, written if nobody else changed them."""
 
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
@@ -12,11 +14,15 @@ from filelock import FileLock
 
 from bench.base.files import MEGABYTE, read_regular, write_whole
 from bench.base.languages import message
+from bench.base.yaml_files import FileMistakes
+from bench.config.procedure.load import load_procedure
+from bench.config.procedure.plan import Mount, Read, Turn
 from bench.config.shipped import CONFIG, PROCEDURES, shipped_folder
 from bench.panel.access import Refusal, private_folder
 from bench.panel.bench_fields import Placed
 from bench.panel.launching import choices
 from bench.run.events import sha256
+from bench.run.sentences import duration
 
 NAME: Final = re.compile(r"\w[\w-]{0,59}")
 LOCK: Final = "bench-files.lock"
@@ -49,28 +55,23 @@ class EditedFile:
     difference: str = ""
 
     def target(self, kind: str) -> Path | None:
-        """Return the path to write; None for a new name that cannot be used (a mistake is then noted at its
-        field).
-        """
+        """Return the path to write; None for an unusable new name, which is noted as a mistake at its field."""
         try:
             return new_path(kind, self.name) if self.start else self.base.path
         except Refusal as refusal:
             self.placed.at.setdefault("new_name", []).append(refusal.text)
             return None
 
-    def write(self, path: Path, text: str, expected_sha256: str, state: Path) -> bool:
-        """Write the file as `write_file` does; if it has changed on disk, note the difference."""
+    def write(self, path: Path, text: str, expected_sha256: str, state: Path, refusal: str) -> bool:
+        """Write the file as `write_file` does; if it has changed on disk, note the difference and the `refusal`."""
         if expected_sha256 == self.base.sha256 and write_file(path, text, expected_sha256, state):
             return True
-        self.difference = difference(read_file(path).text, text, path.name)
+        self.difference, self.refusal = difference(read_file(path).text, text, path.name), refusal
         return False
 
 
 def own_files(kind: str) -> dict[str, Path]:
-    """Return the files of a kind (`CONFIG`, `PROCEDURES`) in the working folder, by name.
-
-    Links that lead out of the folder are left out.
-    """
+    """Return the working folder's files of a kind (`CONFIG`, `PROCEDURES`) by name, without links out of it."""
     here = Path().resolve()
     shipped = shipped_folder(kind).resolve()
     found = {name: (path, path.resolve()) for name, path in choices(kind).items() if "/" not in name}
@@ -161,3 +162,58 @@ def write_file(path: Path, text: str, expected_sha256: str, state: Path) -> bool
         ends = "\r\n" if before is not None and b"\r\n" in before else "\n"
         write_whole(path, text.replace("\n", ends))
         return True
+
+
+# --- procedures that may be chosen --------------------------------------------------------------------
+
+MOST_OFFERED: Final = 500
+"""Number of procedures whose duration is cached."""
+
+
+@dataclass(frozen=True)
+class OfferedProcedure:
+    """A procedure as the form offers it: its title, expected time, number of readings, and a drawing.
+
+    `dots` are the test points by angle, as (x to the right, y down) on a circle of radius 1. For a file with
+    mistakes, `title` is the first mistake and all else is empty.
+    """
+
+    name: str
+    title: str
+    expected_s: float = 0.0
+    readings: int = 0
+    mountings: int = 0
+    dots: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def time(self) -> str:
+        """The expected time in words, empty for a file with mistakes."""
+        return duration(self.expected_s) if self.dots or self.expected_s else ""
+
+
+def offered_procedures() -> list[OfferedProcedure]:
+    """Return the procedures that may be chosen, each with its duration on a typical bench."""
+    return [offered(name, file) for name, file in choices(PROCEDURES).items()]
+
+
+def offered(name: str, file: Path) -> OfferedProcedure:
+    """Return a procedure as the forms offer it; it is cached until its file changes."""
+    return _offered(name, file, file.stat().st_mtime_ns if file.is_file() else 0)
+
+
+@lru_cache(maxsize=MOST_OFFERED)
+def _offered(name: str, file: Path, _changed_ns: int) -> OfferedProcedure:
+    try:
+        procedure = load_procedure(file)
+    except (FileMistakes, OSError, ValueError) as mistakes:
+        return OfferedProcedure(name, str(mistakes).partition("\n")[0])
+    plan = procedure.plan
+    angles = sorted({step.target_rad for step in plan.steps if isinstance(step, Turn)})
+    return OfferedProcedure(
+        name,
+        procedure.title,
+        plan.expected_duration_s(),
+        sum(isinstance(step, Read) for step in plan.steps),
+        sum(isinstance(step, Mount) for step in plan.steps),
+        tuple((round(math.sin(angle), 3), round(-math.cos(angle), 3)) for angle in angles),
+    )

@@ -19,13 +19,11 @@ from bench.panel.access import Refusal
 from bench.panel.folder import RunsFolder
 from bench.panel.outcome import previous_calibration
 from bench.panel.results import CALIBRATE, DIAGNOSE, VERIFY, is_plain, told_by
+from bench.panel.stream import COVERAGE
 from bench.readings.csv import ReadingsError
 from bench.run.events import EVENTS, RecordError
 from bench.run.folder import BENCH, Run
 from bench.services.errors import Refused
-
-COVERAGE: Final = 2.0
-"""Coverage factor: half-width of the plotted bands in standard uncertainties."""
 
 Numbers = dict[str, Any]
 Rows = list[list[Any]]
@@ -44,8 +42,9 @@ def plots_of(run: Run, runs: RunsFolder) -> Numbers:
     own = _measured(run, trouble)
     earlier = previous_calibration(run, runs)
     before = None if earlier is None else _measured(earlier, trouble)
-    if before and own["residuals"] and before["residuals"]:
-        before["residuals"] = before["residuals"] if _same_unit(own, before) else None
+    units = {one["residuals"]["unit"] for one in (own, before) if one and one["residuals"]}
+    if before and len(units) > 1:
+        before["residuals"] = None
     told = {
         "run": run.name,
         "simulated": run.simulated,
@@ -57,10 +56,6 @@ def plots_of(run: Run, runs: RunsFolder) -> Numbers:
     }
     cleaned: Numbers = without_infinity(told)
     return cleaned
-
-
-def _same_unit(one: Numbers, other: Numbers) -> bool:
-    return bool(one["residuals"]["unit"] == other["residuals"]["unit"])
 
 
 def _measured(run: Run, trouble: list[str]) -> Numbers:
@@ -179,7 +174,6 @@ def _simulated(point: Mapping[str, Any]) -> Numbers:
 
 # --- tables ---------------------------------------------------------------------------------------------
 
-TABLES: Final = ("residuals", "delta-g", "diagnosis", "diagnosis-delta-g", "held-out", "ranking")
 FORMS: Final = {
     "csv": "text/csv; charset=utf-8",
     "xlsx": "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet",
@@ -193,10 +187,7 @@ _JUDGED: Final = ("n", "installation", "series", "pass", "point", "angle_deg", "
 
 
 def table_of(plots: Numbers, name: str) -> Rows:
-    """Return a plot's numbers as a table with a header row.
-
-    Raises `Refusal` (404) for a plot that the run lacks.
-    """
+    """Return a plot's numbers as a table with a header row. Raises `Refusal` (404) if the run lacks the plot."""
     found = list(_rows(plots, name))
     if len(found) < 2:  # a header row alone
         raise Refusal(404, message("no such table; choose one of the page"))
@@ -259,10 +250,7 @@ def _diagnosed_rows(diagnosis: Numbers, name: str) -> Iterator[list[Any]]:
 
 
 def written(rows: Rows, title: str, form: str, *, simulated: bool) -> bytes:
-    """Return a table as a file of the `form` "csv", or "xlsx" (a workbook).
-
-    The CSV file states the numbers exactly; the workbook has about 16 digits.
-    """
+    """Return a table as CSV (`form` "csv"), which states numbers exactly, or as a workbook ("xlsx", 16 digits)."""
     if form == "xlsx":
         from bench.exchange.forms import tables_workbook
 

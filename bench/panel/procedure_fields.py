@@ -142,10 +142,7 @@ def values_in(data: Any, fields: Iterable[BenchField]) -> dict[str, str]:
 
 
 def table_text(text: str, values: Values, fields: Sequence[BenchField]) -> str:
-    """Return the text of a procedure with the values that were typed in its table.
-
-    First the values of existing fields are set, then angles are rewritten in the chosen form.
-    """
+    """Return a procedure with the values typed in its table; angles are rewritten last, in the chosen form."""
     text = edited_text(text, values, fields)
     return edited_text(text, {}, (), lambda tree, _: _arrange_angles(tree, values, fields))
 
@@ -194,10 +191,7 @@ def with_copy(text: str, at: Place) -> str:
 
 
 def without_step(text: str, at: Place) -> str:
-    """Return a procedure without the step at the path `at`, and without the comments above this step.
-
-    Raises `Refusal` (409).
-    """
+    """Return a procedure without the step at the path `at` and the comments above it. Raises `Refusal` (409)."""
     lines = text.splitlines()
     comments, _, end = _block(text, at)
     return _compared(text, [*lines[:comments], *lines[end:]], at, times=0)
@@ -252,10 +246,7 @@ _BESIDE: Final = re.compile(r"[\w+-][\w.+-]*")
 
 
 def judged(path: Path, text: str) -> tuple[tuple[FileMistake, ...], Procedure | None]:
-    """Return the mistakes of a procedure with this text, and the procedure if there are none.
-
-    The panel's users may include files of the same folder only.
-    """
+    """Return a procedure's mistakes, and the procedure without any; it may include files of its folder only."""
     beside = [
         FileMistake(
             0,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import secrets
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from datetime import datetime, timedelta
+from datetime import timedelta
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar
 
@@ -60,9 +60,7 @@ class QueueItem(_Row):
 
 
 class DayNote(_Row):
-    """A note of the day: `what` (`DUTY`, `OFF_DUTY`, `SWITCHED_ON`), its author, its time, and the bench it
-    concerns.
-    """
+    """A note of the day: `what` (`DUTY`, `OFF_DUTY`, `SWITCHED_ON`), its author and time, and its bench."""
 
     what: str
     who: str
@@ -73,10 +71,9 @@ class DayNote(_Row):
 class DayQueue:
     """The queue of a panel, in files of its private folder that survive a restart."""
 
-    def __init__(self, folder: Path, now: Callable[[], datetime] = utc_now) -> None:
+    def __init__(self, folder: Path) -> None:
         self._items = KeptList(folder, ITEMS, REMEDY)
         self._notes = KeptList(folder, NOTES, REMEDY)
-        self._now = now
 
     def items(self) -> list[QueueItem]:
         """Return the items in order. Raises `RecordError` for a damaged file."""
@@ -114,20 +111,17 @@ class DayQueue:
             items[at] = items[at].model_copy(update=values)
 
     def claim(self, item_id: str, run: str, exists: Callable[[str], bool]) -> None:
-        """Note the name of an item's run before this run is started.
-
-        Raises `Refusal` (409) if the item was begun already: its run exists, or is being started.
-        """
+        """Note the name of an item's run before its start. Raises `Refusal` (409) if the item was begun already."""
         with self._changed() as items:
             at = _index(items, item_id)
             item = items[at]
             if item.run and (exists(item.run) or self.is_starting(item)):
                 raise Refusal(409, message(f"{item.words} was begun already; see the run {item.run}"))
-            items[at] = item.model_copy(update={"run": run, "begun": self._now()})
+            items[at] = item.model_copy(update={"run": run, "begun": utc_now()})
 
     def is_starting(self, item: QueueItem) -> bool:
         """Whether the run of an item was requested so recently that its folder may not exist yet."""
-        return item.begun is not None and self._now() - item.begun < timedelta(seconds=2 * LONGEST_START_S)
+        return item.begun is not None and utc_now() - item.begun < timedelta(seconds=2 * LONGEST_START_S)
 
     # --- notes of the day ---------------------------------------------------------------------------
 
@@ -135,7 +129,7 @@ class DayQueue:
         """Store a note of the day; `what` is as in `DayNote`."""
         with self._notes.changed() as rows:
             rows.append(
-                DayNote(what=what, who=person.name, at=self._now(), bench=bench).model_dump(mode="json")
+                DayNote(what=what, who=person.name, at=utc_now(), bench=bench).model_dump(mode="json")
             )
             del rows[:-MOST_NOTES]
 
@@ -150,8 +144,8 @@ class DayQueue:
 
     def put_aside(self) -> None:
         """Rename damaged files, so that an empty queue replaces them. Raises `OSError`."""
-        self._items.put_aside(self._now(), lambda rows: _read(rows, QueueItem))
-        self._notes.put_aside(self._now(), lambda rows: _read(rows, DayNote))
+        self._items.put_aside(utc_now(), lambda rows: _read(rows, QueueItem))
+        self._notes.put_aside(utc_now(), lambda rows: _read(rows, DayNote))
 
     def _notes_read(self) -> list[DayNote]:
         return _read(self._notes.rows(), DayNote)

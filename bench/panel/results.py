@@ -49,10 +49,7 @@ Told = TypeVar("Told")
 
 @dataclass(frozen=True)
 class PointRow:
-    """Δg at a verification point in words, and whether the decision rule accepts it.
-
-    `of_limit` and `u_of_limit` are Δg and its U as multiples of the limit.
-    """
+    """Δg at a verification point in words; `of_limit`, `u_of_limit` are Δg and its U, divided by the limit."""
 
     where: str
     delta: str
@@ -141,10 +138,7 @@ def results_of(run: Run) -> Results:
 def told_by(
     run: Run, name: str, words: Callable[[Mapping[str, Any]], Told], trouble: list[str]
 ) -> Told | None:
-    """Return the value of `words` for the result file `name` of a run; None if the file is missing or damaged.
-
-    A sentence on a damaged file is added to `trouble`.
-    """
+    """Return `words` of a run's result file; None if it is missing or, as a sentence in `trouble`, damaged."""
     try:
         content = from_text(read_page(run, name))
         return None if content is None else words(content)
@@ -230,6 +224,7 @@ def _risk(told: Mapping[str, Any]) -> str:
 
 def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
     unit = str(told["unit"])
+    hidden, notes = (tuple(map(str, told.get(name, ()))) for name in ("not_observable", "notes"))
     if "channels" in told:  # of a record at a known input
         rows = [
             CoefficientRow(f"{called} {channel}", *_value_and_uncertainty(one[key]), of)
@@ -237,7 +232,6 @@ def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
             for key, called, of in (("gain", "gain", "V/V"), ("offset_v", "offset", "V"))
             if one[key] is not None
         ]
-        hidden, notes = (tuple(map(str, told.get(name, ()))) for name in ("not_observable", "notes"))
         return CalibrationTold(tuple(rows), hidden, "", notes, fits=True)
     rows = []
     for name in map(str, told["order"]):
@@ -255,13 +249,7 @@ def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
     p = residual.get("p")
     fits = p is None or float(p) >= MISFIT
     fit = message("the model does not fit the readings") if not fits else "" if p is None else NO_MISFIT
-    return CalibrationTold(
-        tuple(rows),
-        tuple(map(str, told.get("not_observable", ()))),
-        fit,
-        tuple(map(str, told.get("notes", ()))),
-        fits,
-    )
+    return CalibrationTold(tuple(rows), hidden, fit, notes, fits)
 
 
 def _value_and_uncertainty(of: Mapping[str, Any]) -> tuple[str, str]:
@@ -300,10 +288,6 @@ def figure_of(run: Run, name: str) -> bytes:
     if name in FIGURES:
         for found in re.finditer(rb"<svg .*?</svg>", page, re.DOTALL):
             if b' id="' + FIGURES[name] + b"-" in found[0]:
-                return _as_file(found[0])
+                names = b'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
+                return found[0].replace(b"<svg ", names, 1)
     raise Refusal(404, message(f"the report of {run.name} has no such figure; choose one of the page"))
-
-
-def _as_file(svg: bytes) -> bytes:
-    names = b'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
-    return svg.replace(b"<svg ", names, 1)

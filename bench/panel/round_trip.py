@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -69,7 +69,8 @@ def edited_text(
     tree = yaml.load(text)
     before = values_of(read_yaml(text).data)
     arrange(tree, before)
-    before = {**before, **_emptied(tree, before)}
+    there = values_of(tree)
+    before = {name: there.get(name, "") for name in before}
     for one in fields:
         wanted = values.get(one.name, "").strip()
         if not one.name.startswith("form:") and wanted != (
@@ -180,7 +181,8 @@ def _arrange(tree: Any, values: Values, before: Values, groups: list[Group]) -> 
         if not values.get(f"instruments.{role}.driver", "").strip():
             instruments.pop(role, None)
     for group in groups:
-        if group.section is not None and _another_driver(group, values, before):
+        driver = dotted((*group.at, "driver"))
+        if group.section is not None and values.get(driver, "") != before.get(driver, ""):
             section = _reach(tree, group.at)
             known = {info.alias or name for name, info in group.section.model_fields.items()}
             for key in [key for key in section if key not in known]:
@@ -188,10 +190,7 @@ def _arrange(tree: Any, values: Values, before: Values, groups: list[Group]) -> 
 
 
 def _gravity(stated: str) -> Any:
-    """Return the section on gravity in the form `stated`, with empty values.
-
-    A value that stays empty is reported as a mistake at its field.
-    """
+    """Return the section on gravity in the form `stated`; a value that stays empty becomes a mistake."""
     empty = _scalar("", None)
     if stated == FORMS_OF_GRAVITY["value"]:
         return empty
@@ -199,17 +198,6 @@ def _gravity(stated: str) -> Any:
     if stated == FORMS_OF_GRAVITY["source"]:
         section["value"] = empty
     return section
-
-
-def _another_driver(group: Group, values: Values, before: Values) -> bool:
-    name = dotted((*group.at, "driver"))
-    return values.get(name, "") != before.get(name, "")
-
-
-def _emptied(tree: Any, before: Values) -> Mapping[str, str]:
-    """Return the texts in `tree` at the paths in `before`; "" for a path that no longer exists."""
-    there = values_of(tree)
-    return {name: there.get(name, "") for name in before}
 
 
 # --- values -----------------------------------------------------------------------------------------
@@ -230,10 +218,7 @@ def _put(tree: Any, one: BenchField, text: str) -> None:
 
 
 def _scalar(text: str, before: Any) -> Any:
-    """Return a text as a scalar with the quotes of the scalar `before`.
-
-    A word that YAML reads as null is quoted.
-    """
+    """Return a text as a scalar with the quotes of the scalar `before`; what YAML reads as null is quoted."""
     from ruamel.yaml.scalarstring import DoubleQuotedScalarString, SingleQuotedScalarString
 
     if isinstance(before, SingleQuotedScalarString):
@@ -296,10 +281,7 @@ def _sequence() -> Any:
 
 
 def with_comments(before: str, after: str) -> str:
-    """Return `after`, a changed text, with each whole-line comment of `before` above the same key.
-
-    If that key is gone, the comment is above the next remaining key.
-    """
+    """Return `after` with each whole-line comment of `before` above its key, else above the next that is left."""
     blocks = _blocks(before)
     if _blocks(after) == blocks:
         return after

@@ -204,10 +204,7 @@ _BEGUN: Final = f'"type": "{EventType.STEP_STARTED}"'.encode()
 
 
 class Tail:
-    """A reader of all events of a growing record.
-
-    An incomplete last line is read once it is complete.
-    """
+    """A reader of all events of a growing record; an incomplete last line is read once it is complete."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / EVENTS
@@ -222,10 +219,7 @@ class Tail:
             return False
 
     def new(self) -> Iterator[Event]:
-        """Yield the events written since the last call; in a long record, skip the starts of old steps.
-
-        Raises `RecordError` if anything but new lines changed in the record.
-        """
+        """Yield new events, without old starts of steps. Raises `RecordError` if anything but new lines changed."""
         try:
             with open_regular(self._path) as file, uncollected():
                 size = file.seek(0, SEEK_END)

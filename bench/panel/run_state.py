@@ -116,18 +116,12 @@ DRIFTS: Final = 0.01
 
 @dataclass(frozen=True)
 class About:
-    """The constant part of a run's snapshot: texts from its manifest, and the installations of its bench.
+    """What does not change in a run's snapshot: its first members (`told`), and the installations of its bench.
 
     `chamber` says whether the bench has a thermal chamber.
     """
 
-    run: str
-    title: str
-    simulated: bool
-    unit: str
-    operator: str
-    procedure: str
-    bench: str
+    told: Mapping[str, Any]
     installations: Mapping[str, Installation]
     chamber: bool
 
@@ -135,19 +129,10 @@ class About:
 def snapshot(
     seen: RunView, about: About, time_left: TimeLeft, asked: AskedPrompt | None, *, alive: bool, now: datetime
 ) -> dict[str, Any]:
-    """Return the snapshot of a run as a JSON object: state, position in the plan, last reading, warnings and log.
-
-    `asked` is the open question; `alive` says whether a program is carrying out the run.
-    """
+    """Return the snapshot of a run as a JSON object; `asked` is the open question, `alive` if a program runs."""
     latest = seen.latest
     return {
-        "run": about.run,
-        "title": about.title,
-        "simulated": about.simulated,
-        "unit": about.unit,
-        "operator": about.operator,
-        "procedure": about.procedure,
-        "bench": about.bench,
+        **about.told,
         "events": seen.events,
         "last_time": None if latest is None else latest.time,
         "now": now.isoformat(),
@@ -397,7 +382,7 @@ def _soak(seen: RunView, about: About) -> dict[str, Any] | None:
         words, lasts_s = message(f"until the {step.what} settle, at most"), step.timeout_s
     left_s = max(0.0, lasts_s - (seen.latest.bench_s - event.bench_s))
     until = None
-    if not about.simulated:
+    if not about.told["simulated"]:
         until = (datetime.fromisoformat(event.time) + timedelta(seconds=lasts_s)).isoformat()
     return {
         "words": words,
@@ -421,14 +406,8 @@ def _warning(event: Event) -> dict[str, Any]:
 
 
 def _answer(event: Event) -> dict[str, Any]:
-    data = event.data
-    return {
-        "id": str(data.get("id", "")),
-        "answer": str(data.get("answer", "")),
-        "by": str(data.get("by", "")),
-        "place": str(data.get("where", "")),
-        "why": str(data.get("why", "")),
-    }
+    members = {"id": "id", "answer": "answer", "by": "by", "place": "where", "why": "why"}
+    return {name: str(event.data.get(member, "")) for name, member in members.items()}
 
 
 def _line(event: Event, seen: RunView) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -43,7 +43,7 @@ class Findings:
     problem: str = ""
     when: str = ""
     resources_when: str = ""
-    order: Sequence[str] = field(default_factory=tuple)
+    order: Sequence[str] = ()
     """The resources that are addressed."""
 
 
@@ -69,10 +69,7 @@ class Search(WorkFolder):
         return age_s < BEGINS_WITHIN_S or super().at_work()
 
     def begin(self, what: str, *, resources: Sequence[str] = (), bench: Path | None = None) -> None:
-        """Start a process that searches, asks `resources` for their identity, or tests the instruments of `bench`.
-
-        Raises `Refusal` if a search is in progress, for too many resources, and for a text that is no resource.
-        """
+        """Start a search, an identification of `resources`, or a test of `bench`. Raises `Refusal`."""
         from bench.services.search import checked_resource
 
         private_folder(self.path)

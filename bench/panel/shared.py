@@ -25,7 +25,6 @@ from bench.base.template_texts import environment_for
 from bench.base.text import bounded, visible
 from bench.panel.access import STATE, Access, Person, Refusal, Role, Settings
 from bench.panel.folder import Certificates, RunsFolder, RunsTable
-from bench.panel.holding import read_holding
 from bench.panel.launching import Started, Wishes
 from bench.panel.queue import DayQueue
 from bench.panel.stream import Followers
@@ -41,7 +40,7 @@ class Panel:
         self.table = RunsTable(self.runs)
         self.wishes = Wishes(settings.runs / STATE / "wishes")
         self.diagnosing: dict[str, Started] = {}
-        self.followers = Followers(lambda folder: {"control": read_holding(folder).to_json()})
+        self.followers = Followers()
         self.certificates = Certificates(settings.laboratory)
         self.streams: Counter[str] = Counter()
         self.access = Access(settings.runs / STATE, laboratory=settings.laboratory)
@@ -97,10 +96,7 @@ async def acting(request: Request, least: Role, most: int = MOST_FIELDS) -> tupl
 
 
 async def fields(request: Request, most: int = MOST_FIELDS) -> dict[str, str]:
-    """Return the fields of a form, or of a JSON object of texts.
-
-    Raises `Refusal` for any other body, and for more than `most` fields.
-    """
+    """Return the fields of a form or of a JSON object of texts. Raises `Refusal` for anything else, or too many."""
     try:
         body = await request.body()
     except ClientDisconnect:
@@ -126,21 +122,17 @@ async def fields(request: Request, most: int = MOST_FIELDS) -> dict[str, str]:
 REPORT_STYLE: Final = "report.css"
 """The style sheet of the reports, which the panel's own extends."""
 
+_STATIC: Final = files("bench.panel") / "static"
+_KINDS: Final = {
+    ".css": "text/css; charset=utf-8", ".js": "text/javascript; charset=utf-8", ".svg": "image/svg+xml",
+}  # fmt: skip
 ASSETS: Final = {
-    REPORT_STYLE: "text/css; charset=utf-8",
-    "panel.css": "text/css; charset=utf-8",
-    "texts.js": "text/javascript; charset=utf-8",
-    **{f"texts-{name}.js": "text/javascript; charset=utf-8" for name in LANGUAGES if name != ENGLISH},
-    "panel.js": "text/javascript; charset=utf-8",
-    "bench.js": "text/javascript; charset=utf-8",
-    "fresh.js": "text/javascript; charset=utf-8",
-    "waiting.js": "text/javascript; charset=utf-8",
-    "plots.js": "text/javascript; charset=utf-8",
-    "plots-chart.js": "text/javascript; charset=utf-8",
-    "plots-export.js": "text/javascript; charset=utf-8",
-    "plots-page.js": "text/javascript; charset=utf-8",
-    "plots.css": "text/css; charset=utf-8",
-    "icon.svg": "image/svg+xml",
+    name: _KINDS[PurePath(name).suffix]
+    for name in (
+        REPORT_STYLE,
+        *(f"texts-{name}.js" for name in LANGUAGES if name != ENGLISH),
+        *sorted(file.name for file in _STATIC.iterdir()),
+    )
 }
 """The files that pages load, with their media types. Pages load nothing else."""
 
@@ -154,7 +146,7 @@ def read_asset(name: str) -> bytes:
         return (files("bench.results") / "templates" / "style.css.j2").read_bytes()
     if name.startswith("texts-"):
         return texts_for_scripts(name.removeprefix("texts-").removesuffix(".js")).encode()
-    return (files("bench.panel") / "static" / name).read_bytes()
+    return (_STATIC / name).read_bytes()
 
 
 @cache
@@ -188,10 +180,7 @@ def load() -> None:
 
 
 def rendered(name: str, **content: Any) -> str:
-    """Return a template rendered with `content`: HTML-escaped, control and invisible characters visible.
-
-    A variable missing from `content` is an error.
-    """
+    """Return a template rendered with all its `content`: HTML-escaped, control and invisible characters visible."""
     return visible(_environment(language()).get_template(name).render(**content))
 
 
@@ -243,26 +232,21 @@ def refused(request: Request, refusal: Refusal) -> Response:
     return page(request, "refused.html.j2", status=refusal.status, title=title, text=bounded(refusal.text))
 
 
-def by_framework(request: Request, error: Exception) -> Response:
-    """Return the response to an error that the framework raises for an unknown address or method."""
-    status = error.status_code if isinstance(error, HTTPException) else 500
-    texts = {404: message("no such page"), 405: message("this page does not accept that request")}
-    return refused(request, Refusal(status, texts.get(status, HTTPStatus(status).phrase)))
-
-
-def by_refusal(request: Request, error: Exception) -> Response:
-    """Return the response to a `Refusal`."""
-    return refused(request, error if isinstance(error, Refusal) else Refusal(400, str(error)))
-
-
-def by_record(request: Request, error: Exception) -> Response:
-    """Return the response to an unusable record or file, or to a missing optional package."""
-    if isinstance(error, OSError):
-        return refused(request, Refusal(409, f"{error.filename or 'a file'}: {error.strerror or error}"))
-    if isinstance(error, ImportError):
-        if not (told := missing(error)):
-            raise error
-        return refused(request, Refusal(409, told))
+def by_error(request: Request, error: Exception) -> Response:
+    """Return the response to a `Refusal`, an unknown address or method, an unusable file, a missing package."""
+    match error:
+        case Refusal():
+            return refused(request, error)
+        case HTTPException(status_code=status):
+            texts = {404: message("no such page"), 405: message("this page does not accept that request")}
+            return refused(request, Refusal(status, texts.get(status, HTTPStatus(status).phrase)))
+        case OSError():
+            told = f"{error.filename or 'a file'}: {error.strerror or error}"
+            return refused(request, Refusal(409, told))
+        case ImportError():
+            if not (told := missing(error)):
+                raise error
+            return refused(request, Refusal(409, told))
     name = request.path_params.get("name", "")
     if isinstance(error, RecordError) and name and person_of(request) and not wants_json(request):
         found = panel_of(request).runs.run(name)

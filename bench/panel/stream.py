@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections import deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +19,7 @@ from bench.base.numbers import without_infinity
 from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import BenchFile, load_bench
 from bench.config.procedure.plan import Mount, Plan, Read
+from bench.panel.holding import Holding, read_holding
 from bench.panel.run_events import RunView, Tail
 from bench.panel.run_state import About, snapshot
 from bench.readings.reading import Reading
@@ -39,7 +40,7 @@ COVERAGE: Final = 2.0
 
 @dataclass(frozen=True)
 class PlottedPoints:
-    """The points of a `ResidualPlot` at some moment; `version` increases when earlier points change."""
+    """The points of a `ResidualPlot` at some moment; `version` counts the changes to earlier points."""
 
     version: int = 0
     points: tuple[dict[str, Any], ...] = ()
@@ -51,11 +52,11 @@ class PlottedPoints:
 
 
 class ResidualPlot:
-    """The readings of a run minus their predictions, as `points` for viewers.
+    """The readings of a run minus their predictions, as points for viewers; each change gives a new `plotted`.
 
     A point has the keys `n` (event number), `step`, `installation`, `series`, `pass`, `point`, `angle_deg`,
     `time_s`; per channel the `residual`, its standard uncertainty `u` (both in `unit`) and `sigma`; and `struck` if
-    the reading was replaced by a repetition. `version` counts changes to earlier points.
+    the reading was replaced by a repetition.
     """
 
     def __init__(self, plan: Plan, bench: BenchFile) -> None:
@@ -63,8 +64,7 @@ class ResidualPlot:
         self._steps = plan.steps
         self._waiting: deque[Event] = deque()
         self._readings = 0
-        self.points: list[dict[str, Any]] = []
-        self.version = 0
+        self.plotted = PlottedPoints()
 
     def note(self, event: Event) -> None:
         """Queue an event for `judge_next`."""
@@ -98,37 +98,34 @@ class ResidualPlot:
         return False
 
     def _strike(self, redo: Event) -> None:
-        steps = set(redo.steps)
-        for point in self.points:
-            if point["step"] in steps and not point["struck"]:
-                point["struck"] = True
-                self.version += 1
+        points, steps = self.plotted.points, set(redo.steps)
+        struck = [{**one, "struck": one["struck"] or one["step"] in steps} for one in points]
+        if struck != [*points]:
+            self.plotted = PlottedPoints(self.plotted.version + 1, tuple(struck))
 
     def _add(self, event: Event, reading: Reading) -> None:
         judged = self._watcher.judged
         if judged is None or reading.angle_deg is None:
             return
         u = np.sqrt(np.diagonal(judged.covariance[0]))
-        self.points.append(
-            {
-                "n": event.number,
-                "step": event.step,
-                "installation": reading.installation,
-                "series": reading.series,
-                "pass": reading.pass_number,
-                "point": reading.point,
-                "angle_deg": reading.angle_deg,
-                "time_s": event.bench_s if reading.time_s is None else reading.time_s,
-                "unit": reading.unit,
-                "residual": [float(f"{value:.6g}") for value in judged.residual[0]],
-                "u": [float(f"{value:.4g}") for value in u],
-                "sigma": [float(f"{value:.3g}") for value in judged.sigma[0]],
-                "struck": False,
-            }
-        )
-        if len(self.points) > MOST_POINTS:
-            del self.points[0]
-            self.version += 1
+        point = {
+            "n": event.number,
+            "step": event.step,
+            "installation": reading.installation,
+            "series": reading.series,
+            "pass": reading.pass_number,
+            "point": reading.point,
+            "angle_deg": reading.angle_deg,
+            "time_s": event.bench_s if reading.time_s is None else reading.time_s,
+            "unit": reading.unit,
+            "residual": [float(f"{value:.6g}") for value in judged.residual[0]],
+            "u": [float(f"{value:.4g}") for value in u],
+            "sigma": [float(f"{value:.3g}") for value in judged.sigma[0]],
+            "struck": False,
+        }
+        before = self.plotted
+        too_many = len(before.points) == MOST_POINTS
+        self.plotted = PlottedPoints(before.version + too_many, (*before.points[too_many:], point))
 
 
 _TOLD: Final = frozenset({EventType.STEP_DONE, EventType.REMOUNTED, EventType.REDO, EventType.WENT_ON})
@@ -143,10 +140,7 @@ ALIVE_LOOK_S: Final = 1.0
 
 
 class Follower:
-    """A follower of one run: it reads new events and compares readings with their predictions.
-
-    Raises `RecordError`, `FileMistakes` if the run's files or its record cannot be read.
-    """
+    """A follower of one run: its events and residuals. Raises `RecordError`, `FileMistakes` if unreadable."""
 
     def __init__(self, folder: Path, clock: Clock | None = None) -> None:
         run = Run(folder)
@@ -156,23 +150,20 @@ class Follower:
         self._seen = RunView(run.plan)
         with knowing_effects_on_record(run):
             bench = load_bench(folder / BENCH)
-        self._residuals = ResidualPlot(run.plan, bench)
+        self.residuals = ResidualPlot(run.plan, bench)
         supply = bench.unit_under_test.supply
         step_s = [run.plan.step_duration_s(step, bench.line_frequency, supply) for step in run.plan.steps]
         self._time_left = TimeLeft(step_s)
         manifest = run.manifest
         unit = manifest.get("unit_under_test", {"type": "", "serial": ""})
-        self._about = About(
-            run=run.name,
-            title=run.plan.name,
-            simulated=run.simulated,
-            unit=f"{unit.get('type', '')} {unit.get('serial', '')}".strip(),
-            operator=str(manifest.get("operator", "")),
-            procedure=str(manifest.get("procedure", "")),
-            bench=str(manifest.get("bench", "")),
-            installations=bench.installation_models(),
-            chamber=bench.instruments.chamber is not None,
-        )
+        told = {
+            "run": run.name,
+            "title": run.plan.name,
+            "simulated": run.simulated,
+            "unit": f"{unit.get('type', '')} {unit.get('serial', '')}".strip(),
+            **{name: str(manifest.get(name, "")) for name in ("operator", "procedure", "bench")},
+        }
+        self._about = About(told, bench.installation_models(), bench.instruments.chamber is not None)
         self._alive, self._looked_s = False, -ALIVE_LOOK_S
         self._unheard = 0
         """Questions up to this event number cannot be answered: the program that asked them has ended."""
@@ -187,15 +178,11 @@ class Follower:
                 self._seen.take(event)
                 if event.type == EventType.CHOSEN:
                     self._time_left.choose(event.data)
-                self._residuals.note(event)
+                self.residuals.note(event)
                 changed = True
         if not self._alive:
             self._unheard = self._seen.events
         return changed
-
-    def judge(self) -> bool:
-        """Compare the next queued reading with its prediction; return whether a reading was queued."""
-        return self._residuals.judge_next()
 
     @property
     def prompt(self) -> AskedPrompt | None:
@@ -213,11 +200,6 @@ class Follower:
         except OSError:
             return b""
 
-    @property
-    def waiting(self) -> bool:
-        """Whether queued readings still await comparison with their predictions."""
-        return self._residuals.waiting
-
     def state(self) -> dict[str, Any]:
         """Return the current snapshot of the run, see `bench.panel.run_state.snapshot`."""
         if (begun := self._seen.begun) is not None:
@@ -225,15 +207,6 @@ class Follower:
         return snapshot(
             self._seen, self._about, self._time_left, self.prompt, alive=self._alive, now=utc_now()
         )
-
-    @property
-    def points_version(self) -> tuple[int, int]:
-        """The version of the points: how often earlier points changed, and how many points there are."""
-        return self._residuals.version, len(self._residuals.points)
-
-    def points(self) -> PlottedPoints:
-        """Return the present points: readings minus their predictions."""
-        return PlottedPoints(self._residuals.version, tuple(self._residuals.points))
 
     def _look_for_writer(self, *, at_once: bool) -> bool:
         """Check, when due or `at_once`, whether a program carries out the run; return whether this has changed."""
@@ -259,9 +232,6 @@ MOST_LIVE: Final = 4096
 JUDGED_AT_ONCE: Final = 20
 """Number of readings judged between updates, so that a long run can be viewed while it is judged."""
 
-Add = Callable[[Path], dict[str, Any]]
-"""A function that returns additional data for the snapshot of the run in a folder: who is in control."""
-
 
 def as_event(name: str, data: Any) -> bytes:
     """Return a server-sent event with JSON data, which never contains a line end."""
@@ -270,10 +240,7 @@ def as_event(name: str, data: Any) -> bytes:
 
 
 def as_live(value: bytes) -> bytes:
-    """Return a server-sent event with the live value from the run's program.
-
-    The data of the event are {} if the value is missing or damaged.
-    """
+    """Return a server-sent event with a run's live value; its data are {} if the value is missing or damaged."""
     try:
         told = from_text(value) if value else {}
     except ValueError:
@@ -287,11 +254,11 @@ class SharedFollower:
     `state` is the latest snapshot, `trouble` the error that ended it, or an empty string.
     """
 
-    def __init__(self, folder: Path, add: Add) -> None:
-        self._folder, self._add = folder, add
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
         self._follower: Follower | None = None
         self._news = asyncio.Event()
-        self._added: dict[str, Any] = {}
+        self._holding: Holding | None = None
         self.version = 0
         self.points = PlottedPoints()
         self.state: dict[str, Any] = {}
@@ -311,7 +278,7 @@ class SharedFollower:
     @property
     def judging(self) -> bool:
         """Whether readings still await comparison with their predictions."""
-        return self._follower is not None and self._follower.waiting
+        return self._follower is not None and self._follower.residuals.waiting
 
     @property
     def over(self) -> bool:
@@ -370,29 +337,26 @@ class SharedFollower:
         """Read new events; return whether there is an update to send."""
         if self._follower is None:
             self._follower = Follower(self._folder)
-        follower = self._follower
-        before = follower.points_version
+        follower, before = self._follower, self.points
         read = follower.look()
         if not read:
             for _ in range(JUDGED_AT_ONCE):
-                if not follower.judge():
+                if not follower.residuals.judge_next():
                     break
-        if follower.points_version != before:
-            self.points = follower.points()
-        added = self._add(self._folder)
-        if read or added != self._added or not self.state:
-            self._added = added
-            self.state = {**follower.state(), **added}
+        self.points = follower.residuals.plotted
+        holding = read_holding(self._folder)
+        if read or holding != self._holding or not self.state:
+            self._holding = holding
+            self.state = {**follower.state(), "control": holding.to_json()}
             self.sent_state = as_event("state", self.state)
             return True
-        return follower.points_version != before
+        return self.points is not before
 
 
 class Followers:
     """The followers of all runs that have viewers; all followers belong to one event loop."""
 
-    def __init__(self, add: Add = lambda folder: {}) -> None:
-        self._add = add
+    def __init__(self) -> None:
         self._shared: dict[Path, SharedFollower] = {}
 
     async def state(self, folder: Path) -> dict[str, Any]:
@@ -406,20 +370,14 @@ class Followers:
             return shared.prompt
 
     async def points(self, folder: Path) -> tuple[dict[str, Any], ...]:
-        """Return the points of a run once all its readings were compared with their predictions.
-
-        Raises `RecordError`.
-        """
+        """Return the points of a run once all its readings were compared. Raises `RecordError`."""
         async with self._watched(folder) as shared:
             while shared.judging and not shared.trouble:
                 await shared.wait(shared.version)
             return shared.points.points
 
     async def stream(self, folder: Path) -> AsyncIterator[bytes]:
-        """Yield server-sent events of a run for one viewer: "state", "points", "live", "beat" and "trouble".
-
-        Raises `RecordError` before the first event if the record cannot be read.
-        """
+        """Yield a run's server-sent events for one viewer. Raises `RecordError` before the first if unreadable."""
         async with self._watched(folder) as shared:
             told, sent, live = PlottedPoints(), b"", b""
             while not shared.trouble:
@@ -448,7 +406,7 @@ class Followers:
         """Yield the follower of a run; start one if there is none. Raises `RecordError` for a damaged run."""
         shared = self._shared.get(folder)
         if shared is None or shared.over:
-            shared = self._shared[folder] = SharedFollower(folder, self._add)
+            shared = self._shared[folder] = SharedFollower(folder)
         shared.watchers += 1
         try:
             await shared.ready()

@@ -77,10 +77,7 @@ def withdraw(request: Validate, number: str) -> ValidationRegisterResult:
 
 
 def register_of(request: Validate) -> ValidationRegisterResult:
-    """Return the register of a laboratory, read without changing it.
-
-    Raises `Refused` if no laboratory file is given.
-    """
+    """Return a laboratory's register without changing it. Raises `Refused` if no laboratory file is given."""
     return listed(read_validations(_laboratory(request)))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import tempfile
 from collections.abc import Callable
@@ -11,14 +12,20 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
-from bench.base.computing import missing
+from bench.base.computing import CalibrationError, missing
 from bench.base.files import read_given, read_json, to_text, write_whole
 from bench.base.text import visible
 from bench.base.yaml_files import sha256_of_file
+from bench.batch.job import job_of
+from bench.batch.outcome import asked_of, carried_out, rows_of
+from bench.batch.store import list_runs
+from bench.batch.work import stored_calibration
+from bench.calibration.estimators import GLS, find_estimator
 from bench.config.shipped import find_bench
 from bench.results.validation import (
     NOT_PROVEN,
     AgainstPart,
+    ChangedRun,
     ValidatedBench,
     ValidationCheck,
     ValidationResult,
@@ -31,7 +38,7 @@ from bench.run.events import sha256
 from bench.run.seal import Seal, private_key, read_public_key, sign, signed, write_seal
 from bench.services.bench_selection import bench_path
 from bench.services.errors import Refused, refusing, sentence
-from bench.services.requests.documents import Validate
+from bench.services.requests.documents import BatchCalibrate, Validate
 from bench.services.requests.shared import runs_folder
 from bench.services.validated import (
     fingerprint,
@@ -47,22 +54,19 @@ RESULT: Final = "validation.json"
 PAGE: Final = "validation.html"
 PDF: Final = "validation.pdf"
 DEFAULT_BENCH: Final = "paper-stand"
+THRESHOLD_U: Final = 0.1
+"""Largest change of a coefficient of a past run, in its u, that is not listed."""
 
 
 def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationResult:
-    """Carry out a validation; write result, page, PDF and seal into a folder; return the result.
-
-    Raises `Refused` for a folder that already holds a validation or cannot be written, and for an unusable key.
-    """
+    """Carry out a validation; write result, page, PDF and seal. Raises `Refused` for an unusable folder or key."""
     began, clock, cpu_s = utc_now(), SystemClock(), _cpu_s()
     began_s = clock.now_s()
     _check_release(request)
     key = None if request.key is None else private_key(request.key, passphrase)
     bench = _bench(request)
     if request.against is not None:  # what names no run is refused before the checks begin
-        from bench.validation.against import against, past_runs
-
-        past_runs(request, request.against)
+        _past_runs(request, request.against)
     folder = request.out or Path(f"validation-{began.astimezone():%Y%m%d-%H%M%S}")
     _take(folder)
     laboratory = laboratory_known(request.laboratory)
@@ -137,10 +141,7 @@ def _take(folder: Path) -> None:
 
 
 def _accepted(laboratory: Path | None, bench: Path) -> tuple[str, dict[str, Any] | None]:
-    """Return number and result of the accepted validation to compare with; "" and None without one.
-
-    It is the latest valid one for a bench file with the name of `bench`.
-    """
+    """Return number and result of the latest accepted validation for this bench file; "" and None without one."""
     if laboratory is None:
         return "", None
     register = read_validations(laboratory)
@@ -149,6 +150,72 @@ def _accepted(laboratory: Path | None, bench: Path) -> tuple[str, dict[str, Any]
         return "", None
     kept: dict[str, Any] = read_json(register.kept(str(entry.data["result_sha256"])))
     return entry.number, kept
+
+
+# --- past runs computed again, each with the estimator of its stored result ---------------------------
+
+
+def _past_runs(request: Validate, over: str) -> tuple[str, ...]:
+    return list_runs([over], runs_folder(request.runs), request.catalogue, "--against").runs
+
+
+def against(request: Validate, over: str, folder: Path) -> AgainstPart:
+    """Recompute the runs that `over` names, by a path pattern or a query of the catalogue, into a folder.
+
+    A run without a stored result is computed with the default estimator, and not compared. Raises `Refused`
+    if no run is found.
+    """
+    by_estimator: dict[str, list[str]] = {}
+    for run in _past_runs(request, over):
+        stored = stored_calibration(Path(run), [])
+        by_estimator.setdefault(_known(GLS if stored is None else stored.estimator), []).append(run)
+    rows: list[dict[str, Any]] = []
+    for estimator, runs in by_estimator.items():
+        rows += _rows(BatchCalibrate(over=runs, out=folder / estimator, estimator=estimator))
+    compared = [row for row in rows if row["estimator_stored"] is not None and row["failed"] is None]
+    return AgainstPart(
+        over=[over],
+        runs=len(rows),
+        compared=len(compared),
+        threshold_u=THRESHOLD_U,
+        changed=[_changed(row) for row in compared if _differs(row)],
+        failed={row["run"]: row["failed"] for row in rows if row["failed"] is not None},
+    )
+
+
+def _known(estimator: str) -> str:
+    try:
+        return find_estimator(estimator).name
+    except CalibrationError:
+        return GLS  # an estimator that is not installed here: the default estimator replaces it
+
+
+def _rows(request: BatchCalibrate) -> list[dict[str, Any]]:
+    job_of(request).checked()
+    carried_out(request, lambda notes: None)
+    with asked_of(request.out) as ask:
+        return rows_of(
+            ask,
+            "SELECT run, failed, estimator_stored, largest_change_in_u, largest_change_of, verdict_stored, "
+            "verdict, verdict_differs FROM changes ORDER BY run",
+        )
+
+
+def _differs(row: dict[str, Any]) -> bool:
+    """Return whether a result changed by more than the threshold, has another verdict, or cannot be compared."""
+    change = row["largest_change_in_u"]
+    return change is None or change > THRESHOLD_U or bool(row["verdict_differs"])
+
+
+def _changed(row: dict[str, Any]) -> ChangedRun:
+    change = row["largest_change_in_u"]
+    return ChangedRun(
+        run=row["run"],
+        largest_change_in_u=-1.0 if change is None or math.isnan(change) else change,
+        largest_change_of=row["largest_change_of"] or "unknown",
+        verdict_stored=row["verdict_stored"],
+        verdict=row["verdict"],
+    )
 
 
 def _of_past_runs(part: AgainstPart) -> ValidationCheck:
@@ -170,6 +237,9 @@ def _of_past_runs(part: AgainstPart) -> ValidationCheck:
         change=True,
         took_s=0.0,
     )
+
+
+# --- what is written ----------------------------------------------------------------------------------
 
 
 def _write(result: ValidationResult, folder: Path, began: datetime) -> tuple[list[str], Seal]:

@@ -15,7 +15,7 @@ from bench.services.instruments import CommissioningPlan, commission
 from bench.services.own_effects import simulated_truth
 from bench.validation.registry import Context, Finding, raised_at
 from bench.validation.registry import check as enter
-from drivers.interfaces import BenchError, VoltmeterSettings
+from drivers.interfaces import BenchError, Voltmeter, VoltmeterSettings
 from sim.bench import SimulatedBench
 from sim.scpi import never
 from sim.wires.faults import Fault, FaultKind
@@ -34,16 +34,12 @@ def commissioned(context: Context) -> Iterator[Finding]:
     result = commission(CommissioningPlan(context.bench, context.bench_path, folder, None))
     drivers = {section.name: section.driver for section in context.bench.instruments.all()}
     for one in result["findings"]:
-        name, figures = (
-            one["instrument"],
-            "; ".join(f"{f['what']} {f['value']:.4g} {f['unit']}" for f in one["figures"]),
-        )
+        name, state = one["instrument"], one["state"]
+        figures = "; ".join(f"{f['what']} {f['value']:.4g} {f['unit']}" for f in one["figures"])
         words = f"{one['said']}" + (f" ({figures})" if figures else "")
-        where = f"{name}, driver {drivers.get(name, 'unknown')}"
-        yield Finding(
-            one["state"] in _WELL, words, of=f"{name}, {one['check']}", where=where, expected=one["state"]
-            if one["state"] in _WELL else "works",
-        )  # fmt: skip
+        of, where = f"{name}, {one['check']}", f"{name}, driver {drivers.get(name, 'unknown')}"
+        expected = state if state in _WELL else "works"
+        yield Finding(state in _WELL, words, of=of, where=where, expected=expected)
     if result["ended"]:
         yield Finding(False, result["ended"], of="the whole session", expected="goes to its end")
 
@@ -111,19 +107,31 @@ _NUMBER: Final = re.compile(rb"(?<=[ ,])[+-]?\d+(?:\.\d+)?")
 def other_settings(context: Context) -> Iterator[Finding]:
     """Let each voltmeter apply another number than the one sent: the program must notice the wrong setting."""
     bench = context.bench
-    with dry_bench(bench, simulated_truth(bench, None), 1) as assembly:
+    settings = VoltmeterSettings(bench.voltmeter_range_v, 10.0, bench.least_samples + 1)
+    for meter, simulated in _voltmeters(context):
+        _mishear(simulated, meter.name)
+        try:
+            meter.configure(settings)
+            yield Finding(False, "were taken as made", of=meter.name, where=meter.name)
+        except BenchError as refusal:
+            yield _refused_by(meter, refusal)
+
+
+def _voltmeters(context: Context) -> Iterator[tuple[Voltmeter, SimulatedBench]]:
+    """Yield each voltmeter of the bench, open, and the simulated bench."""
+    with dry_bench(context.bench, simulated_truth(context.bench, None), 1) as assembly:
         for meter in assembly.instruments.voltmeters:
-            if assembly.simulated is None:
+            if (simulated := assembly.simulated) is None:
                 continue
             meter.open()
-            _mishear(assembly.simulated, meter.name)
             try:
-                meter.configure(VoltmeterSettings(bench.voltmeter_range_v, 10.0, bench.least_samples + 1))
-                yield Finding(False, "were taken as made", of=meter.name, where=meter.name)
-            except BenchError as refusal:
-                yield Finding(refusal.instrument == meter.name, str(refusal), of=meter.name, where=meter.name)
+                yield meter, simulated
             finally:
                 meter.close()
+
+
+def _refused_by(meter: Voltmeter, refusal: BenchError) -> Finding:
+    return Finding(refusal.instrument == meter.name, str(refusal), of=meter.name, where=meter.name)
 
 
 def _mishear(bench: SimulatedBench, name: str) -> None:
@@ -140,19 +148,12 @@ def _mishear(bench: SimulatedBench, name: str) -> None:
 def overload(context: Context) -> Iterator[Finding]:
     """Overload the input of each voltmeter during a reading: the program must not accept the samples as numbers."""
     bench = context.bench
-    with dry_bench(bench, simulated_truth(bench, None), 1) as assembly:
-        for meter in assembly.instruments.voltmeters:
-            if assembly.simulated is None or not meter.name:
-                continue
-            meter.open()
-            meter.configure(VoltmeterSettings(bench.voltmeter_range_v, QUICK_NPLC, bench.least_samples))
-            assembly.simulated.arm(Fault(FaultKind.OVERLOAD, probability=1.0, instrument=meter.name))
-            try:
-                meter.start()
-                found = str(meter.fetch())
-                passed = False
-            except BenchError as refusal:
-                found, passed = str(refusal), refusal.instrument == meter.name
-            finally:
-                meter.close()
-            yield Finding(passed, found, of=meter.name, where=meter.name)
+    settings = VoltmeterSettings(bench.voltmeter_range_v, QUICK_NPLC, bench.least_samples)
+    for meter, simulated in _voltmeters(context):
+        meter.configure(settings)
+        simulated.arm(Fault(FaultKind.OVERLOAD, probability=1.0, instrument=meter.name))
+        try:
+            meter.start()
+            yield Finding(False, str(meter.fetch()), of=meter.name, where=meter.name)
+        except BenchError as refusal:
+            yield _refused_by(meter, refusal)

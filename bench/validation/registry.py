@@ -14,6 +14,7 @@ from __future__ import annotations
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
@@ -62,13 +63,10 @@ class Context:
     release_key: Path | None = None
     shared: dict[str, Any] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def bench(self) -> BenchFile:
         """The bench file, loaded. Raises `FileMistakes`."""
-        if "bench" not in self.shared:
-            self.shared["bench"] = load_bench(self.bench_path)
-        bench: BenchFile = self.shared["bench"]
-        return bench
+        return load_bench(self.bench_path)
 
 
 Act = Callable[[Context], Finding | Iterable[Finding]]
@@ -129,9 +127,7 @@ class Check:
 TABLE: Final[list[Check]] = []
 """All checks, in the order in which their modules were imported."""
 
-MODULES: Final = (
-    "reference", "gum", "statistics", "instruments", "records", "certificates", "machine", "changes",
-)  # fmt: skip
+MODULES: Final = ("reference", "gum", "statistics", "instruments", "records", "machine")
 """The modules that define checks, in the order of the page."""
 
 

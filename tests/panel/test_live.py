@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient
 
-from bench.panel.access import STATE, Access, Role, Settings
+from bench.panel.access import STATE, Access, Person, Role, Settings
 from bench.panel.app import make_app
+from bench.panel.holding import change
 from bench.panel.run_events import Tail
 from bench.panel.stream import Follower, Followers, as_live
 from bench.run.events import EVENTS, MANIFEST, RecordError
@@ -147,10 +148,10 @@ def append(folder, data):
 
 def all_of(follower):
     follower.look()
-    while follower.judge():
+    while follower.residuals.judge_next():
         pass
     state = follower.state()
-    return {key: value for key, value in state.items() if key not in MOMENTS}, follower.points()
+    return {key: value for key, value in state.items() if key not in MOMENTS}, follower.residuals.plotted
 
 
 def test_a_line_counts_once_it_is_whole(growing, lines):
@@ -186,7 +187,7 @@ def test_followed_line_by_line_it_is_what_it_is_at_once(growing, lines):
     for line in lines:
         append(growing, line)
         follower.look()
-        follower.judge()
+        follower.residuals.judge_next()
     little_by_little, points = all_of(follower)
     at_once, all_points = all_of(Follower(growing))
     assert little_by_little == at_once
@@ -239,7 +240,8 @@ def test_all_who_look_share_a_follower_and_hear_what_is_new(growing, lines):
     append(growing, b"".join(lines[:9]))
 
     async def look():
-        followers = Followers(lambda folder: {"control": {"holder": "anna"}})
+        change(growing, "take", Person("anna", Role.OPERATOR))
+        followers = Followers()
         streams = [followers.stream(growing) for _ in range(3)]
         first = [await anext(stream) for stream in streams]
         assert len(followers._shared) == 1
@@ -258,7 +260,7 @@ def test_all_who_look_share_a_follower_and_hear_what_is_new(growing, lines):
     assert len(set(first)) == len(set(second)) == 1
     told = json.loads(second[0].split(b"data: ", 1)[1])
     assert told["events"] == 12
-    assert told["control"] == {"holder": "anna"}
+    assert told["control"]["holder"] == "anna"
 
 
 def test_a_record_that_cannot_be_read_is_said_to_who_looks(growing, lines):

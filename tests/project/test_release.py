@@ -13,7 +13,7 @@ import pytest
 from bench.base.files import to_text
 from bench.run.seal import new_key, private_key, sign
 from bench.services import validated
-from bench.validation.changes import release
+from bench.validation.machine import release
 from bench.validation.registry import Context
 from release import upgrade
 from release.bill import bill, licences
@@ -60,7 +60,7 @@ def here():
 @pytest.fixture
 def released(here, tmp_path, monkeypatch):
     """Write a signed manifest of this very program; return the context of a validation against it."""
-    monkeypatch.setattr("bench.validation.changes.fingerprint", lambda: here)
+    monkeypatch.setattr("bench.validation.machine.fingerprint", lambda: here)
     key = tmp_path / "keys" / "release.pem"
     public, _ = new_key(key, None)
     manifest = {"program": here.files, "packages": {name: one.version for name, one in here.packages.items()}}

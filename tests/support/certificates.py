@@ -3,8 +3,8 @@
 import shutil
 from pathlib import Path
 
-from bench.validation.certificates import UNITS as ORDER
-from bench.validation.certificates import write_files
+from bench.validation.records import UNITS as ORDER
+from bench.validation.records import write_files
 
 __all__ = ["ORDER", "RECORDED", "copy_run", "write_files"]
 

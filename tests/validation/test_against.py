@@ -10,7 +10,7 @@ from bench.batch import outcome
 from bench.batch.work import worked
 from bench.services.errors import Refused
 from bench.services.requests.documents import Validate
-from bench.validation.against import against
+from bench.validation.conduct import against
 from benchmarks.validation_faults import edited
 from tests.support.certificates import copy_run
 from tests.support.commands import printed

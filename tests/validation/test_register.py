@@ -15,7 +15,7 @@ from bench.services import validated
 from bench.services.chain import LINES, Entry, opened
 from bench.services.errors import Refused
 from bench.services.validated import ACCEPTED, WITHDRAWN, Validations
-from bench.validation.certificates import write_files
+from bench.validation.records import write_files
 
 FORK = multiprocessing.get_context("fork")
 

@@ -7,7 +7,7 @@ import pytest
 
 from bench.run.seal import read_seal
 from bench.validation import conduct, registry
-from bench.validation.certificates import write_files
+from bench.validation.records import write_files
 from bench.validation.registry import TABLE, Check, Finding
 from tests.support.commands import printed, refused
 from tests.support.schemas import keeps_to

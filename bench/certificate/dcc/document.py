@@ -19,10 +19,7 @@ _PLACE: Final = f"{NAMESPACES['dcc']} {NAMESPACES['dcc']}/v{VERSION}/dcc.xsd"
 
 
 def document_of(certificate: Certificate) -> bytes:
-    """Return the unsigned DCC (XML) of a numbered certificate: the same bytes for the same certificate.
-
-    Raises `ValueError` for a draft, or if laboratory, order, unit or calibration days are not stated.
-    """
+    """Return the unsigned DCC (XML) of a complete, numbered certificate, always the same. Raises `ValueError`."""
     laboratory, order, unit, issue, days = (
         certificate.laboratory, certificate.order, certificate.unit, certificate.issue, certificate.calibrated,
     )  # fmt: skip

@@ -16,7 +16,7 @@ from lxml import etree
 
 from bench.base.text import visible
 from bench.certificate.content import Attached
-from bench.certificate.laboratory import SIMULATED_SERIES, Texts
+from bench.certificate.laboratory import SIMULATED_SERIES, Texts, in_each
 from bench.certificate.signatures import SIGNATURE, parser
 from bench.services.coefficients import impossible
 from bench.services.errors import Refused
@@ -32,7 +32,7 @@ CELSIUS: Final = r"\degreecelsius"
 AMPERE: Final = r"\ampere"
 MS2: Final = r"\metre\second\tothe{-2}"
 
-_OURS: Final = {
+SI_UNITS: Final = {
     "V": VOLT, "V/g": VOLT, "g/V": PER_VOLT, "counts": ONE, "counts/g": ONE, "g/counts": ONE, "g": ONE, "g/g": ONE,
     "m/s^2": MS2, "m/s^2/g": MS2, "g/(m/s^2)": r"\metre\tothe{-1}\second\tothe{2}", "rad": RADIAN, "deg": DEGREE,
     "°C": CELSIUS, "A": AMPERE, "m/s²": MS2, "": ONE,
@@ -57,13 +57,8 @@ _POWER: Final = re.compile(r"\\([a-z]+)(?:\\tothe\{(-?\d+)\})?")
 _WORD: Final = re.compile(r"\\([a-z]+)(?:\{([+-]?\d+)\})?")
 
 
-def si_unit(unit: str) -> str:
-    """Return the D-SI notation of a unit of results. Raises `KeyError` for any other unit."""
-    return _OURS[unit]
-
-
 def product(first: str, second: str) -> str:
-    r"""Return the unit of the product of two units in `_OURS`, as for a covariance: `\volt\tothe{2}`."""
+    r"""Return the unit of the product of two units in `SI_UNITS`, as for a covariance: `\volt\tothe{2}`."""
     powers: dict[str, int] = {}
     for name, power in _POWER.findall(first + second):
         if name != "one":
@@ -94,9 +89,7 @@ def read_unit(text: str) -> tuple[float, dict[str, int]]:
 
 
 def _parts(text: str) -> list[tuple[int, str, int]]:
-    """Return power of ten (prefix), name and exponent of each unit in a D-SI text. Raises `ValueError` for
-    any other text.
-    """
+    """Return power of ten (prefix), name and exponent of each unit in a D-SI text. Raises `ValueError`."""
     parts: list[tuple[int, str, int]] = []
     scale, sign = 0, 1
     for word, power in _WORD.findall(text):
@@ -150,9 +143,15 @@ def clean(text: str) -> str:
     return " ".join(visible(text).split()) or "–"
 
 
-def said(texts: Iterable[Texts], key: str, **values: object) -> tuple[Node, ...]:
-    """Return the text `key` of a certificate as `dcc:content` elements, one for each language."""
-    return tuple(node("dcc:content", one.say(key, **values), lang=one.language) for one in texts)
+def said(texts: Sequence[Texts], key: str, **values: object) -> tuple[Node, ...]:
+    """Return the text `key` of a certificate as `dcc:content` elements, one for each language, as `in_each`."""
+    return in_languages(texts, in_each(texts, key, **values))
+
+
+def in_languages(texts: Sequence[Texts], words: Iterable[str]) -> tuple[Node, ...]:
+    """Return `words`, one wording for each language of `texts`, as `dcc:content` elements."""
+    languages = (one.language for one in texts)
+    return tuple(node("dcc:content", text, lang=of) for text, of in zip(words, languages, strict=True))
 
 
 def plain(text: str) -> Node:
@@ -399,10 +398,7 @@ _STAND_INS: Final = {
 
 @dataclass(frozen=True)
 class Schemas:
-    """The compiled schemas of a folder.
-
-    `stood_in` names the imported schemas that are missing; empty ones replace them.
-    """
+    """The compiled schemas of a folder; `stood_in` names imported ones that are missing and left empty."""
 
     folder: Path
     checker: etree.XMLSchema

@@ -44,11 +44,7 @@ class DocumentReading:
 
 
 def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
-    """Read a DCC from XML or PDF; return its root element and a note on the signature.
-
-    If the DCC is signed, only the signed content is returned. Raises `Refused` if the file cannot be read, is not
-    a DCC, or has an invalid signature.
-    """
+    """Return the (signed) root of a DCC in XML or PDF, and a note. Raises `Refused` if unreadable or not intact."""
     try:
         with refusing("check name and permissions", path, verb="read"):
             content = read_regular(path, MOST_BYTES)
@@ -173,9 +169,7 @@ def _about(root: Node) -> dict[str, str]:
 
 
 def said(root: Node, path: str) -> str:
-    """Return the text at `path` in a document as one line with control characters visible; "" if there is
-    none.
-    """
+    """Return the text at `path` in one line, with control characters visible; "" if there is none."""
     return " ".join(visible(root.findtext(path, "", NAMESPACES)).split())
 
 
@@ -274,10 +268,7 @@ class Section:
 
 
 def section_of(path: Path, root: Node) -> Section:
-    """Return the section `certificate` of an instrument from its DCC.
-
-    Raises `Refused` if the document does not state number, laboratory or date.
-    """
+    """Return an instrument's section `certificate` from its DCC. Raises `Refused` without number or date."""
     stated: dict[str, Any] = {**_about(root)}
     lacking = [name for name, text in stated.items() if not text]
     if lacking:
@@ -302,10 +293,7 @@ def _serial(root: Node) -> str:
 
 
 def _values(path: Path, root: Node) -> tuple[list[dict[str, str]], list[str]]:
-    """Return rows of corrections for a bench file, and notes on tables that must be copied by hand.
-
-    The rows are corrections of the head's angles (deg, arcsec) or of temperatures (degC, K).
-    """
+    """Return rows of corrections (deg and arcsec, or degC and K), and notes on tables to be copied by hand."""
     try:
         tables = list(_tables(root))
     except NotRead as error:

@@ -7,6 +7,7 @@ import binascii
 import math
 from collections.abc import Iterator, Sequence, Sized
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -29,17 +30,18 @@ from bench.certificate.content import (
 )
 from bench.certificate.dcc import nodes
 from bench.certificate.dcc.nodes import (
+    SI_UNITS,
     Node,
     byte_data,
     ellipsoidal,
+    in_languages,
     node,
     plain,
     real,
     real_list,
     said,
-    si_unit,
 )
-from bench.certificate.laboratory import Texts
+from bench.certificate.laboratory import Texts, in_each
 from bench.certificate.signatures import NoCertificate, NotIntact, parser
 from bench.readings.table import Readings
 from bench.results.certificate import CertificateSays, CertifiedCoefficient
@@ -93,20 +95,9 @@ def _measured(certificate: Certificate, found: RunFindings, prefix: str) -> Node
 
 def _method(texts: Sequence[Texts], found: RunFindings) -> Node:
     method = found.method
-    words = tuple(
-        node(
-            "dcc:content",
-            one.say(
-                "method_text",
-                procedure=method.procedure or one.say("procedure_unknown"),
-                plan=method.plan_hash or "–",
-                estimator=method.estimator,
-                model=method.model,
-            ),
-            lang=one.language,
-        )
-        for one in texts
-    )
+    procedure, plan = method.procedure or in_each(texts, "procedure_unknown"), method.plan_hash or "–"
+    told = {"procedure": procedure, "plan": plan, "estimator": method.estimator, "model": method.model}
+    words = said(texts, "method_text", **told)
     return node(
         "dcc:usedMethod",
         node("dcc:name", *said(texts, "method")),
@@ -145,7 +136,7 @@ def _instrument(texts: Sequence[Texts], one: Instrument) -> Node:
 
 
 def _condition(texts: Sequence[Texts], one: Condition, status: str) -> Node:
-    unit = si_unit(one.unit)
+    unit = SI_UNITS[one.unit]
     shown = [real(end, unit, one.u) for end in dict.fromkeys((one.low, one.high))]
     ends = ["value"] if len(shown) == 1 else ["minimum", "maximum"]
     quantities = [
@@ -199,7 +190,8 @@ def _per_ms2(found: RunFindings) -> Values:
     covariance = own.covariance * np.outer(scale, scale) + np.outer(of_g, of_g)
     per = {"V": nodes.VOLT_PER_MS2, "m/s^2": nodes.ONE}.get(own.unit, r"\metre\tothe{-1}\second\tothe{2}")
     named = {
-        one.name: si_unit(own.unit) if one.name.startswith("U0") else per for one in found.coefficients.values
+        one.name: SI_UNITS[own.unit] if one.name.startswith("U0") else per
+        for one in found.coefficients.values
     }
     dof = dof_through(own, np.diag(scale), of_g**2)
     return Values.of(named, values, covariance, found.coefficients.values[0].k, dof)
@@ -208,7 +200,7 @@ def _per_ms2(found: RunFindings) -> Values:
 def _listed(values: Values, certificate: Certificate) -> Node:
     """Return results as one D-SI list: names, values, U with k, and covariance matrix."""
     members = values.values
-    spelt = [one.unit if "\\" in one.unit else si_unit(one.unit) for one in members]
+    spelt = [one.unit if "\\" in one.unit else SI_UNITS[one.unit] for one in members]
     coverage = certificate.coverage
     listed = real_list(
         [one.value for one in members],
@@ -262,10 +254,7 @@ def _checked(texts: Sequence[Texts], verification: Verification) -> Node:
             "dcc:quantity",
             node("dcc:name", *said(texts, "delta_g")),
             delta,
-            node(
-                "dcc:measurementMetaData",
-                node("dcc:metaData", node("dcc:conformityXMLList", statements)),
-            ),
+            node("dcc:measurementMetaData", node("dcc:metaData", node("dcc:conformityXMLList", statements))),
             refType="bench_delta_g",
         ),
         _quantity(said(texts, "limit"), real(verification.limit_g, nodes.ONE), "limit"),
@@ -281,24 +270,12 @@ def _quantity(name: Node | Sequence[Node], quantity: Node, ref: str) -> Node:
 def _conformity(texts: Sequence[Texts], verification: Verification) -> Node:
     """Return the overall statement of conformity, with limit and decision rule."""
     statement, _ = stated(verification)
-    words = tuple(
-        node(
-            "dcc:content",
-            one.say(
-                "conformity_text",
-                points=len(verification.points),
-                limit=f"{verification.limit_g:g}",
-                statement=one.say(str(statement)),
-            )
-            + " "
-            + rule_said(one.say, verification.decision)
-            + "; "
-            + one.say("accepted" if verification.passed else "not_accepted")
-            + ".",
-            lang=one.language,
-        )
-        for one in texts
-    )
+    say = partial(in_each, texts)
+    points, limit = len(verification.points), f"{verification.limit_g:g}"
+    told = say("conformity_text", points=points, limit=limit, statement=say(str(statement)))
+    accepted = say("accepted" if verification.passed else "not_accepted")
+    parts = zip(told, rule_said(say, verification.decision), accepted, strict=True)
+    words = in_languages(texts, (f"{whole} {rule}; {verdict}." for whole, rule, verdict in parts))
     return node(
         "dcc:metaData",
         node("dcc:name", *said(texts, "conformity")),
@@ -311,18 +288,14 @@ def _conformity(texts: Sequence[Texts], verification: Verification) -> Node:
 
 
 def _uncertainty(certificate: Certificate) -> Node:
-    told = said(
-        certificate.texts,
-        "uncertainty_text",
-        k=f"{certificate.k:g}",
-        coverage=f"{100 * certificate.coverage:.4g}",
-    )
+    k, coverage = f"{certificate.k:g}", f"{100 * certificate.coverage:.4g}"
+    told = said(certificate.texts, "uncertainty_text", k=k, coverage=coverage)
     return node("dcc:metaData", node("dcc:declaration", *told), refType="bench_uncertainty")
 
 
 def _table(texts: Sequence[Texts], readings: Readings) -> Node:
     """Return the uncorrected readings, with a list for each column."""
-    unit = si_unit(readings.unit)
+    unit = SI_UNITS[readings.unit]
     columns: dict[str, tuple[Floats, str]] = {
         "series": (readings.series.astype(float), nodes.ONE),
         "pass": (readings.pass_number.astype(float), nodes.ONE),

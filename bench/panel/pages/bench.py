@@ -128,10 +128,7 @@ def form(request: Request) -> Response:
 
 
 def _begun(name: str, start: str, new_name: str = "") -> FormState:
-    """Return the unchanged form of the file `name`; without a name, that of a new file copied from `start`.
-
-    Raises `Refusal` if there is no such file.
-    """
+    """Return the form of the file `name`, else of a copy of the file `start`. Raises `Refusal` without it."""
     if name:
         base = read_file(own_file(CONFIG, name))
         return FormState(name, "", base, values=_values(base.text))
@@ -221,10 +218,7 @@ def _assign(state: FormState, given: Mapping[str, str], found: Findings) -> None
 
 
 def _place_of(target: str, values: dict[str, str]) -> str:
-    """Return the path of `target`, the instrument that gets a found resource, in the bench file.
-
-    The number of voltmeters chosen in `values` is changed if `target` demands it.
-    """
+    """Return the path of `target`, which gets a found resource; change the number of voltmeters if it must."""
     if target in {"head", "chamber"}:
         return f"instruments.{target}"
     if target == "scanner":
@@ -253,12 +247,8 @@ def _write(panel: Panel, person: Person, state: FormState, expected: str) -> boo
         state.refusal = message(f"Not written: {state.placed.number} mistakes. See each at its field.")
         return False
     state.written = signed(state.written, person.name, utc_now())
-    if state.write(path, state.written, expected, panel.settings.runs / STATE):
-        return True
-    state.refusal = message(
-        "Not written: the file changed since this form was opened. See the difference below."
-    )
-    return False
+    changed = message("Not written: the file changed since this form was opened. See the difference below.")
+    return state.write(path, state.written, expected, panel.settings.runs / STATE, changed)
 
 
 def _form_page(request: Request, state: FormState) -> Response:

@@ -23,7 +23,15 @@ from bench.config.shipped import CONFIG, PROCEDURES
 from bench.panel.access import STATE, Person, Refusal, Role
 from bench.panel.bench_fields import BenchField, Group, placed
 from bench.panel.launching import choices
-from bench.panel.own_files import EditedFile, FileText, own_file, own_files, read_file, shipped_files
+from bench.panel.own_files import (
+    EditedFile,
+    FileText,
+    offered_procedures,
+    own_file,
+    own_files,
+    read_file,
+    shipped_files,
+)
 from bench.panel.procedure_fields import (
     Row,
     judged,
@@ -35,7 +43,6 @@ from bench.panel.procedure_fields import (
     with_copy,
     without_step,
 )
-from bench.panel.procedure_files import offered_procedures
 from bench.panel.round_trip import edited_text, signed
 from bench.panel.shared import Panel, acting, operator, page, panel_of
 from bench.run.sentences import duration
@@ -113,10 +120,7 @@ def form(request: Request) -> Response:
 
 
 def _begun(name: str, start: str, new_name: str) -> TableState:
-    """Return the unchanged table of the file `name`; without a name, that of a new file copied from `start`.
-
-    Raises `Refusal` if there is no such file.
-    """
+    """Return the table of the file `name`, else of a copy of the file `start`. Raises `Refusal` without it."""
     if name:
         base = read_file(own_file(PROCEDURES, name))
         return TableState(name, "", base, text=base.text)
@@ -211,12 +215,10 @@ def _write(panel: Panel, person: Person, state: TableState, expected: str) -> bo
         state.refusal = message("Not written: there are mistakes, each shown beside its field.")
         return False
     state.text = signed(state.text, person.name, utc_now())
-    if state.write(path, state.text, expected, panel.settings.runs / STATE):
-        return True
-    state.refusal = message(
+    changed = message(
         "Not written: the file was changed since this table was shown. Look at the difference below."
     )
-    return False
+    return state.write(path, state.text, expected, panel.settings.runs / STATE, changed)
 
 
 def _named(state: TableState) -> str:

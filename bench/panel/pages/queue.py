@@ -20,8 +20,8 @@ from bench.config.shipped import CONFIG, PROCEDURES
 from bench.panel.access import Person, Refusal, Role
 from bench.panel.folder import RunRow
 from bench.panel.launching import choices, chosen_bench, chosen_procedure
+from bench.panel.own_files import offered
 from bench.panel.pages.start import printable, wished
-from bench.panel.procedure_files import offered
 from bench.panel.queue import DUTY, OFF_DUTY, SWITCHED_ON, DayNote, QueueItem, new_item
 from bench.panel.shared import Panel, acting, looking, page, panel_of
 from bench.run.events import RecordError
@@ -249,11 +249,7 @@ def _check_block(bench: BenchFile, runs: Sequence[RunRow]) -> list[str]:
 
 
 async def changed(request: Request) -> Response:
-    """Carry out an action on the queue.
-
-    The action adds units, removes finished ones, notes who is on duty or that a bench is on, or puts damaged
-    files aside.
-    """
+    """Add units, remove finished ones, note who is on duty or that a bench is on, or put damaged files aside."""
     person, sent = await acting(request, Role.OPERATOR)
     await run_in_threadpool(_changed, panel_of(request), person, sent)
     return RedirectResponse("/queue", status_code=303)
@@ -295,10 +291,7 @@ def _asked(panel: Panel, person: Person, sent: dict[str, str]) -> list[QueueItem
 
 
 async def item_changed(request: Request) -> Response:
-    """Begin, move, remove or put back an item. "Begin" starts only the check of the item.
-
-    Another button, shown after the check, starts the run.
-    """
+    """Begin, move, remove or put back an item; to begin starts only its check, after which the run can start."""
     person, sent = await acting(request, Role.OPERATOR)
     to = await run_in_threadpool(
         _item_changed, panel_of(request), person, request.path_params["item"], sent.get("do", "")

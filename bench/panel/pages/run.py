@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Any, Final, TypeVar
+from urllib.parse import quote
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -41,10 +42,7 @@ MOST_STREAMS: Final = 30
 
 
 def run_of(request: Request) -> Run:
-    """Return the run in a request's address.
-
-    Raises `Refusal` if nobody is signed in, and if there is no such run.
-    """
+    """Return the run in a request's address. Raises `Refusal` if nobody is signed in or there is no such run."""
     looking(request)
     return panel_of(request).runs.run(request.path_params["name"])
 
@@ -108,10 +106,7 @@ async def stream(request: Request) -> Response:
 async def _as_long_as_signed_in(
     request: Request, events: AsyncIterator[bytes], name: str
 ) -> AsyncIterator[bytes]:
-    """Yield `events` until the person signs out or the token is revoked; count the person's streams.
-
-    An unreadable run is reported as an event, because the response has begun: it can no longer be a refusal.
-    """
+    """Yield `events` while the person may look, and count the streams; an unreadable run becomes an event."""
     streams = panel_of(request).streams
     streams[name] += 1
     try:
@@ -134,10 +129,7 @@ async def check_answer(request: Request) -> Response:
 
 
 def checked(asked: AskedPrompt | None, prompt_id: str, text: str) -> dict[str, str]:
-    """Return the `problem` with an answer ("" if acceptable), and how the answer is `understood`.
-
-    Raises `Refusal` (409) if the question is no longer open.
-    """
+    """Return the `problem` with an answer and how it is `understood`. Raises `Refusal` (409) if it is late."""
     if asked is None or asked.prompt.id != prompt_id:
         raise Refusal(409, message("this question is closed; load the page again"))
     return {
@@ -170,10 +162,7 @@ async def answer(request: Request) -> Response:
 
 
 async def wish(request: Request) -> Response:
-    """Store a wish, such as pause or stop, for the program that carries out a run.
-
-    Everybody may stop the run; other wishes need control of the run.
-    """
+    """Store a wish for the program that carries out a run; all but stop (by anybody) need control of the run."""
     person, sent = await acting(request, Role.VIEWER)
     run = panel_of(request).runs.run(request.path_params["name"])
     word, reason = sent.get("wish", "").strip(), " ".join(sent.get("reason", "").split())
@@ -204,10 +193,7 @@ async def control(request: Request) -> Response:
 
 
 async def resume(request: Request) -> Response:
-    """Resume a run that no program carries out.
-
-    The person must have control of the run, and gets control if nobody has it.
-    """
+    """Resume a run that no program carries out; the person must have control of it, or take it from nobody."""
     person, _ = await acting(request, Role.OPERATOR)
     run = panel_of(request).runs.run(request.path_params["name"])
     await _doing(_hold, run, person)
@@ -253,6 +239,4 @@ def _done(request: Request, run: Run, what: str) -> Response:
     """Return the response to a successful request: a script gets a sentence, a form the page of the run."""
     if wants_json(request):
         return JSONResponse({"done": what})
-    from urllib.parse import quote
-
     return RedirectResponse(f"/runs/{quote(run.name)}/", status_code=303)

@@ -33,8 +33,7 @@ from bench.panel.launching import (
     start,
     start_run,
 )
-from bench.panel.own_files import own_files
-from bench.panel.procedure_files import offered_procedures
+from bench.panel.own_files import offered_procedures, own_files
 from bench.panel.shared import Panel, acting, operator, page, panel_of
 from bench.run.sentences import duration
 from bench.services.requests.measuring import RunRequest
@@ -121,7 +120,7 @@ def wished(panel: Panel, person: Person, sent: Mapping[str, str], queued: str = 
     for one in map(form_field, FORM):
         if one.kind == "flag":
             given[one.name] = sent.get(one.name, "") == "yes"
-        elif one.kind == "text" and (text := _text(sent, one.name)):
+        elif one.kind == "text" and (text := printable(sent.get(one.name, ""), one.name)):
             given[one.name] = text
     wanted = WantedRun(given, queued=queued).hashed()
     name_of(wanted, panel.runs)
@@ -174,10 +173,6 @@ def _begun(panel: Panel, person: Person, wish: WishFolder) -> str:
     if not read_holding(run.folder).holder:
         change(run.folder, "take", person)
     return run.name
-
-
-def _text(sent: Mapping[str, str], name: str) -> str:
-    return printable(sent.get(name, ""), name)
 
 
 def printable(text: str, name: str) -> str:

@@ -1,4 +1,4 @@
-"""The pages after a run: the verdict, the report, the diagnosis, the certificates, the next measurement."""
+"""The pages after a run: verdict, report, diagnosis, certificates, next measurement, plots with their numbers."""
 
 from __future__ import annotations
 
@@ -7,16 +7,21 @@ from urllib.parse import quote
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import RedirectResponse, Response
+from starlette.responses import JSONResponse, RedirectResponse, Response
 
 from bench.base.languages import message
+from bench.base.numbers import without_infinity
+from bench.certificate.register import NumberStatus
 from bench.panel.access import Refusal, Role
-from bench.panel.folder import Issued, read_page
+from bench.panel.folder import read_page
 from bench.panel.launching import NEXT
 from bench.panel.launching import diagnose as begin
+from bench.panel.outcome import previous_calibration
 from bench.panel.pages.run import run_of
+from bench.panel.plots import FORMS, live_table, plots_of, sections_of, table_of, written
 from bench.panel.results import DIAGNOSIS, REPORT, figure_of, is_plain, results_of
 from bench.panel.shared import APART, acting, page, panel_of
+from bench.panel.stream import COVERAGE
 from bench.run.events import RunState
 from bench.run.folder import Run
 from bench.services.errors import Refused
@@ -103,13 +108,54 @@ async def diagnose(request: Request) -> Response:
     return RedirectResponse(f"/runs/{quote(run.name)}/verdict#diagnosis", status_code=303)
 
 
-def _certificates(request: Request, run: Run) -> tuple[tuple[Issued, ...], str]:
+def _certificates(request: Request, run: Run) -> tuple[dict[str, NumberStatus], str]:
     """Return the certificates of a run, and the reason if they cannot be read."""
     try:
         return panel_of(request).certificates.of(run), ""
     except Refused as why:
-        return (), str(why)
+        return {}, str(why)
 
 
 def _apart(content: bytes, kind: str) -> Response:
     return Response(content, media_type=kind, headers=APART)
+
+
+# --- plots --------------------------------------------------------------------------------------------
+
+LIVE = "live"
+"""The table of the residuals from predictions, which the live page of a run plots."""
+
+
+async def plots(request: Request) -> Response:
+    """Show the plots of a finished run; the script then asks for their numbers."""
+    found = run_of(request)
+    return page(request, "plots.html.j2", run=found, sections=sections_of(found))
+
+
+async def data(request: Request) -> Response:
+    """Send the numbers of a run's plots, see `bench.panel.plots.plots_of`."""
+    found = run_of(request)
+    return JSONResponse(await run_in_threadpool(plots_of, found, panel_of(request).runs))
+
+
+async def previous(request: Request) -> Response:
+    """Send the readings minus their predictions by the unit's previous calibration, for the live page."""
+    found, panel = run_of(request), panel_of(request)
+    earlier = await run_in_threadpool(previous_calibration, found, panel.runs)
+    points = () if earlier is None else await panel.followers.points(earlier.folder)
+    told = {"run": earlier.name if earlier else "", "k": COVERAGE, "points": points}
+    return JSONResponse(without_infinity(told))
+
+
+async def table(request: Request) -> Response:
+    """Send the numbers of a plot as a CSV file or an Excel workbook."""
+    found, panel = run_of(request), panel_of(request)
+    name, form = request.path_params["table"], request.path_params["form"]
+    if form not in FORMS:
+        raise Refusal(404, message("no such form of a table; choose one of the page"))
+    if name == LIVE:
+        rows = live_table(without_infinity(await panel.followers.points(found.folder)))
+    else:
+        rows = table_of(await run_in_threadpool(plots_of, found, panel.runs), name)
+    content = await run_in_threadpool(written, rows, name, form, simulated=found.simulated)
+    return Response(content, media_type=FORMS[form], headers={"content-disposition": "attachment"})

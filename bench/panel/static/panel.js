@@ -4,6 +4,7 @@
   const live = document.getElementById("live");
   if (!live) return;
   const $ = (id) => document.getElementById(id);
+  const { made } = BenchDrawing;
   const me = { name: live.dataset.person, role: live.dataset.role, csrf: live.dataset.csrf };
   const LATE_S = 5, OPEN_AGAIN_S = 7, MOST_OUTCOMES = 120;
   const MARKS = { ready: "○", running: "▶", paused: "❚❚", finished: "✓", failed: "✗", interrupted: "■", aborted: "✗", dead: "✗" };
@@ -21,12 +22,6 @@
 
   const put = (id, told) => { const at = $(id), text = _(told); if (at.textContent !== text) at.textContent = text; };
   const show = (id, shown) => { $(id).hidden = !shown; };
-  const made = (name, text, kind) => {
-    const one = document.createElement(name);
-    if (text !== undefined) one.textContent = _(text);
-    if (kind) one.className = kind;
-    return one;
-  };
   const seconds = (s) => {
     if (s >= 3600) return _(`${Math.floor(s / 3600)} h ${String(Math.floor(s % 3600 / 60)).padStart(2, "0")} min`);
     if (s >= 60) return _(`${Math.floor(s / 60)} min ${String(Math.floor(s % 60)).padStart(2, "0")} s`);

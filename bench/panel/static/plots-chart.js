@@ -6,7 +6,7 @@
    sets: [{ name, points }], of which one is shown; grey: null, { name, points } or { name, load }, which fetches the points.
    A point: { value: [], u: [] or null, U: [] or null, angle, time, order, where, group, pass, struck, passed }. */
 const BenchPlots = (() => {
-  const { SHAPES, el, withU, plain, degrees, draw, drawLabel, isOutside } = BenchDrawing;
+  const { SHAPES, el, made, withU, plain, degrees, draw, drawLabel, isOutside } = BenchDrawing;
   const NEAR = { mouse: 24, touch: 44, pen: 30 }, DRAGGED = 8, TALL = 24, STEP = 1.6;
   const NO_ZOOM = () => ({ angle: null, time: null, value: null, y: [null, null, null] });
   let charts = 0;
@@ -18,12 +18,6 @@ const BenchPlots = (() => {
     return 2 * Math.exp(-k * k / 2) / Math.sqrt(2 * Math.PI) * tail;
   };
 
-  const made = (name, text, kind) => {
-    const one = document.createElement(name);
-    if (text !== undefined) one.textContent = _(text);
-    if (kind) one.className = kind;
-    return one;
-  };
   const button = (text, act, pressed) => {
     const one = made("button", text, "quiet");
     one.type = "button";

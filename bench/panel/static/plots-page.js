@@ -3,14 +3,9 @@
 (() => {
   const page = document.getElementById("plots-page");
   if (!page) return;
+  const { made } = BenchDrawing;
   const here = page.dataset.here, XYZ = ["x", "y", "z"], BOTH = ["angle", "time"];
 
-  const made = (name, text, kind) => {
-    const one = document.createElement(name);
-    if (text !== undefined) one.textContent = _(text);
-    if (kind) one.className = kind;
-    return one;
-  };
   let count = 0;
   const section = (title, told, spec) => {
     const one = made("section", undefined, "card plots"), head = made("h2", title), place = made("div");

@@ -16,6 +16,13 @@ const BenchDrawing = (() => {
     return made;
   };
 
+  const made = (name, text, kind) => {
+    const one = document.createElement(name);
+    if (text !== undefined) one.textContent = _(text);
+    if (kind) one.className = kind;
+    return one;
+  };
+
   /* --- numbers in words ------------------------------------------------------------------------------------------- */
 
   const scaleFor = (largest, unit) => {
@@ -254,5 +261,5 @@ const BenchDrawing = (() => {
     return texts;
   };
 
-  return { SHAPES, el, withU, plain, degrees, lines, draw, drawLabel, isOutside };
+  return { SHAPES, el, made, withU, plain, degrees, draw, drawLabel, isOutside };
 })();

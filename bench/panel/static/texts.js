@@ -32,10 +32,7 @@ const _ = (() => {
     const form = forms.length > 1 ? forms[FORMS[rules.select(Number(count === undefined ? 2 : count))]] : forms[0];
     return form.replace(/\{(\d+)\}/g, (whole, name) => (name in values ? values[name] : whole));
   };
-  const known = (text) => {
-    if (exact.has(text)) return fill(exact.get(text), {});
-    return null;
-  };
+  const known = (text) => (exact.has(text) ? fill(exact.get(text), {}) : null);
   const copied = (text, surely = true) => {
     for (const { names, pattern, forms, sure } of filled) {
       if ((sure >= SURE) !== surely) continue;
