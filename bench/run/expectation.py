@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.calibration.design import coefficient_columns
 from bench.model.conditions import Conditions, Mounting
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block, Installation
@@ -142,15 +143,15 @@ class ReadingJudgement(NamedTuple):
         return np.minimum(self.chi2, most) + self.log_det
 
 
+@dataclass
 class Expectation:
     """The states of m Kalman filters ("members"); each member supposes a different mistake, or none.
 
     `mean` (m, 17) and `covariance` (m, 17, 17) have the 12 coefficients (V/g, V), then the 5 stand angles (rad).
     """
 
-    def __init__(self, mean: Floats, covariance: Floats) -> None:
-        self.mean = mean
-        self.covariance = covariance
+    mean: Floats
+    covariance: Floats
 
     @classmethod
     def about(cls, block: Block, u: Floats) -> Expectation:
@@ -204,9 +205,7 @@ class Expectation:
         force = pose.force + (pose.slopes[..., :SETTING] @ angles)[..., 0]
         by_angle = self.scale_factors @ pose.slopes
         design = np.zeros((*np.broadcast_shapes(force.shape, self.mean[:, :3].shape), STATE))
-        for channel in range(3):
-            design[:, channel, 3 * channel : 3 * channel + 3] = force
-            design[:, channel, 9 + channel] = 1.0
+        design[:, :, :COEFFICIENT_COUNT] = coefficient_columns(force)
         design[:, :, COEFFICIENT_COUNT:] = by_angle[..., :SETTING]
         expected = (self.scale_factors @ force[..., None])[..., 0] + self.mean[:, 9:12] + pose.addition
         residual = signal_v - expected

@@ -125,6 +125,14 @@ def read_history(folder: Path) -> History:
     return reader.history(path, problems)
 
 
+def trusted(history: History, folder: Path) -> History:
+    """Return the history of a run. Raises `RecordError` if a line of the record or an input was changed."""
+    if history.problems:
+        problems = "; ".join(history.problems)
+        raise RecordError(f"{folder}: the record cannot be trusted; restore it from a copy: {problems}")
+    return history
+
+
 class _Reader:
     """Reader of a record's lines up to the first invalid line."""
 
@@ -334,12 +342,7 @@ class Record:
             raise RecordError(f"{folder}: not a run (no {MANIFEST} in it)")
         record = cls(folder, now, shield)
         try:
-            history = read_history(folder)
-            if history.problems:
-                raise RecordError(
-                    f"{folder}: the record cannot be trusted; restore it from a copy: "
-                    f"{'; '.join(history.problems)}"
-                )
+            history = trusted(read_history(folder), folder)
             record._go_on_after(history)
         except BaseException:
             record.close()
