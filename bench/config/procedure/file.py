@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from pydantic import (
     AfterValidator,
-    BeforeValidator,
     Discriminator,
     Field,
     Tag,
@@ -27,7 +26,7 @@ from bench.base.units import (
     TemperatureC,
     VoltageV,
     above_zero,
-    parse_quantity,
+    reads,
 )
 from bench.base.yaml_files import FileModel
 from bench.config.procedure.plan import KINDS, OnFailure, OperatorTime
@@ -96,7 +95,7 @@ class TemperatureSettle(SettleForm):
     """Settling of the temperature at the block; the precision is in K."""
 
     what: Literal["temperature"] = "temperature"
-    precision: Annotated[float, BeforeValidator(lambda text: parse_quantity(text, TEMPERATURE_DIFFERENCE))]
+    precision: Annotated[float, reads(TEMPERATURE_DIFFERENCE)]
     interval: DurationS = 60.0
 
 
