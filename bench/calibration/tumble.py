@@ -18,7 +18,7 @@ from bench.calibration import gls
 from bench.calibration.above_1g import AboveOneG, join
 from bench.calibration.budget.coefficients import meters_of, parts_of
 from bench.calibration.budget.sources import hidden_sources
-from bench.calibration.budget.whole import GRAVITY, NOT_IN_VOLTS, VOLTS, MeasuredReadings
+from bench.calibration.budget.whole import GRAVITY, NOT_IN_VOLTS, MeasuredReadings
 from bench.calibration.calibrate import first_guess, usable_rows
 from bench.calibration.design import FIXED, Problem, make_problem
 from bench.calibration.noise import require_told
@@ -30,6 +30,7 @@ from bench.model.effects.base import AppliedEffect
 from bench.model.forward import ForwardModel
 from bench.model.geometry import COEFFICIENTS, HIDDEN, STAND_ANGLES, Block
 from bench.readings.centrifuge import CentrifugePoints
+from bench.readings.corrected import VOLTS
 from bench.readings.table import Readings
 
 LINEAR: Final = ("K1", "Ki_j", "Ki_k", "K0")

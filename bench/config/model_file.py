@@ -447,6 +447,7 @@ def _written_value(parameter: Parameter, value: Any, u: Any) -> str | dict[str, 
 
 
 UNNAMED: Final = "unnamed_"
+"""Prefix of the name of an unnamed effect."""
 WIDENED: Final = ("tau", "lag")
 """Shape parameters whose grid, in a named effect, is half the value found, this value and twice this value."""
 

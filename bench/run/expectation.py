@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from bench.base.arrays import CHANNELS, Floats, Mask
-from bench.calibration.design import coefficient_columns
+from bench.calibration.design import STEP_RAD, coefficient_columns
 from bench.model.conditions import Conditions, Mounting
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block, Installation
@@ -29,8 +29,6 @@ STATE: Final = COEFFICIENT_COUNT + len(STAND_ANGLES)
 
 STATED_WORTH: Final = 12.0
 """Weight of the stated noise sizes, in degrees of freedom of repeats."""
-
-_STEP_RAD: Final = 1e-5
 
 
 class ExpectedPose(NamedTuple):
@@ -64,14 +62,14 @@ def poses(
     }
     angles = np.repeat(angle_rad, columns)
     conditions = replace(row, mounts=mounts, mount=np.arange(rows), angle_rad=angles, **repeated)
-    errors = np.tile(_STEP_RAD * np.eye(columns, SETTING + 1, k=-1), (variants, 1))
+    errors = np.tile(STEP_RAD * np.eye(columns, SETTING + 1, k=-1), (variants, 1))
     stand_rad, setting_rad = errors[:, :SETTING], errors[:, SETTING]
     force = model.specific_force(conditions, stand_rad, block, setting_rad)
     addition = np.zeros_like(force)
     if model.effects:
         addition = model.readings(block, conditions, stand_rad, setting_rad) - block.output(force)
     force = force.reshape(variants, columns, 3)
-    slopes = (force[:, 1:] - force[:, :1]) / _STEP_RAD
+    slopes = (force[:, 1:] - force[:, :1]) / STEP_RAD
     return ExpectedPose(force[:, 0], np.swapaxes(slopes, 1, 2), addition.reshape(variants, columns, 3)[:, 0])
 
 

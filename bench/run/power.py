@@ -35,6 +35,7 @@ WATCH_S: Final = 10.0
 IN_RUSH_S: Final = 2.0
 """Time from switching on to the first check of the rails, s; the inrush current has then decayed."""
 NAP_S: Final = 1.0
+"""Longest sleep during a wait, s, so that the operator's commands and Ctrl-C take effect soon."""
 
 SET_AGAIN: Final = message("switch off and set again")
 STAYED_ON: Final = message("it stayed on")

@@ -38,7 +38,7 @@ from bench.run.person import (
     confirm,
     raised,
 )
-from bench.run.power import UnitPower, take_up
+from bench.run.power import NAP_S, UnitPower, take_up
 from bench.run.record import Record, ResumePoint
 from bench.run.resume import (
     PlanProgress,
@@ -49,7 +49,7 @@ from bench.run.resume import (
     redo_from,
 )
 from bench.run.samples import Settling
-from bench.run.workbench import NAP_S, BenchSetup, Workbench
+from bench.run.workbench import BenchSetup, Workbench
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces import BadReading, InstrumentLost, InstrumentRefused
 from drivers.person import Person

@@ -28,6 +28,7 @@ from bench.calibration.result import Calibration, SourceOfError
 from bench.config.bench_file.file import BenchFile
 from bench.model import Block, Conditions, ForwardModel
 from bench.model.geometry import COEFFICIENTS, modulus_slopes
+from bench.readings.corrected import VOLTS
 from bench.readings.table import UNORIENTED, VERIFICATION, Readings
 
 GRAVITY: Final = "gravity"
@@ -35,7 +36,6 @@ METERS: Final = ("voltmeter_gain", "voltmeter_offset")
 """Sources whose error is the same whenever the same voltmeters read the block."""
 OF_BLOCK: Final = ("K2", "K3")
 """Sources whose error belongs to the block and is the same in every calibration and check."""
-VOLTS: Final = "V"
 
 
 @dataclass(frozen=True)
