@@ -320,18 +320,13 @@ def exact_monte_carlo(budget: Budget, trials: int, seed: int = 1) -> ExactResult
     """
     require_trials(trials)
     rng = np.random.default_rng(seed)
-    simulated = _Simulation(budget)
+    simulated = Simulation(budget)
     sizes = tracked(list(batches(trials, BATCH)), "Monte Carlo trials")
     outputs = np.concatenate([simulated.outputs(count, rng) for count in sizes])
     found = summary(outputs)
     linear = _linear(budget)
     points = [f"Δg {np.degrees(a):g}°" for a in budget.setup.conditions.angle_rad[budget.setup.verification]]
     return ExactResult((*COEFFICIENTS, *points), linear, found, validate(linear, found, DIGITS))
-
-
-def exact_readings(budget: Budget, trials: int, rng: np.random.Generator) -> Floats:
-    """Return simulated readings (trials, n, 3), V, with every source of the budget drawn."""
-    return _Simulation(budget).readings(trials, rng)
 
 
 def _linear(budget: Budget) -> Propagated:
@@ -346,7 +341,7 @@ def _linear(budget: Budget) -> Propagated:
     )
 
 
-class _Simulation:
+class Simulation:
     """A Monte Carlo simulation of a budget's bench, many trials at once."""
 
     def __init__(self, budget: Budget) -> None:
@@ -375,7 +370,7 @@ class _Simulation:
         return np.concatenate([coefficients, np.linalg.norm(force, axis=1) - 1.0], axis=1)
 
     def readings(self, trials: int, rng: np.random.Generator) -> Floats:
-        """Return simulated readings (trials, n, 3), V."""
+        """Return simulated readings (trials, n, 3), V, with every source of the budget drawn."""
         setup = self._setup
         n, mounts = len(setup.conditions), len(setup.conditions.mounts)
         stand = np.zeros((trials, mounts, len(STAND_ANGLES)))
