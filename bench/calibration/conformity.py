@@ -65,6 +65,7 @@ class Statement(StrEnum):
     CONDITIONAL_FAIL = message("conditional fail")
     INCONCLUSIVE = "inconclusive"
     NOT_COMPLETE = "not complete"
+    MISFIT = message("does not fit")
     FAIL = message("fail", "statement")
 
 

@@ -62,8 +62,8 @@ class VerificationPoint:
 
     @property
     def passed(self) -> bool:
-        """Whether the rule accepts the point."""
-        return abs(self.delta_g) <= self.accepted_up_to
+        """Whether the rule accepts the point; it accepts none if the model does not fit."""
+        return abs(self.delta_g) <= self.accepted_up_to and self.statement is not Statement.MISFIT
 
     @property
     def p_false_accept(self) -> float | None:
@@ -192,9 +192,9 @@ class Verification:
     def to_pass(self) -> LimitToPass | None:
         """The limit, or the u, with which the verification would pass, all else equal.
 
-        None if the verification passes or lacks points.
+        None if the verification passes, lacks points, or is of a model that does not fit.
         """
-        if self.passed or self.missing:
+        if self.passed or self.missing or self.statement is Statement.MISFIT:
             return None
         u, sizes = np.array([point.u for point in self.points]), np.abs(self._errors)
         known = MeasuredValues.of(u, self._dof, self.population)
@@ -231,6 +231,7 @@ def verify(
     dof: ArrayLike = np.inf,
     joint: Mapping[str, Floats] | None = None,
     population: Population | None = None,
+    fits: bool = True,
 ) -> Verification:
     """Return the verdict of the paper's check (9)-(10) on the verification rows of a table.
 
@@ -239,8 +240,9 @@ def verify(
     (12, 12) of the coefficients and from `reading_noise`, independent in each signal (unit of the signal; one
     size, or one per channel). `joint` replaces both: parts by name, (n, n) each, of the covariance of |a| at the
     points, in the gravity of the coefficients. The setting error of the head has no effect, because the modulus
-    does not depend on it. `rule` is one of `RULES`, a `DecisionRule`, or None for the default. Raises
-    `CalibrationError` if there is no verification row, K is singular or the rule is unknown.
+    does not depend on it. `rule` is one of `RULES`, a `DecisionRule`, or None for the default. Unless `fits`, the
+    coefficients contradict their own readings, and no point is accepted. Raises `CalibrationError` if there is no
+    verification row, K is singular or the rule is unknown.
     """
     rows = readings.verification()
     if len(rows) == 0:
@@ -270,6 +272,8 @@ def verify(
     k, outside = coverage_factor(known.dof), known.outside(errors, limit_g)
     accepted_up_to = decision.acceptance_limit(limit_g, known)
     statements = decision.statements(errors, limit_g, known)
+    if not fits:
+        statements = [one if one is Statement.FAIL else Statement.MISFIT for one in statements]
     points = tuple(
         VerificationPoint(
             angle_deg=float(np.degrees(rows.angle_rad[i])),

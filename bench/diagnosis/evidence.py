@@ -28,7 +28,7 @@ from bench.base.arrays import Floats, Ints
 from bench.base.computing import tracked
 from bench.base.files import write_whole
 from bench.diagnosis.candidates import KIND_PRIOR, Candidates
-from bench.diagnosis.levels import OFTEN
+from bench.diagnosis.levels import CHUNK, OFTEN
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.noise_grid import RATIOS, ColumnProducts, GramProducts, NoiseGrid, Whitener
 from bench.model import CATALOGUE
@@ -41,9 +41,6 @@ LOG_SIZE_WEIGHTS: Final = tuple(float(np.log(w)) for w in (0.6, 0.28, 0.12))
 
 KNOWN_SIZE: Final = max(SIZES)
 """Prior size, in plausible sizes, of an effect already in the model: the widest, so that data decide."""
-
-CHUNK: Final = 100
-"""Number of data sets or columns computed at once: 100 data sets, 3,000 columns and six ratios need 15 MB."""
 
 
 @dataclass(frozen=True)

@@ -54,3 +54,5 @@ LISTED: Final = 8
 """Largest number of entries of a list in a result."""
 LISTED_IN_SENTENCE: Final = 4
 """Largest number of entries that one sentence lists."""
+CHUNK: Final = 100
+"""Number of data sets or columns computed at once: 100 data sets, 3,000 columns and six ratios need 15 MB."""

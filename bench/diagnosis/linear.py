@@ -266,30 +266,32 @@ class LinearSystem:
     def stage_columns(
         self, of: AppliedEffect | Floats, stage: Stage, adds_to: str = "", *, of_force: bool = False
     ) -> Floats:
-        """Return the change of the rows by an effect or a time course at one stage of the model, linearised.
+        """Return the changes of the rows by an effect or by k time courses at one stage of the model, linearised.
 
-        `of` is either a course, one value per reading (n,), or an effect. An effect must act at the output of
-        the block or in the voltmeter, and must not depend on the path of the head.
+        `of` is either courses (n, k), a value per reading, or an effect, with k = 1. An effect must act at the
+        output of the block or in the voltmeter, and must not depend on the path of the head.
 
         At the stage of the stand, a course in rad is added to the stand angle named `adds_to`; at the stage of
-        the head, to the head angle. The result is (N, 1). At the output of the block, a course is an acceleration
-        in g, or with `of_force` a fraction of the specific force; in the voltmeter it is in the unit of the
-        signal. The result is then (N, 3), with a column for each channel in which the course may act.
+        the head, to the head angle. The result is (N, k, 1). At the output of the block, a course is an
+        acceleration in g, or with `of_force` a fraction of the specific force; in the voltmeter it is in the unit
+        of the signal. The result is then (N, k, 3), with a column for each channel in which the course may act.
         """
         force, by_angle = self._stand
         if stage in (Stage.STAND, Stage.HEAD_ANGLE):
             number = STAND_ANGLES.index(adds_to) if stage is Stage.STAND else -1
-            return self.view.rows_of(by_angle[:, :, number] * np.asarray(of)[:, None])[:, None]
+            return self.view.rows_of(by_angle[:, :, number, None] * np.asarray(of)[:, None])[:, :, None]
         of_block = stage is Stage.BLOCK_OUTPUT
         if isinstance(of, AppliedEffect):
-            change = of.addition(Seen(force if of_block else self._still, self.conditions, self.block))
+            change = of.addition(Seen(force if of_block else self._still, self.conditions, self.block))[
+                ..., None
+            ]
         else:
             change = np.repeat(of[:, None], 3, axis=1)
             if of_block:
-                change = change * np.diag(self.block.K) * (force if of_force else 1.0)
+                change = change * np.diag(self.block.K)[:, None] * (force[..., None] if of_force else 1.0)
         if of_block:
-            change = np.where(np.isnan(self.view.voltage_v), change, 0.0)
-        return self.view.rows_of(change[:, :, None] * np.eye(3))
+            change = np.where(np.isnan(self.view.voltage_v)[..., None], change, 0.0)
+        return self.view.rows_of(change[..., None] * np.eye(3)[:, None])
 
     @cached_property
     def _stand(self) -> tuple[Floats, Floats]:

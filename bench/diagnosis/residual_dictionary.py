@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import ARCSEC, MINUTE, Floats
+from bench.diagnosis.levels import CHUNK
 from bench.diagnosis.linear import LinearSystem
 from bench.model.conditions import Conditions
 from bench.model.effects import CATALOGUE, AppliedEffect, Parameter, Stage
@@ -138,40 +139,53 @@ def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
     A column (N,) is the change of the rows by a plausible size. Terms of the stand or the head are yielded
     for all channels only; terms that change no row are left out.
     """
-    of_courses: dict[TimeCourse, list[Floats]] = {}
-    for term in _terms(linear):
-        sizes = SIZE_NAMES[: len(term.expressions)]
-        each = dict(zip(sizes, _columns(linear, term, of_courses), strict=True))
-        if not any(np.any(column) for column in each.values()):
+    terms = list(_terms(linear))
+    for term, columns in zip(terms, _columns(linear, terms), strict=True):
+        if not any(np.any(column) for column in columns):
             continue
+        each = dict(zip(SIZE_NAMES, columns, strict=False))
         channels = range(3) if term.stage in WITH_CHANNELS else ()
         for channel in channels:
-            if any(np.any(each[size][:, channel]) for size in sizes):
-                yield term, (channel,), [(size, channel, each[size][:, channel]) for size in sizes]
-        yield term, (0, 1, 2), [(size, None, each[size].sum(axis=1)) for size in sizes]
+            if any(np.any(column[:, channel]) for column in columns):
+                yield term, (channel,), [(size, channel, column[:, channel]) for size, column in each.items()]
+        yield term, (0, 1, 2), [(size, None, column.sum(axis=1)) for size, column in each.items()]
 
 
 WITH_CHANNELS: Final = (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
 
 
-def _columns(
-    linear: LinearSystem, term: DictionaryTerm, of_courses: dict[TimeCourse, list[Floats]]
-) -> Iterator[Floats]:
-    """Yield, for each size of a term, the change of the rows by a plausible size: (N, 3) by channel, or (N, 1).
-
-    `of_courses` caches the courses, as each acts at many stages.
+def _columns(linear: LinearSystem, terms: Sequence[DictionaryTerm]) -> list[list[Floats]]:
+    """Return, for each size of each term, the change of the rows by a plausible size: (N, 3) by channel, or (N,
+    1).
     """
-    if term.course is None:
-        effect = term.effect("term", per_channel=term.stage in WITH_CHANNELS)
-        for size in SIZE_NAMES[: len(term.expressions)]:
-            value = np.full(3 if term.stage in WITH_CHANNELS else (), term.unit.plausible)
-            yield linear.stage_columns(AppliedEffect(effect, {size: value}), term.stage)
-        return
-    if term.course not in of_courses:
-        of_courses[term.course] = [_course(linear, text, term.constants) for text in term.course.expressions]
-    for course in of_courses[term.course]:
-        added = term.unit.plausible * course
-        yield linear.stage_columns(added, term.stage, term.adds_to, of_force=term.of_force)
+    columns: list[list[Floats]] = [[] for _ in terms]
+    of_courses: dict[TimeCourse, list[Floats]] = {}
+    places: dict[tuple[Stage, str, bool], list[tuple[int, Floats]]] = {}
+    for number, term in enumerate(terms):
+        if term.course is None:
+            columns[number] = list(_of_effect(linear, term))
+            continue
+        if term.course not in of_courses:
+            of_courses[term.course] = [
+                _course(linear, text, term.constants) for text in term.course.expressions
+            ]
+        added = [(number, term.unit.plausible * course) for course in of_courses[term.course]]
+        places.setdefault((term.stage, term.adds_to, term.of_force), []).extend(added)
+    for (stage, adds_to, of_force), added in places.items():
+        for start in range(0, len(added), CHUNK):
+            numbers, courses = zip(*added[start : start + CHUNK], strict=True)
+            changes = linear.stage_columns(np.stack(courses, axis=1), stage, adds_to, of_force=of_force)
+            for number, column in zip(numbers, np.moveaxis(changes, 1, 0), strict=True):
+                columns[number].append(column)
+    return columns
+
+
+def _of_effect(linear: LinearSystem, term: DictionaryTerm) -> Iterator[Floats]:
+    """Yield, for each size of a term of force or voltage, the change of the rows by a plausible size, (N, 3)."""
+    effect = term.effect("term", per_channel=True)
+    for size in SIZE_NAMES[: len(term.expressions)]:
+        applied = AppliedEffect(effect, {size: np.full(3, term.unit.plausible)})
+        yield linear.stage_columns(applied, term.stage)[:, 0]
 
 
 def _course(linear: LinearSystem, text: str, constants: tuple[Parameter, ...]) -> Floats:

@@ -30,6 +30,8 @@ LEAST_FOR_DRIFT: Final = 3
 LEAST_SPAN: Final = timedelta(days=1)
 """Least time span of calibrations for a drift; over a shorter time they show only scatter."""
 MOST_CONDITION: Final = 1e12
+ONE_TEMPERATURE_K: Final = 1.0
+"""Largest difference between temperatures, K, that counts as one temperature: the width of a chamber's band."""
 ALIKE: Final = 0.01
 """Two calibrations whose coefficients all agree within this fraction of u are not independent.
 
@@ -47,7 +49,8 @@ class Snapshot:
     `meters` are the meters' identities, empty if unknown. Each column of `block_terms` (12, q) is the error
     due to a one-u error of the block's nonlinearity K2 or K3; this error is the same in every calibration of
     the block. `wander` (3,) is the rms wander of each bias about its mean in the run. `dof` is the smallest
-    effective degrees of freedom of the nine intrinsic numbers. A snapshot in the nine intrinsic numbers has
+    effective degrees of freedom of the nine intrinsic numbers. `temperature_c` is the temperature at which the
+    coefficients hold, °C, NaN if unknown. A snapshot in the nine intrinsic numbers has
     arrays of nine instead of twelve; the biases come last in both.
     """
 
@@ -64,6 +67,7 @@ class Snapshot:
     block_terms: Floats | None = None
     wander: Floats | None = None
     dof: float = np.inf
+    temperature_c: float = np.nan
 
     def per(self, g_m_s2: float) -> Snapshot:
         """Return the snapshot with its scale factors in unit/g for a local g of `g_m_s2` (m/s²)."""
@@ -351,6 +355,12 @@ def _notes(snapshots: Sequence[Snapshot], *, dated: bool) -> tuple[str, ...]:
         )
     if len({snapshot.simulated for snapshot in snapshots}) > 1:
         notes.append("some of these calibrations are of simulated instruments, some of real ones")
+    known = sorted({round(s.temperature_c, 1) for s in snapshots if np.isfinite(s.temperature_c)})
+    if known and known[-1] - known[0] > ONE_TEMPERATURE_K:
+        notes.append(
+            f"the block was at {', '.join(f'{at:g}' for at in known)} °C: u leaves its temperature coefficients "
+            "out, so a change may be due to the temperature"
+        )
     others = sorted({s.g_m_s2 for s in snapshots if s.g_m_s2 != snapshots[0].g_m_s2})
     if others:
         listed = ", ".join(f"{g:.6g}" for g in others)

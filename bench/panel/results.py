@@ -35,6 +35,7 @@ _STATES: Final = {
     message("conditional fail"): "conditional",
     "inconclusive": "none",
     message("not complete"): "failed",
+    message("does not fit"): "failed",
     "fail": "failed",
 }
 _MARKS: Final = {"passed": "✓", "failed": "✗"}

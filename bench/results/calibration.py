@@ -231,6 +231,7 @@ class CalibrateResult(ResultModel):
         description="assumptions that these readings cannot test, and the error if they are wrong"
     )
     residual: WidenedFitPart
+    fits: bool = Field(default=True, description="false if the readings contradict the model")
     noise: NoisePart
     readings: parts.ReadingsPart
     model: str = Field(description="name of the forward model")
@@ -243,6 +244,9 @@ class CalibrateResult(ResultModel):
         default=None, description="bench file used; null for a result read from a certificate"
     )
     made_at: str | None = Field(description="time of the readings (ISO 8601), if known")
+    temperature_c: Real = Field(
+        default=None, description="mean temperature of the block in the fitted readings, °C; null if unknown"
+    )
     unit_under_test: parts.UnitPart | None
     simulated: bool = Field(description="whether the instruments were simulated")
     meters: list[str] = Field(description="identity and connection of each voltmeter; empty if not recorded")
@@ -274,6 +278,7 @@ def calibrate_result(found: Calibration, **made_from: Any) -> CalibrateResult:
         sources=[parts.uncertainty_source(source) for source in found.sources],
         not_observable=found.assumed,
         residual=WidenedFitPart.from_object(found.lack_of_fit, birge=found.birge),
+        fits=found.lack_of_fit.accepted(),
         noise=_noise(found),
         readings={"used": found.used, "skipped": found.skipped},
         free_positions=_free_positions(found),

@@ -86,6 +86,7 @@ STATES: Final = {
     Statement.CONDITIONAL_FAIL: "conditional",
     Statement.INCONCLUSIVE: "none",
     Statement.NOT_COMPLETE: "failed",
+    Statement.MISFIT: "failed",
     Statement.FAIL: "failed",
 }
 """The style of the verdict box for each statement."""

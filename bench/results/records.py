@@ -11,6 +11,7 @@ from rich.console import Console
 
 from bench.base.result_model import ResultModel
 from bench.base.tables import table
+from bench.base.text import civil_minute
 from bench.readings.columns import Rail
 from bench.readings.reading import Outlier
 from bench.results.parts import RecordPart, UnitPart
@@ -41,8 +42,11 @@ _LABELS: Final = {
     "until": "goals of the run",
     "check_block": "check block at the start",
     "files": "SHA-256 of the files",
+    "limit_g": "limit in g",
+    "guard_band": "guard band",
+    "false_acceptance": "false acceptance",
 }
-"""The label in `bench show` of each member of a manifest whose name does not explain it."""
+"""The label in `bench show` of each member of a manifest, or of a part of it, whose name does not explain it."""
 
 
 class RunPart(ResultModel):
@@ -58,7 +62,7 @@ class RunPart(ResultModel):
     readings: int
     verdict: str | None = Field(
         description="verdict at the run's own verification points: passed, conditional pass, conditional "
-        "fail, failed, inconclusive or not complete; null if there is none"
+        "fail, failed, inconclusive, not complete or does not fit; null if there is none"
     )
     to_go_on: str = Field(description="command that resumes the run; empty if nothing is left to do")
 
@@ -137,6 +141,7 @@ class ShowResult(RunPart):
         summary = {name: getattr(self, name) for name in RunPart.model_fields if name != "to_go_on"}
         summary["command to resume"] = self.to_go_on
         labelled = {**summary, **{_LABELS.get(name, name): value for name, value in run.manifest.items()}}
+        labelled["created"] = civil_minute(self.created)
         for label, value in labelled.items():
             if value not in ("", None):
                 out.print(f"{label.replace('_', ' ')}: {_text(value)}")
@@ -164,7 +169,7 @@ def _text(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, dict):
-        return ", ".join(f"{name} {part}" for name, part in value.items())
+        return ", ".join(f"{_LABELS.get(name, name)} {part}" for name, part in value.items())
     return str(value)
 
 

@@ -67,7 +67,7 @@ class VerdictPart(ResultModel):
     passed: bool = Field(description="whether all points were measured and are accepted by the rule")
     statement: Statement = Field(
         description="statement for the worst point; `inconclusive` if U exceeds the limit, `not complete` if "
-        "points are missing"
+        "points are missing, `does not fit` if the readings contradict the coefficients"
     )
     missing: int = Field(description="planned points that were not measured")
     U: float = Field(description="largest expanded uncertainty of the points, g")
@@ -168,6 +168,7 @@ HEADLINES: Final = {
     Statement.CONDITIONAL_FAIL: message("conditional fail"),
     Statement.INCONCLUSIVE: message("inconclusive"),
     Statement.NOT_COMPLETE: message("not complete"),
+    Statement.MISFIT: message("not accepted"),
     Statement.FAIL: message("failed"),
 }
 """The words for the overall verdict of a verification."""

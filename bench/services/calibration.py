@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -24,7 +25,7 @@ from bench.calibration.temperature import separate_temperatures
 from bench.config.bench_file.learned import PriorFile, load_prior
 from bench.model.effects import TEMPERATURE_EFFECTS
 from bench.model.geometry import COEFFICIENTS, Block
-from bench.readings.table import is_record
+from bench.readings.table import VERIFICATION, is_record
 from bench.results.calibration import (
     PriorPart,
     calibrate_result,
@@ -222,7 +223,26 @@ class CalibrationResult:
             own.block, own.covariance, own.noise.reading, own.g_m_s2, own.unit, self.source.simulated,
             own.covariance_same_meters if own.sources else None, self.source.meters, own.gravity_u,
             self.source.made_at or "", own.block_terms if own.sources else None, own.wander,
+            self.source.block_name, math.nan if self._temperature_effects else self.temperature_c, self.accepted,
+            self._joined_points,
         )  # fmt: skip
+
+    @property
+    def temperature_c(self) -> float:
+        """Mean temperature of the block in the fitted readings, °C; NaN if it is unknown."""
+        known = self.calibration.fitted.temperature_c
+        return float(np.mean(known[np.isfinite(known)])) if np.isfinite(known).any() else math.nan
+
+    @property
+    def _temperature_effects(self) -> list[str]:
+        names = [one.effect.name for one in self.source.model.effects]
+        return [name for name in names if name in TEMPERATURE_EFFECTS]
+
+    @property
+    def _joined_points(self) -> str:
+        """The name of the source if its verification points joined the fit, else ""."""
+        free = self.calibration.free
+        return self.source.name if free is not None and VERIFICATION in free.installation else ""
 
     @property
     def bench(self) -> str:
@@ -268,10 +288,9 @@ class CalibrationResult:
             **source.made_from(),
             **({} if source.run is None else {"record": source.run.record_head}),
             **({} if self.prior is None else {"prior": self.prior}),
-            temperature_effects=[
-                one.effect.name for one in source.model.effects if one.effect.name in TEMPERATURE_EFFECTS
-            ],
+            temperature_effects=self._temperature_effects,
             meters=source.meters,
+            temperature_c=self.temperature_c,
             notes=[*self._said, *source.readings.notes],
             skipped_rows=source.readings.skipped,
         ).to_dict()
@@ -416,7 +435,12 @@ def verification_of(
 
     The options `asked` replace those of run and bench file; `agreed` is the rule if none of these names one.
     """
-    from bench.services.verification import NOTHING_ASKED, judged, own_judgement  # takes long to import
+    from bench.services.verification import (  # takes long to import
+        NOTHING_ASKED,
+        judged,
+        own_judgement,
+        unsuitable,
+    )
 
     judgement = own_judgement(source, asked or NOTHING_ASKED, agreed=agreed)
     if coefficients is None:
@@ -426,9 +450,7 @@ def verification_of(
         from bench.services.coefficients import read_coefficients
 
         taken = read_coefficients(coefficients, source.readings.unit)
-        foreign = taken.simulated and not source.simulated
-        warning = f"the coefficients in {coefficients} were found on simulated instruments"
-        return judged(source, judgement, taken, warnings=(warning,) * foreign)
+        return judged(source, judgement, taken, warnings=tuple(unsuitable(taken, coefficients, source)))
     own = coefficients.calibration
     if own.unit != source.readings.unit:
         raise Refused(

@@ -15,10 +15,11 @@ from bench.base.arrays import CHANNELS, Floats
 from bench.base.files import from_text, read_given, write_whole
 from bench.base.numbers import read_number
 from bench.base.text import shortened
+from bench.calibration.result import NOT_ACCEPTED_P
 from bench.exchange.result import BlockResult
 from bench.model.effects import TEMPERATURE_EFFECTS
 from bench.model.geometry import COEFFICIENTS, Block
-from bench.readings.table import UNITS
+from bench.readings.table import UNITS, VERIFICATION
 from bench.run.events import MANIFEST
 from bench.services.errors import Refused, refusing
 
@@ -48,7 +49,10 @@ class Coefficients:
     the errors that cancel if the same meters read the block again; `meters` are the identities of the meters.
     Results of earlier versions have neither. Each column of `block_terms` (12, q) is the error of the
     coefficients due to one standard uncertainty of a nonlinearity K2 or K3 of the block. `wander` (3,) is the
-    rms wander of each bias during a run.
+    rms wander of each bias during a run. `block_name` is the type and serial number of the block, empty if not
+    recorded. `temperature_c` is the temperature at which the coefficients hold, °C; NaN if it is unknown or if a
+    model corrects for temperature. `fits` is false if the readings of the calibration contradict the model.
+    `joined` is the source whose verification points joined the fit, empty if there is none.
     """
 
     block: Block
@@ -63,6 +67,10 @@ class Coefficients:
     made_at: str = ""
     block_terms: Floats | None = None
     wander: Floats | None = None
+    block_name: str = ""
+    temperature_c: float = math.nan
+    fits: bool = True
+    joined: str = ""
 
 
 def read_coefficients(path: Path, unit: str) -> Coefficients:
@@ -120,6 +128,41 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
         _text(data.get("made_at")),
         _block_terms(data, where),
         _wander(data),
+        _block_name(data),
+        math.nan if data.get("temperature_effects") else _celsius(data.get("temperature_c")),
+        _fits(data),
+        _text(data.get("source")) if _joins_verification(data) else "",
+    )
+
+
+def _block_name(data: Any) -> str:
+    unit = data.get("unit_under_test")
+    block = unit if isinstance(unit, Mapping) else {}
+    return f"{_text(block.get('type'))} {_text(block.get('serial'))}".strip()
+
+
+def _celsius(value: object) -> float:
+    try:
+        return _number(value)
+    except ValueError:
+        return math.nan
+
+
+def _fits(data: Any) -> bool:
+    """Return whether the readings of a calibration fit the model; earlier versions state only the p-value."""
+    stated, residual = data.get("fits"), data.get("residual")
+    if isinstance(stated, bool):
+        return stated
+    p = residual.get("p") if isinstance(residual, Mapping) else None
+    return not (isinstance(p, float) and p < NOT_ACCEPTED_P)
+
+
+def _joins_verification(data: Any) -> bool:
+    free = data.get("free_positions")
+    rows = free.get("rows") if isinstance(free, Mapping) else None
+    return any(
+        isinstance(row, Mapping) and row.get("installation") == VERIFICATION
+        for row in (rows if isinstance(rows, list) else ())
     )
 
 
@@ -344,13 +387,10 @@ def snapshot_of(data: Any, name: str) -> Snapshot:
     from bench.history.comparison import Snapshot
 
     found = coefficients_of(data, name)
-    block = data.get("unit_under_test")
-    if not isinstance(block, dict):
-        block = {}
     return Snapshot(
         name,
         date_of(data.get("made_at"), name),
-        f"{block.get('type', '')} {block.get('serial', '')}".strip(),
+        found.block_name,
         found.unit,
         found.g_m_s2,
         found.block.vector,
@@ -361,6 +401,7 @@ def snapshot_of(data: Any, name: str) -> Snapshot:
         found.block_terms,
         found.wander,
         _least_dof(data),
+        found.temperature_c,
     )
 
 

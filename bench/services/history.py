@@ -424,12 +424,14 @@ def _snapshots(name: str, request: asked.Compare, taken: list[tuple[str, BenchTa
         return snapshots_in(Path(name))
     (source,) = load_sources(reading(request, name))
     taken.append((name, source.taken))
-    found = calibration_of(source).calibration
+    own = calibration_of(source)
+    found = own.calibration
     return [
         Snapshot(
             name, date_of(source.made_at, name), source.block_name, found.unit, found.g_m_s2, found.block.vector,
             found.covariance, source.simulated, found.covariance_same_meters, source.meters,
             found.block_terms if found.sources else None, found.wander, least_dof(found),
+            own.as_coefficients().temperature_c,
         )
     ]  # fmt: skip
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -20,6 +22,7 @@ from bench.calibration.noise import drifted
 from bench.calibration.verification import Verification
 from bench.calibration.verification import verify as check
 from bench.config.bench_file.file import BenchFile
+from bench.history.comparison import ONE_TEMPERATURE_K
 from bench.results import verification as shown
 from bench.run.events import VerdictAsked
 from bench.run.folder import Run
@@ -154,8 +157,9 @@ def _default_of(run: Run | None) -> DecisionRule:
 class VerificationResult:
     """Δg at the verification points of a source against the limit.
 
-    `warnings` are sentences on the coefficients used, `said` sentences on their uncertainty. `fit` is the
-    lack-of-fit test of coefficients from the same readings, None for coefficients of an earlier calibration.
+    `warnings` are sentences on unsuitable coefficients, `said` sentences on the uncertainty of coefficients of
+    another calibration. `fit` is the lack-of-fit test of coefficients from the same readings, None for coefficients
+    of another calibration.
     """
 
     source: Source
@@ -166,8 +170,8 @@ class VerificationResult:
 
     @property
     def accepted(self) -> bool:
-        """Whether the verification passed, and the coefficients (if known) fit their own readings."""
-        return self.passed and (self.fit is None or self.fit.accepted())
+        """Whether the verification passed, which it does not with coefficients that contradict their readings."""
+        return self.passed
 
     @property
     def passed(self) -> bool:
@@ -176,9 +180,10 @@ class VerificationResult:
 
     @property
     def statement(self) -> str:
-        """The overall statement: pass, conditional pass, conditional fail, fail, inconclusive or not complete.
+        """The overall statement: pass, conditional pass, conditional fail, fail, or why there is none.
 
-        It is inconclusive if U exceeds the limit, and not complete if a point was not measured.
+        It is "inconclusive" if U exceeds the limit, "not complete" if a point was not measured, and "does not
+        fit" if the readings of the calibration contradict the model.
         """
         return str(self.verification.statement)
 
@@ -206,13 +211,13 @@ class VerificationResult:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the reader of the result, a sentence each."""
-        return (*self.source.readings.notes, *self.source.readings.skipped, *self.sentences)
+        return (*self.said, *self.source.readings.notes, *self.source.readings.skipped, *self.sentences)
 
     def result(self) -> shown.VerifyResult:
         """Return the result of `bench verify`."""
         return shown.verify_result(
             self.verification,
-            notes=[*self.sentences, *self._against],
+            notes=[*self.warnings, *self.said, *self.sentences, *self._against],
             bench=self.source.taken.part(),
             corrections=self.source.traced.parts(),
         )
@@ -276,6 +281,7 @@ def judged(
         judgement.rule,
         joint=joint,
         population=judgement.population,
+        fits=taken.fits,
     )
     return VerificationResult(source, verdict, warnings, said, None if own is None else own.lack_of_fit)
 
@@ -286,13 +292,14 @@ def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[
     Errors of the same meters cancel, but the less, the longer ago the calibration, because meters drift.
     """
     known = taken.covariance if taken.same_meters is None else taken.same_meters
+    at_c = taken.temperature_c if math.isfinite(taken.temperature_c) else None
     part = drifted((taken.meters, _when(taken.made_at)), (source.meters, _when(source.made_at)))
     joint, said = np.zeros((0, 0)), ""
     for covariance, same, weight in ((known, True, 1.0 - part), (taken.covariance, False, part)):
         found = delta_g_elsewhere(
             taken.block, covariance, np.full(3, taken.noise), source.readings, source.bench, source.model,
             same_meters=same, day=source.traced.day, block_terms=taken.block_terms,
-            meters=source.known_meters,
+            meters=source.known_meters, calibrated_c=at_c,
         )  # fmt: skip
         joint = weight * found if same else joint + weight * found
     if taken.same_meters is None:
@@ -310,7 +317,41 @@ def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[
             "gravity", 0.0
         )
         joint = joint + taken.gravity_u**2 + there**2
-    return joint, (said,)
+    return joint, (said, *_on_temperature(taken, source))
+
+
+def _on_temperature(taken: Coefficients, source: Source) -> Iterator[str]:
+    """Yield a sentence if the block was at another temperature than at its calibration."""
+    at_c = source.readings.verification().temperature_c
+    if not np.isfinite(at_c).any() or not math.isfinite(taken.temperature_c):
+        return
+    now_c = float(np.nanmean(at_c))
+    if abs(now_c - taken.temperature_c) > ONE_TEMPERATURE_K:
+        yield (
+            f"calibrated at {taken.temperature_c:.1f} °C, verified at {now_c:.1f} °C: u contains the temperature "
+            "coefficients of the block for this difference"
+        )
+
+
+def unsuitable(taken: Coefficients, path: Path, source: Source) -> Iterator[str]:
+    """Yield a warning for coefficients from the file `path` that do not suit the readings of a source.
+
+    Raises `Refused` if they are of another block, or were fitted to the verification points that they shall verify.
+    """
+    if source.run is not None and taken.block_name and source.block_name not in ("", taken.block_name):
+        raise Refused(
+            f"{path}: coefficients of block '{taken.block_name}', but the readings are of block "
+            f"'{source.block_name}'; give the coefficients of this block"
+        )
+    if taken.joined and taken.joined == source.name and taken.made_at == (source.made_at or ""):
+        raise Refused(
+            f"{path}: the verification points of {source.name} joined the fit of these coefficients and cannot "
+            "verify them; calibrate without --join-verification"
+        )
+    if not taken.fits:
+        yield f"the readings that gave the coefficients in {path} contradict the model: no point is accepted"
+    if taken.simulated and not source.simulated:
+        yield f"the coefficients in {path} were found on simulated instruments"
 
 
 def _when(text: str | None) -> datetime | None:

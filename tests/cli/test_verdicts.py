@@ -117,8 +117,13 @@ def test_a_verdict_rests_on_coefficients_that_are_accepted(bench, unit):
     assert points[0] == rows[0]
     Path("curved.csv").write_text("\n".join([*rows, *points[1:]]))
     status, result = told(bench, "verify", "curved.csv", "--limit", "0.01", "--json", "-")
-    assert (status, result["passed"]) == (1, True)
+    assert (status, result["passed"], result["statement"]) == (1, False, "does not fit")
     assert any("bench diagnose curved.csv" in note for note in result["notes"])
+    # the file of these coefficients accepts no point of another day, either
+    assert bench("calibrate", "curved.csv", "--json", "curved.json")[0] == 1
+    status, result = told(bench, *unit, "--coefficients", "curved.json")
+    assert (status, result["passed"], result["statement"]) == (1, False, "does not fit")
+    assert "contradict the model: no point is accepted" in " ".join(result["notes"])
     # by coefficients of another day it is the points alone that count
     assert told(bench, "verify", "curved.csv", "--limit", "0.01", *unit[2:])[0] == 0
 

@@ -35,7 +35,7 @@ def test_a_message_on_the_page_is_one_of_the_program(quoted):
 
 
 def test_the_page_quotes_many_and_the_check_can_fail():
-    assert len(QUOTED) >= 20
+    assert len(QUOTED) >= 15
     assert not is_of_the_program("the voltmeter is out of sorts")
 
 

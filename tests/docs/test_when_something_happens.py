@@ -46,10 +46,8 @@ HELD_BY = {
         ),
         ("run/test_watched_questions.py", "test_an_answer_that_is_typed_while_a_look_is_under_way_counts"),
     ),
-    "power supply does not obey while the run closes the bench": (
+    "instrument refuses or ignores a command that makes it safe": (
         ("run/test_power.py", "test_a_supply_that_does_not_obey_on_the_way_out_is_told"),
-    ),
-    "instrument refuses a command that makes it safe": (
         ("conformance/test_making_safe.py", "test_each_command_that_makes_safe_fails_in_turn"),
     ),
     "block off while a run was stopped": (
@@ -65,13 +63,11 @@ HELD_BY = {
         ("run/test_runner.py", "test_resumed_with_the_instruments_still_off_a_run_stays_as_it_was"),
         ("run/test_commands_campaign.py", "test_no_record_is_lost_whatever_is_done"),
     ),
-    "run stopped at the task to mount the block": (
+    "power cut of the computer, SIGKILL": (
         (
             "run/test_runner.py",
             "test_stopped_at_the_task_to_mount_it_asks_for_that_mounting_and_not_for_the_one_before",
         ),
-    ),
-    "power cut of the computer, SIGKILL": (
         ("run/test_signals.py", "test_killed_and_resumed_it_ends_as_if_nothing_had_been"),
         ("cli/test_answers.py", "test_answers_from_two_places_and_a_kill_change_nothing"),
     ),

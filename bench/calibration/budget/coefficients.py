@@ -109,6 +109,11 @@ class Setup:
         problem = self.effect_problem
         return problem.jacobian(self.block, problem.prior_mean)[:, :, FIXED:]
 
+    @property
+    def calibrated_k(self) -> float:
+        """The mean temperature of the readings minus the reference temperature, K."""
+        return float(self.conditions.warmth_k.mean())
+
     def _angles(self, name: str | None = None, size_rad: float = 0.0) -> Floats:
         angles = np.zeros((len(self.conditions.mounts), len(STAND_ANGLES)))
         if name is not None:
@@ -301,6 +306,10 @@ class AnyReadings(Protocol):
         """Mounting, angle, time and temperature of each reading."""
 
     @property
+    def calibrated_k(self) -> float:
+        """The temperature for which the coefficients hold, minus the reference temperature of effects, K."""
+
+    @property
     def block(self) -> Block:
         """The block of the readings."""
 
@@ -352,7 +361,7 @@ def _same_angle(setup: AnyReadings) -> Ints:
 
 
 def _temperature(source: ErrorSource, seen: AnyReadings) -> _Patterns:
-    return _unknown_and_recorded(source, seen, seen.conditions.warmth_k)
+    return _unknown_and_recorded(source, seen, seen.conditions.warmth_k - seen.calibrated_k)
 
 
 def _room(source: ErrorSource, seen: AnyReadings) -> _Patterns:
@@ -373,15 +382,13 @@ def _room(source: ErrorSource, seen: AnyReadings) -> _Patterns:
 
 def _supply(source: ErrorSource, seen: AnyReadings) -> _Patterns:
     rail, above_v = int((source.factors or {})["rail"]) - 1, seen.conditions.above_nominal_v
-    return _unknown_and_recorded(
-        source, seen, above_v[:, rail] if rail < above_v.shape[1] else np.zeros(len(above_v))
-    )
+    recorded = above_v[:, rail] if rail < above_v.shape[1] else np.zeros(len(above_v))
+    return _unknown_and_recorded(source, seen, recorded - recorded.mean())
 
 
-def _unknown_and_recorded(source: ErrorSource, seen: AnyReadings, recorded: Floats) -> _Patterns:
-    """Return the patterns of two variations in time: an unknown one within limits, and the `recorded` one (n,)."""
+def _unknown_and_recorded(source: ErrorSource, seen: AnyReadings, known: Floats) -> _Patterns:
+    """Return the patterns of two variations in time: an unknown one within limits, and the `known` one (n,)."""
     courses = list(_unknown(seen.conditions.elapsed_s, source.correlation_s).T)
-    known = recorded - recorded.mean()
     if source.u > 0 and np.any(known):
         courses.append(known / source.u)
     return [pattern for course in courses for pattern in _warmed(source, seen, course)]

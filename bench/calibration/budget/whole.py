@@ -40,17 +40,29 @@ OF_BLOCK: Final = ("K2", "K3")
 
 @dataclass(frozen=True)
 class MeasuredReadings:
-    """Measured readings on which errors act; `block` converts their signals to forces."""
+    """Measured readings on which errors act; `block` converts their signals to forces.
+
+    `calibrated_c` is the block's temperature at another calibration, °C; None for coefficients of these readings.
+    """
 
     readings: Readings
     block: Block
     meters: tuple[int, int, int]
     setting_slope: Floats
+    calibrated_c: float | None = None
 
     @cached_property
     def conditions(self) -> Conditions:
         """Mounting, angle, time and temperature of each reading."""
         return self.readings.conditions()
+
+    @property
+    def calibrated_k(self) -> float:
+        """The temperature for which the coefficients hold, minus the reference temperature, K."""
+        own = self.conditions
+        return (
+            float(own.warmth_k.mean()) if self.calibrated_c is None else self.calibrated_c - own.reference_c
+        )
 
     @property
     def signal(self) -> Floats:
@@ -190,17 +202,18 @@ NOT_IN_VOLTS: Final = (
 def delta_g_elsewhere(
     block: Block, covariance: Floats, noise: Floats, readings: Readings, bench: BenchFile, model: ForwardModel,
     *, same_meters: bool, day: date | None = None, block_terms: Floats | None = None,
-    meters: KnownMeters | None = None,
+    meters: KnownMeters | None = None, calibrated_c: float | None = None,
 ) -> Floats:  # fmt: skip
     """Return the covariance (v, v) of |a|, local g², at verification rows judged by another day's coefficients.
 
     `covariance` (12, 12) and `noise` (3,) belong to the coefficients. With `same_meters`, the meters' gain and
     offset cancel, so `covariance` must exclude them; otherwise the gain and offset errors of today's meters are
     added. `block_terms` (12, q), as in `Calibration`, correlate the effect of K2 and K3 on the coefficients with
-    their effect on the readings at the points. All other errors of the readings count in full.
+    their effect on the readings at the points. `calibrated_c` is the temperature of the block, °C, at its
+    calibration, None if unknown. All other errors of the readings count in full.
     """
     rows = np.flatnonzero(readings.installation == VERIFICATION)
-    taken = MeasuredReadings(readings, block, meters_of(bench), np.zeros((len(readings), 3)))
+    taken = MeasuredReadings(readings, block, meters_of(bench), np.zeros((len(readings), 3)), calibrated_c)
     by_coefficient, by_signal = modulus_slopes(taken.force[rows], block)
     whole = by_coefficient @ covariance @ by_coefficient.T + np.diag(np.sum((by_signal * noise) ** 2, axis=1))
     if readings.unit != VOLTS:

@@ -54,6 +54,7 @@ _CONFORMITY: Final = {
     Statement.CONDITIONAL_FAIL: "conditionalFail",
     Statement.INCONCLUSIVE: "noPass",
     Statement.NOT_COMPLETE: "noPass",
+    Statement.MISFIT: "noPass",
     Statement.FAIL: "fail",
 }
 """The DCC's word for each statement; `noPass` if no statement can be made, and the declaration states why."""
