@@ -98,23 +98,10 @@ def shown(value: object) -> object:
 
 _DECIMAL: Final = re.compile(r"(?<![\w.])(\d+)\.(\d+)(?!\.?\d)(?![a-df-zA-DF-Z_])")
 _WORDS: Final = re.compile(r"[^\W\d_]+")
-_UNITS: Final = frozenset(
-    {
-        *"V g m s h d A K C W k p u U n e r σ χ",
-        "Δg",
-        "mV",
-        "µV",
-        "nV",
-        "mg",
-        "µg",
-        "ng",
-        "ms",
-        "min",
-        "°C",
-        "mA",
-    }
-    | {"kHz", "Hz", "ppm", "rad", "mrad", "µrad", "arcsec", "mm", "µm", "counts"}
-)
+_UNITS: Final = frozenset({
+    *"VgmshdAKCWkpuUnerσχ", "Δg", "mV", "µV", "nV", "mg", "µg", "ng", "ms", "min", "°C", "mA", "kHz", "Hz", "ppm",
+    "rad", "mrad", "µrad", "arcsec", "mm", "µm", "counts",
+})  # fmt: skip
 
 
 def is_numeric(text: str) -> bool:

@@ -547,12 +547,15 @@ def load_validated(path: Path, model: type[Model]) -> Model:
     return validated(load_document(path), model)
 
 
-def validated(document: Document, model: type[Model]) -> Model:
-    """Return a document's data as an instance of `model`. Raises `FileMistakes` with all its mistakes."""
+def validated(document: Document, model: type[Model], context: Any = None) -> Model:
+    """Return a document's data as an instance of `model`. Raises `FileMistakes` with all its mistakes.
+
+    The validators of `model` receive the `context` (`pydantic.ValidationInfo`).
+    """
     mistakes = list(document.mistakes)
     result = None
     try:
-        result = model.model_validate(document.data)
+        result = model.model_validate(document.data, context=context)
     except ValidationError as error:
         mistakes += [document.mistake(place, text) for place, text in explained(error, model, document.lines)]
     crossed = islice(model.cross_checks(document.data), MOST_TOLD)

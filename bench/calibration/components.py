@@ -173,15 +173,9 @@ def _basic(fit: Fit) -> list[_Term]:
             free.by_signal[:, c] * size
         )
         terms.append(_Term(NOISE, CHANNELS[c], columns, np.array([size])))
-    along = np.zeros((3 * n + len(free.left), n))
-    size = fit.noise.setting_rad or _typical(fit) / max(rms(np.linalg.norm(fit.slope, axis=1)), 1e-300)
-    for c in range(3):
-        along[3 * np.arange(n) + c, np.arange(n)] = fit.slope[:, c] * size
+    size = fit.noise.setting_rad or _angle(fit)
+    along = _along(np.arange(n), fit, size, len(free.left))
     return [*terms, _Term(SETTING, "all", along, np.array([size]))]
-
-
-def _typical(fit: Fit) -> float:
-    return rms(fit.noise.by_channel)
 
 
 def _further(conditions: Conditions, fit: Fit) -> Iterator[_Term]:
@@ -193,7 +187,8 @@ def _further(conditions: Conditions, fit: Fit) -> Iterator[_Term]:
     sizes = fit.noise.by_channel
     if np.bincount(settings).max() > 1:
         yield _Term("setting", "all", _by_group(settings, sizes, range(3), further), sizes)
-        yield _Term(ANGLE, "all", _along(settings, fit, further), np.array([_angle(fit)]))
+        size = _angle(fit)
+        yield _Term(ANGLE, "all", _along(settings, fit, size, further), np.array([size]))
     if len(np.unique(visits)) < n and np.bincount(visits).max() > 1:
         yield _Term("visit", "all", _by_group(visits, sizes, range(3), further), sizes)
     if len(np.unique(passes)) > len(conditions.mounts):
@@ -228,11 +223,12 @@ def _by_group(groups: Ints, sizes: Floats, channels: Any, further: int) -> Float
 
 
 def _angle(fit: Fit) -> float:
-    return _typical(fit) / max(rms(np.linalg.norm(fit.slope, axis=1)), 1e-300)
+    """Return the angle of the head, rad, whose signals are as large as the noise."""
+    return rms(fit.noise.by_channel) / max(rms(np.linalg.norm(fit.slope, axis=1)), 1e-300)
 
 
-def _along(groups: Ints, fit: Fit, further: int) -> Floats:
-    n, size = len(groups), _angle(fit)
+def _along(groups: Ints, fit: Fit, size: float, further: int) -> Floats:
+    n = len(groups)
     columns = np.zeros((3 * n + further, int(groups.max()) + 1))
     for c in range(3):
         columns[3 * np.arange(n) + c, groups] = fit.slope[:, c] * size

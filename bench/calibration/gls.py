@@ -424,10 +424,8 @@ def misfit_test(
     dof -= 3 * scatter.settings
     if noise.source != "repeats" or dof <= 0:
         return LackOfFit(size, float("nan"), max(dof, 0), float("nan"))
-    across = np.diag(noise.by_channel**2)
-    own = across + noise.setting_rad**2 * scatter.slope[:, :, None] * scatter.slope[:, None, :]
-    pure_error = float(np.einsum("gij,gji->", np.linalg.inv(own), scatter.matrix))
-    chi2 = max(misfit - pure_error, 0.0)
+    variances = np.array([*noise.by_channel**2, noise.setting_rad**2])
+    chi2 = max(misfit - scatter.chi_square(variances), 0.0)
     # the denominator is 1 by construction: the noise was estimated from the scatter of repeats
     return LackOfFit(size, chi2, dof, float(special.fdtrc(dof, noise.dof, chi2 / dof)))
 

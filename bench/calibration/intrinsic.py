@@ -17,7 +17,7 @@ from scipy import special
 from bench.base.arrays import Floats, u_of
 from bench.base.text import listed
 from bench.calibration.budget.whole import dof_through
-from bench.calibration.result import COVERAGE_FACTOR, Calibration, Derived
+from bench.calibration.result import COVERAGE_FACTOR, Calibration, Derived, through
 from bench.model.geometry import COEFFICIENTS, Block
 
 INTRINSIC: Final = ("Sx", "Sy", "Sz", "theta_xy", "theta_xz", "theta_yz", "bx", "by", "bz")
@@ -64,12 +64,6 @@ def intrinsic(block: Block, covariance: Floats) -> Derived:
             slope = -(axes[other] - cosine * axes[one]) / (S[one] * sine)
             rows[at, 3 * one : 3 * one + 3] = np.degrees(slope)
     return Derived(INTRINSIC, values, through(rows, covariance), rows)
-
-
-def through(jacobian: Floats, covariance: Floats) -> Floats:
-    """Return the covariance of linear combinations, J C J^T for the `jacobian` J, made exactly symmetric."""
-    found = jacobian @ covariance @ jacobian.T
-    return np.asarray(0.5 * (found + found.T))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -85,7 +85,8 @@ class KnownNoise:
         dof = np.asarray(own.channel_dof) if own.channel_dof is not None else np.full(3, own.reading_dof)
         if self.contradicts(own.by_channel, dof):
             return own
-        channels, whole = _pooled(own.by_channel, dof, self.channels, self.channel_dof)
+        whole = dof + self.channel_dof
+        channels = np.sqrt((dof * own.by_channel**2 + self.channel_dof * self.channels**2) / whole)
         setting = self._setting(own)
         x, y, z = channels.tolist()
         nx, ny, nz = whole.tolist()
@@ -112,11 +113,6 @@ class KnownNoise:
             return own.setting_rad
         weights = np.array([u_own, u_known]) ** -2.0
         return float(np.sqrt(weights @ np.array([own.setting_rad**2, known]) / weights.sum()))
-
-
-def _pooled(one: Floats, dof: Floats, other: Floats, other_dof: Floats) -> tuple[Floats, Floats]:
-    whole = dof + other_dof
-    return np.sqrt((dof * one**2 + other_dof * other**2) / whole), whole
 
 
 @dataclass(frozen=True)
@@ -206,6 +202,11 @@ class RepeatScatter:
     def settings(self) -> int:
         """Degrees of freedom of all repeats, in settings of the head (three signals each)."""
         return int(self.freedom.sum())
+
+    def chi_square(self, variances: Floats) -> float:
+        """Return the chi-square of the scatter for noise variances (4,) of x, y, z and of the setting (rad^2)."""
+        along = variances[3] * self.slope[:, :, None] * self.slope[:, None, :]
+        return float(np.einsum("gij,gji->", np.linalg.inv(np.diag(variances[:3]) + along), self.matrix))
 
     def is_close_to(self, other: RepeatScatter) -> bool:
         """Return whether another scatter of the same groups gives the same noise, to a part in a thousand."""

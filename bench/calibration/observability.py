@@ -323,27 +323,14 @@ class Sensitivities:
         return Observability(self.names, len(length) - null.shape[1], found, null)
 
 
-def observability(
-    problem: Problem,
-    block: Block,
-    *,
-    modulus: Conditions | None = None,
-    common: Collection[str] = (),
-    settings: bool = False,
-) -> Observability:
+def observability(problem: Problem, block: Block, *, modulus: Conditions | None = None) -> Observability:
     """Return which of the problem's unknowns are determined by readings under its conditions.
 
     The derivatives are taken at zero stand angles, where null vectors are exact, for the coefficients of
-    `block`. `modulus` are additional readings of which only |a| = 1 g is used. A stand angle named in
-    `common` is one unknown for all mountings. With `settings` the setting error of each point is an unknown,
-    the same in every pass. Raises `KeyError` for an installation that the model lacks.
+    `block`. `modulus` are additional readings of which only |a| = 1 g is used. Raises `KeyError` for an
+    installation that the model lacks.
     """
-    columns = columns_of(problem, block, modulus)
-    for name in common:
-        columns = _made_common(columns, SYMBOLS[name])
-    if settings:
-        columns = _with_settings(columns, problem, block)
-    return columns.observability(block)
+    return columns_of(problem, block, modulus).observability(block)
 
 
 def columns_of(problem: Problem, block: Block, modulus: Conditions | None = None) -> Sensitivities:
@@ -363,27 +350,6 @@ def columns_of(problem: Problem, block: Block, modulus: Conditions | None = None
         free = FreeRows(problem.model.readings(block, modulus, level), modulus)
         parts.append(typical * modulus_rows(replace(problem, free=free), block, others).jacobian)
     return Sensitivities(np.vstack(parts), (*COEFFICIENTS, *problem.names()))
-
-
-def _made_common(columns: Sensitivities, symbol: str) -> Sensitivities:
-    own = [name for name in columns.names if name.startswith(f"{symbol}[")]
-    merged = sum((columns.of(name) for name in own), np.zeros(len(columns.rows)))
-    rest = columns.without(own)
-    return Sensitivities(np.column_stack([rest.rows, merged]), (*rest.names, f"{symbol}[all]"))
-
-
-def _with_settings(columns: Sensitivities, problem: Problem, block: Block) -> Sensitivities:
-    conditions = problem.conditions
-    slope = problem.slope(block, problem.prior_mean)
-    places = np.stack([conditions.mount, conditions.point], axis=1)
-    added, names = [], []
-    for mount, point in dict.fromkeys(map(tuple, places.tolist())):
-        here = np.all(places == (mount, point), axis=1)
-        column = np.zeros(len(columns.rows))
-        column[: slope.size] = (slope * here[:, None]).ravel()
-        added.append(column)
-        names.append(f"alpha4[{conditions.mounts[mount]}, point {point}]")
-    return Sensitivities(np.column_stack([columns.rows, *added]), (*columns.names, *names))
 
 
 # --- assumptions in words -------------------------------------------------------------------------
@@ -423,7 +389,8 @@ def assumptions(problem: Problem, block: Block, gain: Floats, unit: str) -> tupl
 
     `gain` (12, n, 3) is the estimator's map from readings to coefficients.
     """
-    assumed = [name for name in _ASSUMED if not _is_unknown(problem, name)]
+    unknown = {STAND_ANGLES[s.column] for s in problem.stand}
+    assumed = [name for name in _ASSUMED if name not in unknown]
     columns = columns_of(with_angles(problem, assumed), block)
     beyond = [name for name in columns.names if name.startswith(tuple(f"{SYMBOLS[a]}[" for a in assumed))]
     sentences = [_absent(problem, columns, block, gain, unit, name) for name in assumed]
@@ -453,10 +420,6 @@ def unseen_coefficients(problem: Problem, block: Block) -> Floats:
     basis, size, _ = np.linalg.svd(found[:FIXED], full_matrices=False)
     basis = basis[:, size > _IN_SPAN * max(float(size.max(initial=0.0)), 1e-300)]
     return np.asarray(basis * (np.max(np.abs(block.K)) / np.max(np.abs(basis), axis=0, initial=1e-300)))
-
-
-def _is_unknown(problem: Problem, name: str) -> bool:
-    return any(STAND_ANGLES[s.column] == name for s in problem.stand)
 
 
 def _absent(

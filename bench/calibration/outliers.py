@@ -19,7 +19,7 @@ from scipy import special
 
 from bench.base.arrays import ARCSEC, Floats, Ints, unit_vectors
 from bench.calibration.design import Problem
-from bench.calibration.gls import MODULUS, SETTING, Estimator, Fit, Shift, WeightingTask, whitened_rows
+from bench.calibration.gls import MODULUS, SETTING, Estimator, Fit, Shift, whitened_rows
 from bench.calibration.noise import whiten
 from bench.calibration.result import Outlier
 from bench.readings.table import Readings
@@ -147,14 +147,10 @@ def _studentised(found: Floats, variance: Floats, whole: Floats) -> Floats:
     return np.asarray(np.where(free, np.abs(found) / np.sqrt(np.where(free, variance, 1.0)), 0.0))
 
 
-def _without_outliers(task: WeightingTask) -> Fit:
-    return search(task.problem, task.fit, task.refit, most_outliers(task.problem))
-
-
 ESTIMATOR: Final = Estimator(
     "robust",
     "gls without the weight of outliers",
-    _without_outliers,
+    lambda task: search(task.problem, task.fit, task.refit, most_outliers(task.problem)),
     drops_outliers=True,
     counts_as="gls",
 )

@@ -403,7 +403,7 @@ def inverse(block: Block, covariance: Floats) -> Derived:
     """
     N = np.asarray(np.linalg.inv(block.K), dtype=np.float64)
     slopes = inverse_jacobian(N)
-    return Derived(INVERSE, np.concatenate([N.ravel(), block.U0]), _through(slopes, covariance), slopes)
+    return Derived(INVERSE, np.concatenate([N.ravel(), block.U0]), through(slopes, covariance), slopes)
 
 
 def inverse_jacobian(N: Floats) -> Floats:
@@ -425,23 +425,10 @@ def misalignments(block: Block, covariance: Floats) -> Derived:
         values[row] = sign * vector[ij] / vector[ii]
         rows[row, ij] = sign / vector[ii]
         rows[row, ii] = -values[row] / vector[ii]
-    return Derived(tuple(MISALIGNMENTS), values, _through(rows, covariance), rows)
+    return Derived(tuple(MISALIGNMENTS), values, through(rows, covariance), rows)
 
 
-def specific_force_covariance(derived: Derived, signal: Floats, noise: float = 0.0) -> Floats:
-    """Return the covariance (n, 3, 3), g^2, of a = N (U - U0) for signals (n, 3).
-
-    It combines the covariance of `derived`, from `inverse`, and independent `noise` in each signal (1 sigma).
-    """
-    N, U0 = derived.values[:9].reshape(3, 3), derived.values[9:]
-    left = signal - U0
-    jacobian = np.zeros((len(signal), 3, len(INVERSE)))
-    for i in range(3):
-        jacobian[:, i, 3 * i : 3 * i + 3] = left
-    jacobian[:, :, 9:] = -N
-    return np.asarray(jacobian @ derived.covariance @ np.moveaxis(jacobian, 1, 2) + noise**2 * N @ N.T)
-
-
-def _through(jacobian: Floats, covariance: Floats) -> Floats:
-    through = jacobian @ covariance @ jacobian.T
-    return np.asarray(0.5 * (through + through.T))
+def through(jacobian: Floats, covariance: Floats) -> Floats:
+    """Return the covariance of linear combinations, J C J^T for the `jacobian` J, made exactly symmetric."""
+    found = jacobian @ covariance @ jacobian.T
+    return np.asarray(0.5 * (found + found.T))

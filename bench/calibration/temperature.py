@@ -215,7 +215,7 @@ class ThermalHysteresis(HasCovariance):
 
 @dataclass(frozen=True)
 class Compensated:
-    """Specific forces (n, 3), local g, with the covariance (n, 3, 3) due to model and thermometer."""
+    """Specific forces (n, 3), local g, with the covariance (n, 3, 3) due to the model."""
 
     specific_force: Floats
     covariance: Floats
@@ -280,14 +280,11 @@ class TemperatureModel:
         t = np.asarray(temperature_c, dtype=np.float64)
         return ~((t >= self.minimum_c) & (t <= self.maximum_c))
 
-    def compensate(
-        self, signal: Floats, temperature_c: float | Floats, u_temperature_k: float = 0.0
-    ) -> Compensated:
+    def compensate(self, signal: Floats, temperature_c: float | Floats) -> Compensated:
         """Return the specific forces for signals (n, 3) measured at one temperature or at temperatures (n,).
 
-        The covariance includes the coefficients, the hysteresis and the thermometer, whose standard uncertainty
-        relative to the calibration's thermometer is `u_temperature_k`, K. It excludes the noise of the signals,
-        which the caller adds. Raises `CalibrationError` for a temperature outside the valid range.
+        The covariance includes the coefficients and the hysteresis. It excludes the thermometer and the noise of
+        the signals. Raises `CalibrationError` for a temperature outside the valid range.
         """
         rows = np.asarray(signal, dtype=np.float64).reshape(-1, 3)
         temperature = np.broadcast_to(np.asarray(temperature_c, dtype=np.float64), (len(rows),))
@@ -299,7 +296,6 @@ class TemperatureModel:
             )
         force = np.empty_like(rows)
         covariance = np.empty((len(rows), 3, 3))
-        slope = self._slope(temperature)
         for i, t in enumerate(temperature):
             block = self.block(float(t))
             inverse = np.linalg.inv(block.K)
@@ -307,16 +303,8 @@ class TemperatureModel:
             # da = -K^-1 (dK a + dU0), dK, dU0 in the order of the coefficients
             by_output = np.hstack([np.kron(np.eye(3), force[i]), np.eye(3)])
             by_coefficient = -inverse @ by_output
-            by_kelvin = by_coefficient @ slope[i] * u_temperature_k
             covariance[i] = by_coefficient @ self.covariance_at(float(t)) @ by_coefficient.T
-            covariance[i] += np.outer(by_kelvin, by_kelvin)
         return Compensated(force, covariance)
-
-    def _slope(self, temperature_c: Floats) -> Floats:
-        """Return the derivatives of the coefficients by temperature, shape (n, 12), per K."""
-        powers = np.arange(1, self.values.shape[1])
-        below = self.powers(temperature_c)[:, :-1] * powers
-        return np.asarray(below @ self.values[:, 1:].T, dtype=np.float64)
 
 
 MOST_STEPS: Final = 1024

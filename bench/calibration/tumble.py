@@ -18,7 +18,7 @@ from bench.calibration import gls
 from bench.calibration.above_1g import AboveOneG, join
 from bench.calibration.budget.coefficients import meters_of, parts_of
 from bench.calibration.budget.sources import hidden_sources
-from bench.calibration.budget.whole import GRAVITY, VOLTS, MeasuredReadings
+from bench.calibration.budget.whole import GRAVITY, NOT_IN_VOLTS, MeasuredReadings
 from bench.calibration.calibrate import first_guess, usable_rows
 from bench.calibration.design import FIXED, Problem, make_problem
 from bench.calibration.noise import require_told
@@ -30,6 +30,7 @@ from bench.model.effects.base import AppliedEffect
 from bench.model.forward import ForwardModel
 from bench.model.geometry import COEFFICIENTS, HIDDEN, STAND_ANGLES, Block
 from bench.readings.centrifuge import CentrifugePoints
+from bench.readings.corrected import VOLTS
 from bench.readings.table import Readings
 
 LINEAR: Final = ("K1", "Ki_j", "Ki_k", "K0")
@@ -431,11 +432,6 @@ def _left_out(
     return moved
 
 
-NOT_IN_VOLTS: Final = (
-    "the readings are in {unit}, so u covers these readings alone, not the errors of this bench's meters"
-)
-
-
 def combine(
     view: TumbleView, bench: BenchFile, model: ForwardModel, terms: Sequence[str], day: date | None = None
 ) -> TumbleView:
@@ -446,8 +442,7 @@ def combine(
     """
     if view.unit != VOLTS:
         return replace(view, notes=(*view.notes, NOT_IN_VOLTS.format(unit=view.unit)))
-    meters = meters_of([m.channels for m in bench.instruments.voltmeters])
-    taken = MeasuredReadings(view.fitted, view.block, meters, view.slope)
+    taken = MeasuredReadings(view.fitted, view.block, meters_of(bench), view.slope)
     covariance = view.covariance.copy()
     for error in hidden_sources(bench, with_terms(replace(model, effects=()), terms), day):
         if error.name != GRAVITY:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -447,16 +447,9 @@ def _written_value(parameter: Parameter, value: Any, u: Any) -> str | dict[str, 
 
 
 UNNAMED: Final = "unnamed_"
+"""Prefix of the name of an unnamed effect."""
 WIDENED: Final = ("tau", "lag")
 """Shape parameters whose grid, in a named effect, is half the value found, this value and twice this value."""
-
-
-@dataclass(frozen=True)
-class AcceptedTerms:
-    """The result of `accept`: the new `effect`, and the model's `effects`, in which it replaces the terms."""
-
-    effect: FormulaEffect
-    effects: tuple[AppliedEffect, ...]
 
 
 def unnamed_in(effects: Sequence[AppliedEffect]) -> list[str]:
@@ -464,11 +457,13 @@ def unnamed_in(effects: Sequence[AppliedEffect]) -> list[str]:
     return [applied.effect.name for applied in effects if applied.effect.name.startswith(UNNAMED)]
 
 
-def accept(effects: Sequence[AppliedEffect], terms: Sequence[str], name: str, sentence: str) -> AcceptedTerms:
+def accept(
+    effects: Sequence[AppliedEffect], terms: Sequence[str], name: str, sentence: str
+) -> tuple[FormulaEffect, tuple[AppliedEffect, ...]]:
     """Combine the unnamed terms in `terms`, or all if `terms` is empty, into one effect with a name and a sentence.
 
-    The effect replaces the terms among `effects`. Raises `ValueError` for unknown terms, or terms that act at
-    different places of the model.
+    Return this effect, and `effects` with it in place of the terms. Raises `ValueError` for unknown terms, or terms
+    that act at different places of the model.
     """
     known = unnamed_in(effects)
     if not known:
@@ -485,9 +480,8 @@ def accept(effects: Sequence[AppliedEffect], terms: Sequence[str], name: str, se
     whole = _joined(chosen, formulas, name, sentence)
     first = next(i for i, a in enumerate(effects) if a is chosen[0])
     kept = [a for a in effects if not any(a is one for one in chosen)]
-    before = sum(1 for a in effects[:first] if not any(a is one for one in chosen))
     assert isinstance(whole.effect, FormulaEffect)  # noqa: S101 - made so
-    return AcceptedTerms(whole.effect, (*kept[:before], whole, *kept[before:]))
+    return whole.effect, (*kept[:first], whole, *kept[first:])
 
 
 def _joined(

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from scipy import special
 
+from bench.config.model_file import UNNAMED
 from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.levels import LISTED_IN_SENTENCE, MOSTLY, OFTEN
@@ -62,10 +63,6 @@ class UnexplainedScatter:
     def there(self) -> bool:
         """Whether the scatter is significant."""
         return self.p < OFTEN
-
-
-UNNAMED: Final = "unnamed_"
-"""Prefix of the name of an unnamed effect."""
 
 
 @dataclass(frozen=True)

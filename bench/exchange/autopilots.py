@@ -12,9 +12,8 @@ import yaml
 from bench.base.arrays import CHANNELS, Floats
 from bench.exchange.checks import READ_CHECKS, check_lines, judged, own_test, picture
 from bench.exchange.result import BlockResult
+from bench.history.measured import STANDARD_GRAVITY
 
-STANDARD_GRAVITY: Final = 9.80665
-"""Standard gravity, m/s^2 (3rd CGPM, 1901): the g in "V/g" of data sheets."""
 DIGITS: Final = 3
 """Significant digits of the block's own scale factors, which are used if none are requested."""
 
@@ -228,7 +227,7 @@ def _tested(of: Autopilot, result: BlockResult, sensor: Sensor, values: dict[str
 
 def _head(result: BlockResult, sensor: Sensor, notes: list[str]) -> list[str]:
     u = np.sqrt(np.diag(result.covariance))
-    to_ms2 = [abs(9.80665 / s) for s in sensor.nominal]
+    to_ms2 = [abs(STANDARD_GRAVITY / s) for s in sensor.nominal]
     offsets = ", ".join(f"{result.k * own * size:.2g}" for own, size in zip(u[9:], to_ms2, strict=True))
     parts = result.k * np.hypot(u[[0, 4, 8]] / np.abs(np.diag(result.block.K)), result.gravity_u)
     scales = ", ".join(f"{part:.2g}" for part in parts)

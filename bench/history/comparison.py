@@ -17,9 +17,9 @@ from scipy import special
 
 from bench.base.arrays import Floats, Ints, Mask, u_of
 from bench.calibration.conformity import COVERAGE_FACTOR
-from bench.calibration.intrinsic import INTRINSIC, through
+from bench.calibration.intrinsic import INTRINSIC
 from bench.calibration.noise import METERS_DRIFT, drifted
-from bench.calibration.result import CalibrationError
+from bench.calibration.result import CalibrationError, through
 from bench.history.measured import nine_of, to_gravity
 from bench.model.geometry import COEFFICIENTS
 from bench.stats import chi_square, holm

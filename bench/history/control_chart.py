@@ -16,8 +16,8 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.base.numbers import MINUS, probability
 from bench.base.text import listed
-from bench.calibration.intrinsic import INTRINSIC, through
-from bench.calibration.result import CalibrationError
+from bench.calibration.intrinsic import INTRINSIC
+from bench.calibration.result import CalibrationError, through
 from bench.history.comparison import SECONDS_PER_YEAR
 from bench.history.measured import nine_of
 from bench.model.geometry import COEFFICIENTS
@@ -366,7 +366,8 @@ def control_chart(
         _components(baseline, pooled, lines), _drift(baseline, later, shewhart, centre, pooled, lines, design),
         alone, (), (), float(begun), drift,
     )  # fmt: skip
-    return _concluded(chart)
+    verdicts = tuple(Verdict(run.name, run.when, reasons_of(chart, row)) for row, run in enumerate(later))
+    return replace(chart, verdicts=verdicts, notes=notes_of(chart))
 
 
 class _Pooled:
@@ -518,11 +519,3 @@ def _drift(
     else:
         u = np.sqrt(float(centre.scale) * np.mean([np.diag(c) for c in pooled.of(runs)], axis=0))
     return drift_of(years, lines.without(runs), u, centre.dof, lines.u(centre.dimensions))
-
-
-def _concluded(chart: ControlChart) -> ControlChart:
-    """Return the chart with its verdicts and notes."""
-    verdicts = tuple(
-        Verdict(run.name, run.when, reasons_of(chart, row)) for row, run in enumerate(chart.later)
-    )
-    return replace(chart, verdicts=verdicts, notes=notes_of(chart))

@@ -158,7 +158,7 @@ class OfUnit:
 def drift_of_unit(measured: ComparedCalibrations) -> OfUnit:
     """Return the drift of a table's only unit.
 
-    Raises `CalibrationError` for a table of several units, and as `unit_drift` does.
+    Raises `CalibrationError` for a table of several units, and as `history_drift` does.
     """
     units, benches = (sorted(set(labels.tolist())) for labels in (measured.unit, measured.bench))
     if len(units) > 1:
@@ -169,8 +169,8 @@ def drift_of_unit(measured: ComparedCalibrations) -> OfUnit:
     if len(benches) > 1:
         notes = (f"measured on {', '.join(benches)}: differences between benches appear as drift or scatter",)
     twelve, nine = (
-        unit_drift(
-            of.when, of.vector, of.covariance,
+        history_drift(
+            of.when, of.vector, of.variance,
             np.sqrt(np.min(of.meters**2, axis=0)) if len(benches) == 1 else None,
         )
         for of in (measured, measured.in_nine())
@@ -186,19 +186,14 @@ def day_of(text: str) -> np.datetime64:
         raise CalibrationError(f"--at: expected a date such as 2027-06-01, got {text!r}") from None
 
 
-def unit_drift(when: Dates, vector: Floats, covariance: Floats, common: Floats | None = None) -> UnitDrift:
-    """Return the drift of one block from calibrations `vector` (n, 12) at times `when` (n,), in any order.
-
-    `covariance` (n, 12, 12) are the stated covariances. `common` (12,) are the standard uncertainties of errors
-    that all calibrations share, such as the gain of the same meters; they are part of the stated u. Such errors
-    do not affect rates, and more calibrations do not reduce them. Raises `CalibrationError` for fewer than
-    three calibrations, or if all lie within a day.
-    """
-    return history_drift(when, vector, np.diagonal(covariance, axis1=1, axis2=2), common)
-
-
 def history_drift(when: Dates, values: Floats, variance: Floats, common: Floats | None = None) -> UnitDrift:
-    """Return the drift of any m quantities, `values` (n, m) with `variance` (n, m); see also `unit_drift`."""
+    """Return the drift of m quantities of one block: `values` (n, m) at times `when` (n,), in any order.
+
+    `variance` (n, m) are the stated variances. `common` (m,) are the standard uncertainties of errors that all
+    calibrations share, such as the gain of the same meters; they are part of the stated u. Such errors do not
+    affect rates, and more calibrations do not reduce them. Raises `CalibrationError` for fewer than three
+    calibrations, or if all lie within a day.
+    """
     order = np.argsort(when, kind="stable")
     dates = np.asarray(when, dtype="datetime64[s]")[order]
     seconds = (dates - dates[0]).astype(float) if len(dates) else np.zeros(0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy import special
@@ -266,7 +266,7 @@ def _scatter(runs: list[RunFit]) -> list[Contradiction]:
     told = [run for run in runs if run.scatter.settings]
     if len(told) < 2:
         return []
-    ratio, dof = scatter_of(told, pooled_noise(told, min(run.floor for run in told)))
+    ratio, dof = scatter_of(told, pooled_noise(told))
     return _held_against(tuple(run.name for run in told), ratio, dof, SCATTER, upper=False)
 
 
@@ -308,7 +308,7 @@ class Agreed:
     most: bool
 
 
-def agreed(runs: list[RunFit], body: RunSums, noise: Floats, beliefs: Beliefs, layout: Any) -> Agreed:
+def agreed(runs: list[RunFit], body: RunSums, noise: Floats, beliefs: Beliefs, layout: Layout) -> Agreed:
     """Remove runs that contradict the others, most significant first, one at a time; return the result."""
     named: list[Contradiction] = []
     kept = list(runs)
@@ -322,7 +322,7 @@ def agreed(runs: list[RunFit], body: RunSums, noise: Floats, beliefs: Beliefs, l
             return Agreed(kept, body, noise, (*named, oddest), most=True)
         named.append(oddest)
         kept = [run for run in kept if run.name != oddest.run]
-        noise = pooled_noise(kept, min(run.floor for run in kept))
+        noise = pooled_noise(kept)
         body = body_of(kept, noise, layout)
         theta = fitted(body, beliefs, theta)
     return Agreed(kept, body, noise, tuple(named), most=False)
@@ -363,7 +363,7 @@ def learn(
         raise CalibrationError("these runs have signals in different units; use runs in one unit")
     kept = list(runs)
     layout = Layout.of(kept, stand_u, by_installation=by_installation, waves=waves)
-    noise = pooled_noise(kept, min(run.floor for run in kept))
+    noise = pooled_noise(kept)
     body = body_of(kept, noise, layout)
     free = Beliefs(np.ones(len(layout.means)), *np.full((2, len(layout.kinds) + 3), np.nan))
     beliefs, reasons = told_by_runs(body, layout, free)
@@ -371,9 +371,7 @@ def learn(
     if found.contradicting:
         beliefs, reasons = told_by_runs(found.body, layout, free)
     shared = maximise(found.body, beliefs)
-    return _learned(
-        found.runs, layout, shared, beliefs, reasons, found.noise, found.contradicting, most=found.most
-    )
+    return _learned(found, layout, shared, beliefs, reasons)
 
 
 def told_by_runs(body: RunSums, layout: Layout, free: Beliefs) -> tuple[Beliefs, dict[str, str]]:
@@ -447,11 +445,9 @@ def _why(body: RunSums, j: int, layout: Layout) -> str:
 
 
 def _learned(
-    runs: list[RunFit], layout: Layout, shared: VarianceEstimate, beliefs: Beliefs, reasons: dict[str, str],
-    noise: Floats,
-    contradicting: tuple[object, ...], *, most: bool,
-) -> Learned:  # fmt: skip
-    body = body_of(runs, noise, layout)
+    found: Agreed, layout: Layout, shared: VarianceEstimate, beliefs: Beliefs, reasons: dict[str, str]
+) -> Learned:
+    runs, body, noise = found.runs, found.body, found.noise
     theta, spread = shared.theta, variances_of(shared)
     names = [*layout.kinds, *(f"drift[{channel}]" for channel in CHANNELS)]
     unit = np.concatenate([layout.stated, np.full(3, layout.walk)])
@@ -490,8 +486,8 @@ def _learned(
         noise_dof=noise_dof,
         known=known_stand,
         not_told=reasons,
-        contradicting=contradicting,  # type: ignore[arg-type]
-        too_many_contradict=most,
+        contradicting=found.contradicting,
+        too_many_contradict=found.most,
     )
 
 

@@ -15,7 +15,7 @@ from bench.calibration.result import CalibrationError, Derived
 from bench.model.geometry import COEFFICIENTS, Block
 
 STANDARD_GRAVITY: Final = 9.80665
-"""The g (m/s²) to which scale factors from different places are converted for comparison."""
+"""Standard gravity, m/s² (3rd CGPM, 1901): the g in "V/g" of data sheets and of scale factors that are compared."""
 
 
 LEAST_OWN: Final = 1e-3

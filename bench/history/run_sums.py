@@ -287,19 +287,15 @@ def _beyond_repeats(run: RunFit, gram: Floats, variances: Floats, angles: int) -
     Chi-square is that after the fit of the coefficients only; the degrees of freedom also allow for the angles. The
     test of the run (`bench.history.learning`) subtracts the parts of angles and harmonics from chi-square.
     """
-    own = (
-        np.diag(variances[:3]) + variances[3] * run.scatter.slope[:, :, None] * run.scatter.slope[:, None, :]
-    )
-    pure = float(np.einsum("gij,gji->", np.linalg.inv(own), run.scatter.matrix))
     dof = run.y.size - FIXED - 3 * run.scatter.settings
     size = np.linalg.eigvalsh(gram[:angles, :angles])
-    return float(gram[-1, -1]) - pure, float(dof - np.sum(size > SEEN))
+    return float(gram[-1, -1]) - run.scatter.chi_square(variances), float(dof - np.sum(size > SEEN))
 
 
-def pooled_noise(runs: Sequence[RunFit], floor: float) -> Floats:
+def pooled_noise(runs: Sequence[RunFit]) -> Floats:
     """Return the noise variances (4,) of x, y, z and the setting error from the repeats of all runs.
 
-    `floor` is the lowest credible noise. Raises `CalibrationError` for too few repeats.
+    Raises `CalibrationError` for too few repeats.
     """
     told = [run.scatter for run in runs if run.scatter.settings]
     if sum(scatter.settings for scatter in told) < LEAST_SETTINGS:
@@ -309,18 +305,17 @@ def pooled_noise(runs: Sequence[RunFit], floor: float) -> Floats:
     matrix = np.concatenate([scatter.matrix for scatter in told])
     freedom = np.concatenate([scatter.freedom for scatter in told])
     slope = np.concatenate([scatter.slope for scatter in told])
-    return np.asarray(sizes_of(matrix[None], freedom, slope[None], np.array([floor]))[0])
+    return np.asarray(
+        sizes_of(matrix[None], freedom, slope[None], np.array([min(run.floor for run in runs)]))[0]
+    )
 
 
 def scatter_of(runs: Sequence[RunFit], variances: Floats) -> tuple[Floats, Floats]:
     """Return each run's mean square of repeats relative to the noise variances (4,), and its dof, (runs,) each."""
     ratio, dof = [], []
     for run in runs:
-        slope = run.scatter.slope
-        own = np.diag(variances[:3]) + variances[3] * slope[:, :, None] * slope[:, None, :]
-        chi2 = float(np.einsum("gij,gji->", np.linalg.inv(own), run.scatter.matrix))
         dof.append(3.0 * run.scatter.settings)
-        ratio.append(chi2 / dof[-1])
+        ratio.append(run.scatter.chi_square(variances) / dof[-1])
     return np.array(ratio), np.array(dof)
 
 

@@ -19,7 +19,7 @@ from bench.base.result_model import Matrix, Real, ResultModel, Vector
 from bench.base.tables import as_html, as_text, print_notes, table
 from bench.calibration.budget.assessment import DIGITS, Assessment, AtMagnitude, DeltaG, ExactResult
 from bench.calibration.budget.coefficients import Contribution
-from bench.calibration.budget.propagation import correlation_of, coverage_factor
+from bench.calibration.budget.propagation import COVERAGE, correlation_of, coverage_factor
 from bench.calibration.conformity import DecisionRule
 from bench.model.geometry import COEFFICIENTS
 from bench.results import tables
@@ -204,7 +204,7 @@ def budget_result(
     """Return the result of an assessment; `about` names the block to which the budget applies."""
     budget, question = found.budget, found.question
     total, setup, contributions = budget.combined, budget.setup, budget.contributions
-    factor = coverage_factor(total.dof, budget.probability)
+    factor = coverage_factor(total.dof)
     return BudgetResult(
         bench=bench.name,
         bench_file=bench,
@@ -215,7 +215,7 @@ def budget_result(
         readings=ReadingCounts(fitted=int(setup.fitted.sum()), verification=int(setup.verification.sum())),
         estimator=budget.estimator,
         order=COEFFICIENTS,
-        probability=budget.probability,
+        probability=COVERAGE,
         coefficients=by_coefficient(
             CoefficientPart, total, k=factor, U=factor * total.u,
             by_source=[{c.source.name: c.u[i] for c in contributions} for i in range(len(COEFFICIENTS))],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +15,7 @@ from bench.base.tables import table
 from bench.base.text import APPROACH, degrees
 from bench.config.bench_file.file import BenchFile
 from bench.config.procedure.check import switched_before
-from bench.config.procedure.plan import KINDS, Plan, Read, Step, Turn
+from bench.config.procedure.plan import FIELDS, Plan, Read, Step, Turn
 from bench.config.procedure.steps import scan_in_words
 from bench.model.geometry import COEFFICIENTS
 from bench.planning.choice import QUANTILES, TimeOutlook
@@ -344,12 +344,11 @@ def _times(codes: Sequence[int], start: int, period: int) -> int:
 
 _POINT: Final = frozenset({"key", "point", "target_rad"})
 _POINT_AND_PASS: Final = _POINT | {"pass_number"}
-_FIELDS: Final = {kind: tuple(f.name for f in fields(kind)) for kind in KINDS}
 
 
 def _shape(step: Step, without: frozenset[str]) -> tuple[Any, ...]:
     """Return the shape of a step: its type, and its fields not in `without`; equal for similar steps."""
-    return (type(step), *(getattr(step, name) for name in _FIELDS[type(step)] if name not in without))
+    return (type(step), *(getattr(step, name) for name in FIELDS[type(step)] if name not in without))
 
 
 # --- in words ---------------------------------------------------------------------------------------

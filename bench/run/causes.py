@@ -165,13 +165,14 @@ class Inquiry:
         """Return the suppositions of other installations by label, and with `few` those of other orientations."""
         label = sighting.installation
         otherwise = self.otherwise.get(label, ()) if few else ()
-        known = {at: other_installation(at, label, sighting.sat_before) for at in self._installations(label)}
+        everywhere = {label, *(at for several in self.otherwise.values() for at in several)}
+        known = {
+            at: other_installation(at, label, sighting.sat_before)
+            for at in self.model.installations
+            if at not in everywhere
+        }
         unlikely = UNLIKELY[Kind.ORIENTATION] + (FIRST_ORIENTATION if sighting.sat_before is None else 0.0)
         return known | {at: Supposition(at, Kind.ORIENTATION, unlikely) for at in otherwise}
-
-    def _installations(self, label: str) -> list[str]:
-        everywhere = {at for several in self.otherwise.values() for at in several}
-        return [other for other in self.model.installations if other != label and other not in everywhere]
 
     # --- mistakes of the whole run so far ------------------------------------------------------------
 

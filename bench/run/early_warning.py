@@ -162,9 +162,6 @@ class EarlyWarning:
         """Return the judgement of a hypothetical reading; the model does not learn from it."""
         ahead = copy.deepcopy(self)
         sighting = ahead._sight(reading)
-        if sighting.new_mount:
-            ahead._state.remount(ahead._stand_u)
-        ahead._state.loosen(sighting.loosened)
         return ahead._state.judge(sighting.signal_v, sighting.pose, ahead.noise)
 
     def expect(self, reading: Reading) -> ExpectedSignals | None:
@@ -173,9 +170,6 @@ class EarlyWarning:
             return None
         ahead = copy.deepcopy(self)
         sighting = ahead._sight(reading)
-        if sighting.new_mount:
-            ahead._state.remount(ahead._stand_u)
-        ahead._state.loosen(sighting.loosened)
         only_reading = replace(ahead.noise, setting_rad=0.0)
         judged = ahead._state.judge(np.zeros(3), sighting.pose, only_reading)
         slope = (ahead._state.scale_factors @ sighting.pose.slopes)[0, :, SETTING]
@@ -190,12 +184,11 @@ class EarlyWarning:
         self.judged = None
         if reading.angle_deg is None or reading.installation not in self._oriented:
             return []
-        self._replace_earlier(reading)
+        if (earlier := self._places.pop(reading.place, None)) is not None:
+            earlier.struck = True
+            self._go_through_again()
         sighting = self._sight(reading)
         self._history.append(sighting)
-        if sighting.new_mount:
-            self._state.remount(self._stand_u)
-        self._state.loosen(sighting.loosened)
         self.judged = judged = self._state.judge(sighting.signal_v, sighting.pose, self.noise)
         noise_v = math.hypot(self.noise.reading_v, self.noise.setting_rad * float(np.max(self._scale)))
         sighting.poorly_known = bool(
@@ -218,7 +211,10 @@ class EarlyWarning:
     # --- the reading ---------------------------------------------------------------------------------
 
     def _sight(self, reading: Reading) -> Sighting:
-        """Return the `Sighting` of a reading: possible poses, and its place among earlier and planned readings."""
+        """Return the `Sighting` of a reading: possible poses, and its place among earlier and planned readings.
+
+        The uncertainty of the state grows by what may have changed since the reading before.
+        """
         conditions = readings_of([reading], "").conditions()
         before = self._history[-1] if self._history else None
         new_mount = self._mounted_anew or before is None or before.row.mounts != conditions.mounts
@@ -244,6 +240,9 @@ class EarlyWarning:
             reading_place=reading.place,
         )
         self._places[reading.place] = sighting
+        if new_mount:
+            self._state.remount(self._stand_u)
+        self._state.loosen(sighting.loosened)
         return sighting
 
     def _sat_before(self, label: str, new_mount: bool) -> str | None:
@@ -277,12 +276,6 @@ class EarlyWarning:
         bias += BIAS_AT_REMOUNT_G**2 * new_mount
         variances = self._scale**2
         return np.concatenate([np.repeat(scale * variances, 3), bias * variances])
-
-    def _replace_earlier(self, reading: Reading) -> None:
-        """Strike the earlier reading that `reading` repeats, and relearn the model without it."""
-        if (earlier := self._places.pop(reading.place, None)) is not None:
-            earlier.struck = True
-            self._go_through_again()
 
     def _go_through_again(self) -> None:
         """Judge all readings except struck ones again, with the present noise estimate, and learn from them."""

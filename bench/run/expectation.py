@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.calibration.design import STEP_RAD, coefficient_columns
 from bench.model.conditions import Conditions, Mounting
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block, Installation
@@ -28,8 +29,6 @@ STATE: Final = COEFFICIENT_COUNT + len(STAND_ANGLES)
 
 STATED_WORTH: Final = 12.0
 """Weight of the stated noise sizes, in degrees of freedom of repeats."""
-
-_STEP_RAD: Final = 1e-5
 
 
 class ExpectedPose(NamedTuple):
@@ -63,14 +62,14 @@ def poses(
     }
     angles = np.repeat(angle_rad, columns)
     conditions = replace(row, mounts=mounts, mount=np.arange(rows), angle_rad=angles, **repeated)
-    errors = np.tile(_STEP_RAD * np.eye(columns, SETTING + 1, k=-1), (variants, 1))
+    errors = np.tile(STEP_RAD * np.eye(columns, SETTING + 1, k=-1), (variants, 1))
     stand_rad, setting_rad = errors[:, :SETTING], errors[:, SETTING]
     force = model.specific_force(conditions, stand_rad, block, setting_rad)
     addition = np.zeros_like(force)
     if model.effects:
         addition = model.readings(block, conditions, stand_rad, setting_rad) - block.output(force)
     force = force.reshape(variants, columns, 3)
-    slopes = (force[:, 1:] - force[:, :1]) / _STEP_RAD
+    slopes = (force[:, 1:] - force[:, :1]) / STEP_RAD
     return ExpectedPose(force[:, 0], np.swapaxes(slopes, 1, 2), addition.reshape(variants, columns, 3)[:, 0])
 
 
@@ -142,15 +141,15 @@ class ReadingJudgement(NamedTuple):
         return np.minimum(self.chi2, most) + self.log_det
 
 
+@dataclass
 class Expectation:
     """The states of m Kalman filters ("members"); each member supposes a different mistake, or none.
 
     `mean` (m, 17) and `covariance` (m, 17, 17) have the 12 coefficients (V/g, V), then the 5 stand angles (rad).
     """
 
-    def __init__(self, mean: Floats, covariance: Floats) -> None:
-        self.mean = mean
-        self.covariance = covariance
+    mean: Floats
+    covariance: Floats
 
     @classmethod
     def about(cls, block: Block, u: Floats) -> Expectation:
@@ -204,9 +203,7 @@ class Expectation:
         force = pose.force + (pose.slopes[..., :SETTING] @ angles)[..., 0]
         by_angle = self.scale_factors @ pose.slopes
         design = np.zeros((*np.broadcast_shapes(force.shape, self.mean[:, :3].shape), STATE))
-        for channel in range(3):
-            design[:, channel, 3 * channel : 3 * channel + 3] = force
-            design[:, channel, 9 + channel] = 1.0
+        design[:, :, :COEFFICIENT_COUNT] = coefficient_columns(force)
         design[:, :, COEFFICIENT_COUNT:] = by_angle[..., :SETTING]
         expected = (self.scale_factors @ force[..., None])[..., 0] + self.mean[:, 9:12] + pose.addition
         residual = signal_v - expected

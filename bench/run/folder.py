@@ -20,7 +20,7 @@ from bench.readings.corrected import LevelReading, with_levels
 from bench.readings.reading import readings_of
 from bench.readings.table import VERIFICATION, Readings
 from bench.run.events import EVENTS, MANIFEST, Manifest, RecordError, RunState, read_manifest, sha256
-from bench.run.record import History, read_history
+from bench.run.record import History, read_history, trusted
 from drivers.clock import utc_now
 
 PLAN = "plan.json"
@@ -113,12 +113,7 @@ class Run:
 
     def trusted_history(self) -> History:
         """Return the history. Raises `RecordError` if a line of the record or an input was changed."""
-        if self.history.problems:
-            raise RecordError(
-                f"{self.folder}: the record cannot be trusted; restore it from a copy: "
-                f"{'; '.join(self.history.problems)}"
-            )
-        return self.history
+        return trusted(self.history, self.folder)
 
     def readings(self) -> Readings:
         """Return the recorded readings in the order of measurement; a repeated step has only its last reading.

@@ -10,7 +10,7 @@ from typing import Any, Final
 from bench.base.languages import message
 from bench.base.text import duration
 from bench.config.bench_file.stand import DriftForm, RailSection, UnitSupplySection
-from bench.config.procedure.plan import SWITCHED_ON, Mount, Plan, Power, Read
+from bench.config.procedure.plan import Mount, Plan, Power, Read
 from bench.readings.columns import Rail
 from bench.run.events import EventType
 from bench.run.person import ask
@@ -35,6 +35,7 @@ WATCH_S: Final = 10.0
 IN_RUSH_S: Final = 2.0
 """Time from switching on to the first check of the rails, s; the inrush current has then decayed."""
 NAP_S: Final = 1.0
+"""Longest sleep during a wait, s, so that the operator's commands and Ctrl-C take effect soon."""
 
 SET_AGAIN: Final = message("switch off and set again")
 STAYED_ON: Final = message("it stayed on")
@@ -384,12 +385,6 @@ def _until_settled(
             "find what moves or warms it and resume, or lengthen the timeout of its warm-up in the bench file",
             moved.state,
         ) from moved
-
-
-def begin(plan: Plan, switch: Switch) -> None:
-    """Switch the block on and warm it up before the first step, unless the plan itself switches it."""
-    if plan.begins_on():
-        switch(SWITCHED_ON)
 
 
 def take_up(

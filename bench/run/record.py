@@ -12,7 +12,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from hashlib import sha256 as digest_of
 from itertools import islice
@@ -45,8 +45,13 @@ from bench.run.resume import ENDS_A_POINT, PlanProgress, end_of_point, turn_befo
 class Events(Sequence[Event]):
     """The valid events of a record, parsed again from the file at each iteration."""
 
-    def __init__(self, path: Path, count: int, last: Event | None) -> None:
-        self._path, self._count, self._last = path, count, last
+    def __init__(self, path: Path) -> None:
+        self._path, self._count = path, 0
+        self._last: Event | None = None
+
+    def followed_by(self, event: Event) -> None:
+        """Take the next event of the file, which was found valid."""
+        self._count, self._last = event.number, event
 
     def __len__(self) -> int:
         return self._count
@@ -70,7 +75,7 @@ class Events(Sequence[Event]):
         return tuple(self)[index]
 
 
-@dataclass(frozen=True)
+@dataclass
 class History:
     """The content of a run's record, and the problems found in it.
 
@@ -85,16 +90,16 @@ class History:
 
     events: Events
     head: str
-    length: int
-    problems: tuple[str, ...]
-    torn: str
-    state: RunState
-    progress: PlanProgress
-    taken: tuple[tuple[int, Reading] | None, ...]
-    identities: dict[str, str]
-    serials: dict[str, str]
-    levelled: tuple[tuple[float, Levelled], ...] = ()
-    power: tuple[tuple[float, str], ...] = ()
+    length: int = 0
+    problems: tuple[str, ...] = ()
+    torn: str = ""
+    state: RunState = RunState.READY
+    progress: PlanProgress = field(default_factory=PlanProgress)
+    taken: list[tuple[int, Reading] | None] = field(default_factory=list)
+    identities: dict[str, str] = field(default_factory=dict)
+    serials: dict[str, str] = field(default_factory=dict)
+    levelled: list[tuple[float, Levelled]] = field(default_factory=list)
+    power: list[tuple[float, str]] = field(default_factory=list)
 
     @property
     def readings(self) -> dict[int, Reading]:
@@ -113,41 +118,42 @@ def read_history(folder: Path) -> History:
     """Read the record of a run, and check its hash chain and the inputs' hashes. Raises `RecordError`."""
     problems = changed_inputs(folder)
     path = folder / EVENTS
-    reader = _Reader(sha256(read_regular(folder / MANIFEST)))
+    history = History(Events(path), sha256(read_regular(folder / MANIFEST)))
     try:
         if path.exists():
             with open_regular(path) as file:
-                problems += reader.read(file)
+                problems += _Reader(history).read(file)
     except OSError as error:
         raise RecordError(
             f"{path}: cannot be read ({error.strerror}); restore it from a copy of the run"
         ) from error
-    return reader.history(path, problems)
+    history.problems = tuple(problems)
+    return history
+
+
+def trusted(history: History, folder: Path) -> History:
+    """Return the history of a run. Raises `RecordError` if a line of the record or an input was changed."""
+    if history.problems:
+        problems = "; ".join(history.problems)
+        raise RecordError(f"{folder}: the record cannot be trusted; restore it from a copy: {problems}")
+    return history
 
 
 class _Reader:
-    """Reader of a record's lines up to the first invalid line."""
+    """Reader of a record's lines into a history, up to the first invalid line."""
 
-    def __init__(self, manifest_sha256: str) -> None:
-        self._head, self._length, self._torn = manifest_sha256, 0, ""
-        self._count = 0
-        self._last: Event | None = None
-        self._state = RunState.READY
-        self._progress = PlanProgress()
-        self._taken: list[tuple[int, Reading] | None] = []
-        self._identities: dict[str, str] | None = None
-        self._serials: dict[str, str] = {}
-        self._levelled: list[tuple[float, Levelled]] = []
-        self._power: list[tuple[float, str]] = []
+    def __init__(self, history: History) -> None:
+        self._history = history
+        self._opened = False
 
     def read(self, file: BinaryIO) -> list[str]:
         """Read the lines; return a list with one sentence on the first invalid line, or an empty list."""
         for line in file:
             if not line.endswith(b"\n"):
-                self._torn = line.decode(errors="replace")
+                self._history.torn = line.decode(errors="replace")
                 break
             if why := self._take(line):
-                return [f"{EVENTS}, line {self._count + 1}: {why}"]
+                return [f"{EVENTS}, line {len(self._history.events) + 1}: {why}"]
         return []
 
     def _take(self, line: bytes) -> str:
@@ -156,50 +162,38 @@ class _Reader:
             event, previous = parse_line(line)
         except ValueError:
             return "not an event"
-        if previous != self._head or event.number != self._count + 1:
+        history = self._history
+        if previous != history.head or event.number != len(history.events) + 1:
             return "the chain is broken here (a line was changed or removed)"
         try:
             self._note(event)
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
             return f"not an event that can follow here ({error})"
-        self._head = digest_of(line[:-1]).hexdigest()
-        self._length += len(line)
-        self._count, self._last = event.number, event
+        history.head = digest_of(line[:-1]).hexdigest()
+        history.length += len(line)
+        history.events.followed_by(event)
         return ""
 
     def _note(self, event: Event) -> None:
         """Add an event to the history."""
-        self._state = state_after_one(self._state, event.type)
-        self._progress.take(event)
+        history = self._history
+        history.state = state_after_one(history.state, event.type)
+        history.progress.take(event)
         if event.type == EventType.STEP_DONE:
             if "reading" in event.data and (reading := event.reading) is not None:
-                self._taken.append((event.step, reading))
+                history.taken.append((event.step, reading))
             elif isinstance(event.result, Levelled):
-                self._levelled.append((event.bench_s, event.result))
+                history.levelled.append((event.bench_s, event.result))
         elif event.type == EventType.POWER:
-            self._power.append((event.bench_s, str(event.data["power"])))
+            history.power.append((event.bench_s, str(event.data["power"])))
         elif event.type == EventType.REMOUNTED:
-            self._taken.append(None)
-        elif event.type in _OPENED and self._identities is None:
-            self._identities = dict(self._progress.identities)
-            self._serials = {str(name): str(serial) for name, serial in event.data.get("serials", {}).items()}
-
-    def history(self, path: Path, problems: list[str]) -> History:
-        """Return the history of the lines read so far; `path` is the file of events."""
-        return History(
-            events=Events(path, self._count, self._last),
-            head=self._head,
-            length=self._length,
-            problems=tuple(problems),
-            torn=self._torn,
-            state=self._state,
-            progress=self._progress,
-            taken=tuple(self._taken),
-            identities=self._identities or {},
-            serials=self._serials,
-            levelled=tuple(self._levelled),
-            power=tuple(self._power),
-        )
+            history.taken.append(None)
+        elif event.type in _OPENED and not self._opened:
+            self._opened = True
+            history.identities = dict(history.progress.identities)
+            history.serials = {
+                str(name): str(serial) for name, serial in event.data.get("serials", {}).items()
+            }
 
 
 _OPENED: Final = frozenset({EventType.RUN_STARTED, EventType.RUN_RESUMED})
@@ -334,12 +328,7 @@ class Record:
             raise RecordError(f"{folder}: not a run (no {MANIFEST} in it)")
         record = cls(folder, now, shield)
         try:
-            history = read_history(folder)
-            if history.problems:
-                raise RecordError(
-                    f"{folder}: the record cannot be trusted; restore it from a copy: "
-                    f"{'; '.join(history.problems)}"
-                )
+            history = trusted(read_history(folder), folder)
             record._go_on_after(history)
         except BaseException:
             record.close()

@@ -12,7 +12,16 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Final
 
-from bench.config.procedure.plan import Mount, OnFailure, Plan, Read, SelectInput, SetTemperature, Turn
+from bench.config.procedure.plan import (
+    SWITCHED_ON,
+    Mount,
+    OnFailure,
+    Plan,
+    Read,
+    SelectInput,
+    SetTemperature,
+    Turn,
+)
 from bench.readings.reading import Reading
 from bench.run.events import HEARD, TRANSITIONS, Event, EventType, RecordError, RunState, Wish, result_to_json
 from bench.run.expectation import EarlySign
@@ -29,7 +38,7 @@ from bench.run.person import (
     confirm,
     raised,
 )
-from bench.run.power import UnitPower, begin, take_up
+from bench.run.power import NAP_S, UnitPower, take_up
 from bench.run.record import Record, ResumePoint
 from bench.run.resume import (
     PlanProgress,
@@ -40,7 +49,7 @@ from bench.run.resume import (
     redo_from,
 )
 from bench.run.samples import Settling
-from bench.run.workbench import NAP_S, BenchSetup, Workbench
+from bench.run.workbench import BenchSetup, Workbench
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces import BadReading, InstrumentLost, InstrumentRefused
 from drivers.person import Person
@@ -194,8 +203,8 @@ class Runner:
             self._emit(EventType.CERTIFICATE, words=words)
         if resume:
             self._restore(resume)
-        elif self._workbench.power is not None:
-            self._insist(partial(begin, self.plan, self._workbench.do_power))
+        elif self._workbench.power is not None and self.plan.begins_on():
+            self._insist(partial(self._workbench.do_power, SWITCHED_ON))
         self._carry_out(start)
         self._emit(EventType.RUN_FINISHED)
 

@@ -376,7 +376,8 @@ class ProgressBar:
             self._show_reading(event.reading)
         elif event.type == EventType.CHOSEN:
             self._time_left.choose(event.data)
-            self._say_chosen(event)
+            if not quiet.get():
+                self._console.print(Text(translated(sentence(event)), style="bold"), soft_wrap=False)
         elif event.type == EventType.EARLY_SIGN and event.data.get("confident"):
             pass  # the next prompt, or the run's error message, contains the sign
         elif (text := sentence(event)) != event.type:
@@ -388,10 +389,6 @@ class ProgressBar:
         """Apply the choices of points recorded before the run was resumed."""
         for one in chosen:
             self._time_left.choose(one)
-
-    def _say_chosen(self, event: Event) -> None:
-        if not quiet.get():
-            self._console.print(Text(translated(sentence(event)), style="bold"), soft_wrap=False)
 
     def settling(self, state: Settling) -> None:
         """Show the progress of settling or warming up in the bar."""
@@ -414,12 +411,11 @@ class ProgressBar:
         if self._console.is_terminal or quiet.get():
             return
         step = self._plan.steps[index]
-        where = getattr(step, "installation", None)
-        if where is None:
+        where, number = getattr(step, "installation", None), getattr(step, "pass_number", None)
+        if where is None or not number:
             return
-        number = getattr(step, "pass_number", None)
-        line = message(f"installation {where}") + (message(f", pass {number}") if number else "")
-        if number and line != self._printed:
+        line = message(f"installation {where}") + message(f", pass {number}")
+        if line != self._printed:
             step_of = message(f"(step {index + 1}/{len(self._plan.steps)})")
             self._console.print(f"{translated(line)}  {translated(step_of)}", highlight=False)
             self._printed = line

@@ -49,7 +49,7 @@ from bench.run.instruments import (
     told_at_reading,
 )
 from bench.run.person import UNTOUCHED, ask, confirm, mount_prompt, untouched_prompt
-from bench.run.power import Feeding, UnitPower, warm_up
+from bench.run.power import NAP_S, Feeding, UnitPower, warm_up
 from bench.run.samples import SLOW_AFTER_S, ChamberWatch, Criterion, Settling, describe, wait_until_settled
 from drivers import interfaces
 from drivers.angles import wrapped_rad
@@ -227,9 +227,6 @@ def _agree(one: Inclination, other: Inclination, reading_rad: float) -> bool:
 def _arcsec(angle_rad: float) -> float:
     return round(angle_rad / ARCSEC, 4)
 
-
-NAP_S: Final = 1.0
-"""Longest sleep during a wait, s, so that the operator's commands and Ctrl-C take effect soon."""
 
 QUICK_NPLC: Final = 1.0
 """Integration time of the settling samples, in line periods: the shortest that rejects mains interference."""

@@ -24,6 +24,7 @@ from bench.config.model_file import load_model
 from bench.history.comparison import Comparison, Snapshot
 from bench.history.comparison import compare as compare_snapshots
 from bench.history.learned import (
+    FEW_DOF,
     WAVE_NAMES,
     Contrasts,
     Learned,
@@ -302,7 +303,6 @@ def _require_one_bench(sources: Sequence[Source]) -> None:
 
 # --- how the voltmeters differ --------------------------------------------------------------------------
 
-FEW_DOF: Final = 4.0
 NOT_RECORDED: Final = (
     "differences between the voltmeters: the sources do not say which voltmeter read which channel; use "
     "runs, or readings files of 'bench export'"

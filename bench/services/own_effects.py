@@ -61,8 +61,8 @@ def accept_terms(request: Accept) -> tuple[Path, Path]:
     model, name = request.model, request.name
     file = load_model(model)
     try:
-        accepted = accept(file.applied_effects(), request.term or (), name, request.sentence)
-        effect = replace(accepted.effect, shown_by=request.shown_by or accepted.effect.shown_by)
+        named, in_model = accept(file.applied_effects(), request.term or (), name, request.sentence)
+        effect = replace(named, shown_by=request.shown_by or named.shown_by)
         if effects_as_written(written_formulas([effect])) != (effect,):
             raise ValueError(f"--name {name}: expected small letters, digits and _, a letter first")
         with CATALOGUE.also([effect]):
@@ -74,7 +74,7 @@ def accept_terms(request: Accept) -> tuple[Path, Path]:
     for path in (place, beside):
         if path.exists():
             raise Refused(f"{path}: this file exists and was not overwritten; give --out FILE or move it")
-    effects = [replace(a, effect=effect) if a.effect is accepted.effect else a for a in accepted.effects]
+    effects = [replace(a, effect=effect) if a.effect is named else a for a in in_model]
     text = yaml.safe_dump(effects_text([effect]), sort_keys=False, allow_unicode=True)
     try:
         with refusing("give --out FILE"):

@@ -17,7 +17,7 @@ from bench.base.units import ACCELERATION, DURATION, SCALE_FACTOR, VOLTAGE, Quan
 from bench.calibration.budget.assessment import Question, assess
 from bench.calibration.budget.coefficients import Setup, make_setup, meters_of
 from bench.calibration.budget.error_source import ErrorSource
-from bench.calibration.budget.propagation import COVERAGE, require_trials
+from bench.calibration.budget.propagation import require_trials
 from bench.calibration.budget.sources import assumed_stand, bench_sources, signed_sources
 from bench.calibration.estimators import ESTIMATORS, in_a_budget
 from bench.calibration.mistakes import refuse_singular
@@ -136,7 +136,7 @@ def stand_of(
     """
     sizes = {name: d.u for name, d in (bench.stand_distributions() | assumed_stand(bench)).items()}
     hidden = signed_sources(bench, model, day)
-    meters = meters_of([meter.channels for meter in bench.instruments.voltmeters])
+    meters = meters_of(bench)
     return design.Stand(model, bench.simulated_block(), sizes, known, hidden, meters)
 
 
@@ -274,7 +274,7 @@ def budget_of(request: Budget) -> BudgetResult:
     estimator = in_a_budget(request.estimator).name
     if request.trials:
         try:
-            require_trials(request.trials, COVERAGE)
+            require_trials(request.trials)
         except CalibrationError as error:
             raise Refused(f"--trials: {error}, or 0 for none") from None
     taken = find_bench_file(request.bench)

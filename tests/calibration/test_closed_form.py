@@ -13,13 +13,13 @@ from bench.calibration.result import (
     inverse,
     inverse_jacobian,
     misalignments,
-    specific_force_covariance,
 )
 from bench.model import ForwardModel
 from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2, Block
 from bench.readings.table import make_readings
 from bench.validation.paper_bench import STAND_U, TRUTH, U0, K, design, simulate, specific_force
 from tests.support.honest_runs import MODEL
+from tests.support.specific_force import specific_force_covariance
 
 X, Y, Z = range(3)
 ROOT2 = np.sqrt(2.0)

@@ -9,6 +9,7 @@ from bench.calibration.design import make_problem
 from bench.calibration.observability import (
     Direction,
     DirectionKind,
+    Sensitivities,
     axis_in_words,
     columns_of,
     observability,
@@ -49,12 +50,8 @@ TABLE = [
     ((A1,), {}, 14, 14),
     ((A2,), {}, 14, 14),
     ((A3,), {}, 14, 14),
-    ((A1, A2, A3), {"common": (A1, A2, A3)}, 14, 15),
-    ((A1, A2, A3), {"common": (A1, A2)}, 15, 16),
     ((A1, A2, A3), {}, 16, 18),
     ((A1, A2, A3, A5), {}, 16, 20),
-    ((), {"settings": True}, 30, 30),
-    ((A1, A2, A3), {"settings": True}, 32, 36),
     ((A1, A2, A3, A5), {"modulus": "V45"}, 17, 20),
     ((A1, A2, A3, A5), {"modulus": "V0"}, 16, 20),
 ]
@@ -145,7 +142,14 @@ def test_a_direction_is_told_in_words():
 
 def test_an_oblique_turn_and_signals_in_another_unit():
     """Where alpha2 and alpha3 are the same in both installations, one turn about y and z together is left."""
-    (turn,) = observability(with_angles(paper(), (A2, A3)), BLOCK, common=(A2, A3)).directions
+    apart = columns_of(with_angles(paper(), (A2, A3)), BLOCK)
+    angles = [name for name in apart.names if name.startswith("alpha")]
+    shared = np.stack(
+        [apart.of(f"{symbol}[1]") + apart.of(f"{symbol}[2]") for symbol in ("alpha2", "alpha3")]
+    )
+    rest = apart.without(angles)
+    both = Sensitivities(np.column_stack([rest.rows, shared.T]), (*rest.names, "alpha2[all]", "alpha3[all]"))
+    (turn,) = both.observability(BLOCK).directions
     assert turn.kind is DirectionKind.TURN
     assert "about the axis 0.71 y +0.71 z" in turn.text()
     assert "counts/g in" in turn.text("counts")

@@ -24,7 +24,7 @@ def test_it_can_what_its_bench_file_allows(device, tmp_path):
             assert 0.0 < of_reading < 1e-2
             assert 0.0 < of_range < 1e-2
         assert limits.nplc == tuple(sorted(limits.nplc))
-        assert kind.over_range >= 1.0
+        assert stand.section.facts.OVER_RANGE >= 1.0
 
 
 @voltmeters

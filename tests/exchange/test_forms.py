@@ -12,12 +12,12 @@ import pytest
 import yaml
 from openpyxl import load_workbook
 
-from bench.calibration.result import specific_force_covariance
 from bench.exchange.autopilots import diagonal, lower_triangular, sensor_of
 from bench.exchange.forms import FORMS
 from bench.exchange.result import SIMULATED, BlockResult
 from bench.model.geometry import Block
 from bench.validation.paper_bench import U0, K
+from tests.support.specific_force import specific_force_covariance
 
 G = 9.810547
 ROOT = np.random.default_rng(3).normal(size=(12, 12))

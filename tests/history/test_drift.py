@@ -7,7 +7,7 @@ from bench.base.arrays import Floats
 from bench.calibration.result import CalibrationError
 from bench.history import drift
 from bench.history.comparison import SECONDS_PER_YEAR
-from bench.history.drift import UnitDrift, due, sensitivities, unit_drift
+from bench.history.drift import UnitDrift, due, history_drift, sensitivities
 
 FIRST = np.datetime64("2020-01-01", "s")
 
@@ -18,7 +18,7 @@ def at(years: Floats) -> drift.Dates:
 
 def of(years: Floats, values: Floats, u: float = 1.0, common: Floats | None = None) -> UnitDrift:
     covariance = np.broadcast_to(u**2 * np.eye(12), (len(years), 12, 12))
-    return unit_drift(at(years), values, covariance, common)
+    return history_drift(at(years), values, np.diagonal(covariance, axis1=1, axis2=2), common)
 
 
 def test_filter_is_dense_generalised_least_squares() -> None:
@@ -106,7 +106,7 @@ def test_what_all_have_in_common_moves_no_rate_and_never_averages() -> None:
 def test_order_of_calibrations_does_not_matter() -> None:
     rng = np.random.default_rng(6)
     years, values = np.arange(5.0), rng.normal(size=(5, 12))
-    turned = unit_drift(at(years)[::-1], values[::-1], np.broadcast_to(np.eye(12), (5, 12, 12)))
+    turned = history_drift(at(years)[::-1], values[::-1], np.ones((5, 12)))
     np.testing.assert_allclose(turned.rate, of(years, values).rate)
 
 

@@ -118,26 +118,3 @@ def test_a_slow_sampler_is_not_waited_for_twice():
 
     wait_until_settled(sample, Criterion(1.0, 5.0, 60.0, 1.0), clock)
     assert np.allclose(np.diff(calls), 1.0)
-
-
-@pytest.mark.parametrize(
-    ("sizes", "what"),
-    [
-        ((0.0, 1.0, 9.0, 1.0), "precision"),
-        ((1.0, 10.0, 9.0, 1.0), "shorter than the window"),
-        ((1.0, 5.0, 9.0, 6.0), "more often"),
-        ((1.0, math.nan, 9.0, 6.0), "window_s"),
-    ],
-)
-def test_a_criterion_that_cannot_be_met_is_refused(sizes, what):
-    with pytest.raises(ValueError, match=what):
-        Criterion(*sizes)
-
-
-def test_samples_that_do_not_follow_each_other_are_refused():
-    window = Window(CRITERION)
-    window.add(1.0, [1.0, 2.0])
-    with pytest.raises(ValueError, match="follow"):
-        window.add(0.0, [1.0, 2.0])
-    with pytest.raises(ValueError, match="a sample has 1 signals, the last had 2"):
-        window.add(2.0, [1.0])

@@ -98,7 +98,7 @@ def test_a_head_that_was_left_elsewhere_is_turned_home_first(morning, evenings):
     turns = []
 
     def elsewhere(evening):
-        world = evening.person._operator._world
+        world = evening.person._world
         world.turn(math.radians(90.0), 1)
         turn = world.turn
         world.turn = lambda angle_rad, direction: (turns.append(angle_rad), turn(angle_rad, direction))
@@ -113,7 +113,7 @@ def test_a_head_that_was_left_elsewhere_is_turned_home_first(morning, evenings):
 @pytest.mark.slow
 def test_a_block_that_moved_in_its_clamp_on_the_way_is_reported(morning, evenings):
     def loose(evening):
-        world = evening.person._operator._world
+        world = evening.person._world
         turn = world.turn
 
         def slipped(angle_rad, direction):

@@ -203,7 +203,7 @@ def over_directions(
     """Return the mean and the largest uncertainty of accelerations of `magnitude_g` over all directions."""
     found = measured(budget, magnitude_g * directions(), reading=reading, same_voltmeters=same_voltmeters)
     even = slice(0, DIRECTIONS)
-    u, factor = found.u_modulus, coverage_factor(found.dof_modulus, budget.probability)
+    u, factor = found.u_modulus, coverage_factor(found.dof_modulus)
     parts = {n: float(np.mean(found.modulus_variance(c)[even])) for n, c in found.by_source.items()}
     total = sum(parts.values())
     return AtMagnitude(
@@ -269,7 +269,7 @@ def delta_g(
     sources = [c.source for c in budget.contributions]
     variances = delta_g_variances(budget, reading=reading)
     u, dof = np.sqrt(variances.sum(axis=1)), effective_dof(variances, [source.dof for source in sources])
-    expanded = coverage_factor(dof, budget.probability) * u
+    expanded = coverage_factor(dof) * u
     limits = decision.acceptance_limit(limit_g, MeasuredValues(u, expanded, dof, population)).tolist()
     return tuple(
         DeltaG(
@@ -313,25 +313,20 @@ class ExactResult:
     verdict: Validation
 
 
-def exact_monte_carlo(budget: Budget, trials: int, seed: int = 1, digits: int = DIGITS) -> ExactResult:
+def exact_monte_carlo(budget: Budget, trials: int, seed: int = 1) -> ExactResult:
     """Propagate the sources of a budget through the exact geometry, and compare with the linear budget.
 
     Raises `CalibrationError` for fewer trials than a coverage interval needs.
     """
-    require_trials(trials, budget.probability)
+    require_trials(trials)
     rng = np.random.default_rng(seed)
-    simulated = _Simulation(budget)
+    simulated = Simulation(budget)
     sizes = tracked(list(batches(trials, BATCH)), "Monte Carlo trials")
     outputs = np.concatenate([simulated.outputs(count, rng) for count in sizes])
-    found = summary(outputs, budget.probability)
+    found = summary(outputs)
     linear = _linear(budget)
     points = [f"Δg {np.degrees(a):g}°" for a in budget.setup.conditions.angle_rad[budget.setup.verification]]
-    return ExactResult((*COEFFICIENTS, *points), linear, found, validate(linear, found, digits))
-
-
-def exact_readings(budget: Budget, trials: int, rng: np.random.Generator) -> Floats:
-    """Return simulated readings (trials, n, 3), V, with every source of the budget drawn."""
-    return _Simulation(budget).readings(trials, rng)
+    return ExactResult((*COEFFICIENTS, *points), linear, found, validate(linear, found, DIGITS))
 
 
 def _linear(budget: Budget) -> Propagated:
@@ -346,7 +341,7 @@ def _linear(budget: Budget) -> Propagated:
     )
 
 
-class _Simulation:
+class Simulation:
     """A Monte Carlo simulation of a budget's bench, many trials at once."""
 
     def __init__(self, budget: Budget) -> None:
@@ -367,19 +362,15 @@ class _Simulation:
         """Return coefficients and delta g, shape (trials, 12 + v)."""
         setup, gain = self._setup, self._budget.gain
         readings = self.readings(trials, rng)
-        coefficients = self._estimate(readings - setup.signal, gain)
+        excess = (readings - setup.signal).reshape(trials, -1)
+        coefficients = setup.block.vector + excess @ gain.reshape(len(gain), -1).T
         rows = readings[:, setup.verification]
         K, U0 = coefficients[:, :9].reshape(-1, 3, 3), coefficients[:, 9:]
         force = np.linalg.solve(K, np.swapaxes(rows - U0[:, None], 1, 2))
         return np.concatenate([coefficients, np.linalg.norm(force, axis=1) - 1.0], axis=1)
 
-    def _estimate(self, excess: Floats, gain: Floats) -> Floats:
-        """Return the estimated coefficients of each trial; `excess` is simulated minus error-free readings."""
-        flat = excess.reshape(len(excess), -1) @ gain.reshape(len(gain), -1).T
-        return self._setup.block.vector + flat
-
     def readings(self, trials: int, rng: np.random.Generator) -> Floats:
-        """Return simulated readings (trials, n, 3), V."""
+        """Return simulated readings (trials, n, 3), V, with every source of the budget drawn."""
         setup = self._setup
         n, mounts = len(setup.conditions), len(setup.conditions.mounts)
         stand = np.zeros((trials, mounts, len(STAND_ANGLES)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Final, Protocol
@@ -14,7 +14,7 @@ from bench.base.arrays import Floats, Ints, Mask
 from bench.calibration import gls
 from bench.calibration.budget.error_source import NAME as FOUNDATION
 from bench.calibration.budget.error_source import ErrorSource, tilt_patterns
-from bench.calibration.budget.propagation import COVERAGE, Propagated, effective_dof
+from bench.calibration.budget.propagation import Propagated, effective_dof
 from bench.calibration.design import FIXED, STEP_RAD, Problem, make_problem
 from bench.calibration.estimators import GLS, in_a_budget
 from bench.calibration.gls import WeightingTask
@@ -184,7 +184,7 @@ def make_setup(
             f"(it has {', '.join(chain.installations)}); add it there"
         )
     about = bench.simulated_block() if block is None else block
-    setup = Setup(chain, conditions, about, meters_of([m.channels for m in bench.instruments.voltmeters]))
+    setup = Setup(chain, conditions, about, meters_of(bench))
     if not np.any(setup.fitted):
         raise CalibrationError(
             f"{plan.name}: has verification points only; a calibration needs installations"
@@ -192,9 +192,13 @@ def make_setup(
     return setup
 
 
-def meters_of(channels: Sequence[Sequence[str]]) -> tuple[int, int, int]:
-    """Return the voltmeter numbers of x, y and z, from the channels of each voltmeter."""
-    of = {channel: number for number, meter in enumerate(channels) for channel in meter}
+def meters_of(bench: BenchFile) -> tuple[int, int, int]:
+    """Return the numbers of the voltmeters that read x, y and z."""
+    of = {
+        channel: number
+        for number, meter in enumerate(bench.instruments.voltmeters)
+        for channel in meter.channels
+    }
     return of["x"], of["y"], of["z"]
 
 
@@ -492,7 +496,6 @@ class Budget:
     setup: Setup
     gain: Floats
     contributions: tuple[Contribution, ...]
-    probability: float = COVERAGE
 
     @cached_property
     def combined(self) -> Propagated:
@@ -527,7 +530,6 @@ def make_budget(
     sources: Sequence[ErrorSource],
     estimator: str = GLS,
     stated: Mapping[str, float] | None = None,
-    probability: float = COVERAGE,
     known: KnownStand | None = None,
 ) -> Budget:
     """Return the uncertainty budget of the estimator named `estimator`.
@@ -536,14 +538,11 @@ def make_budget(
     `estimator_map`). Prior knowledge from other runs, `known`, replaces them. Raises `CalibrationError` if the
     readings do not determine the coefficients.
     """
-    gain = estimator_map(estimator, setup, sizes_by_name(sources) if stated is None else stated, known)
+    if stated is None:
+        stated = {source.name: source.u for source in sources if source.name in STAND_ERRORS}
+    gain = estimator_map(estimator, setup, stated, known)
     contributions = tuple(Contribution(source, parts_of(source, setup, gain)) for source in sources)
-    return Budget(estimator, setup, gain, contributions, probability)
-
-
-def sizes_by_name(sources: Iterable[ErrorSource]) -> dict[str, float]:
-    """Return the standard uncertainties of the stand's sources by name."""
-    return {source.name: source.u for source in sources if source.name in STAND_ERRORS}
+    return Budget(estimator, setup, gain, contributions)
 
 
 def parts_of(source: ErrorSource, setup: AnyReadings, functionals: Floats) -> Floats:

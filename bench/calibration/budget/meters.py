@@ -88,11 +88,6 @@ def may_move(quantity: Quantity, meter: VoltmeterForm) -> float:
     return drift / math.sqrt(3.0)
 
 
-def is_certified(quantity: Quantity, meter: VoltmeterForm) -> bool:
-    """Return whether a certificate states a meter's gain or zero on its range."""
-    return _certified(quantity, meter) is not None
-
-
 def _certified(quantity: Quantity, meter: VoltmeterForm) -> CertifiedGain | CertifiedOffset | None:
     values = meter.certificate and meter.certificate.of_range(meter.range)
     if not values:
@@ -274,7 +269,7 @@ def known_meters(
         sizes = [size_of(name, meter, day) for meter in forms]
         if stated is not None:
             sizes = [Size.stated(stated)] * len(forms)
-        certified = np.array([stated is None and is_certified(name, meter) for meter in forms])
+        certified = np.array([stated is None and _certified(name, meter) is not None for meter in forms])
         if kept == 0.0:
             own: JointErrors | str = f"in {METERS_DRIFT.days} days voltmeters may drift through their limits"
         else:

@@ -22,19 +22,12 @@ COVERAGE: Final = 0.9545
 def coverage_factor(dof: ArrayLike, probability: float = COVERAGE) -> Floats:
     """Return the two-sided quantile of the t distribution for degrees of freedom, of any shape.
 
-    Source: JCGM 100:2008, G.3. Raises `CalibrationError` for a probability outside 0 to 1.
+    Source: JCGM 100:2008, G.3.
     """
-    require_probability(probability)
     nu = np.asarray(dof, dtype=np.float64)
     finite = special.stdtrit(np.where(np.isinf(nu), 1.0, nu), 0.5 * (1.0 + probability))
     normal = special.ndtri(0.5 * (1.0 + probability))
     return np.asarray(np.where(np.isinf(nu), normal, finite), dtype=np.float64)
-
-
-def require_probability(probability: float) -> None:
-    """Raise `CalibrationError` for a probability that is not between 0 and 1."""
-    if not 0.0 < probability < 1.0:
-        raise CalibrationError(f"give a coverage probability between 0 and 1, not {probability:g}")
 
 
 def effective_dof(variances: Floats, dof: ArrayLike) -> Floats:
@@ -172,10 +165,9 @@ def validate(linear: Propagated, trials: Distributed, digits: int = 1) -> Valida
     )
 
 
-def require_trials(trials: int, probability: float) -> None:
+def require_trials(trials: int) -> None:
     """Raise `CalibrationError` for too few trials for a coverage interval (JCGM 101:2008, 7.2)."""
-    require_probability(probability)
-    least = math.ceil(100.0 / (1.0 - probability))
+    least = math.ceil(100.0 / (1.0 - COVERAGE))
     if trials < least:
         raise CalibrationError(f"{trials} trials are too few for a coverage interval; give {least} or more")
 

@@ -28,6 +28,7 @@ from bench.calibration.result import Calibration, SourceOfError
 from bench.config.bench_file.file import BenchFile
 from bench.model import Block, Conditions, ForwardModel
 from bench.model.geometry import COEFFICIENTS, modulus_slopes
+from bench.readings.corrected import VOLTS
 from bench.readings.table import UNORIENTED, VERIFICATION, Readings
 
 GRAVITY: Final = "gravity"
@@ -35,7 +36,6 @@ METERS: Final = ("voltmeter_gain", "voltmeter_offset")
 """Sources whose error is the same whenever the same voltmeters read the block."""
 OF_BLOCK: Final = ("K2", "K3")
 """Sources whose error belongs to the block and is the same in every calibration and check."""
-VOLTS: Final = "V"
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def sign(
     repeats = tuple(_zero_repeats(calibration, bench))
     if readings.unit != VOLTS:
         whole = calibration.covariance + sum((s.covariance for s in repeats), np.zeros((12, 12)))
-        note = _NO_VOLTS.format(unit=readings.unit)
+        note = NOT_IN_VOLTS.format(unit=readings.unit)
         return replace(calibration, covariance=whole, sources=repeats, notes=(*calibration.notes, note))
     taken = _taken(calibration, readings, bench)
     of_bench = _acting(calibration, bench, model, day, meters)
@@ -194,7 +194,7 @@ def _on_roll(roll: Floats, covariance: Floats) -> tuple[str, ...]:
     )
 
 
-_NO_VOLTS: Final = (
+NOT_IN_VOLTS: Final = (
     "the readings are in {unit}, so u covers these readings alone, not the errors of this bench's meters"
 )
 
@@ -213,7 +213,7 @@ def delta_g_elsewhere(
     calibration, None if unknown. All other errors of the readings count in full.
     """
     rows = np.flatnonzero(readings.installation == VERIFICATION)
-    taken = MeasuredReadings(readings, block, _meters(bench), np.zeros((len(readings), 3)), calibrated_c)
+    taken = MeasuredReadings(readings, block, meters_of(bench), np.zeros((len(readings), 3)), calibrated_c)
     by_coefficient, by_signal = modulus_slopes(taken.force[rows], block)
     whole = by_coefficient @ covariance @ by_coefficient.T + np.diag(np.sum((by_signal * noise) ** 2, axis=1))
     if readings.unit != VOLTS:
@@ -286,11 +286,7 @@ def delta_g_contributions(
 
 
 def _taken(calibration: Calibration, readings: Readings, bench: BenchFile) -> MeasuredReadings:
-    return MeasuredReadings(readings, calibration.block, _meters(bench), calibration.slope)
-
-
-def _meters(bench: BenchFile) -> tuple[int, int, int]:
-    return meters_of([m.channels for m in bench.instruments.voltmeters])
+    return MeasuredReadings(readings, calibration.block, meters_of(bench), calibration.slope)
 
 
 def _acting(

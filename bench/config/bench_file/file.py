@@ -31,7 +31,6 @@ from bench.config.bench_file.sections import (
     CheckBlockSection,
     InstrumentForm,
     InstrumentsSection,
-    RecordedInstruments,
     SimulationSection,
 )
 from bench.config.bench_file.stand import (
@@ -45,7 +44,7 @@ from bench.config.bench_file.stand import (
     VerificationSection,
 )
 from bench.config.devices.device import Certificate, ChamberCertificate, HeadCertificate
-from bench.config.devices.registry import UnknownVoltmeter, devices, unknown_drivers
+from bench.config.devices.registry import RECORDED, UnknownVoltmeter, devices, unknown_drivers
 from bench.config.devices.sections import MotorisedHeadForm, VoltmeterForm
 from bench.config.formulas import FormulaEntry, effects_as_written
 from bench.config.model_file import EffectEntry, mistakes_with_formulas
@@ -211,8 +210,6 @@ def load_bench(path: Path) -> BenchFile:
 class _WithUnknownInstruments(BenchFile):
     """A recorded bench file that names unknown drivers; it was checked when its run began."""
 
-    instruments: RecordedInstruments
-
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
         """Yield nothing: without the drivers, the parts cannot be checked against each other."""
@@ -231,7 +228,7 @@ def load_recorded_bench(path: Path) -> BenchFile:
             for key in ("effects", "left_open") if isinstance(section, dict) else ():
                 section.pop(key, None)
     known = not unknown_drivers(_sections_of(document.data))
-    return validated(document, BenchFile if known else _WithUnknownInstruments)
+    return validated(document, BenchFile if known else _WithUnknownInstruments, RECORDED)
 
 
 def missing_drivers(path: Path) -> list[str]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from itertools import takewhile
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from bench.base.arrays import ARCSEC, CHANNELS
 from bench.base.units import (
@@ -50,10 +50,6 @@ SURROUNDINGS: Final = {"meter_thermometer": METER_C, "room_thermometer": ROOM_C}
 """For each thermometer away from the block, by its key: its column in the readings."""
 
 
-def _around(key: str, *, recorded: bool = False) -> BeforeValidator:
-    return chosen_by_driver("thermometer", name=key, recorded=recorded)
-
-
 class InstrumentsSection(FileModel):
     """The instruments of a bench; the `driver` of each determines the other keys of its section.
 
@@ -72,11 +68,11 @@ class InstrumentsSection(FileModel):
     thermometer: Annotated[ThermometerForm | None, chosen_by_driver("thermometer")] = None
     power_supply: Annotated[SupplyForm | None, chosen_by_driver("power_supply")] = None
     meter_thermometer: Annotated[
-        ThermometerForm | Literal["chamber"] | None, _around("meter_thermometer")
+        ThermometerForm | Literal["chamber"] | None, chosen_by_driver("thermometer", name="meter_thermometer")
     ] = None
-    room_thermometer: Annotated[ThermometerForm | Literal["chamber"] | None, _around("room_thermometer")] = (
-        None
-    )
+    room_thermometer: Annotated[
+        ThermometerForm | Literal["chamber"] | None, chosen_by_driver("thermometer", name="room_thermometer")
+    ] = None
 
     def all(self) -> Iterator[InstrumentForm]:
         """Yield the section of every instrument: voltmeters, head, then the optional ones."""
@@ -119,26 +115,6 @@ class InstrumentsSection(FileModel):
         """Yield the name of every instrument, then of every GPIB adapter."""
         yield from (section.name for section in self.all())
         yield from self.adapters.values()
-
-
-class RecordedInstruments(InstrumentsSection):
-    """The instruments of a recorded run; sections with unknown drivers are kept as written."""
-
-    voltmeters: Annotated[
-        tuple[Annotated[VoltmeterForm, chosen_by_driver("voltmeter", recorded=True)], ...],
-        Field(min_length=1, max_length=len(CHANNELS)),
-    ]
-    head: Annotated[HeadForm, chosen_by_driver("head", recorded=True)]
-    chamber: Annotated[ChamberForm | None, chosen_by_driver("chamber", recorded=True)] = None
-    level: Annotated[LevelForm | None, chosen_by_driver("level", recorded=True)] = None
-    thermometer: Annotated[ThermometerForm | None, chosen_by_driver("thermometer", recorded=True)] = None
-    power_supply: Annotated[SupplyForm | None, chosen_by_driver("power_supply", recorded=True)] = None
-    meter_thermometer: Annotated[
-        ThermometerForm | Literal["chamber"] | None, _around("meter_thermometer", recorded=True)
-    ] = None
-    room_thermometer: Annotated[
-        ThermometerForm | Literal["chamber"] | None, _around("room_thermometer", recorded=True)
-    ] = None
 
 
 DAY_S: Final = 86400.0

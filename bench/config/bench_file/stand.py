@@ -88,7 +88,23 @@ class RailSection(FileModel):
 
 
 MOST_SAMPLES: Final = 1_000_000
-"""The most samples of the signals during a warm-up."""
+"""The most samples of one settling or warm-up."""
+
+
+def can_come_about(
+    what: str, size: float, span: str, span_s: float, interval_s: float, timeout_s: float
+) -> None:
+    """Raise `ValueError` if no samples meet a criterion: a `size` called `what`, kept in a time called `span`."""
+    if size <= 0.0:
+        raise ValueError(f"state a {what} above 0: no two samples are equal")
+    if not 0.0 < interval_s <= span_s:
+        raise ValueError(f"state an interval above 0 and at most {span}")
+    if timeout_s > MOST_SAMPLES * interval_s:
+        raise ValueError(
+            f"this interval takes more than {MOST_SAMPLES} samples until the timeout; lengthen it"
+        )
+    if timeout_s < span_s + interval_s:
+        raise ValueError(f"state a timeout of at least {span} and one interval")
 
 
 class DriftForm(FileModel):
@@ -104,16 +120,7 @@ class DriftForm(FileModel):
 
     @model_validator(mode="after")
     def _can_come_about(self) -> DriftForm:
-        if self.drift == 0.0:
-            raise ValueError("state a drift above 0: no two samples are equal")
-        if not 0.0 < self.interval <= self.per:
-            raise ValueError("state an interval above 0 and at most the time of the drift")
-        if self.timeout > MOST_SAMPLES * self.interval:
-            raise ValueError(
-                f"this interval takes more than {MOST_SAMPLES} samples until the timeout; lengthen it"
-            )
-        if self.timeout < self.per + self.interval:
-            raise ValueError("state a timeout of at least the time of the drift and one interval")
+        can_come_about("drift", self.drift, "the time of the drift", self.per, self.interval, self.timeout)
         return self
 
 

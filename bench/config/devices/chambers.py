@@ -220,7 +220,7 @@ class KeysightE3631ASection(WiredSupplyForm):
     @field_validator("serial")
     @classmethod
     def _speed_of_the_supply(cls, serial: SerialSection) -> SerialSection:
-        usual_baud_rate(serial.baud_rate, keysight_e3631a.BAUD_RATES)
+        usual_baud_rate(serial.baud_rate, cls.facts.BAUD_RATES)
         return serial
 
     def driver_options(self) -> dict[str, Any]:

@@ -227,19 +227,23 @@ def _union(sections: tuple[type[DeviceSection], ...]) -> Any:
     return Annotated[Union[sections], Field(discriminator="driver")]  # noqa: UP007 - of as many as there are
 
 
-def chosen_by_driver(role: Role, *, name: str = "", recorded: bool = False) -> BeforeValidator:
+RECORDED: Final = "recorded"
+"""The context of validation of a bench file that was recorded with a run."""
+
+
+def chosen_by_driver(role: Role, *, name: str = "") -> BeforeValidator:
     """Return a validator that turns a section as written into the section class of its `driver`.
 
     `name` is the default name of the instrument; if it is empty, the default is the name of the role.
 
     An unknown driver gives one error only, which lists similar names or says why the driver could not be loaded. In
-    a bench file that was `recorded` with a run, the section of an unknown driver is kept as written.
+    the context `RECORDED`, the section of an unknown driver is kept as written.
     """
 
-    def choose(written: object) -> object:
+    def choose(written: object, info: ValidationInfo) -> object:
         if not isinstance(written, dict):
             return written
-        return _validated({"name": name, **written} if name else written, role, recorded)
+        return _validated({"name": name, **written} if name else written, role, info.context == RECORDED)
 
     return BeforeValidator(choose)
 

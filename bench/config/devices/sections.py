@@ -54,15 +54,13 @@ DAYS_90: Final = 90.0 / 365.25
 class VoltmeterKind:
     """The limits and accuracy of a voltmeter type, for one channel.
 
-    `over_range` is the fraction of a range up to which the meter reads. `accuracy` gives, by range, the error
-    limits of DC volts within 90 days at 23 ± 5 °C, as fractions of reading and of range; `accuracy_of_year` gives
-    the limits within a year where they are known. `linearity` gives the limits of integral nonlinearity in the same
-    form. `resolution` maps an integration time (in NPLC) to the resolution at this and longer times, as a fraction
-    of the range; it is empty if unknown.
+    `accuracy` gives, by range, the error limits of DC volts within 90 days at 23 ± 5 °C, as fractions of reading
+    and of range; `accuracy_of_year` gives the limits within a year where they are known. `linearity` gives the
+    limits of integral nonlinearity in the same form. `resolution` maps an integration time (in NPLC) to the
+    resolution at this and longer times, as a fraction of the range; it is empty if unknown.
     """
 
     limits: VoltmeterLimits
-    over_range: float
     accuracy: Mapping[float, tuple[float, float]]
     linearity: tuple[float, float]
     resolution: Mapping[float, float] = field(default_factory=dict)
@@ -73,7 +71,6 @@ class VoltmeterKind:
         """Return the voltmeter type that a module of facts describes."""
         return cls(
             VoltmeterLimits.of(facts),
-            facts.OVER_RANGE,
             facts.ACCURACY_90_DAYS,
             facts.LINEARITY,
             getattr(facts, "RESOLUTION", {}),

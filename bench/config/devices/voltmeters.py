@@ -18,7 +18,6 @@ from bench.config.devices.device import (
     WiredForm,
     any_resource,
     is_serial,
-    usual_baud_rate,
 )
 from bench.config.devices.sections import (
     OneChannelForm,
@@ -101,13 +100,10 @@ _KEYSIGHT_34461A = Device(
 class Keithley2000Port(PortSection):
     """The RS-232 settings at the front panel of a Keithley 2000; `terminator` is its TX TERM."""
 
+    known: ClassVar = keithley.BAUD_RATES
+
     baud_rate: int = PortSection.of(keithley).baud_rate
     terminator: Literal["lf", "cr", "crlf", "lfcr"] = "lf"
-
-    @field_validator("baud_rate")
-    @classmethod
-    def _of_the_meter(cls, baud_rate: int) -> int:
-        return usual_baud_rate(baud_rate, keithley.BAUD_RATES)
 
 
 class Keithley2000Section(OneChannelForm):

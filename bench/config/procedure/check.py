@@ -287,23 +287,23 @@ def orientations(plan: Plan, bench: BenchFile) -> dict[float | None, Floats]:
     The keys are the chamber temperatures that the plan sets (None before the first), the values are arrays (n, 3).
     Each orientation occurs once. Verification points and installations missing from the bench file are omitted.
     """
-    turns = {label: known.block_from_platform for label, known in bench.installation_models().items()}
+    turns = {
+        label: known.block_from_platform
+        for label, known in bench.installation_models().items()
+        if label not in {VERIFICATION, *UNORIENTED}
+    }
     found: dict[float | None, dict[tuple[str, float], Floats]] = {}
     at_c: float | None = None
     for step in plan.steps:
         if isinstance(step, SetTemperature):
             at_c = step.target_c
-        elif isinstance(step, Read) and step.target_rad is not None and _is_fitted(step, turns):
+        elif isinstance(step, Read) and step.target_rad is not None and step.installation in turns:
             place = step.installation, step.target_rad
             forces = found.setdefault(at_c, {})
             if place not in forces:
                 on_platform = np.array([np.sin(step.target_rad), 0.0, np.cos(step.target_rad)])
                 forces[place] = turns[step.installation] @ on_platform
     return {temperature: np.array([*forces.values()]) for temperature, forces in found.items()}
-
-
-def _is_fitted(step: Read, turns: dict[str, Floats]) -> bool:
-    return step.installation in turns and step.installation not in {VERIFICATION, *UNORIENTED}
 
 
 def undetermined(force: Floats) -> tuple[str, ...]:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from pydantic import (
     AfterValidator,
-    BeforeValidator,
     Discriminator,
     Field,
     Tag,
@@ -27,9 +26,10 @@ from bench.base.units import (
     TemperatureC,
     VoltageV,
     above_zero,
-    parse_quantity,
+    reads,
 )
 from bench.base.yaml_files import FileModel
+from bench.config.bench_file.stand import can_come_about
 from bench.config.procedure.plan import KINDS, OnFailure, OperatorTime
 from bench.config.procedure.steps import (
     ActionVerb,
@@ -47,9 +47,6 @@ from drivers.person import PromptKind
 
 Positive = Annotated[int, Field(ge=1)]
 
-MOST_SAMPLES: Final = 1_000_000
-"""The most samples that one settling may take."""
-
 TEMPERATURE_DIFFERENCE: Final = QuantityKind("a difference of temperatures", "0.1 K", "K", only=("K", "mK"))
 
 
@@ -66,16 +63,7 @@ class SettleForm(ActionVerb):
 
     @model_validator(mode="after")
     def _can_come_about(self) -> SettleForm:
-        if self.precision <= 0.0:
-            raise ValueError("state a precision above 0: no two samples are equal")
-        if not 0.0 < self.interval <= self.window:
-            raise ValueError("state an interval above 0 and at most the window")
-        if self.timeout > MOST_SAMPLES * self.interval:
-            raise ValueError(
-                f"this interval takes more than {MOST_SAMPLES} samples until the timeout; lengthen it"
-            )
-        if self.timeout < self.window + self.interval:
-            raise ValueError("state a timeout of at least the window and one interval")
+        can_come_about("precision", self.precision, "the window", self.window, self.interval, self.timeout)
         return self
 
     def plan_steps(self, key: Callable[[str], str]) -> Iterator[Step]:
@@ -96,7 +84,7 @@ class TemperatureSettle(SettleForm):
     """Settling of the temperature at the block; the precision is in K."""
 
     what: Literal["temperature"] = "temperature"
-    precision: Annotated[float, BeforeValidator(lambda text: parse_quantity(text, TEMPERATURE_DIFFERENCE))]
+    precision: Annotated[float, reads(TEMPERATURE_DIFFERENCE)]
     interval: DurationS = 60.0
 
 

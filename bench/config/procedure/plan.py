@@ -43,7 +43,7 @@ KINDS: Final[tuple[type[Step], ...]] = (
 """All kinds of step, in the order of `Plan.counts`; add a kind from a separate module here."""
 
 _STEPS: Final[Mapping[str, Callable[..., Step]]] = {kind.NAME: kind for kind in KINDS}
-_FIELDS: Final = {kind: tuple(f.name for f in fields(kind)) for kind in KINDS}
+FIELDS: Final = {kind: tuple(f.name for f in fields(kind)) for kind in KINDS}
 
 _ADDED: Final[Mapping[str, object]] = {
     "on_failure": OnFailure(), "input_s": OperatorTime().input_s, "scan": "",
@@ -175,7 +175,7 @@ def _warms_up(step: Power) -> bool:
 
 def _step_to_json(step: Step) -> dict[str, Any]:
     written: dict[str, Any] = {"step": step.NAME}
-    for name in _FIELDS[type(step)]:
+    for name in FIELDS[type(step)]:
         value = getattr(step, name)
         if name not in _ADDED or value != _ADDED[name]:
             written[name] = asdict(value) if isinstance(value, OnFailure) else value

@@ -217,6 +217,14 @@ def lag_of(*minutes: int) -> Parameter:
     return Parameter("lag", "min", MINUTE, plausible=10 * MINUTE, per_channel=False, grid=grid)
 
 
+def time_constant(*minutes: int) -> Parameter:
+    """Return the shape parameter "tau" of an exponential decay, of 20 min as a rule; its grid is the `minutes`."""
+    grid = tuple(m * MINUTE for m in minutes)
+    return Parameter(
+        "tau", "min", MINUTE, plausible=20 * MINUTE, per_channel=False, grid=grid, default=20 * MINUTE
+    )
+
+
 def play(signal: Floats, width: float) -> Floats:
     """Return a signal (n,) after a mechanical play of half-width `width`.
 

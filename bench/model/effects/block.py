@@ -5,13 +5,22 @@ In the formulas a_i is the specific force in g on the axis of channel i, K_ii it
 
 from __future__ import annotations
 
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 
-from bench.base.arrays import HOUR, MINUTE, Floats
+from bench.base.arrays import HOUR, Floats
 from bench.model.conditions import Conditions, HeadPath, head_path
-from bench.model.effects.base import BlockEffect, Parameter, Seen, Values, fading, lag_of, lagged
+from bench.model.effects.base import (
+    BlockEffect,
+    Parameter,
+    Seen,
+    Values,
+    fading,
+    lag_of,
+    lagged,
+    time_constant,
+)
 
 # --- nonlinearity -----------------------------------------------------------------------------------
 # The forms are those of the model equation in IEEE Std 1293-2018; i is a channel's own axis, j and k the
@@ -256,9 +265,26 @@ def _start(unit: str, plausible: float, start_of: str) -> Parameter:
 
 
 class LaggedEffect(BlockEffect):
-    """An effect behind a first-order lag, of unknown state at the start of a mounting."""
+    """An effect of T, the temperature after a first-order lag, minus the reference.
 
+    Its state at the start of a mounting is unknown. The first parameter is its size per kelvin: a bias or, with
+    `of_scale`, a change of the scale factor.
+    """
+
+    of_scale: ClassVar[bool] = False
     needs_history = True
+
+    def addition(self, values: Values, seen: Seen) -> Floats:
+        """Return K_ii (size_i T + start_i exp(-t / lag)) in volts, shape (n, 3), with t since the mounting.
+
+        With `of_scale` it is multiplied by a_i.
+        """
+        lag_s, acts = float(values["lag"]), seen.signal if self.of_scale else 1.0
+        warmth = lagged(seen.conditions.warmth_k, seen.conditions.elapsed_s, lag_s)
+        added = warmth[:, None] * acts * (seen.scale * values[self.parameters[0].name])
+        if np.any(start := values.get("start", 0.0)):
+            added = added + fading(seen.conditions, lag_s)[:, None] * acts * (seen.scale * start)
+        return np.asarray(added)
 
     def start_spread(self, conditions: Conditions) -> float:
         """Return how much the temperature varies in the run, K: by as much it may have differed before."""
@@ -266,7 +292,7 @@ class LaggedEffect(BlockEffect):
 
 
 class ThermalBias(LaggedEffect):
-    """Bias b_T T, where T is the temperature, after a first-order lag, minus the reference."""
+    """Bias b_T T; T is the temperature, after a first-order lag, minus the reference."""
 
     name = "thermal_bias"
     parameters = (
@@ -277,20 +303,12 @@ class ThermalBias(LaggedEffect):
     sentence = "the bias of the accelerometer follows the temperature, at once or behind a lag"
     shown_by = "the same settings at two temperatures; a step of temperature shows the lag"
 
-    def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii (b_T_i T + start_i exp(-t / lag)) in volts, shape (n, 3), with t since the mounting."""
-        lag_s = float(values["lag"])
-        warmth = lagged(seen.conditions.warmth_k, seen.conditions.elapsed_s, lag_s)
-        added = warmth[:, None] * (seen.scale * values["b_T"])
-        if np.any(start := values.get("start", 0.0)):
-            added = added + fading(seen.conditions, lag_s)[:, None] * (seen.scale * start)
-        return added
-
 
 class ThermalScale(LaggedEffect):
     """Scale-factor change k_T T K_ii a_i; T is the temperature, after a first-order lag, minus the reference."""
 
     name = "thermal_scale"
+    of_scale = True
     parameters = (
         Parameter("k_T", "ppm/K", 1e-6, plausible=100e-6, per_channel=True),
         lag_of(5, 10, 20, 30),
@@ -298,15 +316,6 @@ class ThermalScale(LaggedEffect):
     )
     sentence = "the scale factor of the accelerometer follows the temperature, at once or behind a lag"
     shown_by = "the same settings at two temperatures; a step of temperature shows the lag"
-
-    def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii (k_T_i T + start_i exp(-t / lag)) a_i in volts, shape (n, 3), with t since the mounting."""
-        lag_s = float(values["lag"])
-        warmth = lagged(seen.conditions.warmth_k, seen.conditions.elapsed_s, lag_s)
-        added = warmth[:, None] * seen.signal * (seen.scale * values["k_T"])
-        if np.any(start := values.get("start", 0.0)):
-            added = added + fading(seen.conditions, lag_s)[:, None] * seen.signal * (seen.scale * start)
-        return added
 
 
 class ThermalNonlinearity(BlockEffect):
@@ -348,11 +357,8 @@ class WarmUp(BlockEffect):
     name = "warm_up"
     parameters = (
         Parameter("A", "ug", 1e-6, plausible=150e-6, per_channel=True),
-        Parameter(
-            "tau", "min", MINUTE, plausible=20 * MINUTE, per_channel=False,
-            grid=tuple(minutes * MINUTE for minutes in (5, 10, 15, 20, 30, 45, 60, 80)), default=20 * MINUTE,
-        ),
-    )  # fmt: skip
+        time_constant(5, 10, 15, 20, 30, 45, 60, 80),
+    )
     sentence = "the bias of the accelerometer settles after it was switched on"
     shown_by = "a return to installation 1 at the end; more passes; a longer soak makes it smaller"
 
@@ -426,11 +432,8 @@ class ThermalSettling(BlockEffect):
     name = "thermal_settling"
     parameters = (
         Parameter("A", "ug", 1e-6, plausible=60e-6, per_channel=True),
-        Parameter(
-            "tau", "min", MINUTE, plausible=20 * MINUTE, per_channel=False,
-            grid=tuple(minutes * MINUTE for minutes in (10, 20, 40, 80)), default=20 * MINUTE,
-        ),
-    )  # fmt: skip
+        time_constant(10, 20, 40, 80),
+    )
     sentence = (
         "the bias of the accelerometer settles after each mounting, warmed by the hand or by the platform"
     )

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import HOUR, MINUTE, Floats
+from bench.base.arrays import HOUR, Floats
 from bench.model.effects.base import (
     Effect,
     Parameter,
@@ -18,6 +18,7 @@ from bench.model.effects.base import (
     lag_of,
     lagged,
     play,
+    time_constant,
 )
 
 NORMAL_V: Final = 2.5
@@ -60,11 +61,8 @@ class VoltmeterWarmUp(VoltmeterEffect):
     name = "voltmeter_warm_up"
     parameters = (
         Parameter("A", "uV", 1e-6, plausible=100e-6, per_channel=False),
-        Parameter(
-            "tau", "min", MINUTE, plausible=20 * MINUTE, per_channel=False,
-            grid=tuple(minutes * MINUTE for minutes in (5, 10, 15, 20, 30, 45, 60, 80)), default=20 * MINUTE,
-        ),
-    )  # fmt: skip
+        time_constant(5, 10, 15, 20, 30, 45, 60, 80),
+    )
     sentence = (
         "a voltage that all channels share, such as the zero of the voltmeters, settles after switching on"
     )

@@ -30,7 +30,7 @@ from bench.run.assembly.instruments import (
     simulated_instruments,
     world_of,
 )
-from bench.run.commission.session import CommissioningPerson, CommissioningSession, WireWatch
+from bench.run.commission.session import CommissioningPerson, CommissioningSession, PersonBehind, WireWatch
 from bench.run.events import Event, EventType
 from bench.run.instruments import Instruments
 from bench.run.person import NO, problem_with_answer
@@ -314,22 +314,13 @@ TASK_TIME_S = 30.0
 """Time that the scripted person needs to pull a cable, or to check that the head's path is clear, s."""
 
 
-class ScriptedHand:
-    """A `WatchingPerson` at a simulated bench who handles cables; the scripted operator does all other tasks."""
+class ScriptedHand(PersonBehind):
+    """A person at a simulated bench who handles cables; the scripted operator `person` does all other tasks."""
 
-    def __init__(self, operator: WatchingPerson, simulated: SimulatedBench) -> None:
-        self._operator = operator
+    def __init__(self, person: Person, simulated: SimulatedBench) -> None:
+        super().__init__(person)
         self._world = simulated.world
         self._control = BenchControl(simulated)
-
-    @property
-    def meanwhile(self) -> Callable[[], None] | None:
-        """The function called repeatedly while the scripted operator works."""
-        return self._operator.meanwhile
-
-    @meanwhile.setter
-    def meanwhile(self, look: Callable[[], None] | None) -> None:
-        self._operator.meanwhile = look
 
     def ask(self, prompt: Prompt) -> Answer:
         """Carry out the task in the prompt and confirm it; other prompts go to the scripted operator."""
@@ -338,7 +329,7 @@ class ScriptedHand:
             word = "accept" if action["plugged"] else "refuse"
             self._tell(f"{word} {shlex.quote(action['instrument'])}")
         elif action["do"] != "stand_clear":
-            return self._operator.ask(prompt)
+            return self._person.ask(prompt)
         self._world.clock.sleep(TASK_TIME_S)
         return Answer(prompt.id, "yes")
 
@@ -370,7 +361,7 @@ def dry_evening(
     watch = WireWatch(log)
     with dry_bench(file, model, seed, watch, haste) as assembly:
         simulated, clock, computer = assembly.simulated, assembly.clock, SystemClock()
-        if simulated is None or not isinstance(assembly.person, WatchingPerson):
+        if simulated is None:
             raise BenchError("simulation", "there is no simulated bench", "start again")
         watch.time_s = lambda: clock.now_s() + computer.now_s()
         yield _evening(file, assembly, ScriptedHand(assembly.person, simulated), watch)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Final, Protocol, runtime_checkable
 
@@ -45,14 +44,6 @@ class _Timed(Protocol):
     def reading_time_s(self, settings: VoltmeterSettings, character_time_s: float = 0.0) -> float:
         """Return the time, s, from the start of a reading until the last character of its samples arrives."""
         ...
-
-
-@dataclass(frozen=True, slots=True)
-class TimingSpread:
-    """The spread of the meters' start times in a reading, s, and of the arrival times of their samples, s."""
-
-    starts_s: float
-    ends_s: float
 
 
 # --- settings ---------------------------------------------------------------------------------------
@@ -187,14 +178,14 @@ def _started_together(evening: CommissioningSession, meters: Sequence[Voltmeter]
     for meter in meters:
         meter.configure(settings)
     begun_s = evening.time_s()
-    spread = _one_set(evening, meters)
+    starts_s, ends_s = _one_set(evening, meters)
     took_s = evening.time_s() - begun_s
     expected_s = max((expected_time_s(evening, meter, settings) or 0.0 for meter in meters), default=0.0)
     most_s = START_PART * (expected_s or took_s)
     names = " ".join(meter.name for meter in meters)
     figures = (
-        Figure("starts within", spread.starts_s, "s", f"at most {most_s:.2g} s, a tenth of a reading"),
-        Figure("readings came within", spread.ends_s, "s"),
+        Figure("starts within", starts_s, "s", f"at most {most_s:.2g} s, a tenth of a reading"),
+        Figure("readings came within", ends_s, "s"),
         Figure("the set took", took_s, "s", f"one reading {expected_s:.3g} s" if expected_s else ""),
     )
     if len(meters) == 1:
@@ -202,17 +193,18 @@ def _started_together(evening: CommissioningSession, meters: Sequence[Voltmeter]
         said = f"one meter reads {channels}" + (" one after the other" if len(meters[0].channels) > 1 else "")
         return Finding(TOGETHER, meters[0].name, State.WORKS, said, figures[2:])
     late_s = TIME_MARGIN * expected_s + TIME_MARGIN_S * len(meters)
-    if spread.starts_s > most_s or (expected_s and took_s > late_s):
+    if starts_s > most_s or (expected_s and took_s > late_s):
         return Finding(
             TOGETHER, meters[-1].name, State.SLOWER,
-            f"the meters ({names}) do not sample together: their starts spread over {spread.starts_s:.2g} s, "
+            f"the meters ({names}) do not sample together: their starts spread over {starts_s:.2g} s, "
             f"and the set took {took_s:.3g} s", figures,
             "find the slow wire in the times of the other checks, or settle longer before each reading",
         )  # fmt: skip
     return Finding(TOGETHER, meters[0].name, State.WORKS, f"{names} sample at the same time", figures)
 
 
-def _one_set(evening: CommissioningSession, meters: Sequence[Voltmeter]) -> TimingSpread:
+def _one_set(evening: CommissioningSession, meters: Sequence[Voltmeter]) -> tuple[float, float]:
+    """Take a reading; return the spread of the meters' start times, s, and of the arrival of their samples, s."""
     starts, ends = [], []
     for meter in meters:
         meter.start()
@@ -220,7 +212,7 @@ def _one_set(evening: CommissioningSession, meters: Sequence[Voltmeter]) -> Timi
     for meter in meters:
         meter.fetch()
         ends.append(evening.time_s())
-    return TimingSpread(max(starts) - min(starts), max(ends) - min(ends))
+    return max(starts) - min(starts), max(ends) - min(ends)
 
 
 # --- noise ------------------------------------------------------------------------------------------

@@ -174,23 +174,25 @@ class CheckEnded(Exception):
         self.finding = finding
 
 
-class CommissioningPerson:
-    """A `Person` for commissioning: raises `Skipped` for :skip REASON, `SessionEnded` for :abort."""
+class PersonBehind:
+    """A `WatchingPerson` in front of another `person`, with whom it shares `meanwhile`, if that one has any."""
 
     def __init__(self, person: Person) -> None:
         self._person = person
 
     @property
     def meanwhile(self) -> Callable[[], None] | None:
-        """The function that is called while a question waits for its answer, if the person supports it
-        (`WatchingPerson`).
-        """
+        """The function that is called while a question waits for its answer."""
         return self._person.meanwhile if isinstance(self._person, WatchingPerson) else None
 
     @meanwhile.setter
     def meanwhile(self, look: Callable[[], None] | None) -> None:
         if isinstance(self._person, WatchingPerson):
             self._person.meanwhile = look
+
+
+class CommissioningPerson(PersonBehind):
+    """A `Person` for commissioning: raises `Skipped` for :skip REASON, `SessionEnded` for :abort."""
 
     def ask(self, prompt: Prompt) -> Answer:
         """Put the prompt.

@@ -9,7 +9,7 @@ import pytest
 
 from bench.base.arrays import ARCSEC
 from bench.calibration import gls
-from bench.calibration.budget.assessment import exact_readings
+from bench.calibration.budget.assessment import Simulation
 from bench.calibration.budget.coefficients import make_budget, make_setup
 from bench.calibration.budget.error_source import MEANS as SHARED
 from bench.calibration.budget.sources import assumed_stand, bench_sources
@@ -219,6 +219,6 @@ def test_monte_carlo_draws_what_hangs_together_so(setup):
     """Seed 3, 1,500 trials: variances within five standard errors of the linear ones."""
     budget = budget_of(setup, KNOWN)
     stand = replace(budget, contributions=tuple(c for c in budget.contributions if c.source.group == "stand"))
-    drawn = exact_readings(stand, 1500, np.random.default_rng(3)) - setup.signal
+    drawn = Simulation(stand).readings(1500, np.random.default_rng(3)) - setup.signal
     spread = np.einsum("pni,tni->tp", budget.gain, drawn).std(axis=0)
     np.testing.assert_allclose(spread, stand.combined.u, rtol=5 / np.sqrt(2 * 1500))

@@ -6,7 +6,7 @@ import pytest
 from scipy.stats import norm
 
 from bench.calibration import CalibrationError, gls
-from bench.calibration.budget.assessment import exact_monte_carlo, exact_readings, measured
+from bench.calibration.budget.assessment import Simulation, exact_monte_carlo, measured
 from bench.calibration.budget.coefficients import make_budget
 from bench.calibration.budget.meters import LearnedDifferences, joint_errors
 from bench.calibration.budget.sources import effect_sources
@@ -64,7 +64,7 @@ def test_the_gls_map_is_the_fit():
     """Readings with every error through the iterated fit: off the budget's linear map by less than 2 % of u."""
     setup = paper_setup()
     budget = make_budget(setup, stand(), "gls")
-    readings = exact_readings(budget, 12, np.random.default_rng(4))[:, setup.fitted]
+    readings = Simulation(budget).readings(12, np.random.default_rng(4))[:, setup.fitted]
     problem = make_problem(setup.model, setup.conditions.select(setup.fitted), ONE_SIGMA)
     noise = Noise(ONE_SIGMA["voltmeter_error"], ONE_SIGMA["setting_error"], np.inf, "given")
     gain = budget.gain[:, setup.fitted]
