@@ -1,4 +1,4 @@
-"""The simulated 34970A: channel lists, scanning in time, memory, reading formats; its driver over a socket."""
+"""The simulated 34970A: channel lists, scanning in time, memory, reading formats."""
 
 import numpy as np
 import pytest
@@ -209,6 +209,3 @@ def test_gain_and_offset_are_the_meters_and_noise_is_each_readings(clock: Virtua
 def test_identities(clock: VirtualClock) -> None:
     assert ask(a_meter(clock), "*IDN?") == "HEWLETT-PACKARD,34970A,0,13-2-2"
     assert ask(a_meter(clock, model="34972A"), "*IDN?").startswith("Agilent Technologies,34972A,MY")
-
-
-# --- the driver over a socket -----------------------------------------------------------------------

@@ -22,21 +22,6 @@ def paper_text():
 
 
 @pytest.fixture
-def mistakes(tmp_path):
-    """Return the mistakes of a text as "line place: text"."""
-
-    def of(text, encoding="utf-8"):
-        path = tmp_path / "bench.yaml"
-        path.write_bytes(text.encode(encoding))
-        with pytest.raises(FileMistakes) as error:
-            load_bench(path)
-        assert str(error.value).splitlines()[0].startswith(str(path))
-        return [f"{m.line} {m.place}: {m.text}" for m in error.value.mistakes]
-
-    return of
-
-
-@pytest.fixture
 def line_of(paper_text):
     """Return the line (1…) of the paper's bench file that holds a text."""
 

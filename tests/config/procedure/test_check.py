@@ -64,14 +64,6 @@ def test_a_calibration_is_told_whole_and_a_dry_run_offered(bench):
     assert 0 < summary["disk"]["needed_bytes"] < summary["disk"]["free_bytes"]
 
 
-def test_the_mains_decide_how_long_a_reading_takes(bench):
-    slow = json.loads(bench("check", "paper", "--json", "-")[1])
-    fast = json.loads(
-        bench("check", "paper", "--json", "-", "--bench", edited(**{"y: 50 Hz": "y: 60 Hz"}))[1]
-    )
-    assert fast["expected_by_kind_s"]["read"] < slow["expected_by_kind_s"]["read"]
-
-
 def test_settling_is_told_at_its_shortest_and_its_longest(bench):
     steps = "  - temperature: {at: 40 degC, settle: {precision: 0.1 K, window: 30 min, timeout: 6 h}}\n"
     found = json.loads(bench("check", written(steps), "--json", "-")[1])
@@ -297,10 +289,6 @@ def turn_to(degrees, direction):
 
 def on_the_motorised_head(*steps):
     return check(Plan("p", steps, ""), load_bench(find_bench("bench-motorised")))
-
-
-def test_turns_within_the_limits_are_no_problem():
-    assert on_the_motorised_head(turn_to(0, 1), turn_to(45, -1), turn_to(360, 1), turn_to(360, -1)) == []
 
 
 def test_a_turn_whose_way_leads_out_of_the_limits_is_refused_once():
