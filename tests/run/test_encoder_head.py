@@ -106,15 +106,6 @@ def test_it_is_looked_at_as_often_as_is_told_and_the_rest_as_before(away, clock)
     assert away.meanwhile is not None
 
 
-def test_nobody_to_watch_with_is_asked_all_the_same(clock):
-    class Plain:
-        def ask(self, prompt):
-            return "asked"
-
-    with watching(Plain(), lambda: pytest.fail("looked"), 0.2, clock):
-        assert Plain().ask(TURN) == "asked"
-
-
 class Turning:
     """A hand that turns a simulated head leg by leg, `legs` of which are begun at each event of a type."""
 

@@ -1,8 +1,5 @@
 """The samples of a reading: scatter, drift and Grubbs' test against scipy and published tables."""
 
-import json
-from dataclasses import asdict
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -77,12 +74,6 @@ def test_one_and_two_samples_have_what_they_can_have():
     assert told["y"].sd == pytest.approx(np.sqrt(2.0))
     assert told["y"].drift is None
     assert (told["z"].drift, told["z"].drift_p) == (pytest.approx(2.0), 0.0)
-
-
-def test_what_is_told_can_be_recorded():
-    x = np.random.default_rng(1).normal(size=512)
-    told = describe({"x": x.tolist(), "y": [0.0], "z": [*[1.0] * 9, 9.0]})
-    json.dumps({channel: asdict(one) for channel, one in told.items()}, allow_nan=False)
 
 
 @pytest.mark.parametrize("values", [[], [1.0, float("nan")], [float("inf")]])

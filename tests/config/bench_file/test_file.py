@@ -295,11 +295,3 @@ def test_a_file_that_is_not_there_is_told_in_one_sentence(tmp_path):
         load_bench(tmp_path / "nothing.yaml")
     with pytest.raises(FileMistakes, match="this is a folder"):
         load_bench(tmp_path)
-
-
-def test_a_key_that_stands_twice_is_a_mistake(mistakes, paper_text):
-    n = paper_text.count("\n") + 1
-    first = paper_text[: paper_text.index("name: paper-stand")].count("\n") + 1
-    assert mistakes(paper_text + "name: again\n") == [
-        f"{n} : 'name' appears here again, first in line {first}; leave one out"
-    ]
