@@ -92,24 +92,6 @@ def test_the_angle_returned_is_the_one_read_back() -> None:
     assert mover.move(45 * DEG, 1).angle_rad == pytest.approx(45 * DEG + 7 * ARCSEC, abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("target_deg", "direction", "words"),
-    [
-        (370.1, -1, "370°06′00″ is outside its limits, -10°00′00″ to 370°00′00″"),
-        (-10.1, 1, "-10°06′00″ is outside"),
-        (math.nan, 1, "nan is outside"),
-        (-9.5, 1, "to come to -9°30′00″ from below it must start at -10°30′00″"),
-        (370.0, -1, "to come to 370°00′00″ from above it must start at 371°00′00″"),
-    ],
-)
-def test_limits_hold_before_anything_is_asked(target_deg: float, direction: int, words: str) -> None:
-    mover, axis, _ = a_mover()
-    axis.interrupt_at_s = 0.0
-    with pytest.raises(LimitExceeded, match=words):
-        mover.move(target_deg * DEG, direction)  # type: ignore[arg-type]
-    assert (axis.targets_deg, axis.stops) == ([], 0)
-
-
 def test_a_target_exactly_at_a_limit_is_allowed_from_inside() -> None:
     mover, _, _ = a_mover()
     assert mover.move(370 * DEG, 1).angle_rad == pytest.approx(370 * DEG)

@@ -29,7 +29,7 @@ def test_the_bench_is_left_safe_at_every_signal(monkeypatch):
     monkeypatch.setattr(signal_campaign, "LIMIT_S", NEVER_S)
     outcomes = worker(TRIALS)
     assert [(outcome.trial, outcome.violations) for outcome in outcomes if outcome.violations] == []
-    assert {outcome.state for outcome in outcomes} == {"interrupted", "failed"}
+    assert {outcome.state for outcome in outcomes} >= {"interrupted", "failed"}
 
 
 @with_sighup

@@ -14,8 +14,7 @@ from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1
 from drivers.wire.visa import MessageSession
 from sim import voltmeters as line
-from sim.bench import SimulatedBench, SimulatedMeter
-from sim.keithley_2000 import Keithley2000
+from sim.bench import SimulatedBench
 from sim.wires.faults import Fault, FaultKind
 from sim.wires.server import TERMINALS, TcpServer
 from sim.wires.session import REFUSE, Framer, LineEnds, Overflow, WireFault
@@ -211,19 +210,12 @@ HOURS = b"CONF:VOLT:DC 10\nVOLT:DC:NPLC 100\nTRIG:DEL 60\nSAMP:COUN 500\n*IDN?\n
 
 
 @pytest.fixture
-def ports(monkeypatch: pytest.MonkeyPatch):
-    """The ports of meters on real time, which are told at once of a client that has left."""
+def port(monkeypatch: pytest.MonkeyPatch):
+    """The port of a meter on real time, which is told at once of a client that has left."""
     monkeypatch.setattr("sim.wires.session.LEAVING_S", 0.0)
-    model = ForwardModel({"1": INSTALLATION_1})
-    world = World(WorldSettings(BLOCK, model, {}, 5), ScaledClock())
-    meters = {"34401A": a_34401a("x", noise=False), "2000": SimulatedMeter(Keithley2000, "x")}
-    with SimulatedBench(world, meters) as bench:
-        yield {model: server.port for model, server in bench.servers.items()}
-
-
-@pytest.fixture
-def port(ports):
-    return ports["34401A"]
+    world = World(WorldSettings(BLOCK, ForwardModel({"1": INSTALLATION_1}), {}, 5), ScaledClock())
+    with SimulatedBench(world, {"v": a_34401a("x", noise=False)}) as bench:
+        yield bench.servers["v"].port
 
 
 @pytest.fixture
@@ -275,17 +267,6 @@ def test_one_that_waits_already_is_served_when_who_wanted_hours_leaves(port, beg
         impatient.file.close()
         impatient.socket.close()
         assert other.file.readline() == IDENTITY
-
-
-def test_one_that_waits_for_a_2000_is_served_as_well(ports, begun, waited_for):
-    with Client(ports["2000"]) as impatient, Client(ports["2000"]) as other:
-        impatient.write(b":INIT:CONT OFF\n:VOLT:DC:NPLC 10\n:SAMP:COUN 1024\n:TRIG:COUN 20\n:INIT\n")
-        assert begun.wait(PATIENCE_S)
-        other.write(b"*OPC?\n")
-        assert waited_for.wait(PATIENCE_S)
-        impatient.file.close()
-        impatient.socket.close()
-        assert other.file.readline() == b"1\n"
 
 
 def test_one_that_has_left_does_not_take_what_another_began_after_it(port, waited_for):
