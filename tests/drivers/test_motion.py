@@ -86,12 +86,6 @@ def test_it_arrives_from_the_demanded_side(
     assert axis.stops == 0
 
 
-def test_the_angle_returned_is_the_one_read_back() -> None:
-    mover, axis, _ = a_mover()
-    axis.error_rad = lambda _: 7 * ARCSEC
-    assert mover.move(45 * DEG, 1).angle_rad == pytest.approx(45 * DEG + 7 * ARCSEC, abs=1e-12)
-
-
 def test_a_target_exactly_at_a_limit_is_allowed_from_inside() -> None:
     mover, _, _ = a_mover()
     assert mover.move(370 * DEG, 1).angle_rad == pytest.approx(370 * DEG)

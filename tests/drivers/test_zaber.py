@@ -8,7 +8,6 @@ import pytest
 
 from bench.base.arrays import ARCSEC
 from drivers.facts import zaber as facts
-from drivers.facts.zaber import checksum
 from drivers.instruments.zaber import ZaberHead
 from drivers.interfaces import (
     BadReading,
@@ -78,14 +77,6 @@ def test_a_whole_move() -> None:
     h.close()
     h.close()
     assert script.left == []
-
-
-def test_the_checksum_makes_the_sum_of_all_bytes_zero() -> None:
-    for message in ("01 tools echo", "1 1 07 move abs 384000"):
-        code = checksum(message)
-        assert len(code) == 2
-        assert (sum(message.encode()) + int(code, 16)) % 256 == 0
-    assert checksum("@@") == "80"
 
 
 @pytest.mark.parametrize(

@@ -177,13 +177,6 @@ def test_an_unexpected_reading_is_confirmed_at_once() -> None:
     assert world.clock.now_s() == 0.0
 
 
-def test_mounting_with_a_series() -> None:
-    world = a_world()
-    action = {"do": "mount", "installation": "2", "series": 3}
-    answer = ScriptedOperator(world).ask(Prompt("m#1", PromptKind.CONFIRM, "Mount", action=action))
-    assert (world.installation, world.series, answer.text) == ("2", 3, "yes")
-
-
 def test_chamber_and_thermometer() -> None:
     world = a_world()
     operator = ScriptedOperator(world)
