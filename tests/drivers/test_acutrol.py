@@ -10,10 +10,12 @@ from drivers.interfaces import (
     DividingHead,
     HeadPosition,
     Identity,
+    InstrumentLost,
     InstrumentRefused,
 )
 from drivers.motion import Travel
 from sim.acutrol import AcutrolTable
+from sim.wires.session import SILENCE, WireFault
 from tests.support.motorised_heads import DEG, opened, travel
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession
 from tests.support.simulated_stand import a_world
@@ -125,3 +127,17 @@ def test_entering_the_position_mode_moves_nothing() -> None:
         h.prepare()
         world.clock.sleep(60.0)
         assert world.scale_angle_rad == pytest.approx(100.0 * DEG, abs=1e-9)
+
+
+def test_a_silent_controller_is_lost_and_the_table_stopped_over_a_new_connection() -> None:
+    world = a_world()
+
+    def silent(message: bytes, reply: bytes | None) -> WireFault | None:
+        return SILENCE if message == b":demand:position 1, 045.000" else None
+
+    with stand(world, silent, timeout_s=0.2) as h:
+        with pytest.raises(InstrumentLost, match=r"did not answer :demand:position 1, 045\.000 within"):
+            h.move(45 * DEG, 1, "1/turn")
+        assert world.head_rate_rad_s == 0.0
+        world.clock.sleep(60.0)
+        assert world.scale_angle_rad < 1 * DEG
