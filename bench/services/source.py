@@ -304,7 +304,7 @@ LEAST_COPIED: Final = 3
 
 
 def _on_copies(readings: Readings) -> Iterator[str]:
-    """Yield a note for each pass whose signals equal those of an earlier pass of its installation in every digit."""
+    """Yield a note for each pass whose signals equal those of an earlier pass of the installation exactly."""
     if readings.resolution > FINE * np.max(np.abs(readings.signal), initial=0.0):
         return
     passes: dict[tuple[str, int, int], dict[int, Floats]] = {}

@@ -5,8 +5,7 @@ import math
 
 import pytest
 
-from drivers.interfaces import BadReading, BenchError, HeadPosition, InstrumentRefused, LimitExceeded
-from drivers.person import Answer, AnsweredByInstrument
+from drivers.interfaces import BadReading, BenchError, InstrumentRefused, LimitExceeded
 from sim.wires.faults import Fault, FaultKind
 from tests.support.instrument_stand import standing, turned_by
 
@@ -15,10 +14,10 @@ HANDS_FREE = {"hands_free": "yes"}
 
 
 class Watched:
-    """The person of a stand, whose questions and keys are counted; `wrong` sides are come from first."""
+    """The person of a stand, whose questions and keys are counted."""
 
-    def __init__(self, hands, wrong=0):
-        self.hands, self.wrong = hands, wrong
+    def __init__(self, hands):
+        self.hands = hands
         self.keys: list[str] = []
         self.prompts: list[str] = []
 
@@ -32,17 +31,13 @@ class Watched:
 
     def ask(self, prompt):
         self.prompts.append(prompt.text)
-        if prompt.action["do"] == "turn" and self.wrong:
-            self.wrong -= 1
-            action = {**prompt.action, "direction": -prompt.action["direction"]}
-            prompt = type(prompt)(prompt.id, prompt.kind, prompt.text, prompt.default, action=action)
         answer = self.hands.ask(prompt)
         self.keys.append(prompt.action["do"])
         return answer
 
 
-def watched(stand, wrong=0):
-    stand.driver._person = person = Watched(stand.driver._person, wrong)
+def watched(stand):
+    stand.driver._person = person = Watched(stand.driver._person)
     return person
 
 
@@ -72,19 +67,6 @@ def test_zero_and_sense_of_the_encoder_are_those_of_the_bench_file(device, tmp_p
 
 
 @read_outs
-def test_a_head_that_came_from_the_wrong_side_is_refused_in_one_sentence(device, tmp_path):
-    with standing(device, tmp_path, **HANDS_FREE) as stand:
-        person = watched(stand, wrong=1)
-        stand.driver.open()
-        stand.driver.move(math.radians(90.0), 1, "1/turn")
-        *_, asked, again = person.prompts
-        assert "come from" not in asked
-        assert again.startswith("The head did not approach from below: back off by 1°00′00″ at least")
-        assert stand.world.direction == 1
-        assert "turn" not in person.keys
-
-
-@read_outs
 def test_counts_that_are_lost_on_the_way_are_told_and_nothing_is_read(device, tmp_path):
     with standing(device, tmp_path, **HANDS_FREE) as stand:
         stand.driver.open()
@@ -105,25 +87,6 @@ def test_counts_that_are_lost_on_the_way_are_told_and_nothing_is_read(device, tm
         ):
             stand.driver.move(1.0, 1, "2/turn")
         assert looks
-
-
-@read_outs
-def test_after_a_jump_a_person_must_say_that_the_reference_mark_was_crossed(device, tmp_path):
-    with standing(device, tmp_path, **HANDS_FREE) as stand:
-        stand.driver.open()
-        stand.driver.move(0.5, 1, "1/turn")
-        stand.driver._trusted = False
-        person = watched(stand)
-        person.hands = NoSayer()
-        with pytest.raises(InstrumentRefused, match="nobody confirmed that its reference mark was crossed"):
-            stand.driver.move(1.0, 1, "2/turn")
-
-
-class NoSayer:
-    meanwhile = None
-
-    def ask(self, prompt):
-        return Answer(prompt.id, "no")
 
 
 @read_outs
@@ -173,27 +136,3 @@ def test_an_angle_that_is_none_is_refused_before_anybody_is_asked(device, tmp_pa
         stand.driver.open()
         with pytest.raises(LimitExceeded):
             stand.driver.move(math.nan, 1, "1/turn")
-
-
-@read_outs
-def test_what_is_typed_is_compared_with_the_encoder(device, tmp_path):
-    with standing(device, tmp_path, typed="yes") as stand:
-        person = watched(stand)
-        stand.driver.open()
-        ask, slips = person.hands.ask, ["31 00 00"]
-
-        def misread(prompt):
-            answer = ask(prompt)
-            typed = slips.pop() if slips and prompt.action["do"] == "turn" else answer.text
-            return Answer(prompt.id, typed)
-
-        person.hands.ask = misread
-        position = stand.driver.move(math.radians(30.0), 1, "1/turn")
-        assert isinstance(position, HeadPosition)
-        assert "You typed 31°00′00″" in person.prompts[-1]
-        assert "the degree line is one off (1°)" in person.prompts[-1]
-
-
-def test_an_answer_of_an_instrument_says_who_gave_it():
-    seen = AnsweredByInstrument("encoder", "45°00′01.0″")
-    assert (seen.by, seen.text, seen.problem) == ("encoder", "45°00′01.0″", "")

@@ -68,13 +68,13 @@ HELD_BY = {
             "run/test_runner.py",
             "test_stopped_at_the_task_to_mount_it_asks_for_that_mounting_and_not_for_the_one_before",
         ),
-        ("run/test_signals.py", "test_killed_and_resumed_it_ends_as_if_nothing_had_been"),
+        ("run/test_signals.py", "test_hit_by_a_signal_killed_and_resumed_it_ends_as_if_nothing_had_been"),
         ("cli/test_answers.py", "test_answers_from_two_places_and_a_kill_change_nothing"),
     ),
     "Ctrl-C once, closed terminal (SIGHUP), SIGTERM": (
         ("run/test_campaigns.py", "test_the_bench_is_left_safe_at_every_signal"),
         ("run/test_way_out.py", "test_a_terminal_that_cannot_be_written_to_any_more_stops_no_run"),
-        ("run/test_signals.py", "test_a_process_hit_by_a_signal_keeps_a_whole_record"),
+        ("run/test_signals.py", "test_hit_by_a_signal_killed_and_resumed_it_ends_as_if_nothing_had_been"),
         ("run/test_left_safe.py", "test_every_way_out_leaves_the_bench_safe"),
     ),
     "Ctrl-C again, while the run closes the bench": (

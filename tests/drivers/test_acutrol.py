@@ -15,7 +15,7 @@ from drivers.interfaces import (
 )
 from drivers.motion import Travel
 from sim.acutrol import AcutrolTable
-from sim.wires.session import DROP, SILENCE, WireFault
+from sim.wires.session import SILENCE, WireFault
 from tests.support.motorised_heads import DEG, opened, travel
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession
 from tests.support.simulated_stand import a_world
@@ -141,15 +141,3 @@ def test_a_silent_controller_is_lost_and_the_table_stopped_over_a_new_connection
         assert world.head_rate_rad_s == 0.0
         world.clock.sleep(60.0)
         assert world.scale_angle_rad < 1 * DEG
-
-
-def test_a_lost_connection_on_the_way_does_not_halt_the_table() -> None:
-    world = a_world()
-    rates: list[bytes] = []
-
-    def drop(message: bytes, reply: bytes | None) -> WireFault | None:
-        rates.extend([message] if message == b":read:rate 1" else [])
-        return DROP if len(rates) == 5 and message == b":read:rate 1" else None
-
-    with stand(world, drop) as h:
-        assert h.move(45 * DEG, 1, "1/turn").angle_rad == pytest.approx(45 * DEG, abs=1e-8)

@@ -10,7 +10,7 @@ from drivers.facts.espec import READ_TERMINATION, WRITE_TERMINATION
 from drivers.instruments.espec import EspecChamber
 from drivers.interfaces import Identity, InstrumentRefused, LimitExceeded, ThermalChamber
 from sim.chambers import EspecP300
-from sim.wires.session import DROP, WireFault
+from sim.wires.session import WireFault
 from sim.world.world import World
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession
 from tests.support.simulated_stand import a_world, served
@@ -105,11 +105,6 @@ def test_a_temperature_is_not_read_from_a_chamber_in_trouble(pairs: Pairs, words
         c.temperature("2/read")
 
 
-def test_another_controller_is_refused() -> None:
-    with pytest.raises(InstrumentRefused, match="is a controller 'F4'"):
-        chamber(ScriptedSession([("TYPE?", "T,F4,150.0")])).open()
-
-
 # --- over a real socket, with the simulated chamber --------------------------------------------------
 
 
@@ -142,16 +137,3 @@ def test_the_noise_of_the_sensor_belongs_to_the_step() -> None:
     values = shown()
     assert len(set(values)) > 1
     assert shown() == values
-
-
-def test_after_a_lost_connection_the_identity_is_proved_again() -> None:
-    world = a_world()
-    seen: list[bytes] = []
-
-    def drop_once(message: bytes, reply: bytes | None) -> WireFault | None:
-        seen.append(message)
-        return DROP if message == b"MON?" and seen.count(b"MON?") == 1 else None
-
-    with stand(world, drop_once) as (c, _):
-        assert c.temperature("1/read") == pytest.approx(23.0)
-    assert seen.count(b"TYPE?") == 2

@@ -115,12 +115,6 @@ def test_blanks_for_a_plus_and_leading_zeros_are_understood(sign):
     assert math.degrees(counter.position_rad()) == pytest.approx(45.0028)
 
 
-def test_zero_and_sense_are_counted_in():
-    counter, _ = head(OPENED_281B, READ, zero_rad=math.radians(50.0028), falling=True)
-    counter.open()
-    assert math.degrees(counter.position_rad()) == pytest.approx(5.0)
-
-
 def test_a_session_with_a_name_of_three_lines_goes_through_again(tmp_path):
     log = WireLog(tmp_path / "wire.log")
     with served(

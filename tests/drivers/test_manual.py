@@ -9,7 +9,6 @@ from drivers.instruments.manual import ManualChamber, ManualHead, ManualLevel, M
 from drivers.instruments.manual_supply import ManualSupply
 from drivers.interfaces import (
     BadReading,
-    DividingHead,
     InstrumentRefused,
     LimitExceeded,
     NoAnswer,
@@ -17,7 +16,6 @@ from drivers.interfaces import (
     OutputSettings,
     SetOtherwise,
     SupplyLimits,
-    ThermalChamber,
 )
 from drivers.person import Answer, Prompt, PromptKind
 
@@ -181,13 +179,6 @@ def test_no_answer_passes_through() -> None:
             machine.move(0.0, 1, "k")
 
 
-def test_head_is_a_dividing_head() -> None:
-    h, _ = head()
-    assert isinstance(h, DividingHead)
-    assert str(h.open()) == "manual dividing head"
-    h.close()
-
-
 # --- chamber ----------------------------------------------------------------------------------------
 
 
@@ -253,14 +244,6 @@ def test_a_temperature_that_the_thermometer_cannot_show_is_asked_again() -> None
     assert thermometer.block_c("1/mount") == 23.4
     with pytest.raises(BadReading, match="within its range"):
         thermometer.block_c("1/mount")
-
-
-def test_chamber_is_a_thermal_chamber() -> None:
-    c, _ = chamber()
-    assert isinstance(c, ThermalChamber)
-    assert c.asks_person
-    assert str(c.open()) == "manual thermal chamber"
-    c.close()
 
 
 # --- manual level -----------------------------------------------------------------------------------

@@ -86,30 +86,6 @@ def test_it_arrives_from_the_demanded_side(
     assert axis.stops == 0
 
 
-def test_the_angle_returned_is_the_one_read_back() -> None:
-    mover, axis, _ = a_mover()
-    axis.error_rad = lambda _: 7 * ARCSEC
-    assert mover.move(45 * DEG, 1).angle_rad == pytest.approx(45 * DEG + 7 * ARCSEC, abs=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("target_deg", "direction", "words"),
-    [
-        (370.1, -1, "370°06′00″ is outside its limits, -10°00′00″ to 370°00′00″"),
-        (-10.1, 1, "-10°06′00″ is outside"),
-        (math.nan, 1, "nan is outside"),
-        (-9.5, 1, "to come to -9°30′00″ from below it must start at -10°30′00″"),
-        (370.0, -1, "to come to 370°00′00″ from above it must start at 371°00′00″"),
-    ],
-)
-def test_limits_hold_before_anything_is_asked(target_deg: float, direction: int, words: str) -> None:
-    mover, axis, _ = a_mover()
-    axis.interrupt_at_s = 0.0
-    with pytest.raises(LimitExceeded, match=words):
-        mover.move(target_deg * DEG, direction)  # type: ignore[arg-type]
-    assert (axis.targets_deg, axis.stops) == ([], 0)
-
-
 def test_a_target_exactly_at_a_limit_is_allowed_from_inside() -> None:
     mover, _, _ = a_mover()
     assert mover.move(370 * DEG, 1).angle_rad == pytest.approx(370 * DEG)
@@ -141,14 +117,6 @@ def test_one_that_oscillates_about_the_target_never_is_in_position() -> None:
     assert clock.now_s() == pytest.approx(TRAVEL.time_limit_s(45 * DEG), abs=2 * TRAVEL.poll_s)
 
 
-def test_one_that_stops_off_target_is_told_by_how_much() -> None:
-    mover, axis, _ = a_mover()
-    axis.error_rad = lambda _: -20 * ARCSEC
-    with pytest.raises(InstrumentRefused, match=r"it is 0°00′20\.0″ below it"):
-        mover.move(45 * DEG, 1)
-    assert axis.stops == 1
-
-
 def test_one_that_never_stops_moving_is_given_up() -> None:
     mover, axis, _ = a_mover()
     axis.moving = lambda: True  # type: ignore[method-assign]
@@ -173,7 +141,9 @@ def test_a_failure_to_stop_does_not_hide_the_cause() -> None:
 
     axis.stop = cannot_stop  # type: ignore[method-assign]
     axis.error_rad = lambda _: -20 * ARCSEC
-    with pytest.raises(InstrumentRefused, match="did not come to rest") as stopped:
+    with pytest.raises(
+        InstrumentRefused, match=r"did not come to rest .* it is 0°00′20\.0″ below it"
+    ) as stopped:
         mover.move(45 * DEG, 1)
     (note,) = stopped.value.__notes__
     assert note.startswith("head: its stop is not confirmed: check that it stands")

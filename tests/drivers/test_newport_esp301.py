@@ -155,18 +155,6 @@ def test_homing_finds_the_zero_only_where_it_is_allowed() -> None:
         assert world.scale_angle_rad == pytest.approx(45 * DEG, abs=1e-6)
 
 
-def test_a_motor_that_somebody_switched_on_again_after_a_power_cut_is_not_believed() -> None:
-    world = a_world()
-    controller = Esp301(world)
-    with stand(world, controller) as h:
-        h.move(45 * DEG, 1, "1/turn")
-        controller.power_cycle()
-        controller.handle(b"1MO", lambda: False)
-        with pytest.raises(InstrumentRefused, match="was switched off or its settings changed"):
-            h.move(90 * DEG, 1, "2/turn")
-    assert world.scale_angle_rad == pytest.approx(45 * DEG, abs=1e-6)
-
-
 def test_a_demand_whose_answer_was_lost_is_not_sent_again_and_the_head_stopped() -> None:
     world = a_world()
     sent: list[bytes] = []

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from drivers.interfaces import BadReading, HeadPosition, Identity, InstrumentRefused, LimitExceeded
-from drivers.person import Answer, AnsweredByInstrument, PromptKind
+from drivers.person import Answer, PromptKind
 from drivers.readout import MOST_ATTEMPTS, Approach, ReadOutHead, ScaleOfEncoder, Track
 from tests.support.scripted_session import Clock, ScriptedSession
 
@@ -289,14 +289,3 @@ def test_a_stale_answer_confirms_nothing():
     person.ask = lambda prompt: Answer(stale.pop(), ask(prompt).text) if stale else ask(prompt)
     head.move(45 * DEG, 1, "1/turn")
     assert person.prompts[1].text.startswith("That answer belonged to an earlier question.")
-
-
-def test_nobody_is_asked_for_an_angle_that_is_none():
-    head, _ = turned(FREE)
-    with pytest.raises(LimitExceeded):
-        head.move(math.inf, 1, "1/turn")
-
-
-def test_what_the_encoder_says_in_the_persons_place():
-    seen = AnsweredByInstrument("encoder", "45°00′03.6″", "Not yet.")
-    assert str(seen) == "45°00′03.6″"

@@ -1,4 +1,4 @@
-"""The SCPI base: which identities each model takes, remote control over RS-232, and the words of another make."""
+"""The SCPI base: which identities each model takes, and the words of another make."""
 
 from functools import partial
 from typing import Any
@@ -64,22 +64,6 @@ def test_another_instrument_is_refused(model: str, reply: str) -> None:
     with pytest.raises(InstrumentRefused, match=MODELS[model][2]) as caught:
         of_model(model, ScriptedSession([("*IDN?", reply)])).open()
     assert reply in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("model", "reply", "card"),
-    [
-        ("2000", "KEITHLEY INSTRUMENTS INC.,MODEL 2000,1308393,A20  /A02", []),
-        ("34970A", "HEWLETT-PACKARD,34970A,0,13-2-2", CARD),
-    ],
-)
-def test_over_rs232_it_is_made_remote_first_and_local_last(model: str, reply: str, card: Pairs) -> None:
-    opening: Pairs = [("SYST:REM", None), ("*IDN?", reply), ("*CLS", None)]
-    session = ScriptedSession(opening, card, [("SYST:LOC", None)])
-    meter = of_model(model, session, interface="rs232")
-    meter.open()
-    meter.close()
-    assert session.left == []
 
 
 # --- another make -----------------------------------------------------------------------------------

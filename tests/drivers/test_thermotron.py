@@ -1,4 +1,4 @@
-"""The Thermotron driver against the manual's text, and over a real socket with a simulated 8800."""
+"""The Thermotron driver against the manual's text."""
 
 import pytest
 
@@ -59,6 +59,3 @@ def test_a_controller_set_to_fahrenheit_is_noticed_when_it_cannot_be_celsius() -
     c.set_temperature(25.0, "1/temperature")
     with pytest.raises(BadReading, match=r"140 °C, which is not plausible.*its unit"):
         c.temperature("2/read")
-
-
-# --- over a real socket, with the simulated chamber --------------------------------------------------

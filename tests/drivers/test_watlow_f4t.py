@@ -68,17 +68,6 @@ def test_a_controller_that_does_not_tell_its_unit_is_refused(answers: list[str |
         chamber(ScriptedSession(pairs)).open()
 
 
-def test_a_controller_that_does_not_take_the_demand() -> None:
-    script = ScriptedSession(
-        [IDENTITY, *CELSIUS, NO_ERROR, *CELSIUS],
-        [(f"{LOOP}:SPOINT 85.00", None), *CELSIUS, (f"{LOOP}:SPOINT?", "80.0")],
-    )
-    c = chamber(script)
-    c.open()
-    with pytest.raises(InstrumentRefused, match="set point is 80 °C, not the 85 °C demanded"):
-        c.set_temperature(85.0, "1/temperature")
-
-
 def test_it_is_left_alone_for_a_second_after_each_write() -> None:
     clock = Clock()
     script = ScriptedSession(

@@ -8,17 +8,15 @@ import pytest
 
 from bench.base.arrays import ARCSEC
 from drivers.facts import zaber as facts
-from drivers.facts.zaber import checksum
 from drivers.instruments.zaber import ZaberHead
 from drivers.interfaces import (
     BadReading,
     DividingHead,
     HeadPosition,
     Identity,
-    InstrumentLost,
     InstrumentRefused,
 )
-from sim.wires.session import DROP, WireFault
+from sim.wires.session import WireFault
 from sim.zaber import ZaberStage
 from tests.support.motorised_heads import DEG, opened, travel
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession, swapped, until
@@ -79,14 +77,6 @@ def test_a_whole_move() -> None:
     h.close()
     h.close()
     assert script.left == []
-
-
-def test_the_checksum_makes_the_sum_of_all_bytes_zero() -> None:
-    for message in ("01 tools echo", "1 1 07 move abs 384000"):
-        code = checksum(message)
-        assert len(code) == 2
-        assert (sum(message.encode()) + int(code, 16)) % 256 == 0
-    assert checksum("@@") == "80"
 
 
 @pytest.mark.parametrize(
@@ -193,23 +183,6 @@ def stand(world, stage=None, fault=None, **options):
         yield h, stage
 
 
-def test_lines_that_come_between_are_no_replies() -> None:
-    world = a_world()
-    count = 0
-
-    def chatter(message: bytes, reply: bytes | None) -> WireFault | None:
-        nonlocal count
-        count += 1
-        if b"get pos" in message and count % 5 == 0:
-            return WireFault(
-                lines=(b"!01 1 IDLE --\r", b"#01 0 a line of information\r", (reply or b"") + b"\r")
-            )
-        return None
-
-    with stand(world, fault=chatter) as (h, _):
-        assert h.move(45 * DEG, 1, "1/turn").angle_rad == pytest.approx(45 * DEG)
-
-
 @pytest.mark.parametrize("spoil", [lambda reply: reply[:-2] + b"00", lambda reply: reply[:-3]])
 def test_a_reply_with_a_wrong_or_missing_checksum_is_asked_again_but_not_for_ever(
     spoil: Callable[[bytes], bytes],
@@ -230,21 +203,6 @@ def test_a_reply_with_a_wrong_or_missing_checksum_is_asked_again_but_not_for_eve
         with pytest.raises(BadReading, match="has a wrong checksum"):
             h.move(90 * DEG, 1, "2/turn")
         assert 1000 - spoilt["left"] == 3
-
-
-def test_a_lost_connection_at_the_move_stops_the_head_over_a_new_one() -> None:
-    world = a_world()
-    cut = iter([True])
-
-    def drop(message: bytes, reply: bytes | None) -> WireFault | None:
-        return DROP if b"move abs" in message and next(cut, False) else None
-
-    with stand(world, fault=drop) as (h, _):
-        with pytest.raises(InstrumentLost):
-            h.move(45 * DEG, 1, "1/turn")
-        assert world.head_rate_rad_s == 0.0
-        assert world.scale_angle_rad < 1 * DEG
-        assert h.move(45 * DEG, 1, "1/turn").angle_rad == pytest.approx(45 * DEG)
 
 
 def test_somebody_at_the_knob_is_noticed() -> None:

@@ -16,13 +16,10 @@ from bench.readings.columns import (
     as_cell,
     between,
     columns_of,
-    current_column,
     drift_rad_s,
-    nominal_column,
     of_cell,
     ranges_in_words,
     since_power_on_cells,
-    voltage_column,
 )
 from bench.readings.corrected import FOUNDATION_ARCSEC_H, LevelReading, with_levels
 from bench.readings.csv import ReadingsError, format_csv, read_csv, write_csv
@@ -165,12 +162,6 @@ def write(folder, *rows, header=f"{HEADER},{RAIL_COLUMNS}"):
     return path
 
 
-def test_names_of_the_columns():
-    assert (voltage_column("p15"), nominal_column("p15"), current_column("p15")) == (
-        "rail_p15_v", "rail_p15_nominal_v", "rail_p15_a",
-    )  # fmt: skip
-
-
 def test_rails_count_from_their_nominal_voltage_and_survive_a_round_trip(tmp_path):
     """An empty cell is not known, and so is a rail of which nobody says what it should have."""
     path = write(
@@ -217,14 +208,6 @@ def test_a_readings_file_says_since_when_the_block_is_on(tmp_path):
     np.testing.assert_array_equal(read_csv(path, ["1"]).conditions().on_s, [900.5, np.nan])
     with pytest.raises(ReadingsError, match="column since_power_on_s: expected a time in seconds"):
         read_csv(write(tmp_path, f"{rows[0][:-5]}-3", header=f"{HEADER},since_power_on_s"), ["1"])
-
-
-def test_a_voltage_that_is_no_number_is_told_with_its_place(tmp_path):
-    path = write(tmp_path, "1,1,1,0,0.1,0.2,0.3,-15.02,-15,0.021,on,15,28", header=f"{HEADER},{RAIL_COLUMNS}")
-    with pytest.raises(
-        ReadingsError, match=r"line 2, column rail_p15_v: expected a voltage or a current of a"
-    ):
-        read_csv(path, ["1"])
 
 
 def test_an_unknown_voltage_is_between_its_neighbours_in_time(tmp_path):
@@ -290,10 +273,6 @@ def test_rails_are_columns_of_the_table_and_of_its_file(tmp_path):
         assert known.extra["rail_p15_a"].tolist() == ["0.061", ""]
         assert known.extra["rail_n15_nominal_v"].tolist() == ["-15", ""]
         np.testing.assert_allclose(known.conditions().supply_v[0], [0.01, 0.02], atol=1e-12)
-
-
-def test_a_table_without_a_supply_has_no_such_columns():
-    assert not readings_of([reading(1, {})], "here").extra
 
 
 def test_the_ranges_of_a_run_are_told_in_words():

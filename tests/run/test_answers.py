@@ -58,13 +58,6 @@ def test_a_line_that_is_no_answer_is_told_as_one_and_the_next_is_heard(tmp_path,
     assert answers.poll() == LeftAnswer("4", "yes", line=2)
 
 
-def test_what_was_heard_before_is_passed_over(tmp_path):
-    for number in range(3):
-        leave_answer(tmp_path, LeftAnswer(str(number), "yes"))
-    assert AnswersFile(tmp_path, 2).poll().id == "2"
-    assert AnswersFile(tmp_path, 9).poll() is None
-
-
 # --- the question that stands -----------------------------------------------------------------------
 
 

@@ -30,7 +30,7 @@ from bench.run.sentences import sentence
 from bench.run.terminal import TerminalPerson
 from drivers.angles import parse_angle
 from drivers.instruments.manual import ManualHead
-from drivers.interfaces import LimitExceeded, NoAnswer
+from drivers.interfaces import NoAnswer
 from drivers.person import Prompt, PromptKind
 from sim.world.clock import VirtualClock
 
@@ -222,16 +222,6 @@ def test_an_answer_that_does_not_fit_is_refused_at_the_terminal_and_the_question
     assert len(run.told("asked")) == 1
     assert [refused["where"] for refused in run.told("answer_refused")] == ["terminal", "panel"]
     assert "probably the degree line is one off" in shown.getvalue()
-
-
-def test_a_head_that_is_never_where_it_should_be_ends_after_as_many_attempts_as_ever(
-    run, keyboard_and_person
-):
-    keyboard, person, _ = keyboard_and_person
-    head = ManualHead("head", person, tolerance_rad=parse_angle("0 0 30"))
-    run.plan = [lambda: keyboard.write(b"46 0 0\n")] * 5
-    with pytest.raises(LimitExceeded, match="in 5 attempts"):
-        head.move(parse_angle("45"), 1, "5/turn")
 
 
 def test_the_rest_of_a_line_that_was_begun_for_an_answered_question_is_dropped(run, monkeypatch):

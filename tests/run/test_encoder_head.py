@@ -4,22 +4,16 @@ import io
 import math
 import os
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
 
-from bench.config.bench_file.file import load_bench
 from bench.config.devices.registry import devices
-from bench.config.procedure.load import load_procedure
-from bench.config.procedure.plan import Turn
-from bench.config.shipped import find_bench, find_procedure
 from bench.panel.run_state import prompt_of
 from bench.run.assembly.served import LivingOperator
 from bench.run.commission.session import CommissioningPerson
 from bench.run.events import Event, EventType
-from bench.run.folder import Run
 from bench.run.listening import Asker
 from bench.run.person import AskedPrompt
 from bench.run.sentences import said
@@ -112,15 +106,6 @@ def test_it_is_looked_at_as_often_as_is_told_and_the_rest_as_before(away, clock)
     assert away.meanwhile is not None
 
 
-def test_nobody_to_watch_with_is_asked_all_the_same(clock):
-    class Plain:
-        def ask(self, prompt):
-            return "asked"
-
-    with watching(Plain(), lambda: pytest.fail("looked"), 0.2, clock):
-        assert Plain().ask(TURN) == "asked"
-
-
 class Turning:
     """A hand that turns a simulated head leg by leg, `legs` of which are begun at each event of a type."""
 
@@ -159,32 +144,6 @@ def test_a_hand_and_an_encoder_alone_carry_out_a_turn_and_the_record_says_so(tmp
     assert "did not approach from below" in record.events[1].data["why"]
     assert record.events[2].data["answer"] == "44°59′56.4″"
     assert {event.data["by"] for event in record.events[1:]} == {"encoder"}
-
-
-@pytest.mark.slow
-def test_a_whole_dry_run_takes_no_key_for_a_reading(bench, monkeypatch):
-    ask, turned, keys = ScriptedOperator.ask, [], []
-
-    def counted(self, prompt):
-        if prompt.action["do"] == "turn":
-            turned.append(prompt.id)
-        answer = ask(self, prompt)
-        keys.append(prompt.action["do"])
-        return answer
-
-    monkeypatch.setattr(ScriptedOperator, "ask", counted)
-    words = "run quick --dry-run --bench bench-encoder --name run --seed 3 --rule simple"
-    status, _, err = bench(*words.split())
-    assert (status, err) == (0, "")
-    plan = load_procedure(find_procedure("quick")).plan
-    turns = [step for step in plan.steps if isinstance(step, Turn)]
-    assert len(turned) >= len(turns) > 10
-    assert "turn" not in keys
-    readings = Run(Path("runs/run")).readings()
-    tolerance_rad = load_bench(find_bench("bench-encoder")).instruments.head.tolerance
-    for angle_rad in readings.angle_rad:
-        off = min(abs(math.remainder(angle_rad - step.target_rad, math.tau)) for step in turns)
-        assert off <= tolerance_rad
 
 
 def test_the_terminal_rings_once_the_encoder_has_answered(clock):

@@ -20,7 +20,6 @@ from tests.support.runner_bench import NOON, PLAN, READS, STOP, Bench, Meter, Wi
 
 ON = [("P25V", True), ("N25V", True)]
 OFF = [("N25V", False), ("P25V", False)]
-FIRST_READ = next(index for index, step in enumerate(PLAN.steps) if isinstance(step, Read))
 
 
 def switched(supply):

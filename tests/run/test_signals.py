@@ -5,7 +5,6 @@ import signal
 import subprocess
 import time
 import weakref
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -114,55 +113,37 @@ def test_the_handlers_are_given_back():
 
 
 @pytest.mark.slow
-def test_a_process_hit_by_a_signal_keeps_a_whole_record(tmp_path):
-    """The moment is whenever the signal comes; the wire and the disk are real."""
-    (tmp_path / "long.yaml").write_text(LONG)
-    process = subprocess.Popen(  # noqa: S603 - our own program
-        [*PROGRAM, "run", "long.yaml", "--dry-run", "--name", "hit"],
-        cwd=tmp_path,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    events = Path(tmp_path / "runs/hit/events.jsonl")
-    wait_for(lambda: events.exists() and events.stat().st_size > 20_000, process)
-    process.terminate()
-    _, err = process.communicate(timeout=PATIENCE_S)
-    history = read_history(tmp_path / "runs/hit")
-    assert history.problems == ()
-    assert len(Run(tmp_path / "runs/hit").readings()) >= 5
-    assert process.returncode == 2
-    assert history.state == "interrupted"
-    assert "readings are kept in runs/hit; resume with 'bench resume hit'" in err
-    assert "Traceback" not in err
-
-
-@pytest.mark.slow
-def test_killed_and_resumed_it_ends_as_if_nothing_had_been(bench, tmp_path):
-    """Two SIGKILLs, each while the run is under way; the readings are those of an undisturbed run."""
+def test_hit_by_a_signal_killed_and_resumed_it_ends_as_if_nothing_had_been(bench, tmp_path):
+    """SIGTERM, then SIGKILL to what resumed it, each while the run is under way; the wire and the disk are real."""
     (tmp_path / "long.yaml").write_text(LONG.replace("times: 40", "times: 3"))
-
-    def begin(*arguments):
-        return subprocess.Popen(  # noqa: S603 - our own program
-            [*PROGRAM, *arguments], cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
-
-    assert bench("run", "long.yaml", "--dry-run", "--seed", "3", "--name", "whole")[0] == 0
+    run = ("run", "long.yaml", "--dry-run", "--seed", "3", "--name")
+    assert bench(*run, "whole")[0] == 0
     whole = Run(tmp_path / "runs/whole").readings()
     events = tmp_path / "runs/hit/events.jsonl"
 
-    def grown(size):
-        return events.exists() and events.stat().st_size > size
+    def begun(size, *arguments):
+        process = subprocess.Popen(  # noqa: S603 - our own program
+            [*PROGRAM, *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        )
+        wait_for(lambda: events.exists() and events.stat().st_size > size, process)
+        return process
 
-    process = begin("run", "long.yaml", "--dry-run", "--seed", "3", "--name", "hit")
-    for size in (12_000, 30_000):
-        wait_for(partial(grown, size), process)
-        process.kill()
-        process.wait(timeout=PATIENCE_S)
+    def left(process, state):
+        _, err = process.communicate(timeout=PATIENCE_S)
         history = read_history(tmp_path / "runs/hit")
-        assert (history.state, history.problems) == ("running", ())
+        assert (history.state, history.problems) == (state, ())
         assert len(Run(tmp_path / "runs/hit").readings()) >= 5
-        process = begin("resume", "hit") if size < 30_000 else None
+        return process.returncode, err
+
+    process = begun(12_000, *run, "hit")
+    process.terminate()
+    status, err = left(process, "interrupted")
+    assert status == 2
+    assert "readings are kept in runs/hit; resume with 'bench resume hit'" in err
+    assert "Traceback" not in err
+    process = begun(30_000, "resume", "hit")
+    process.kill()
+    left(process, "running")
     assert bench("resume", "hit")[0] == 0
     run = Run(tmp_path / "runs/hit")
     assert run.history.state == "finished"
@@ -175,7 +156,7 @@ def test_killed_and_resumed_it_ends_as_if_nothing_had_been(bench, tmp_path):
 @pytest.mark.slow
 def test_a_run_is_paused_and_aborted_from_another_program(bench, tmp_path):
     # so long that it is not over before another program, on a machine however slow, has been heard
-    (tmp_path / "long.yaml").write_text(LONG.replace("times: 40", "times: 400"))
+    (tmp_path / "long.yaml").write_text(LONG.replace("times: 40", "times: 150"))
     process = subprocess.Popen(  # noqa: S603 - our own program
         [*PROGRAM, "run", "long.yaml", "--dry-run", "--name", "hit"],
         stdout=subprocess.DEVNULL,

@@ -29,14 +29,15 @@ def at_the_lock(descriptor):
     return lock(descriptor)
 
 record._lock = at_the_lock
-try:
-    reopened, history = record.Record.reopen(Path(sys.argv[1]), lambda: datetime(2026, 1, 1, 12, tzinfo=UTC))
-except record.RecordError as error:
-    print(error, flush=True)
-else:
-    reopened.append("run_aborted", 9.0)
-    reopened.close()
-    print(len(history.events), repr(history.torn), flush=True)
+for line in iter(sys.stdin.readline, ""):
+    try:
+        reopened, history = record.Record.reopen(Path(line.strip()), lambda: datetime(2026, 1, 1, 12, tzinfo=UTC))
+    except record.RecordError as error:
+        print(error, flush=True)
+    else:
+        reopened.append("run_aborted", 9.0)
+        reopened.close()
+        print(len(history.events), repr(history.torn), flush=True)
 """
 
 
@@ -48,16 +49,12 @@ def record(tmp_path):
     record.close()
 
 
-@pytest.fixture
-def other(record):
-    """Another program that is about to lock the record; it goes on at `go`."""
+@pytest.fixture(scope="module")
+def program():
+    """Another program, which reopens the records that it is told of."""
     process = subprocess.Popen(  # noqa: S603 - our own program
-        [sys.executable, "-c", REOPENS, str(record.folder)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
+        [sys.executable, "-c", REOPENS], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
-    assert process.stdout.readline() == "at the lock\n"
     yield process
     process.kill()
     process.wait()
@@ -65,10 +62,21 @@ def other(record):
     process.stdout.close()
 
 
-def go(process):
-    process.stdin.write("go\n")
+def told(process, line):
+    process.stdin.write(f"{line}\n")
     process.stdin.flush()
     return process.stdout.readline().strip()
+
+
+@pytest.fixture
+def other(record, program):
+    """The other program, about to lock the record; it goes on at `go`."""
+    assert told(program, record.folder) == "at the lock"
+    return program
+
+
+def go(process):
+    return told(process, "go")
 
 
 def test_what_was_written_until_the_lock_is_part_of_what_is_gone_on_with(record, other):

@@ -12,14 +12,11 @@ from bench.run import terminal as terminal_module
 from bench.run.events import RunState, Wish
 from bench.run.interrupts import Interrupts
 from bench.run.person import RunControl
-from bench.run.power import WATCH_S, RailFault
+from bench.run.power import RailFault
 from bench.run.terminal import LineReader, ProgressBar, TerminalPerson
-from benchmarks import supply_campaign
-from benchmarks.campaign import command
 from drivers.interfaces import NoAnswer
 from drivers.person import Answer, Prompt, PromptKind
 from sim.world.clock import VirtualClock
-from sim.world.power import Disturbance
 from tests.support.fed_runs import Supply, fed_runner
 from tests.support.runner_bench import PLAN, Bench, new_record, recorded
 
@@ -72,18 +69,6 @@ def test_an_answer_half_typed_at_a_look_is_whole_after_it_and_can_be_mended(term
     keys = iter([b"45 00 1", b"", b"\x7f0", b"5\n"])  # a key too many is taken back, as at every terminal
     person.meanwhile = lambda: keyboard.write(next(keys, b""))
     assert person.ask(QUESTION).text == "45 00 05"
-
-
-def test_what_a_look_raises_ends_the_question(terminal):
-    _, answers = terminal
-    person = TerminalPerson(answers, Console(file=io.StringIO()))
-
-    def look():
-        raise RailFault("power_supply", "rail p15 is off", "look")
-
-    person.meanwhile = look
-    with pytest.raises(RailFault):
-        person.ask(QUESTION)
 
 
 def test_lines_of_a_pipe_are_read_one_by_one_and_its_end_is_nobody(monkeypatch):
@@ -202,21 +187,3 @@ def test_a_supply_that_a_person_works_is_not_watched_at_questions():
     supply.asks_person = False
     fed_runner(Bench(), None, supply, decider=person)
     assert person.meanwhile is not None
-
-
-# --- in the world -----------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_a_rail_that_drifts_while_the_block_is_mounted_stops_the_run_within_its_limits(tmp_path):
-    """Toward the other sign it passes no protection, and 20 min of mounting would take it to +2.9 V."""
-    (stand,) = supply_campaign.stands(tmp_path, supply_campaign.WAYS[2:])
-    drift = Disturbance("drift", 596.0, "3", 53.0)
-    with supply_campaign.watched(drift) as watch:
-        status, _, said, _ = command(
-            "run", stand.procedure, "--dry-run", "--bench", stand.bench, "--runs", tmp_path
-        )
-    assert status == 2
-    assert "rail n15 has -14.7" in said or "rail n15 has -14.6" in said
-    assert watch.power.violations == []
-    assert watch.now_s < 596.0 + 0.2 * 3600.0 / 53.0 + 2 * WATCH_S

@@ -328,11 +328,6 @@ def test_gpib_refuses_the_remote_commands_and_lan_takes_them(command: str) -> No
     assert READING.fullmatch(ask(lan, "READ?"))
 
 
-def test_input_overflow_has_the_meters_own_number(meter: Agilent34401A) -> None:
-    meter.input_overflow()
-    assert error(meter) == '+521,"Input buffer overflow"'
-
-
 # --- triggering and memory --------------------------------------------------------------------------
 
 

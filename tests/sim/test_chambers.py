@@ -103,17 +103,6 @@ def test_f4t_of_old_firmware_speaks_fahrenheit_and_does_not_say_so() -> None:
     assert world.chamber_c == pytest.approx(10.0, abs=0.001)
 
 
-def test_f4t_conditions_only_with_its_output_on() -> None:
-    world = a_world()
-    chamber = WatlowF4T(world, output_on=False)
-    tell(chamber, ":SOURCE:CLOOP1:SPOINT 60")
-    world.clock.sleep(3600.0)
-    assert world.chamber_c == 23.0
-    tell(chamber, ":OUTPUT1:STATE ON")
-    world.clock.sleep(7200.0)
-    assert world.chamber_c == pytest.approx(60.0, abs=0.001)
-
-
 # --- Thermotron -------------------------------------------------------------------------------------
 
 

@@ -1,4 +1,4 @@
-"""The simulated 34970A: channel lists, scanning in time, memory, reading formats; its driver over a socket."""
+"""The simulated 34970A: channel lists, scanning in time, memory, reading formats."""
 
 import numpy as np
 import pytest
@@ -201,14 +201,3 @@ def test_gain_and_offset_are_the_meters_and_noise_is_each_readings(clock: Virtua
     noisy = a_meter(clock, noise=True)
     tell(noisy, "CONF:VOLT:DC 10,(@101);:VOLT:NPLC 1;:TRIG:COUN 200")
     assert 5e-6 < np.std(np.diff(volts(noisy, "READ?")) - 1e-3 * 0.046) < 5e-5
-
-
-# --- identity, interface ----------------------------------------------------------------------------
-
-
-def test_identities(clock: VirtualClock) -> None:
-    assert ask(a_meter(clock), "*IDN?") == "HEWLETT-PACKARD,34970A,0,13-2-2"
-    assert ask(a_meter(clock, model="34972A"), "*IDN?").startswith("Agilent Technologies,34972A,MY")
-
-
-# --- the driver over a socket -----------------------------------------------------------------------

@@ -134,15 +134,6 @@ def a_table() -> tuple[AcutrolTable, World]:
     return AcutrolTable(world), world
 
 
-def test_acutrol_answers_with_eight_characters_first() -> None:
-    table, _ = a_table()
-    for message in (":utility:lockout on", *READY, ":mode:position 1", ":demand:position 1, 045.000"):
-        reply = tell(table, message)
-        assert reply is not None
-        assert reply[8:] == "OK"
-    assert (tell(table, ":read:position 1") or "")[8:] == "0.000000"
-
-
 @pytest.mark.parametrize(
     "message",
     [

@@ -194,12 +194,6 @@ def test_error_queue_is_first_in_first_out_and_twenty_deep(toy: Toy) -> None:
     assert numbers[18:] == [-113, -350, 0]
 
 
-def test_reply_of_the_error_queue_to_the_letter(toy: Toy) -> None:
-    assert tell(toy, "SYST:ERR?") == '+0,"No error"'
-    tell(toy, "NONSENSE")
-    assert tell(toy, "syst:error?") == '-113,"Undefined header"'
-
-
 def test_cls_empties_queue_and_events_but_keeps_masks(toy: Toy) -> None:
     tell(toy, "*ESE 60;*SRE 32")
     tell(toy, "NONSENSE")
@@ -237,12 +231,6 @@ def test_power_on_clear_decides_whether_masks_survive(toy: Toy) -> None:
     tell(toy, "*PSC 1")
     toy.power_cycle()
     assert tell(toy, "*ESE?") == "+0"
-
-
-def test_common_queries(toy: Toy) -> None:
-    assert tell(toy, "*OPC?") == "1"
-    assert tell(toy, "*TST?") == "+0"
-    assert tell(toy, "*idn?") == "MAKER,TOY,0,1"
 
 
 def test_notation_with_unpaired_brackets_is_refused() -> None:

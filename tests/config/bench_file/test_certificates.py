@@ -21,12 +21,6 @@ def told(folder, **parts):
     return [f"{mistake.place}: {mistake.text}" for mistake in error.value.mistakes]
 
 
-def test_a_bench_file_without_certificates_is_as_before():
-    bench = load_bench(find_bench("paper-stand"))
-    assert standings(bench, DAY) == ()
-    assert not corrections_of(bench)
-
-
 def test_the_corrections_are_those_of_each_meters_channel_on_its_range(tmp_path):
     other_range = {"range": "1 V", "gain": {"correction": "70 ppm", "U": "6 ppm", "k": 2}}
     x = meter_certificate("-12 ppm", "15 uV")

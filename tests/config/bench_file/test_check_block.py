@@ -30,10 +30,6 @@ def test_a_section_is_read_in_si(tmp_path):
     assert not section.is_of("another", "CHECK-1", "a block")
 
 
-def test_a_bench_file_need_not_have_one():
-    assert load_bench(find_bench("paper-stand")).check_block is None
-
-
 @pytest.mark.parametrize(
     ("line", "told"),
     [

@@ -69,15 +69,6 @@ def own_bench(tmp_path, driver="my-meter"):
     return path
 
 
-def test_a_folder_brings_an_instrument(mine, tmp_path):
-    device = devices().get("my-meter")
-    assert device in devices().of("voltmeter")
-    assert device.class_of("driver").called == "my meter"
-    bench = load_bench(own_bench(tmp_path))
-    assert foreign_drivers(bench) == {"my-meter": str(mine / "my_meter.py")}
-    assert foreign_drivers(load_bench(find_bench("paper-stand"))) == {}
-
-
 def test_without_it_the_driver_is_unknown(tmp_path):
     with pytest.raises(FileMistakes) as told:
         load_bench(own_bench(tmp_path))

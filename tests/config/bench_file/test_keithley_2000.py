@@ -53,12 +53,3 @@ def test_over_rs232_lines_end_as_the_meter_is_set(tmp_path, terminator, end):
 def test_what_the_meter_has_not_is_refused(tmp_path, wrong, told):
     with pytest.raises(FileMistakes, match=told):
         load_bench(with_one(tmp_path, **{**SERIAL, **wrong}))
-
-
-@pytest.mark.slow
-def test_it_reads_over_a_serial_line_with_other_ends(bench, tmp_path, monkeypatch):
-    monkeypatch.setattr("bench.results.page.render_report", lambda _content: "")
-    path = with_one(tmp_path, **SERIAL, serial={"baud_rate": 19200, "terminator": "lfcr"})
-    status, out, err = bench("run", "quick", "--dry-run", "--bench", path, "--name", "run")
-    assert (status, err) == (0, ""), out
-    assert "run (SIMULATED): PASSED" in out

@@ -28,10 +28,6 @@ def with_rail(**changes):
     return {**FEED, "rails": [rail, N15]}
 
 
-def test_a_bench_file_without_a_supply_is_as_before():
-    assert load_bench(find_bench("bench-gpib")).unit_under_test.supply is None
-
-
 def test_rails_are_read_in_volts_and_amperes_in_the_order_of_switching(tmp_path):
     supply = fed_bench(tmp_path, pause="500 ms").unit_under_test.supply
     assert [rail.name for rail in supply.rails] == ["p15", "n15"]

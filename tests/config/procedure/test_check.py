@@ -16,9 +16,7 @@ from bench.config.procedure.check import check, disk_needed_bytes, operator_acti
 from bench.config.procedure.load import load_procedure
 from bench.config.procedure.plan import Mount, Plan, Read, Turn, Wait
 from bench.config.shipped import find_bench, find_procedure
-from bench.model import ForwardModel
 from bench.results.check import listing
-from bench.run.assembly.served import dry_bench
 from bench.services import until as command
 from drivers.facts import agilent_34401a as facts
 from drivers.instruments.agilent_34401a import Agilent34401A
@@ -62,14 +60,6 @@ def test_a_calibration_is_told_whole_and_a_dry_run_offered(bench):
     assert summary["not_determined"] == [{"temperature_c": None, "coefficients": []}]
     assert summary["problems"] == summary["dry_run_refuses"] == []
     assert 0 < summary["disk"]["needed_bytes"] < summary["disk"]["free_bytes"]
-
-
-def test_the_mains_decide_how_long_a_reading_takes(bench):
-    slow = json.loads(bench("check", "paper", "--json", "-")[1])
-    fast = json.loads(
-        bench("check", "paper", "--json", "-", "--bench", edited(**{"y: 50 Hz": "y: 60 Hz"}))[1]
-    )
-    assert fast["expected_by_kind_s"]["read"] < slow["expected_by_kind_s"]["read"]
 
 
 def test_settling_is_told_at_its_shortest_and_its_longest(bench):
@@ -117,15 +107,6 @@ def test_fewer_samples_than_a_voltmeter_takes_are_refused_as_its_driver_would(be
     settling = quick.replace("settle: 5 s", "settle: {precision: 1 mV, window: 5 s, timeout: 1 min}")
     Path("p.yaml").write_text(settling, encoding="utf-8")
     assert bench("run", "p.yaml", "--dry-run", "--name", "settled")[0] == 0
-
-
-@pytest.mark.parametrize("name", ["paper-stand", "bench-lan", "bench-multiplexer"])
-def test_the_limits_of_a_bench_file_are_its_drivers_own(name):
-    file = load_bench(find_bench(name))
-    with dry_bench(file, ForwardModel(file.installation_models()), 1) as assembly:
-        meters = zip(assembly.instruments.voltmeters, file.instruments.voltmeters, strict=True)
-        for meter, section in meters:
-            assert meter.limits == section.kind.limits.of_channels(len(section.channels))
 
 
 def test_a_prompt_without_default_is_no_mistake_but_a_dry_run_is_not_offered(bench):
@@ -297,10 +278,6 @@ def turn_to(degrees, direction):
 
 def on_the_motorised_head(*steps):
     return check(Plan("p", steps, ""), load_bench(find_bench("bench-motorised")))
-
-
-def test_turns_within_the_limits_are_no_problem():
-    assert on_the_motorised_head(turn_to(0, 1), turn_to(45, -1), turn_to(360, 1), turn_to(360, -1)) == []
 
 
 def test_a_turn_whose_way_leads_out_of_the_limits_is_refused_once():

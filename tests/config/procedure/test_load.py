@@ -4,7 +4,6 @@ import pytest
 
 from bench.base.yaml_files import sha256_of_file
 from bench.config.bench_file.file import load_bench
-from bench.config.procedure.file import VERBS
 from bench.config.procedure.load import check, load_procedure
 from bench.config.procedure.plan import Ask, Mount, Read, SetTemperature, Turn, Wait
 from bench.config.shipped import find_bench, find_procedure
@@ -145,25 +144,6 @@ def test_what_is_no_number_is_told_in_our_words_with_what_was_written(mistakes, 
     assert "number, got" in told or told.endswith("got '" + "9" * 80 + "…'")
     assert "nput should" not in told
     assert "parse" not in told
-
-
-def test_an_unknown_key_of_nested_steps_is_told_with_the_known_ones(mistakes):
-    told = mistakes(
-        """\
-  - installation:
-      label: 1
-      steps:
-        - turn: {angels: [0 deg]}
-        - repeat: {times: 2, steps: [{turn: {angles: [0 deg], steps: [{reed: {}}]}}]}
-  - temperatures: {at: [20 degC], steps: [{input: {source: short, steps: [{wait: {fore: 1 h}}]}}]}
-"""
-    )
-    for end in (
-        "angels: unknown key 'angels'; did you mean 'angles'? known: angles, direction, first_point, steps",
-        f"reed: unknown key 'reed'; did you mean 'read'? known: {', '.join(sorted(VERBS))}",
-        "fore: unknown key 'fore'; did you mean 'for'? known: for, reason",
-    ):
-        assert any(mistake.endswith(end) for mistake in told), (end, told)
 
 
 def test_reading_a_point_twice_is_a_mistake_told_once(mistakes):

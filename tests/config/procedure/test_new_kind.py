@@ -87,7 +87,9 @@ steps:
 @pytest.fixture
 def program(tmp_path):
     """Return what runs commands, in one process, of a copy of the program that has one kind of step more."""
-    shutil.copytree(ROOT / "bench", tmp_path / "bench", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(
+        ROOT / "bench", tmp_path / "bench", ignore=shutil.ignore_patterns("*.pyc.*")
+    )  # being written
     for shipped in ("config", "procedures"):
         (tmp_path / shipped).symlink_to(ROOT / shipped)
     folder = tmp_path / "bench/config/procedure"

@@ -1,4 +1,4 @@
-"""The wire log: what a line holds, a disk that is full, several threads, and a whole dry run."""
+"""The wire log: what a line holds, a disk that is full, several threads, and what is replayed."""
 
 import random
 import re
@@ -118,28 +118,6 @@ def command(*arguments: object) -> int:
     with pytest.raises(SystemExit) as ended:
         bench_main([str(argument) for argument in arguments])
     return int(str(ended.value.code))
-
-
-@pytest.mark.slow
-def test_a_dry_run_logs_every_exchange_of_every_meter(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "short.yaml").write_text(
-        "procedure: short\nreading: {samples: 2, nplc: 1, settle: 0 s}\nsteps:\n"
-        "  - installation: {label: 1, steps: [turn: {angles: [0 deg, 90 deg]}]}\n"
-    )
-    run = ("run", "short.yaml", "--dry-run", "--name", "one", "--bench", "paper-stand")
-    assert command(*run, "--wire-log", "wire.log") == 0
-    lines = (tmp_path / "wire.log").read_text(encoding="utf-8").splitlines()
-    assert all(LINE.fullmatch(line) for line in lines)
-    for channel in "xyz":
-        own = [line.split(" ", 2)[2] for line in lines if f" voltmeter.{channel} " in line]
-        assert own[:2] == ["> *IDN?", "< HEWLETT-PACKARD,34401A,0,11-5-2"]
-        assert own.count("> FETC?") == 2
-        after = [own[index + 1] for index, text in enumerate(own) if text == "> FETC?"]
-        assert all(re.fullmatch(r"< [+-]\d\.\d{8}E[+-]\d\d,[+-]\d\.\d{8}E[+-]\d\d", text) for text in after)
-    assert not list((tmp_path / "runs" / "one").glob("*wire*"))
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="this system has no /dev/full")

@@ -33,15 +33,6 @@ from sim.wires.server import TERMINALS
 from tests.support.composed_bench import composing, edited, read
 from tests.support.patience import PATIENCE_S
 
-THERMOTRON = """\
-  chamber:
-    driver: thermotron
-    resource: "ASRL/dev/ttyUSB1::INSTR"
-    identity: "8200"
-    minimum: -70 degC
-    maximum: 150 degC
-"""
-PAPER_CHAMBER = "  chamber: {driver: manual-chamber, minimum: -60 degC, maximum: 100 degC}\n"
 RIGHT_ANGLE_RAD = math.pi / 2
 
 
@@ -109,10 +100,7 @@ def test_places_behind_an_adapter_are_those_that_the_driver_understands(resource
 @pytest.mark.parametrize(
     ("name", "changes", "identities"),
     [
-        ("bench-gpib", (), ["34401A"] * 3),
-        ("bench-prologix", (), ["34401A"] * 3),
         ("bench-rs232", (("parity: none", "parity: even"),), ["34401A"] * 3),
-        ("bench-multiplexer", (), ["34970A"]),
         (
             "bench-multiplexer",
             (("interface: gpib", "interface: lan"), ("x: 101, y: 102", "x: 301, y: 220")),
@@ -131,7 +119,6 @@ def test_places_behind_an_adapter_are_those_that_the_driver_understands(resource
             (('"GPIB0::9::INSTR"', '"prologix:///dev/ttyUSB0/9"'),),
             ["34970A"],
         ),
-        ("bench-motorised", (), [*["34461A"] * 3, "50952", "P300"]),
         (
             "bench-motorised",
             (
@@ -142,16 +129,14 @@ def test_places_behind_an_adapter_are_those_that_the_driver_understands(resource
             ),
             [*["34461A"] * 3, "50081", "SCP-220"],
         ),
-        ("bench-rate-table", (), [*["34461A"] * 3, "ACUTROL", "F4T"]),
         (
             "bench-rate-table",
             (("loop: 1\n    output: 1", "loop: 2\n    output: 4"), ("axis: 1", "axis: 2")),
             [*["34461A"] * 3, "ACUTROL", "F4T"],
         ),
-        ("paper-stand", ((PAPER_CHAMBER, THERMOTRON),), [*["34401A"] * 3, "8200"]),
     ],
 )
-def test_every_driver_meets_its_simulation(composed, name, changes, identities):
+def test_drivers_meet_their_simulations_otherwise_set_up_than_shipped(composed, name, changes, identities):
     bench, assembly = composed(name, *changes)
     told = {name: str(identity) for name, identity in assembly.instruments.open().items()}
     wired = [text for text in told.values() if not text.startswith("manual")]
@@ -176,7 +161,7 @@ def test_a_motorised_head_asks_nobody(composed):
     assembly.instruments.open()
     asked = []
     assembly.person.ask = asked.append
-    for angle_rad, direction in ((2 * math.pi, 1), (0.0, -1)):
+    for angle_rad, direction in ((0.3, 1), (0.0, -1)):
         assert assembly.instruments.head.move(angle_rad, direction, "1/turn").direction == direction
     with pytest.raises(LimitExceeded, match=r"outside its limits, -5°00′00″ to 365°00′00″"):
         assembly.instruments.head.move(math.radians(366.0), 1, "2/turn")

@@ -135,12 +135,6 @@ def test_skip_and_abort_are_heard_and_no_other_wish(tonight, person):
         tonight.confirm("Go on?")
 
 
-def test_no_waits(tonight, person):
-    person.answers = ["no", "yes"]
-    tonight.confirm("Is the way clear?")
-    assert len(person.asked) == 2
-
-
 def found(*states: State) -> list[Finding]:
     return [Finding("check", "head", state, "said") for state in states]
 

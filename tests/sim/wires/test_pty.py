@@ -2,7 +2,6 @@
 
 import os
 import select
-import socket
 import subprocess
 import sys
 import time
@@ -17,7 +16,7 @@ from sim.bench import SimulatedBench
 from sim.wires.server import TERMINALS, TerminalServer
 from sim.wires.session import ServedInstrument
 from sim.world.clock import VirtualClock
-from tests.support.patience import PATIENCE_S, together
+from tests.support.patience import PATIENCE_S
 from tests.support.simulated_stand import a_34401a, a_world
 
 pytestmark = pytest.mark.skipif(not TERMINALS, reason="this system has no pseudo-terminals")
@@ -92,32 +91,6 @@ def test_a_reply_that_nobody_reads_is_given_up_at_a_device_clear() -> None:
         replies = b""  # first the beginning of what is given up
         while not replies.endswith(IDENTITY + b"\r\n"):
             replies += client.read_line()
-
-
-def test_tcp_and_terminal_share_one_instrument_and_keep_their_own_replies() -> None:
-    answers: dict[str, list[bytes]] = {"tcp": [], "pty": []}
-    with one_meter() as (bench, path), Client(path) as client:
-        tcp = socket.create_connection(("127.0.0.1", bench.servers["v"].port), timeout=PATIENCE_S)
-        lines = tcp.makefile("rb")
-
-        def talk_tcp() -> None:
-            for _ in range(100):
-                tcp.sendall(b"*IDN?\n")
-                answers["tcp"].append(lines.readline())
-
-        def talk_pty() -> None:
-            for _ in range(100):
-                answers["pty"].append(client.ask(b"VOLT:NPLC?\n"))
-
-        together(talk_tcp, talk_pty)
-        client.write(b"VOLT:NPLC 100;*OPC?\n")
-        assert client.read_line() == b"1\r\n"
-        tcp.sendall(b"VOLT:NPLC?\n")
-        assert lines.readline() == b"+1.000000E+02\n"
-        lines.close()
-        tcp.close()
-    assert set(answers["tcp"]) == {IDENTITY + b"\n"}
-    assert set(answers["pty"]) == {b"+1.000000E+01\r\n"}
 
 
 def test_no_descriptor_is_left_over_and_it_starts_again() -> None:

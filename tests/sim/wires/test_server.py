@@ -8,34 +8,23 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 
-import numpy as np
 import pytest
 
-from bench.model import Block, Distribution, ForwardModel
-from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
+from bench.model import ForwardModel
+from bench.model.geometry import INSTALLATION_1
 from drivers.wire.visa import MessageSession
 from sim import voltmeters as line
-from sim.bench import SimulatedBench, SimulatedMeter
-from sim.keithley_2000 import Keithley2000
+from sim.bench import SimulatedBench
 from sim.wires.faults import Fault, FaultKind
 from sim.wires.server import TERMINALS, TcpServer
 from sim.wires.session import REFUSE, Framer, LineEnds, Overflow, WireFault
 from sim.world.clock import ScaledClock, VirtualClock
 from sim.world.world import World, WorldSettings
 from tests.support.patience import PATIENCE_S, together
-from tests.support.simulated_stand import EndlessClock, a_34401a
+from tests.support.simulated_stand import BLOCK, a_34401a, a_world
 
-BLOCK = Block(
-    np.array([[-2.177, 0.011, 0.021], [0.006, -2.142, 0.033], [0.012, 0.024, -2.163]]),
-    np.array([0.07, -0.2, -0.41]),
-)
-MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
 METERS = {f"voltmeter.{c}": a_34401a(c, noise=False) for c in ("x", "y", "z")}
 IDENTITY = b"HEWLETT-PACKARD,34401A,0,11-5-2\n"
-
-
-def a_world(stand: dict[str, Distribution] | None = None) -> World:
-    return World(WorldSettings(BLOCK, MODEL, stand or {}, 5), VirtualClock())
 
 
 class Client:
@@ -62,8 +51,8 @@ class Client:
 
 
 @contextmanager
-def a_bench(world: World | None = None) -> Iterator[SimulatedBench]:
-    with SimulatedBench(world or a_world(), METERS) as bench:
+def a_bench() -> Iterator[SimulatedBench]:
+    with SimulatedBench(a_world(), METERS) as bench:
         yield bench
 
 
@@ -135,16 +124,6 @@ def test_control_c_is_device_clear() -> None:
         client.write(b"TRIG:SOUR BUS;:INIT\n")
         client.write(b"\x03*TRG\n")
         assert client.ask(b"SYST:ERR?\n") == b'-211,"Trigger ignored"\n'
-
-
-def test_control_c_ends_a_long_reading_on_a_clock_that_takes_its_time() -> None:
-    clock = EndlessClock()
-    world = World(WorldSettings(BLOCK, MODEL, {}, 5), clock)
-    with SimulatedBench(world, {"v": a_34401a("x")}) as bench, Client(bench.servers["v"].port) as client:
-        client.write(b"VOLT:NPLC 100;:READ?\n")
-        assert clock.entered.wait(PATIENCE_S)
-        client.write(b"\x03")
-        assert client.ask(b"*IDN?\n") == IDENTITY
 
 
 def test_a_client_that_leaves_in_mid_message_harms_nobody() -> None:
@@ -231,19 +210,12 @@ HOURS = b"CONF:VOLT:DC 10\nVOLT:DC:NPLC 100\nTRIG:DEL 60\nSAMP:COUN 500\n*IDN?\n
 
 
 @pytest.fixture
-def ports(monkeypatch: pytest.MonkeyPatch):
-    """The ports of meters on real time, which are told at once of a client that has left."""
+def port(monkeypatch: pytest.MonkeyPatch):
+    """The port of a meter on real time, which is told at once of a client that has left."""
     monkeypatch.setattr("sim.wires.session.LEAVING_S", 0.0)
-    model = ForwardModel({"1": INSTALLATION_1})
-    world = World(WorldSettings(BLOCK, model, {}, 5), ScaledClock())
-    meters = {"34401A": a_34401a("x", noise=False), "2000": SimulatedMeter(Keithley2000, "x")}
-    with SimulatedBench(world, meters) as bench:
-        yield {model: server.port for model, server in bench.servers.items()}
-
-
-@pytest.fixture
-def port(ports):
-    return ports["34401A"]
+    world = World(WorldSettings(BLOCK, ForwardModel({"1": INSTALLATION_1}), {}, 5), ScaledClock())
+    with SimulatedBench(world, {"v": a_34401a("x", noise=False)}) as bench:
+        yield bench.servers["v"].port
 
 
 @pytest.fixture
@@ -297,17 +269,6 @@ def test_one_that_waits_already_is_served_when_who_wanted_hours_leaves(port, beg
         assert other.file.readline() == IDENTITY
 
 
-def test_one_that_waits_for_a_2000_is_served_as_well(ports, begun, waited_for):
-    with Client(ports["2000"]) as impatient, Client(ports["2000"]) as other:
-        impatient.write(b":INIT:CONT OFF\n:VOLT:DC:NPLC 10\n:SAMP:COUN 1024\n:TRIG:COUN 20\n:INIT\n")
-        assert begun.wait(PATIENCE_S)
-        other.write(b"*OPC?\n")
-        assert waited_for.wait(PATIENCE_S)
-        impatient.file.close()
-        impatient.socket.close()
-        assert other.file.readline() == b"1\n"
-
-
 def test_one_that_has_left_does_not_take_what_another_began_after_it(port, waited_for):
     with Client(port) as impatient, Client(port) as other:
         assert impatient.ask(b"CONF:VOLT:DC 10\nVOLT:DC:NPLC 0.02\n*IDN?\n") == IDENTITY
@@ -344,7 +305,6 @@ def test_one_that_only_sends_no_more_still_has_its_reply(port, monkeypatch):
 # Simulated instruments whose lines end otherwise than in LF, over TCP and over a pseudo-terminal.
 
 WIRES = ["tcp", pytest.param("pty", marks=pytest.mark.skipif(not TERMINALS, reason="no pseudo-terminals"))]
-PLAIN_BLOCK = Block(np.diag([-2.177, -2.142, -2.163]), np.zeros(3))
 
 
 class Counter:
@@ -369,8 +329,7 @@ class Counter:
 
 @contextmanager
 def served(ends: LineEnds) -> Iterator[SimulatedBench]:
-    world = World(WorldSettings(PLAIN_BLOCK, ForwardModel({"1": INSTALLATION_1}), {}, 5), VirtualClock())
-    with SimulatedBench(world, {"c": Counter(ends)}, with_terminals=TERMINALS) as bench:
+    with SimulatedBench(a_world(), {"c": Counter(ends)}, with_terminals=TERMINALS) as bench:
         yield bench
 
 

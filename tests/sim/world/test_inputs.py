@@ -2,18 +2,16 @@
 
 import math
 
-import numpy as np
 import pytest
 
-from bench.model import AppliedEffect, Block, ForwardModel
+from bench.model import AppliedEffect, ForwardModel
 from bench.model.effects import Effect, Parameter, Stage
 from bench.model.geometry import INSTALLATION_1
 from drivers.person import Prompt, PromptKind
 from sim.world.clock import VirtualClock
 from sim.world.operator import OperatorSettings, ScriptedOperator
 from sim.world.world import World, WorldSettings
-
-BLOCK = Block(np.diag([-2.177, -2.142, -2.163]), np.array([0.07, -0.2, -0.41]))
+from tests.support.simulated_stand import BLOCK
 
 
 class Doubled(Effect):

@@ -9,7 +9,6 @@ import pytest
 from bench.base.arrays import ARCSEC
 from bench.model import Block, Distribution, ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
-from drivers.instruments.manual import ManualHead
 from drivers.interfaces import NoAnswer
 from drivers.person import Prompt, PromptKind
 from sim.world.clock import VirtualClock
@@ -73,17 +72,6 @@ def test_something_may_be_watched_while_the_person_is_at_a_task_and_it_takes_no_
 
 
 @pytest.mark.parametrize(
-    ("target_deg", "text"),
-    [(45.0, "45 00 00"), (0.0, "0 00 00"), (360.0, "360 00 00"), (22.5, "22 30 00"), (0.01, "0 00 36")],
-)
-def test_without_deviation_the_scale_shows_the_target(target_deg: float, text: str) -> None:
-    world = a_world()
-    answer = ScriptedOperator(world, EXACT).ask(turn_prompt("1/turn#1", math.radians(target_deg)))
-    assert answer.text == text
-    assert world.scale_angle_rad == pytest.approx(math.radians(target_deg), abs=1e-15)
-
-
-@pytest.mark.parametrize(
     ("arcsec", "text"),
     [
         (162003, "45 00 03"), (1296002, "360 00 02"), (1295998, "359 59 58"), (-2, "-0 00 02"),
@@ -137,14 +125,6 @@ def test_asked_again_the_answer_is_right_and_the_head_is_not_turned_again() -> N
     assert world.clock.now_s() - now_s == pytest.approx(15.0)
 
 
-def test_the_manual_head_accepts_the_operator_after_a_slip() -> None:
-    world = a_world()
-    head = ManualHead("head", ScriptedOperator(world, ALWAYS_SLIPS), tolerance_rad=30 * ARCSEC)
-    for target_deg in (0.0, 45.0, 359.0, 360.0):
-        position = head.move(math.radians(target_deg), 1, f"{target_deg}/turn")
-        assert position.angle_rad == pytest.approx(world.scale_angle_rad, abs=1e-12)
-
-
 def test_numbers_belong_to_the_step_and_seed() -> None:
     alone = ScriptedOperator(a_world())
     busy = ScriptedOperator(a_world())
@@ -195,13 +175,6 @@ def test_an_unexpected_reading_is_confirmed_at_once() -> None:
     doubt = Prompt("t/right1#1", PromptKind.CONFIRM, "Is that right?", action={"do": "confirm_reading"})
     assert ScriptedOperator(world).ask(doubt).text == "yes"
     assert world.clock.now_s() == 0.0
-
-
-def test_mounting_with_a_series() -> None:
-    world = a_world()
-    action = {"do": "mount", "installation": "2", "series": 3}
-    answer = ScriptedOperator(world).ask(Prompt("m#1", PromptKind.CONFIRM, "Mount", action=action))
-    assert (world.installation, world.series, answer.text) == ("2", 3, "yes")
 
 
 def test_chamber_and_thermometer() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bench.base.arrays import ARCSEC
-from bench.model import AppliedEffect, Block, Conditions, Distribution, ForwardModel, stand_errors
+from bench.model import AppliedEffect, Block, Conditions, Distribution, ForwardModel
 from bench.model.effects import CATALOGUE, Effect, Stage
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from sim.world.clock import VirtualClock, wait_until
@@ -138,16 +138,6 @@ def test_signal_is_the_forward_models_reading_with_effects() -> None:
     )[0]
     actual = [world.signal_v(channel) for channel in ("x", "y", "z")]
     np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-15)
-
-
-def test_without_errors_the_true_angle_is_the_scales() -> None:
-    world = a_world()
-    world.mount("1")
-    world.turn(math.pi / 2, 1)
-    assert world.true_angle_rad == math.pi / 2
-    expected = BLOCK.output(np.array([[1.0, 0.0, 0.0]]))[0]
-    assert world.signal_v("x") == pytest.approx(expected[0], abs=1e-15)
-    np.testing.assert_array_equal(world.stand_rad, stand_errors())
 
 
 class _Heating(Effect):
