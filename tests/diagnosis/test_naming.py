@@ -70,6 +70,7 @@ def test_nothing_is_found_where_nothing_is(nothing):
     np.testing.assert_array_equal(readings.signal, before)  # the record is left as it is
     assert found.verdict == "agrees"
     assert found.effects == ()
+    assert found.form is None
     assert found.gap.before == found.gap.after
     assert set(found.hidden) >= {"voltmeter_gain", "voltmeter_offset", "thermal_emf", "wrong_gravity"}
 

@@ -146,15 +146,14 @@ def settling(readings, sizes_v, taus_min):
     )
 
 
-# the time constant found is the nearest of the catalogue: one between two of it, and two exponentials
 @pytest.mark.slow
-@pytest.mark.parametrize("taus_min", [(25.0, 25.0), (8.0, 45.0)])
-def test_biases_after_a_fitted_warm_up_are_within_their_u(taus_min):
+def test_biases_after_a_fitted_warm_up_are_within_their_u():
+    """The time constant lies between two of the catalogue; two exponentials are in `test_open_parts`."""
     pulls = {"sized": [], "whole": []}
     for seed in range(8):
         readings = paper_run(np.random.default_rng([81, seed]), directions=(1, -1, 1))
         sizes = (np.array([1.0, -0.7, 0.0]) * 400e-6, np.array([0.4, -0.5, 0.0]) * 400e-6)
-        readings = replace(readings, signal=readings.signal + settling(readings, sizes, taus_min))
+        readings = replace(readings, signal=readings.signal + settling(readings, sizes, (25.0, 25.0)))
         ready = set_up(readings)
         noise = NoiseSize(NOISE_V, STAND["setting_error"], 120)
         naming = named(ready, (0, 1), 20)

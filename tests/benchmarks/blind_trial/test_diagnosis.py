@@ -56,13 +56,6 @@ def test_a_mistake_of_many_rows_and_of_one_is_found_by_its_name(kind):
 
 
 @pytest.mark.slow
-def test_equal_quadratic_terms_are_not_given_a_name_alone():
-    _, diagnosis, marks = judged(Row("equal_k2", rho=12), 0)
-    assert marks["in the set"]
-    assert diagnosis["verdict"] == "confounded"
-
-
-@pytest.mark.slow
 def test_what_nothing_can_show_is_listed():
     marks = judged(Row("hidden"), 0)[2]
     assert marks["agrees"]
