@@ -216,15 +216,7 @@ def test_any_unit(scale):
     """Counts instead of volts: everything in the unit scales, nothing else changes."""
     readings = simulate(np.random.default_rng(9), 1e-4)
     volts = calibrate(readings, MODEL, STAND_U, 9.81)
-    counts = make_readings(
-        readings.installation.tolist(),
-        readings.pass_number.tolist(),
-        readings.point.tolist(),
-        readings.angle_rad,
-        readings.signal * scale,
-        unit="counts",
-    )
-    result = calibrate(counts, MODEL, STAND_U, 9.81)
+    result = calibrate(replace(readings, signal=readings.signal * scale, unit="counts"), MODEL, STAND_U, 9.81)
     assert result.unit == "counts"
     np.testing.assert_allclose(result.block.vector, volts.block.vector * scale, atol=1e-7 * scale)
     np.testing.assert_allclose(result.u, volts.u * scale, rtol=1e-3)
@@ -236,14 +228,7 @@ def test_the_order_of_the_readings_does_not_matter():
     readings = simulate(np.random.default_rng(10), 1e-4)
     order = np.random.default_rng(1).permutation(54)
     once = calibrate(readings, MODEL, STAND_U, 9.81)
-    shuffled = make_readings(
-        readings.installation[order].tolist(),
-        readings.pass_number[order].tolist(),
-        readings.point[order].tolist(),
-        readings.angle_rad[order],
-        readings.signal[order],
-    )
-    again = calibrate(shuffled, MODEL, STAND_U, 9.81)
+    again = calibrate(readings.select(order), MODEL, STAND_U, 9.81)
     np.testing.assert_allclose(again.block.vector, once.block.vector, atol=1e-9)
     np.testing.assert_allclose(again.u, once.u, rtol=1e-4)
 
