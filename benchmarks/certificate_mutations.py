@@ -279,7 +279,6 @@ def trials(pair: Pair, number: int, seed: int, folder: Path) -> Iterator[tuple[s
 
 
 def main() -> int:
-    """Make a pair, change it many times, and print the outcomes."""
     asked = arguments(__doc__, number=1000, seed=16)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)

@@ -458,7 +458,6 @@ def _amiss(said: Said) -> list[str]:
 
 
 def main() -> None:
-    """Carry out the campaign and print the counts."""
     given = arguments(
         __doc__, transitions=(3000, "at least so many"), steps=(30, "from one empty folder"), seed=1
     )

@@ -216,7 +216,6 @@ TABLES: Final = {"rejections": rejections, "wrong": wrong, "lengths": lengths}
 
 
 def main() -> None:
-    """Print the tables."""
     asked = arguments(
         __doc__, runs=(1000000, "chart points of each row"), seed=1,
         table={"choices": TABLES, "help": "one of the three alone"},

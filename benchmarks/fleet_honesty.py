@@ -251,7 +251,6 @@ TABLES: Final[dict[str, tuple[Callable[[int, int], Iterator[Row]], str]]] = {
 
 
 def main() -> None:
-    """Print the requested table."""
     given = arguments(__doc__, what={"positional": True, "choices": TABLES}, runs=400, seed=1)
     table, heads = TABLES[given.what]
     for line in markdown(heads.split(" | "), table(given.runs, given.seed)):

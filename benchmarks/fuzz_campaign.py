@@ -422,7 +422,6 @@ def table(counts: dict[str, int], found: list[Violation]) -> str:
 
 
 def main(argv: Any = None) -> int:
-    """Run the campaign."""
     given = arguments(
         __doc__, argv, inputs=20000, seed=1, workers=2,
         kinds={"nargs": "*", "choices": KINDS, "default": KINDS}, only={"metavar": "KIND:NUMBER"},

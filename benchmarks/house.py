@@ -246,7 +246,6 @@ def print_paths() -> None:
 
 
 def main() -> None:
-    """Print the whole report."""
     given = arguments(
         __doc__, no_paths=(False, "leave out the commands"), since=("", "a commit whose lines stand beside")
     )

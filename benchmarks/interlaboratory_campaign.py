@@ -93,7 +93,6 @@ def rounds(seed: int, numbers: range) -> tuple[list[bool], ...]:
 
 
 def main(given: list[str] | None = None) -> int:
-    """Run the campaign; return the exit status."""
     asked = arguments(__doc__, given, runs=200, workers=2, seed=1)
     parts = parts_of(partial(rounds, asked.seed), asked.runs, asked.workers)
     found, accused, alone, seen, moved, plain = (np.concatenate(c) for c in zip(*parts, strict=True))

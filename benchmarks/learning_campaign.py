@@ -145,7 +145,6 @@ def show_exchanged(asked: argparse.Namespace) -> None:
 
 
 def main() -> int:
-    """Run the campaign; return the exit status."""
     asked = arguments(
         __doc__, runs=(200, "benches"), blocks=(30, "runs of each bench"),
         own={"choices": list(OWN), "default": ""}, next=0, seed=1, exchange=0,

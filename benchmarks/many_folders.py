@@ -440,7 +440,6 @@ def _turned(text: str, before: float, angle: float) -> str:
 
 
 def main() -> int:
-    """Write the folders; print how long it took."""
     given = arguments(
         __doc__, count={"positional": True, "type": int}, out={"positional": True, "type": Path}, seed=1,
         benches=(0, "by default one for 2,000 runs, 3 at least"), units=(0, "by default one for ten runs"),

@@ -205,7 +205,6 @@ def in_words(name: str, source: str) -> Iterator[Message]:
 
 
 def main() -> None:
-    """Print the messages."""
     asked = arguments(
         __doc__,
         kind=(str, "only this kind"),

@@ -11,10 +11,7 @@ tests/run/test_live.py`.
 """
 
 import contextlib
-import json
 import os
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -25,7 +22,7 @@ from typing import Any, Final
 
 from bench.config.shipped import find_bench
 from benchmarks.campaign import arguments
-from tests.support.browser_runs import PROGRAM, Begun, prompt_of, typed_for, until
+from tests.support.browser_runs import PROGRAM, Begun, prompt_of, simulating, typed_for
 from tests.support.browsers import find_chromium
 from tests.support.served_panel import ServedPanel, served
 
@@ -108,22 +105,6 @@ def carried_out(run: Begun, panel: ServedPanel, page: Any) -> CountingPerson:
         run.close()
 
 
-@contextlib.contextmanager
-def simulating(bench: str, folder: Path) -> Iterator[dict[str, Any]]:
-    """Serve the simulated instruments of a bench; yield the content of the ready file once they listen."""
-    ready = folder / "ready.json"
-    program = subprocess.Popen(  # noqa: S603 - our own program
-        [sys.executable, "-c", PROGRAM, "simulate", "--bench", bench, "--ready-file", str(ready)],
-        stdout=subprocess.DEVNULL,
-    )
-    try:
-        until(ready.exists)
-        yield json.loads(ready.read_text("utf-8"))
-    finally:
-        program.terminate()
-        program.wait(30)
-
-
 def answered_run(panel: ServedPanel, page: Any, bench: Path, name: str, program: str, wait_s: float) -> Begun:
     """Carry out `PROCEDURE`, with each question answered by keys after `wait_s`; return the run."""
     procedure = bench.with_name("live.yaml")
@@ -191,7 +172,6 @@ def live(turns: int) -> None:
 
 
 def main() -> None:
-    """Carry out the measurement that the command line names."""
     asked = arguments(__doc__, what={"positional": True, "choices": ("keys", "live")}, turns=3)
     if asked.what == "live":
         live(asked.turns)

@@ -501,7 +501,6 @@ async def served(place: Place, count: int, seed: int) -> list[str]:
 
 
 def main() -> None:
-    """Send the requests and print the outcome; the exit status is 1 after any fault."""
     asked = arguments(__doc__, requests=10000, socket=500, seed=1)
     with tempfile.TemporaryDirectory() as folder:
         place = Place(Path(folder))

@@ -285,7 +285,6 @@ def compare_schemas(older: Path) -> list[str]:
 
 
 def main() -> None:
-    """Carry out `store`, `compare` or `schemas`."""
     given = arguments(
         __doc__, does={"positional": True, "choices": ("store", "compare", "schemas")},
         folders={"positional": True, "nargs": "+", "type": Path, "help": "one, to compare two"},

@@ -51,7 +51,6 @@ def warm(seed: int, number: int) -> bool:
 
 
 def main(given: Sequence[str] | None = None) -> int:
-    """Carry out the campaign; return the exit status."""
     asked = arguments(__doc__, given, records=60, seed=1, workers=1)
     numbers = range(asked.records)
     pulls = list(spread(partial(cold, asked.seed), numbers, asked.workers))

@@ -342,7 +342,6 @@ def table(outcomes: Sequence[Outcome]) -> str:
 
 
 def main() -> None:
-    """Carry out the campaign and print its table."""
     options = arguments(__doc__, runs=240, seed=1, workers=2)
     outcomes = campaign(draw(options.runs, options.seed), options.workers)
     print(table(outcomes))

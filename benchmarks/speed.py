@@ -465,7 +465,6 @@ PARTS: Final[dict[str, Callable[[argparse.Namespace], bool]]] = {
 
 
 def main() -> int:
-    """Print the table of one part."""
     given = arguments(
         __doc__, part={"positional": True, "choices": PARTS}, events=(100_000, "of a long record"),
         many=(1000, "runs that are listed"), each=(17, "diagnosed cases of each kind"),

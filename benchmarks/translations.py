@@ -254,7 +254,6 @@ def save(file: Path, told: Catalog) -> None:
 
 
 def main(arguments: list[str]) -> int:
-    """Check the catalogues, or with `--write` update them; return 1 if something is missing."""
     texts, told_off = all_entries(), [*problems_of_words(), *all_unmarked()]
     for language in LANGUAGES.keys() - {ENGLISH}:
         told = catalogue(language)

@@ -37,7 +37,6 @@ def z_of(view: TumbleView, terms: Terms) -> Floats:
 
 
 def main() -> int:
-    """Run the campaign; return the exit status."""
     asked = arguments(__doc__, runs=300, noise=0.0001, seed=1)
     broken = 0
     width = 3 / np.sqrt(2 * asked.runs)

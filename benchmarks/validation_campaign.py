@@ -98,7 +98,6 @@ def killed(count: int, folder: Path) -> tuple[int, int]:
 
 
 def main() -> int:
-    """Run the campaign; print a line for each fault and run, and the counts."""
     asked = arguments(
         __doc__,
         only=("", "pattern of the names of faults"),

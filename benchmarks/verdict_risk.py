@@ -182,7 +182,6 @@ def judge_blocks(blocks: int, seed: int, noise: float, *, alike: bool) -> list[s
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the benchmark; return the exit status."""
     given = arguments(__doc__, argv, runs=4000, joint=(1500, "verdicts on four points together"),
         blocks=(int, "blocks of a stated population, in place of all else"),
         apart=(False, "an error for each point of a block"), noise=0.0001, seed=1,

@@ -237,7 +237,6 @@ def _diagnosed(tasks: Sequence[Task], diagnose: Diagnose, workers: int, kept: Ke
 
 
 def main(argv: Sequence[str] | None = None, diagnose: Diagnose = diagnose_case) -> int:
-    """Run the trial; return the exit status."""
     given = _arguments(argv)
     rows = _rows(given)
     tasks = [Task(given.seed, row, index) for row in rows for index in range(row.count)]

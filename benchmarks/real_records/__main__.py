@@ -210,7 +210,6 @@ def _ratio(of: Ratio | None) -> str:
 
 
 def main() -> None:
-    """Print the tables, or write them into the page."""
     asked = arguments(
         __doc__, page=(False, "write docs/real-records.md"),
         seeds=(0, "instead, diagnose this many twins of each record"),

@@ -63,7 +63,6 @@ def carried_out(trial: str, seed: int, count: int, workers: int, folder: Path) -
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Carry out the requested trials and print the results; return the exit status."""
     given = arguments(
         __doc__, argv, seed=11, workers=2,
         short=(False, "50 cases of each kind of trial"),

@@ -50,12 +50,10 @@ def test_cases_follow_from_their_seed_in_the_stated_shares():
 
 
 def test_scoring_of_a_null_of_a_tie_and_against_another_run():
-    null = {"group": "null", "seed": 1, "number": 0, "name": "", "verdict": "agrees", "names": [], "ties": []}
-    null |= {
-        "noise": "normal",
-        "headline": "NOTHING FOUND: readings and model agree within the noise",
-        "cpu": 1.0,
-    }
+    null = {
+        "group": "null", "seed": 1, "number": 0, "name": "", "verdict": "agrees", "names": [], "ties": [],
+        "noise": "normal", "headline": "NOTHING FOUND: readings and model agree within the noise", "cpu": 1.0,
+    }  # fmt: skip
     assert score.silent(null)
     assert not score.silent(null | {"headline": null["headline"] + "; V point 2 is off by 9 u"})
     tied = {"verdict": "named", "names": ["warm_up"], "ties": [["bias_drift"]]}

@@ -9,6 +9,7 @@ import pytest
 
 from bench.panel.access import Role
 from tests.support.browsers import find_chromium, what_is_missing
+from tests.support.plotted_runs import make_plotted
 from tests.support.served_panel import ServedPanel, served
 
 HERE = Path(__file__).parent
@@ -48,6 +49,23 @@ def panel(tmp_path: Path) -> Iterator[ServedPanel]:
     shutil.copytree(RECORDS / "finished", runs / "done")
     with served(runs) as found:
         yield found
+
+
+def empty_panel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ServedPanel]:
+    """A panel that is begun in an empty folder."""
+    folder = tmp_path / "empty"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    monkeypatch.delenv("BENCH_FILE", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    with served(tmp_path / "runs") as found:
+        yield found
+
+
+@pytest.fixture(scope="session")
+def plotted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of two runs of one unit, of which the later has every plot."""
+    return make_plotted(tmp_path_factory.mktemp("plotted"))
 
 
 Visit = Callable[..., Any]

@@ -1,55 +1,23 @@
 """A bench without YAML: from an empty folder to a file that runs on simulated instruments, in the browser alone."""
 
-import json
-import subprocess
-import sys
-import time
-
 import pytest
 
 from bench.config.bench_file.file import load_bench
-from tests.support.served_panel import served
-
-BEGINS_S = 60.0
+from tests.browser.conftest import empty_panel
+from tests.support.browser_runs import simulating
 
 
 @pytest.fixture
 def resources(tmp_path):
     """The simulated instruments of a shipped bench, each on a TCP port, by name."""
-    ready = tmp_path / "ready.json"
-    command = [
-        sys.executable,
-        "-c",
-        "from bench.cli.program import main; main()",
-        "simulate",
-        "--bench",
-        "bench-lan",
-    ]
-    program = subprocess.Popen([*command, "--ready-file", str(ready), "--speed", "1000"], cwd=tmp_path)  # noqa: S603
-    until_s = time.monotonic() + BEGINS_S
-    while not ready.exists() and time.monotonic() < until_s and program.poll() is None:
-        time.sleep(0.05)
-    try:
-        told = json.loads(ready.read_text("utf-8"))
+    with simulating("bench-lan", tmp_path, "--speed", "1000") as told:
         yield {
             one["name"]: "TCPIP0::{}::{}::SOCKET".format(*one["tcp"].split(":"))
             for one in told["instruments"]
         }
-    finally:
-        program.terminate()
-        program.wait(30)
 
 
-@pytest.fixture
-def panel(tmp_path, monkeypatch):
-    """A panel that is begun in an empty folder."""
-    folder = tmp_path / "empty"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    monkeypatch.delenv("BENCH_FILE", raising=False)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    with served(tmp_path / "runs") as found:
-        yield found
+panel = pytest.fixture(empty_panel)
 
 
 def test_a_bench_is_made_found_written_and_tried_without_a_file_opened(visit, panel, resources):

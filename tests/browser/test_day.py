@@ -3,20 +3,12 @@
 import pytest
 
 from bench.config.procedure.load import load_procedure
-from tests.support.served_panel import served
+from tests.browser.conftest import empty_panel
 
 PHONE = {"width": 390, "height": 844}
 
 
-@pytest.fixture
-def panel(tmp_path, monkeypatch):
-    """A panel that is begun in an empty folder."""
-    folder = tmp_path / "empty"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    monkeypatch.delenv("BENCH_FILE", raising=False)
-    with served(tmp_path / "runs") as found:
-        yield found
+panel = pytest.fixture(empty_panel)
 
 
 def test_a_procedure_is_picked_changed_and_saved(visit, panel, tmp_path):

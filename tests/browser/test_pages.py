@@ -15,7 +15,6 @@ from bench.run.events import EVENTS, MANIFEST
 from bench.run.record import Record
 from drivers.clock import utc_now
 from tests.browser.conftest import RECORDS
-from tests.support.plotted_runs import make_plotted
 from tests.support.served_panel import served
 
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
@@ -113,11 +112,6 @@ def queued(panel):
         queue.add([item.model_copy(update={"run": run})])
     shutil.copytree(RECORDS / "finished", panel.runs / "broken")
     (panel.runs / "broken" / EVENTS).write_text("rubbish\n")
-
-
-@pytest.fixture(scope="module")
-def plotted(tmp_path_factory):
-    return make_plotted(tmp_path_factory.mktemp("plotted"))
 
 
 @pytest.fixture

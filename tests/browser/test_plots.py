@@ -7,14 +7,7 @@ import shutil
 
 import pytest
 
-from tests.support.plotted_runs import make_plotted
-
 Y_ANGLE = 'svg[data-channel="y"][data-along="angle"]'
-
-
-@pytest.fixture(scope="module")
-def plotted(tmp_path_factory):
-    return make_plotted(tmp_path_factory.mktemp("plotted"))
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """The robust estimator: outliers found, their number right, nothing lost where there are none."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +8,9 @@ from scipy import stats
 
 from bench.calibration import Noise, calibrate
 from bench.calibration.outliers import critical
-from bench.readings.csv import write_csv
 from bench.validation.paper_bench import STAND_U, TRUTH, simulate
-from tests.support.commands import printed
 from tests.support.honest_runs import MODEL
+from tests.support.results import calibration_json
 
 RUNS = 50
 
@@ -64,6 +62,9 @@ def test_one_wrong_signal_is_found_and_costs_nothing(size_v, passes):
     assert found.size == pytest.approx(size_v, abs=5e-4)
     assert found.sigma > 5
     assert found.weight == 0
+    (told,) = calibration_json(result)["outliers"]
+    assert (told["row"], told["pass"], told["point"]) == (14, readings.pass_number[13], found.point)
+    assert (told["channel"], told["unit"]) == ("y", "V")
     assert np.all(np.abs(result.block.vector - TRUTH) < 4 * result.u)
     assert len(result.fitted) == len(readings)
     # the size is that of the fit without what readings share, which weighs them otherwise
@@ -131,21 +132,3 @@ def test_gross_slip_of_a_degree_leaves_the_truth():
     result = robust(readings)
     assert {o.row for o in result.outliers} == {31}
     assert np.all(np.abs(result.block.vector - TRUTH) < 4 * result.u)
-
-
-@pytest.mark.slow
-def test_command_line(bench, tmp_path):
-    readings = run([68, 1])
-    readings.signal[13, 1] += 0.01
-    write_csv(readings, tmp_path / "r.csv")
-    out = printed(
-        bench("calibrate", tmp_path / "r.csv", "--estimator", "robust", "--json", "-", "--out", "o")
-    )
-    (found,) = json.loads(out)["outliers"]
-    assert (found["row"], found["pass"], found["point"], found["channel"]) == (14, 2, 5, "y")
-    assert found["unit"] == "V"
-    status, out, _ = bench("calibrate", tmp_path / "r.csv", "--json", "-", "--out", "o")
-    result = json.loads(out)
-    assert status == 0
-    assert result["outliers"] == []
-    assert any("outlier found: row 14" in note for note in result["notes"])

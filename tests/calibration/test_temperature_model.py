@@ -140,9 +140,8 @@ def test_compensated_signals_give_the_acceleration_within_its_uncertainty():
     assert np.max(np.abs(found.specific_force - force)) < 3e-4
 
 
-def test_the_covariance_of_an_acceleration_is_that_of_drawn_coefficients():
+def test_the_covariance_of_an_acceleration_is_that_of_drawn_coefficients(model):
     rng = np.random.default_rng([SEED, 56])
-    model = temperature_model([simulate(rng, truth(rng))], MODEL, STAND_U, 9.81)
     signal = model.block(40.0).output(np.array([[0.3, -0.5, 0.8]]))
     drawn = rng.multivariate_normal(model.coefficients(40.0), model.covariance_at(40.0), 4000)
     forces = np.array([Block.from_vector(c).specific_force(signal)[0] for c in drawn])
@@ -150,9 +149,7 @@ def test_the_covariance_of_an_acceleration_is_that_of_drawn_coefficients():
     assert model.compensate(signal, 40.0).u[0] == pytest.approx(forces.std(axis=0), rel=0.05)
 
 
-def test_beyond_the_measured_range_there_is_no_number():
-    rng = np.random.default_rng([SEED, 57])
-    model = temperature_model([simulate(rng, truth(rng))], MODEL, STAND_U, 9.81)
+def test_beyond_the_measured_range_there_is_no_number(model):
     assert model.outside(np.array([-30.0, 20.0, np.nan, 70.0])).tolist() == [True, False, True, True]
     with pytest.raises(CalibrationError, match=r"70 °C is outside .* -2\d\.\d to 5\d\.\d °C"):
         model.compensate(np.ones((1, 3)), 70.0)

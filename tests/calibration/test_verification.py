@@ -74,22 +74,6 @@ def test_one_point_beyond_the_limit_is_enough():
     assert not result.passed
 
 
-def test_uncertainty_by_monte_carlo():
-    """4000 draws of coefficients from the covariance of a calibration and of the voltmeter's noise."""
-    calibration = calibrate(simulate(np.random.default_rng(3), 1e-4), MODEL, STAND_U, 9.81)
-    rng = np.random.default_rng(4)
-    draws = rng.multivariate_normal(TRUTH, calibration.covariance, 4000)
-    exact = turned().signal
-    moduli = []
-    for draw in draws:
-        signal = exact + rng.normal(0, 1e-4, (4, 3))
-        a = np.linalg.solve(draw[:9].reshape(3, 3), (signal - draw[9:]).T)
-        moduli.append(np.linalg.norm(a, axis=0))
-    result = verify(turned(), BLOCK, calibration.covariance, 1e-4, 3e-4)
-    # a standard deviation from 4000 draws: four standard errors
-    np.testing.assert_allclose([p.u for p in result.points], np.std(moduli, axis=0), rtol=4 / np.sqrt(8000))
-
-
 @pytest.mark.parametrize("matrix", [np.zeros((3, 3)), np.arange(1.0, 10.0).reshape(3, 3), K * np.nan])
 def test_a_singular_matrix_is_refused(matrix):
     with pytest.raises(CalibrationError, match="singular"):

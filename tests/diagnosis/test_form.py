@@ -103,11 +103,6 @@ def test_a_creep_by_the_logarithm_of_the_time_is_no_warm_up(run):
     assert found.form.terms[0].family == "what creeps with time, in the bias"
 
 
-@pytest.mark.slow
-def test_nothing_gets_no_form(run):
-    assert form_of(run) is None
-
-
 @pytest.fixture(scope="module")
 def wave(run):
     """Readings with half a wave in the bias of y, and the form that describes it."""

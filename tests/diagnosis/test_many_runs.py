@@ -149,11 +149,6 @@ def test_what_one_run_has_alone_is_found_in_it(cache):
     assert found.effects[0].channels == ("y",)
 
 
-@pytest.mark.slow
-def test_runs_that_agree_are_said_to_agree(cache):
-    assert diagnose(joined(runs(3, 51)), MODEL, LIMITS, SCALE, cache).verdict == "agrees"
-
-
 def test_coefficients_of_several_blocks_are_each_its_own():
     tables = runs(2, 61)
     tables[1] = replace(tables[1], signal=tables[1].signal * 1.01 + 0.01)
@@ -171,18 +166,11 @@ def noisier(table, rng, sizes):
 
 
 @pytest.mark.slow
-def test_noise_of_each_channel_and_tails_are_taken_as_they_are_in_several_runs(cache):
-    """A third channel with three times the noise, and one reading in forty ten times off: nothing is missing."""
+def test_noise_of_each_channel_is_taken_as_it_is_in_several_runs(cache):
+    """A third channel with three times the noise: nothing is missing."""
     rng = np.random.default_rng(12)
     tables = [noisier(table, rng, [0.0, 0.0, 3.0]) for table in runs(3, 13)]
     found = diagnose(joined(tables), MODEL, LIMITS, SCALE, cache)
     assert found.verdict == "agrees"
     x, y, z = found.noise_by_channel
     assert 2.4 < z / np.sqrt(x * y) < 4.0  # each of 100 and more degrees of freedom: known to a tenth
-    tailed = []
-    for table in runs(3, 14):
-        far = rng.random(table.signal.shape) < 1 / 40
-        tailed.append(replace(table, signal=table.signal + far * rng.normal(0.0, 6 * NOISE_V, far.shape)))
-    found = diagnose(joined(tailed), MODEL, LIMITS, SCALE, cache)
-    assert found.verdict == "agrees"
-    assert any("tails" in kind.words for kind in found.noise_kinds)

@@ -70,6 +70,7 @@ def test_nothing_is_found_where_nothing_is(nothing):
     np.testing.assert_array_equal(readings.signal, before)  # the record is left as it is
     assert found.verdict == "agrees"
     assert found.effects == ()
+    assert found.form is None
     assert found.gap.before == found.gap.after
     assert set(found.hidden) >= {"voltmeter_gain", "voltmeter_offset", "thermal_emf", "wrong_gravity"}
 
@@ -188,17 +189,6 @@ def test_what_was_settled_before_is_hashed(nothing, quadratic):
 
 
 @pytest.mark.slow
-def test_signals_that_are_not_volts_have_no_effects_in_microvolts():
-    """The same run in units of 10 mV as "counts": the block's effect is named alike, the meters' are hidden."""
-    readings = paper_run(np.random.default_rng(21), K2=(0.0, 80e-6, 0.0))
-    counts = replace(readings, unit="counts", signal=100.0 * readings.signal)
-    found = diagnose(counts, MODEL, STAND, 100.0 * np.array([-2.18, -2.14, -2.14]), OneThreshold())
-    assert found.effects[0].name == "quadratic_nonlinearity"
-    assert "voltmeter_drift" in found.hidden
-    assert not any(v.family == "range_offset" for v in found.candidates.variants)
-
-
-@pytest.mark.slow
 def test_what_the_model_has_is_not_found_again_and_the_other_channels_are():
     readings = paper_run(np.random.default_rng(33), K2=(100e-6, 80e-6, 0.0))
     has_y = AppliedEffect(
@@ -208,10 +198,6 @@ def test_what_the_model_has_is_not_found_again_and_the_other_channels_are():
     found = diagnose(readings, model, STAND, np.array([-2.18, -2.14, -2.14]), OneThreshold())
     (effect,) = found.effects
     assert (effect.name, effect.channels) == ("quadratic_nonlinearity", ("x",))
-    both = replace(has_y, values={"K2": np.array([100e-6, 80e-6, 0.0])}, channels=("x", "y"))
-    assert (
-        diagnose(readings, replace(MODEL, effects=(both,)), STAND, None, OneThreshold()).verdict == "agrees"
-    )
 
 
 # --- slips, zeros set anew, exchanged meters; noise that is too large -------------------------
@@ -225,7 +211,6 @@ def turned(readings, rows, axis, angle_rad):
 
     In installation 1 the axes of block and platform are the same.
     """
-    bias = readings.signal.mean(axis=0)
     bias = np.linalg.lstsq(
         np.column_stack([np.sin(readings.angle_rad), np.cos(readings.angle_rad), np.ones(len(readings))])[
             rows
@@ -245,14 +230,13 @@ def in_pass(readings, mount, *numbers):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("axis", "degrees"), [((0, 0, 1), 1.0), ((0, 1, 0), 0.02)])
-def test_a_slip_is_in_the_set_and_the_noise_stays_what_it_is(axis, degrees):
-    """From pass 2 on, up to a degree, where second order is ten times the noise.
+def test_a_slip_is_in_the_set_and_the_noise_stays_what_it_is():
+    """From pass 2 on, by a degree, where second order is ten times the noise.
 
     A whole degree about the axis of the head would be pass 1 with its angles read wrong by a mark.
     """
     readings = paper_run(np.random.default_rng(SEED))
-    slipped = turned(readings, in_pass(readings, "1", 2, 3), axis, np.radians(degrees))
+    slipped = turned(readings, in_pass(readings, "1", 2, 3), (0, 0, 1), np.radians(1.0))
     found = diagnose(slipped, MODEL, STAND, np.diag(K), OneThreshold())
     assert found.verdict in {"named", "confounded"}
     (effect,) = found.effects

@@ -14,8 +14,6 @@ from bench.validation.paper_bench import SETTING_U_RAD, STAND_U
 from tests.support.diagnosis_bench import MODEL, NOISE_V, OneThreshold, paper_run, set_up
 
 RATIO = 2
-UNEQUAL = np.array([0.4, 0.4, 1.63])
-"""Sizes of the noise of channels, 1 on the average of squares."""
 
 
 @pytest.fixture(scope="module")
@@ -115,18 +113,16 @@ def noisy(seed, kind, **hidden):
     noise = {
         "normal": lambda: rng.normal(size=(n, 3)),
         "tails": lambda: rng.standard_t(3, (n, 3)),
-        "channels": lambda: rng.normal(size=(n, 3)) * UNEQUAL,
         "slow": lambda: rng.normal(size=(n, 3)) + 3.0 * wandering(rng, n),
     }[kind]()
     return replace(readings, signal=readings.signal + NOISE_V * noise)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["tails", "channels", "slow"])
-def test_the_kind_of_noise_that_is_there_is_chosen_and_nothing_is_named(kind):
+def test_slow_noise_is_chosen_and_nothing_is_named():
     """Two runs: in one of them at least, and in none with an effect of the catalogue alone."""
-    found = [chosen(noisy(seed, kind)) for seed in range(2)]
-    assert any(kind in kinds for kinds, _ in found)
+    found = [chosen(noisy(seed, "slow")) for seed in range(2)]
+    assert any("slow" in kinds for kinds, _ in found)
     assert not any(one.variant.named and not one.ties for _, naming in found for one in naming.found)
 
 

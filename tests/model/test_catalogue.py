@@ -28,22 +28,11 @@ PROMISED = [
 """Names that model files may hold: none of them may disappear."""
 NAMES = list(CATALOGUE)
 
-PER_MOUNT = {
-    "axis_tilt",
-    "zero_offset",
-    "turn_on_shift",
-    "mounting_error",
-    "mounting_offset",
-    "mounting_roll",
-    "bracket_tilt",
-    "block_slip",
-    "mounting_creep",
-    "head_zero_shift",
-    "meters_exchanged",
-    "scale_step",
-    "reference_step",
-}
 PER_PASS = {"block_slip", "head_zero_shift", "meters_exchanged", "scale_step", "reference_step"}
+PER_MOUNT = PER_PASS | {
+    "axis_tilt", "zero_offset", "turn_on_shift", "mounting_error", "mounting_offset", "mounting_roll",
+    "bracket_tilt", "mounting_creep",
+}  # fmt: skip
 
 LOOK_BACK = {
     "thermal_scale", "hysteresis", "thermal_bias", "turn_on_shift", "thermal_settling", "mounting_creep",

@@ -20,6 +20,8 @@ from bench.stats.control_charts import (
     without_one,
 )
 from bench.validation.registry import REFERENCE
+from benchmarks.control_chart_campaign import EWMA as LUCAS_SACCUCCI
+from benchmarks.control_chart_campaign import SHIFTS
 
 HANDBOOK = np.array([
     52.0, 47.0, 53.0, 49.3, 50.1, 47.0, 51.0, 50.1, 51.2, 50.5,
@@ -172,16 +174,6 @@ def test_the_ewma_shows_the_shift_that_single_values_hardly_show():
     assert np.mean(ewma[-60:]) > 0.5
     assert np.mean(shewhart[-60:]) < 0.05
 
-
-SHIFTS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0)
-LUCAS_SACCUCCI = {
-    (0.40, 3.054): (500, 224, 71.2, 28.4, 14.3, 5.9, 3.5, 2.5, 2.0, 1.4),
-    (0.25, 2.998): (500, 170, 48.2, 20.1, 11.1, 5.5, 3.6, 2.7, 2.3, 1.7),
-    (0.20, 2.962): (500, 150, 41.8, 18.2, 10.5, 5.5, 3.7, 2.9, 2.4, 1.9),
-    (0.10, 2.814): (500, 106, 31.3, 15.9, 10.3, 6.1, 4.4, 3.4, 2.9, 2.2),
-    (0.05, 2.615): (500, 84.1, 28.8, 16.4, 11.4, 7.1, 5.2, 4.2, 3.5, 2.7),
-}
-"""Technometrics 32 (1990), table 3, as Montgomery has it: run lengths by (lambda, L) after a shift of so many s."""
 
 OF_FEW_AND_MANY = {
     (0.50, 3.071): (500, 255, 88.8, 35.9, 17.5, 6.53, 3.63, 2.50, 1.93, 1.58, 1.34, 1.07),

@@ -7,7 +7,8 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,30 @@ class Begun:
         if self.process.poll() is None:
             self.process.kill()
             self.process.communicate()
+
+
+@contextmanager
+def simulating(bench: str, folder: Path, *options: str) -> Iterator[dict[str, Any]]:
+    """Serve the simulated instruments of a bench; yield the content of the ready file once they listen."""
+    ready = folder / "ready.json"
+    command = [
+        sys.executable,
+        "-c",
+        PROGRAM,
+        "simulate",
+        "--bench",
+        bench,
+        "--ready-file",
+        str(ready),
+        *options,
+    ]
+    program = subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL)  # noqa: S603 - our own program
+    try:
+        until(ready.exists)
+        yield json.loads(ready.read_text("utf-8"))
+    finally:
+        program.terminate()
+        program.wait(30)
 
 
 def until(holds: Any, patience_s: float = PATIENCE_S) -> None:

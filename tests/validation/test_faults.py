@@ -10,8 +10,6 @@ SHORT = (
     "a damaged check standard",
     "x and y exchanged in files",
     "covariance of the solver off by 1e-6",
-    "start values off by 1e-6",
-    "sign of correlations",
     "wrong g in the bench file",
 )
 """Faults of several families that are found at once."""

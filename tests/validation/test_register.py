@@ -16,6 +16,7 @@ from bench.services.chain import LINES, Entry, opened
 from bench.services.errors import Refused
 from bench.services.validated import ACCEPTED, WITHDRAWN, Validations
 from bench.validation.records import write_files
+from benchmarks.validation_campaign import append_for_ever
 
 FORK = multiprocessing.get_context("fork")
 
@@ -24,16 +25,6 @@ def entry(number, program="p", bench_sha256="b", kind=ACCEPTED):
     data = {"fingerprint": program, "bench": "bench.yaml", "bench_sha256": bench_sha256, "result_sha256": "r",
             "role": None, "reason": "because"}  # fmt: skip
     return Entry(kind, number, "2026-11-24T08:00:00+00:00", "A. Example", data)
-
-
-def append_until_killed(folder, mark):
-    """Append entries for ever, with numbers of this writer; say each one that was appended."""
-    for number in range(10_000):
-        with opened(Validations(folder)) as register:
-            register.append(entry(f"{mark}-{number}"))
-        with Path(f"{folder}-{mark}").open("a", encoding="utf-8") as said:
-            said.write(f"{mark}-{number}\n")
-            said.flush()
 
 
 def test_an_entry_can_be_withdrawn_once(tmp_path):
@@ -66,9 +57,7 @@ def test_two_writers_and_kills_lose_nothing(tmp_path):
     folder = tmp_path / "register"
     for _ in range(3):
         before = (folder / LINES).stat().st_size if (folder / LINES).exists() else 0
-        writers = [
-            FORK.Process(target=append_until_killed, args=(folder, f"{mark}{before}")) for mark in "ab"
-        ]
+        writers = [FORK.Process(target=append_for_ever, args=(folder, f"{mark}{before}")) for mark in "ab"]
         for writer in writers:
             writer.start()
         deadline = time.monotonic() + 60.0
@@ -77,7 +66,7 @@ def test_two_writers_and_kills_lose_nothing(tmp_path):
         for writer in writers:
             os.kill(writer.pid, signal.SIGKILL)
             writer.join()
-    said = [name for file in tmp_path.glob("register-*") for name in file.read_text("utf-8").split()]
+    said = [name for file in tmp_path.glob("said-*") for name in file.read_text("utf-8").split()]
     with opened(Validations(folder)) as register:
         assert len(said) > 20
         assert set(said) <= {one.number for one in register.entries}

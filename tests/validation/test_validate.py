@@ -98,16 +98,12 @@ def test_a_failed_check_names_its_place_and_cannot_be_accepted(bench, few, labor
 
 def test_a_result_that_was_edited_cannot_be_accepted(bench, few, laboratory):
     printed(bench("validate", "--out", "v"))
+    refused(bench("validate", "--out", "v"), "holds a validation already")
     file = Path("v/validation.json")
     file.write_text(file.read_text(encoding="utf-8").replace("11.1", "11.2", 1), encoding="utf-8")
     refused(
         bench("validate", "--accept", "v", "--laboratory", laboratory, *BY), "differs from the sealed file"
     )
-
-
-def test_a_folder_is_used_once(bench, few):
-    printed(bench("validate", "--out", "v"))
-    refused(bench("validate", "--out", "v"), "holds a validation already")
 
 
 def test_names_in_other_letters_and_control_characters_get_a_page_and_a_pdf(bench, few):

@@ -94,17 +94,8 @@ def test_a_diagnosis_that_failed_is_tried_again(tmp_path, capsys):
         made.append(case.id)
         return agrees_or_fails(case)
 
-    arguments = [
-        "--short",
-        "--only",
-        "null",
-        "--rows",
-        "6",
-        "--workers",
-        "1",
-        "--keep",
-        str(tmp_path / "kept"),
-    ]
+    arguments = ["--short", "--only", "null", "--rows", "6", "--workers", "1"]
+    arguments += ["--keep", str(tmp_path / "kept")]
     assert main(arguments, diagnose=counted) == 1
     first = made.copy()
     made.clear()

@@ -145,6 +145,7 @@ def test_a_wrong_setting_is_found_and_its_angle_put_right(size, noise_v):
         readings.point[row],
     )
     true = result.corrected.angle_rad[row]
+    assert f"at {round(np.degrees(true) % 360, 4):.8g}° and not at {np.degrees(stated):g}°" in mistake.words
     assert np.cos(true - stated - off) == pytest.approx(1.0, abs=1e-12)
     assert np.delete(result.corrected.angle_rad, row) == pytest.approx(np.delete(readings.angle_rad, row))
     assert mistake.evidence.after < 1.25
@@ -153,12 +154,10 @@ def test_a_wrong_setting_is_found_and_its_angle_put_right(size, noise_v):
 
 @pytest.mark.slow
 def test_an_outlier_is_found_and_its_reading_left_out():
-    for seed in (0, 1, 8):
+    for seed in (1, 8):
         rng = np.random.default_rng([23, seed])
         good = run([24, seed])
-        row = (
-            (0, 27)[seed % 2] if seed < 8 else int(rng.integers(54))
-        )  # the first reading of a mounting, or any
+        row = 27 if seed == 1 else int(rng.integers(54))  # the first reading of a mounting, or any
         channel, sigma = int(rng.integers(3)), float(rng.choice([20, 30, 300, 1e5]))
         bad = with_outlier(good, row, channel, outlier_v(good, row, channel, sigma, NOISE_V))
         result = find(bad)
@@ -172,12 +171,15 @@ def test_an_outlier_is_found_and_its_reading_left_out():
         assert mistake.evidence.after < 1.25
         if mistake.name == "outlier":
             assert mistake.channels == ("xyz"[channel],)
+            place = (good.installation[row], good.pass_number[row], good.point[row])
+            told = "installation {}, pass {}, point {}: channel {} by ".format(*place, "xyz"[channel])
+            assert mistake.words.startswith(told)
             assert keys(result.corrected) == keys(good)[:row] + keys(good)[row + 1 :]
             assert len(result.corrected.skipped) == 1
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size_ug", [20, 60, 180])
+@pytest.mark.parametrize("size_ug", [20, 180])
 def test_hysteresis_that_is_off_in_a_first_reading_is_no_outlier(size_ug):
     def friction(labels, numbers, _phi, force, _slope):
         way = np.diff(force, axis=0, prepend=force[:1])
@@ -209,17 +211,15 @@ def test_a_slip_and_another_voltmeter_in_one_pass_are_no_outliers():
 @pytest.mark.slow
 def test_two_outliers_in_one_pass_are_found():
     """Of 20 to 60 standard deviations, in readings that are not next to each other: no slip explains them."""
-    for seed in range(2):
-        rng = np.random.default_rng([44, seed])
-        good = run([45, seed])
-        first = 9 * int(rng.integers(6))
-        rows = [first + int(k) for k in ((2, 5), (1, 7))[seed]]
-        bad = good
-        for row in rows:
-            channel, sigma = int(rng.integers(3)), float(rng.uniform(20, 60))
-            bad = with_outlier(bad, row, channel, outlier_v(good, row, channel, sigma, NOISE_V))
-        told = {(m.pass_number, m.point) for m in find(bad).mistakes}
-        assert told == {(good.pass_number[row], good.point[row]) for row in rows}, seed
+    rng = np.random.default_rng([44, 0])
+    good = bad = run([45, 0])
+    first = 9 * int(rng.integers(6))
+    rows = [first + 2, first + 5]
+    for row in rows:
+        channel, sigma = int(rng.integers(3)), float(rng.uniform(20, 60))
+        bad = with_outlier(bad, row, channel, outlier_v(good, row, channel, sigma, NOISE_V))
+    told = {(m.pass_number, m.point) for m in find(bad).mistakes}
+    assert told == {(good.pass_number[row], good.point[row]) for row in rows}
 
 
 @pytest.mark.slow
@@ -293,9 +293,12 @@ def test_two_mistakes_are_found(pair):
         bad = with_signal(bad, in_1, lambda signal: signal[:, [2, 1, 0]])
     if "head" in pair:
         bad = turned_back(bad, in_2)
+    before = {name: np.array(getattr(bad, name)) for name in ("signal", "angle_rad", "installation", "point")}
     result = find(bad)
     assert sorted(m.name for m in result.mistakes) == PAIRS[pair]
     assert result.mistakes[-1].evidence.after < 1.25
+    for name, column in before.items():  # the record is left as it is
+        np.testing.assert_array_equal(getattr(bad, name), column)
 
 
 @pytest.mark.slow
@@ -328,32 +331,11 @@ def test_without_a_data_sheet_what_the_coefficients_take_up_is_not_seen():
     assert "the same in installation" in mistake.words
 
 
-@pytest.mark.slow
-def test_the_record_is_not_changed():
-    good = run(61, off=(7, np.radians(1)))
-    bad = with_outlier(with_signal(good, good.installation == "1", lambda s: s[:, [1, 0, 2]]), 40, 2, 0.1)
-    before = {name: np.array(getattr(bad, name)) for name in ("signal", "angle_rad", "installation", "point")}
-    result = find(bad)
-    assert len(result.mistakes) == 3
-    for name, column in before.items():
-        np.testing.assert_array_equal(getattr(bad, name), column)
-
-
 def test_a_reading_that_is_no_number_is_refused_with_its_place():
     readings = run(62)
     bad = with_outlier(readings, 12, 0, np.nan)
     with pytest.raises(CalibrationError, match="installation 1, pass 2, point 4"):
         find(bad)
-
-
-@pytest.mark.slow
-def test_words_name_place_and_correction():
-    (slip,) = find(run(63, off=(13, np.radians(1 / 6)))).mistakes
-    assert slip.words.startswith("installation 1, pass 2, point 5: ")
-    assert "180.1667° and not at 180°" in slip.words
-    good = run(64)
-    (outlier,) = find(with_outlier(good, 31, 1, 2e-3)).mistakes
-    assert outlier.words.startswith("installation 2, pass 1, point 5: channel y by +0.00")
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from tests.support.mistaken_runs import EFFECTS, NOISE_V, find, outlier_v, place
 UNEQUAL = 5.0
 """Standard deviations of the mean square residual beyond which a copy is not put right."""
 
-FACTORS = (1e3, 1e-3, 10.0, 0.1, 100.0)
+FACTORS = (1e3, 1e-3, 10.0, 0.1)
 
 
 def scaled(readings, rows, channels, factor):
@@ -24,12 +24,12 @@ def scaled(readings, rows, channels, factor):
 @pytest.mark.parametrize(
     ("scope", "factor"),
     [
-        *(("run", factor) for factor in FACTORS),
+        *(("run", factor) for factor in FACTORS[:3]),
         *((part, factor) for part in ("installation", "pass") for factor in (1e3, 0.1)),
     ],
 )
 def test_a_channel_in_another_unit_is_named_with_its_rows_and_put_right(scope, factor):
-    """The odds are e^(6.9 per reading) and more: of 9 kinds none may be missed."""
+    """The odds are e^(6.9 per reading) and more: of 7 kinds none may be missed."""
     seed = FACTORS.index(factor)
     rng = np.random.default_rng([91, seed])
     good = run([92, seed])
@@ -63,7 +63,7 @@ def test_a_wrong_unit_is_found_beside_another_mistake_of_the_same_run():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("effect", list(EFFECTS)[::2])
+@pytest.mark.parametrize("effect", list(EFFECTS)[::4])
 def test_a_perfect_block_with_an_effect_is_in_its_unit(effect):
     """Without biases and cross-axis terms a channel that hardly moves fits any factor: no odds may come of that."""
     good = run(95, **EFFECTS[effect])

@@ -35,9 +35,9 @@ def turned(readings, where, off_rad):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("off_arcmin", [10.0, -10.0, 60.0, -60.0])
+@pytest.mark.parametrize("off_arcmin", [10.0, -60.0])
 def test_an_angle_read_wrong_in_a_pass_is_put_right(off_arcmin):
-    """An exact mark has odds of 20 or more against any zero, of 7 in one case of 20: it is likelier in all 4."""
+    """An exact mark has odds of 20 or more against any zero, of 7 in one case of 20: it is likelier in both."""
     seed = abs(int(off_arcmin)) + (off_arcmin < 0)
     where, good = of_a_pass(np.random.default_rng([101, seed])), run([102, seed])
     off = np.radians(off_arcmin / 60)
@@ -54,7 +54,7 @@ def test_an_angle_read_wrong_in_a_pass_is_put_right(off_arcmin):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("off_arcsec", [20.0, 560.0, 3500.0])
+@pytest.mark.parametrize("off_arcsec", [20.0, 560.0])
 def test_another_zero_of_the_head_that_is_no_mark_stays_an_effect(off_arcsec):
     """40 arcsec off a mark are 25 standard deviations."""
     seed = int(off_arcsec)
@@ -100,7 +100,7 @@ def test_a_slip_of_the_block_in_a_pass_is_no_other_block(effect):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("channels", [1, 2, 3])
+@pytest.mark.parametrize("channels", [1, 3])
 def test_other_voltmeters_in_a_pass_are_no_other_block(channels):
     rng = np.random.default_rng([109, channels])
     own = np.arange(3) < channels
