@@ -154,24 +154,6 @@ def test_init_writes_copies_and_never_over_a_file(bench):
 
 
 @pytest.mark.slow
-def test_a_model_file_acts_in_the_simulation_and_in_the_fit(bench):
-    Path("k2.yaml").write_text(
-        'model_file: "1"\nname: with-k2\neffects:\n'
-        "  - {name: quadratic_nonlinearity, channels: [y], parameters: {K2: 500 ug/g^2}}\n"
-    )
-    assert bench("run", "paper", "--dry-run", "--model", "k2.yaml", "--name", "k2")[0] == 1
-    without = json.loads(bench("calibrate", "k2", "--json", "-")[1])
-    assert without["residual"]["p"] < 1e-4
-    assert bench("calibrate", "k2")[0] == 1
-    with_it = json.loads(bench("calibrate", "k2", "--model", "k2.yaml", "--json", "-")[1])
-    assert with_it["residual"]["p"] > 0.01
-    assert with_it["model"] == "with-k2"
-    k2 = with_it["effects"]["quadratic_nonlinearity.K2[y]"]
-    assert abs(k2["value"] - 500) < 5 * k2["u"]
-    assert k2["unit"] == "ug/g^2"
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

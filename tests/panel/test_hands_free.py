@@ -76,9 +76,3 @@ def test_over_real_wires_simulated_hands_turn_and_the_encoder_answers(runs):
     x_g = [reading["mean"][0] / -2.14 for reading in readings]
     assert x_g == pytest.approx([-math.sin(math.radians(angle)) for angle in (10, 30)], abs=2e-3)
     assert [reading["mean"][2] / -2.14 for reading in readings] == pytest.approx([0.0, 0.0], abs=2e-3)
-
-
-@pytest.mark.slow
-def test_in_practice_the_simulated_hands_turn_while_the_question_is_open(runs):
-    readings = carried_out(runs, ("--dry-run", "--bench", "bench-encoder"))
-    assert [round(reading["angle_deg"]) for reading in readings] == [10, 30]
