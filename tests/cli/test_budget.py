@@ -1,4 +1,4 @@
-"""`bench budget` and the decision rule of `bench verify`, as their user types them."""
+"""`bench budget` as its user types it."""
 
 import json
 import re
@@ -9,11 +9,10 @@ import pytest
 
 from bench.calibration.budget.coefficients import make_budget
 from bench.readings.csv import write_csv
-from bench.readings.table import make_readings
-from bench.validation.paper_bench import U0, K, simulate, specific_force
+from bench.validation.paper_bench import simulate
 from tests.cli.test_app import edited_stand
 from tests.support.budget_bench import COEFFICIENTS, paper_setup, stand
-from tests.support.commands import printed, refused
+from tests.support.commands import refused
 
 ONE_SIGMA = {
     "limit: 5 arcsec, distribution: normal, k: 3": "limit: 5 arcsec, distribution: normal, k: 1",
@@ -200,31 +199,3 @@ def test_a_bench_without_gravity_is_told(bench):
     file = edited_stand(**{"gravity: {latitude: 50.449 deg, height: 180 m}": "# none"})
     refused(bench("budget", "--bench", file), "give --g 9.81")
     assert result_of(bench, "--bench", file, "--g", "9.8105", "--trials", 0)["g_m_s2"] == 9.8105
-
-
-# --- bench verify --rule ----------------------------------------------------------------------------
-
-THETA = np.radians([45.0, 135.0, 225.0, 315.0])
-
-
-def check_readings(offset_v=0.0):
-    signal = specific_force(["V"] * 4, THETA, psi=np.radians(45.0)) @ K.T + U0
-    signal[1, 2] += offset_v
-    return make_readings(["V"] * 4, [1] * 4, [1, 2, 3, 4], THETA, signal)
-
-
-def test_verify_prints_the_rule_and_what_it_accepts(bench):
-    calibration, check = simulate(np.random.default_rng(2), 1e-4), check_readings(4e-4)
-    write_csv(calibration, Path("unit.csv"))
-    write_csv(check, Path("check.csv"))
-    assert bench("calibrate", "unit.csv", "--json", "unit.json")[0] == 0
-    arguments = ("verify", "check.csv", "--coefficients", "unit.json", "--limit", "2e-4")
-    printed(
-        bench(*arguments, "--rule", "guarded"),
-        "CONDITIONAL PASS, not accepted: worst",
-        "limit 200 µg, rule: guarded (w = U), TUR",
-        "accepted up to",
-        "conditional pass",
-        status=1,
-    )
-    refused(bench(*arguments, "--rule", "kind"), "unknown decision rule 'kind'")

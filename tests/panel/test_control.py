@@ -156,13 +156,6 @@ def test_taking_over_asks_and_is_answered(anna, runs, one):
     assert [line["did"] for line in lines(one / JOURNAL)] == ["taken", "asked", "granted"]
 
 
-def test_what_the_script_is_told_names_who_is_in_control(anna):
-    anna.ask("/runs/one/control", do="take")
-    told = anna.get("/runs/one/state").json()
-    assert told["control"]["holder"] == "anna"
-    assert told["alive"] is False
-
-
 def test_a_stream_ends_when_who_looks_is_signed_out_for_good(anna, runs, monkeypatch):
     from bench.panel.access import STATE, Access
 
