@@ -243,20 +243,6 @@ def test_texts_that_no_database_takes_are_made_visible(catalogue, tmp_path):
     assert row_of(catalogue, "one")["operator"] == "A\\x00B\\ud800"
 
 
-def test_a_deleted_catalogue_is_made_again_the_same(tmp_path):
-    write_run(tmp_path / "runs" / "one", effects=())
-    rows = []
-    for name in ("first", "second"):
-        with open_catalogue(tmp_path / name) as catalogue:
-            sync(catalogue, [tmp_path / "runs"])
-            with catalogue.reading() as connection:
-                rows.append(
-                    {t.name: connection.execute(select(t)).all() for t in store.METADATA.sorted_tables}
-                )
-    assert rows[0] == rows[1]
-    assert all(rows[0][name] for name in ("runs", "uses", "calibrations", "points", "diagnoses"))
-
-
 def test_a_manifest_with_impossible_numbers_stops_nothing(catalogue, tmp_path):
     write_run(tmp_path / "runs" / "good")
     folder = write_run(tmp_path / "runs" / "odd")

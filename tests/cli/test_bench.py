@@ -14,6 +14,7 @@ from sim.bench import SimulatedBench
 from sim.wires.session import WireFault
 from sim.world.clock import VirtualClock
 from sim.world.world import World, WorldSettings
+from tests.cli.test_instruments import write_bench_file
 from tests.support.procedure_texts import TWO_INSTALLATIONS
 from tests.support.runner_bench import interrupt_at
 from tests.support.simulated_stand import a_34401a
@@ -52,16 +53,8 @@ def served(empty_folder, monkeypatch):
 
     monkeypatch.setattr(ManualHead, "move", hand)
     with SimulatedBench(world, meters) as simulated:
-        write_bench_file(list(simulated.resources.values()))
+        write_bench_file(simulated.resources)
         yield simulated
-
-
-def write_bench_file(resources):
-    text = SHIPPED.read_text(encoding="utf-8")
-    for address, resource in zip((22, 23, 24), resources, strict=True):
-        text = text.replace(f'"GPIB0::{address}::INSTR"', f'"{resource}"')
-    text = text.replace("range: 10 V}", "range: 10 V, timeout: 0.3 s}")
-    Path("bench.yaml").write_text(text, encoding="utf-8")
 
 
 def start(bench, answers=ANSWERS, name="run"):

@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from bench.panel.access import Person, Refusal, Role
-from bench.panel.holding import JOURNAL, WORDS, change, read_holding, require_holder
+from bench.panel.holding import JOURNAL, WORDS, change, read_holding
 from bench.run.folder import Run
 from bench.run.person import ANSWERS, CONTROL, asked_to_json
 from bench.run.record import Record
@@ -179,16 +179,6 @@ def refusal(folder, *what):
     with pytest.raises(Refusal) as refused:
         change(folder, *what)
     return refused.value.status, refused.value.text
-
-
-def test_nobody_is_in_control_until_somebody_takes_it(tmp_path):
-    assert read_holding(tmp_path).holder == ""
-    with pytest.raises(Refusal, match="nobody is in control; take it first"):
-        require_holder(tmp_path, ANNA)
-    change(tmp_path, "take", ANNA)
-    require_holder(tmp_path, ANNA)
-    with pytest.raises(Refusal, match="anna is in control; ask for it first"):
-        require_holder(tmp_path, BEN)
 
 
 def test_taking_over_asks_who_holds(tmp_path):
