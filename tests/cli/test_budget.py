@@ -170,26 +170,6 @@ def test_a_procedure_of_several_temperatures_says_what_its_budget_takes_for_gran
     assert not any("temperatures," in note for note in result_of(bench, "--trials", 0)["notes"])
 
 
-@pytest.mark.slow
-def test_a_model_without_sizes_has_plausible_ones_and_leaves_the_priors_of_the_other_channels(bench):
-    """K3 of x from the model, of y and z as before: alike in use, for the sizes are alike."""
-    Path("model.yaml").write_text(
-        "model_file: 1\nname: cubic\neffects:\n  - name: cubic_nonlinearity\n    channels: [x]\n"
-        "    parameters: {K3: {x: 0 ug/g^3}}\n",
-        encoding="utf-8",
-    )
-    asked = ("--trials", 0, "--procedure", "paper", "--estimator", "closed-form")
-    plain, told = result_of(bench, *asked), result_of(bench, *asked, "--model", "model.yaml")
-    assert told["sources"]["cubic_nonlinearity.K3[x]"]["u"] == pytest.approx(20e-6)
-    # the effect is taken off on the way to the closed form, at the value of the file: its error is the prior's
-    for before, after in zip(*(r["acceleration"]["magnitudes"] for r in (plain, told)), strict=True):
-        assert after["u_modulus_mean"] == pytest.approx(before["u_modulus_mean"], rel=1e-6)
-    of_x, of_y = (told["sources"]["K3"]["contribution_u"][i] for i in (0, 4))
-    assert of_x == 0.0
-    assert of_y == pytest.approx(plain["sources"]["K3"]["contribution_u"][4], rel=1e-6)
-    assert any("cubic_nonlinearity.K3[x]" in note and "dominate" in note for note in told["notes"])
-
-
 def test_robust_counts_as_generalised_least_squares(bench):
     assert result_of(bench, "--trials", 0, "--estimator", "robust")["estimator"] == "gls"
 
