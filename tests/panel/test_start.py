@@ -2,6 +2,7 @@
 
 import json
 import os
+import runpy
 from dataclasses import replace
 from html import unescape
 from pathlib import Path
@@ -191,7 +192,7 @@ def test_a_wish_is_checked_and_tried_by_a_run_of_its_own(runs, monkeypatch):
         ).hashed()
     )
     monkeypatch.setattr("sys.argv", ["launching", str(wish.path)])
-    trying.main()  # the run is a process
+    runpy.run_path(trying.__file__, run_name="__main__")  # as python -m does; the run is a process
     found = wish.found()
     assert (found.stage, found.tried, found.startable) == ("done", 0, True)
     assert found.result["verification"]["passed"]
