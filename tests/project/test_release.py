@@ -116,9 +116,6 @@ def test_an_upgrade_keeps_runs_and_registers(bench, tmp_path, monkeypatch):
     before = [
         one for one in upgrade.OLD if one[1][0] in {"init", "run", "certificate"} and "two" not in one[1]
     ]
-    after = [
-        (0, ("show", "one", "--verify")),
-        (0, ("certificate", "register", "--laboratory", "laboratory.yaml")),
-    ]
-    assert set(after) <= set(upgrade.NEW)
-    assert upgrade.upgraded(upgrade.FIRST, tmp_path, before, after) == []
+    after = {one for one in upgrade.NEW if one[1][:2] == ("certificate", "register") or "--verify" in one[1]}
+    assert len(after) == 2
+    assert upgrade.upgraded(upgrade.FIRST, tmp_path, before, sorted(after)) == []
