@@ -57,13 +57,8 @@ class Rows:
             if len(self.asked) == self.stop:
                 raise Stopped
             self.asked.append(run)
-            yield {
-                "run": run,
-                "name": "x",
-                "verdict": "passed",
-                "verdict_stored": "passed",
-                "verdict_differs": False,
-            }
+            passed = {"verdict": "passed", "verdict_stored": "passed", "verdict_differs": False}
+            yield {"run": run, "name": "x", **passed}
 
 
 def carried_out(folder, runs, rows, job=None, over=OVER, clock=None):

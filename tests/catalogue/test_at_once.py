@@ -1,16 +1,17 @@
 """Two syncs at once lose nothing, and one that was ended goes on where it was."""
 
-import multiprocessing
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 
 import pytest
 from sqlalchemy import func, select
 
-from bench.catalogue import store
+from bench.catalogue import store, unit
 from bench.catalogue import sync as syncing
 from bench.catalogue.questions import run_folders
 from bench.catalogue.store import open_catalogue
 from bench.catalogue.sync import sync
+from bench.catalogue.unit import due_units
 from bench.certificate.register import ISSUED, Entry, opened
 from tests.support.laboratory import write_run
 
@@ -62,15 +63,53 @@ def test_a_sync_that_was_ended_goes_on_where_it_was(runs, tmp_path, monkeypatch)
     assert (done.added, done.unchanged) == (COUNT - 9, 9)
 
 
-@pytest.mark.slow
-def test_folders_read_by_processes_are_the_same(runs, tmp_path, monkeypatch):
-    monkeypatch.setattr(syncing, "FEW", 4)
+@pytest.fixture(scope="module")
+def pool():
+    """A process for all tests of this file, as its start takes seconds."""
+    with syncing.pool_of(1, "it ended") as pool:
+        yield pool
+
+
+@pytest.fixture
+def apart(pool, monkeypatch):
+    """Work of which there is little is done apart, too, by that process."""
+    for module in (syncing, unit):
+        monkeypatch.setattr(module, "pool_of", lambda *_: nullcontext(pool))
+        monkeypatch.setattr(module, "FEW", 0)
     monkeypatch.setattr(syncing, "CHUNK", 5)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("apart")
+def test_folders_read_and_units_reckoned_apart_are_the_same(runs, tmp_path, monkeypatch):
     for name, processes in (("one", 1), ("two", 2)):
         with open_catalogue(tmp_path / name) as catalogue:
             assert sync(catalogue, [runs], processes=processes).added == COUNT
     assert rows_of(tmp_path / "one") == rows_of(tmp_path / "two")
-    assert not multiprocessing.active_children()
+    with open_catalogue(tmp_path / "two") as catalogue:
+        here = due_units(catalogue, [], limit_g=4e-4, processes=1)
+        monkeypatch.setattr(unit, "METHOD", 0)  # nothing is kept of it
+        assert due_units(catalogue, [], limit_g=4e-4, processes=2) == here
+    assert len(here.units) + len(here.not_known) == 5
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("apart")
+def test_folders_looked_into_apart_are_the_same(tmp_path, monkeypatch):
+    write_run(tmp_path / "runs" / "0" / "own")
+    for k in range(6):
+        write_run(tmp_path / "runs" / f"year-{k}" / f"a{k}")
+    (tmp_path / "runs" / "half").mkdir()
+    (tmp_path / "runs" / "half" / "events.jsonl").touch()
+    with open_catalogue(tmp_path / "file") as catalogue:
+        alone = sync(catalogue, [tmp_path / "runs"], processes=1)
+        assert alone.added == 7
+        for name, value in {"MANY": 3, "LOOKED": 2, "SETTLED_NS": -(10**18)}.items():
+            monkeypatch.setattr(syncing, name, value)
+        found = sync(catalogue, [tmp_path / "runs"], processes=2)
+    # a process of its own knows nothing of the time that this one takes files to settle in
+    assert (found.added, found.vanished, found.problems) == (0, 0, alone.problems)
+    assert found.changed + found.unchanged == 7
 
 
 @pytest.mark.slow

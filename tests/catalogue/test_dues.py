@@ -111,14 +111,6 @@ def test_a_run_that_comes_while_it_is_reckoned_is_not_lost(catalogue, monkeypatc
     assert counts(catalogue, limit_g=5e-4)[0]["block A 1"] == 4
 
 
-@pytest.mark.slow
-def test_processes_reckon_the_same(catalogue, monkeypatch):
-    here = due_units(catalogue, [], limit_g=4e-4)
-    monkeypatch.setattr("bench.catalogue.unit.FEW", 0)
-    monkeypatch.setattr("bench.catalogue.unit.METHOD", 0)  # nothing is kept of it
-    assert due_units(catalogue, [], limit_g=4e-4, processes=2) == here
-
-
 def test_after_a_sync_with_due_nobody_waits(catalogue, bench, monkeypatch):
     status, _, err = bench("catalogue", "sync", "runs", "--due", "--catalogue", "there.sqlite")
     assert (status, err) == (0, "")

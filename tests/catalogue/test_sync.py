@@ -88,24 +88,6 @@ def test_nothing_is_written_where_nothing_changed(catalogue, tmp_path):
 
 
 @pytest.mark.slow
-def test_many_folders_are_looked_into_by_processes(catalogue, tmp_path, monkeypatch):
-    write_run(tmp_path / "runs" / "0" / "own")
-    for k in range(6):
-        write_run(tmp_path / "runs" / f"year-{k}" / f"a{k}")
-    (tmp_path / "runs" / "half").mkdir()
-    (tmp_path / "runs" / "half" / "events.jsonl").touch()
-    alone = sync(catalogue, [tmp_path / "runs"], processes=1)
-    assert alone.added == 7
-    monkeypatch.setattr("bench.catalogue.sync.MANY", 3)
-    monkeypatch.setattr("bench.catalogue.sync.LOOKED", 2)
-    monkeypatch.setattr("bench.catalogue.sync.SETTLED_NS", -(10**18))
-    apart = sync(catalogue, [tmp_path / "runs"], processes=2)
-    # a process of its own knows nothing of the time that this one takes files to settle in
-    assert (apart.added, apart.vanished, apart.problems) == (0, 0, alone.problems)
-    assert apart.changed + apart.unchanged == 7
-
-
-@pytest.mark.slow
 def test_an_older_catalogue_is_made_anew_from_its_runs(tmp_path):
     """One folder is below that of the sync, one elsewhere, one gone; the older tables lack a column."""
     one, _, gone = (
@@ -259,20 +241,6 @@ def test_texts_that_no_database_takes_are_made_visible(catalogue, tmp_path):
     write_run(tmp_path / "runs" / "one", operator="A\x00B\ud800")
     sync(catalogue, [tmp_path / "runs"])
     assert row_of(catalogue, "one")["operator"] == "A\\x00B\\ud800"
-
-
-def test_a_deleted_catalogue_is_made_again_the_same(tmp_path):
-    write_run(tmp_path / "runs" / "one", effects=())
-    rows = []
-    for name in ("first", "second"):
-        with open_catalogue(tmp_path / name) as catalogue:
-            sync(catalogue, [tmp_path / "runs"])
-            with catalogue.reading() as connection:
-                rows.append(
-                    {t.name: connection.execute(select(t)).all() for t in store.METADATA.sorted_tables}
-                )
-    assert rows[0] == rows[1]
-    assert all(rows[0][name] for name in ("runs", "uses", "calibrations", "points", "diagnoses"))
 
 
 def test_a_manifest_with_impossible_numbers_stops_nothing(catalogue, tmp_path):

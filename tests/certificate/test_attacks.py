@@ -60,56 +60,43 @@ def test_a_comment_within_a_value_does_not_cut_it(signed_xml):
     assert etree.fromstring(whole)[0].text == "-2.177"
 
 
-def wrapped(signed):
+def wrapped(root):
     """Put the signed document into one with other values, the signature where it is looked for."""
-    old, new = etree.fromstring(signed), etree.fromstring(XML.replace(b"-2.177", b"-9.999"))
-    signature = old.find(f"{DS}Signature")
-    old.remove(signature)
-    new.append(old)
-    new.append(signature)
+    new, signature = etree.fromstring(XML.replace(b"-2.177", b"-9.999")), root.find(f"{DS}Signature")
+    root.remove(signature)
+    new.extend([root, signature])
     return new
 
 
-def within_object(signed):
+def within_object(root):
     """Hide the signed document in an object of its signature."""
-    old, new = etree.fromstring(signed), etree.fromstring(XML.replace(b"-2.177", b"-9.999"))
-    signature = old.find(f"{DS}Signature")
-    old.remove(signature)
-    etree.SubElement(signature, f"{DS}Object").append(old)
+    new, signature = etree.fromstring(XML.replace(b"-2.177", b"-9.999")), root.find(f"{DS}Signature")
+    root.remove(signature)
+    etree.SubElement(signature, f"{DS}Object").append(root)
     new.append(signature)
     return new
 
 
-def signed_twice(signed):
-    root = etree.fromstring(signed)
+def signed_twice(root):
     root.append(etree.fromstring(etree.tostring(root.find(f"{DS}Signature"))))
-    return root
 
 
-def not_at_the_end(signed):
-    root = etree.fromstring(signed)
+def not_at_the_end(root):
     root.insert(0, root.find(f"{DS}Signature"))
-    return root
 
 
-def unsigned_properties(signed):
-    root = etree.fromstring(signed)
+def unsigned_properties(root):
     (properties,) = root.iter("{http://uri.etsi.org/01903/v1.3.2#}QualifyingProperties")
     etree.SubElement(properties, "{http://uri.etsi.org/01903/v1.3.2#}UnsignedProperties")
-    return root
 
 
-def no_signature(signed):
-    root = etree.fromstring(signed)
+def no_signature(root):
     root.remove(root.find(f"{DS}Signature"))
-    return root
 
 
-def a_reference_less(signed):
-    root = etree.fromstring(signed)
+def a_reference_less(root):
     info = root.find(f".//{DS}SignedInfo")
     info.remove(info.findall(f"{DS}Reference")[2])
-    return root
 
 
 @pytest.mark.parametrize(
@@ -125,8 +112,10 @@ def a_reference_less(signed):
     ],
 )
 def test_a_wrapped_signature_is_refused(signed_xml, attack, words):
+    root = etree.fromstring(signed_xml)
+    changed = attack(root)
     with pytest.raises(NotIntact, match=words):
-        check_xml(etree.tostring(attack(signed_xml)))
+        check_xml(etree.tostring(root if changed is None else changed))
 
 
 @pytest.mark.parametrize(

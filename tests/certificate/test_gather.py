@@ -86,12 +86,7 @@ def test_it_says_where_the_numbers_come_from(certificate):
     assert found.record.head == found.result.source.run.history.head
     assert found.operator == "A. Person"
     assert found.method.procedure == "quick.yaml"
-    assert [one.name for one in found.instruments][:4] == [
-        "voltmeter.x",
-        "voltmeter.y",
-        "voltmeter.z",
-        "head",
-    ]
+    assert [one.name for one in found.instruments][:4] == [*(f"voltmeter.{c}" for c in "xyz"), "head"]
     (temperature,) = (one for one in found.conditions if one.key == "temperature")
     assert temperature.low <= temperature.high
     (gravity,) = (one for one in found.conditions if one.key == "gravity")

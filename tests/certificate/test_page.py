@@ -249,10 +249,6 @@ def to_level_u(pdf):
         told["pdfaid:conformance"] = "U"
 
 
-def without_intent(pdf):
-    del pdf.Root["/OutputIntents"]
-
-
 def with_script(pdf):
     pdf.Root.OpenAction = pdf.make_indirect(pikepdf.Dictionary(S=pikepdf.Name.JavaScript, JS="app.alert(1)"))
 
@@ -263,39 +259,23 @@ def without_font(pdf):
             del one["/FontFile3"]
 
 
-def not_associated(pdf):
-    pdf.Root.AF = pikepdf.Array(list(pdf.Root.AF)[1:])
-
-
-def unrelated(pdf):
-    del pdf.attachments["seal.json"].obj["/AFRelationship"]
-
-
-def one_more(pdf):
-    pdf.attachments["more.txt"] = b"more"
-
-
 def hidden_annotation(pdf):
     note = pikepdf.Dictionary(Type=pikepdf.Name.Annot, Subtype=pikepdf.Name.Text, Rect=[0, 0, 9, 9], F=2)
     pdf.pages[0].obj.Annots = pikepdf.Array([pdf.make_indirect(note)])
-
-
-def newer(pdf):
-    pdf.Root.Version = pikepdf.Name("/2.0")
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         (to_level_u, "level U"),
-        (without_intent, "output intent"),
+        (lambda pdf: pdf.Root.__delitem__("/OutputIntents"), "output intent"),
         (with_script, "JavaScript"),
         (without_font, "not embedded"),
-        (not_associated, "not associated"),
-        (unrelated, "how it is related"),
-        (one_more, "attached more.txt"),
+        (lambda pdf: setattr(pdf.Root, "AF", pikepdf.Array(list(pdf.Root.AF)[1:])), "not associated"),
+        (lambda pdf: pdf.attachments["seal.json"].obj.__delitem__("/AFRelationship"), "how it is related"),
+        (lambda pdf: pdf.attachments.__setitem__("more.txt", b"more"), "attached more.txt"),
         (hidden_annotation, "not printed"),
-        (newer, "version 2.0"),
+        (lambda pdf: setattr(pdf.Root, "Version", pikepdf.Name("/2.0")), "version 2.0"),
     ],
 )
 def test_what_breaks_a_rule_is_found(body, change, words):

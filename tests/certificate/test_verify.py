@@ -148,22 +148,9 @@ def test_a_run_of_the_same_name_is_no_record_of_it(written, tmp_path):
     assert any("record is missing here" in text for text in verdict.not_proved)
 
 
-def swapped_signer(made):
-    """The PDF of one signer around the XML of another."""
-    return made.paper(made.xml, a_signatory(OTHER))
-
-
 def other_number(made):
     changed = document_of(made.certificate).replace(b"SIM-2026-0001<", b"SIM-2026-0002<")
     return made.paper(sign_xml(changed, a_signatory(), NOW))
-
-
-def unsigned_within(made):
-    return made.paper(document_of(made.certificate))
-
-
-def changed_within(made):
-    return made.paper(made.xml.replace(b"Navigation Works", b"Navigation Work"))
 
 
 def other_values(made):
@@ -185,21 +172,29 @@ def other_result(made):
     return made.paper(sign_xml(document.replace(old, new), a_signatory(), NOW))
 
 
-def no_certificate(made):
-    return made.paper(sign_xml(b"<nothing/>", a_signatory(), NOW))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (swapped_signer, "was signed by Somebody else, its XML by Laboratory of Tests"),
+        (
+            lambda made: made.paper(made.xml, a_signatory(OTHER)),
+            "was signed by Somebody else, its XML by Laboratory of Tests",
+        ),
         (other_number, "its XML of certificate SIM-2026-0002"),
-        (unsigned_within, "the attached dcc.xml: it claims a signature but has none"),
-        (changed_within, "the attached dcc.xml: the signature is invalid"),
+        (
+            lambda made: made.paper(document_of(made.certificate)),
+            "the attached dcc.xml: it claims a signature but has none",
+        ),
+        (
+            lambda made: made.paper(made.xml.replace(b"Navigation Works", b"Navigation Work")),
+            "the attached dcc.xml: the signature is invalid",
+        ),
         (other_values, "differ from its result"),
         (other_result, "result.json in the XML differs"),
-        (no_certificate, "the attached dcc.xml: it is not a digital calibration certificate"),
+        (
+            lambda made: made.paper(sign_xml(b"<nothing/>", a_signatory(), NOW)),
+            "the attached dcc.xml: it is not a digital calibration certificate",
+        ),
     ],
 )
 def test_forms_that_do_not_agree_are_refused_whoever_signed_them(made, tmp_path, make, words):
@@ -338,11 +333,7 @@ def test_nothing_is_said_of_a_signer_who_is_not_there(forms, tmp_path):
     verdict = verify_certificate(file, None, NOWHERE, register)
     assert (verdict.signer, verdict.why_not_trusted) == ("", None)
     assert not any("signer" in text for text in (*verdict.agreed, *verdict.not_proved))
-    trust = tmp_path / "trust.pem"
-    from cryptography.hazmat.primitives.serialization import Encoding
-
-    trust.write_bytes(a_signatory().chain[0].public_bytes(Encoding.PEM))
-    verdict = verify_certificate(file, trust, NOWHERE, register)
+    verdict = verify_certificate(file, trust_in(tmp_path, a_signatory().chain[0]), NOWHERE, register)
     assert (verdict.accepted, verdict.why_not_trusted) == (False, "nobody signed it")
 
 

@@ -1,7 +1,6 @@
 """Dry runs whose questions a person answers: at the terminal or in the run's folder, the readings are the same."""
 
 import io
-import json
 import threading
 from contextlib import nullcontext
 from pathlib import Path
@@ -19,7 +18,6 @@ from bench.services.execution import accept_changes
 from benchmarks.answering_campaign import PROCEDURE, Hands, amiss, answer_to, differences, one
 from drivers.interfaces import BenchError
 from tests.support.commands import printed
-from tests.support.schemas import keeps_to
 
 POINTS = """\
 procedure: points
@@ -176,8 +174,6 @@ def test_files_that_were_changed_before_a_run_goes_on_are_asked_about_in_the_fol
 
 def test_show_and_log_tell_who_answered_what(points, bench):
     points("one", *RUN, "--name", "one", "--answers", "folder")
-    for line in Path("runs/one/events.jsonl").read_text(encoding="utf-8").splitlines():
-        keeps_to("event", json.loads(line))
     printed(bench("show", "one"), "asked: Which cable is it?", "answered in the panel by Ann: long")
     assert "answered in the panel by Ann: long" in Path("runs/one/run.log").read_text(encoding="utf-8")
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from bench.model.geometry import COEFFICIENTS
-from bench.readings.csv import read_csv, write_csv
 from bench.run.folder import Run
 from tests.support.commands import printed, refused
 from tests.support.procedure_texts import TWO_INSTALLATIONS
@@ -90,17 +89,6 @@ def test_error_free_both_estimators_return_the_paper_over_the_wire(bench):
 
 
 @pytest.mark.slow
-def test_an_altered_scale_factor_fails_the_verification(bench, paper_run):
-    coefficients = json.loads(Path("runs/run/calibrate.json").read_text())
-    Path("same.json").write_text(json.dumps(coefficients))
-    assert bench("verify", "run", "--coefficients", "same.json")[0] == 0
-    coefficients["coefficients"]["Kzz"]["value"] *= 1.001
-    Path("altered.json").write_text(json.dumps(coefficients))
-    printed(bench("verify", "run", "--coefficients", "altered.json", "--json", "v.json"), "FAILED", status=1)
-    assert json.loads(Path("v.json").read_text())["passed"] is False
-
-
-@pytest.mark.slow
 def test_a_run_exported_calibrates_to_the_same_numbers(bench, paper_run):
     assert bench("export", "run", "--csv", "readings.csv")[0] == 0
     results = []
@@ -154,24 +142,6 @@ def test_init_writes_copies_and_never_over_a_file(bench):
 
 
 @pytest.mark.slow
-def test_a_model_file_acts_in_the_simulation_and_in_the_fit(bench):
-    Path("k2.yaml").write_text(
-        'model_file: "1"\nname: with-k2\neffects:\n'
-        "  - {name: quadratic_nonlinearity, channels: [y], parameters: {K2: 500 ug/g^2}}\n"
-    )
-    assert bench("run", "paper", "--dry-run", "--model", "k2.yaml", "--name", "k2")[0] == 1
-    without = json.loads(bench("calibrate", "k2", "--json", "-")[1])
-    assert without["residual"]["p"] < 1e-4
-    assert bench("calibrate", "k2")[0] == 1
-    with_it = json.loads(bench("calibrate", "k2", "--model", "k2.yaml", "--json", "-")[1])
-    assert with_it["residual"]["p"] > 0.01
-    assert with_it["model"] == "with-k2"
-    k2 = with_it["effects"]["quadratic_nonlinearity.K2[y]"]
-    assert abs(k2["value"] - 500) < 5 * k2["u"]
-    assert k2["unit"] == "ug/g^2"
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
@@ -210,13 +180,6 @@ def test_a_bad_readings_file_lists_its_rows_and_computes_nothing(bench, paper_ru
     assert not Path("calibrate/bad.json").exists()
     out = printed(bench("calibrate", "bad.csv", "--skip-bad-rows", "--json", "-"))
     assert json.loads(out)["readings"] == {"used": 52, "skipped": 2}
-
-
-def test_one_installation_alone_is_named_not_solved(bench, paper_run):
-    readings = Run(Path("runs/run")).readings()
-    write_csv(readings.select(readings.installation == "1"), Path("half.csv"))
-    refused(bench("calibrate", "half.csv"), "Kxy, Kyy, Kzy")
-    assert read_csv(Path("half.csv"), ["1"]).installation.tolist() == ["1"] * 27
 
 
 def test_a_file_where_nothing_can_be_written_beside_it_still_calibrates(bench, paper_run, monkeypatch):

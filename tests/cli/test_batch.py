@@ -31,7 +31,9 @@ def calibrate(bench, *more):
 
 
 @pytest.mark.slow
-def test_nothing_changes_where_nothing_is_other(bench, runs):
+def test_nothing_changes_where_nothing_is_other_and_the_table_has_each_run_once(bench, runs):
+    import duckdb
+
     status, out, err = calibrate(bench, "--json", "result.json")
     assert (status, err) == (0, "")
     assert out.splitlines()[-1] == "NO VERDICT WOULD BE DIFFERENT"
@@ -41,10 +43,15 @@ def test_nothing_changes_where_nothing_is_other(bench, runs):
     assert told["verdicts"] == {"different": 0, "same": 3, "unknown": 0, "changes": []}
     assert told["runs"]["simulated"] == 3
     assert json.loads(Path("out/summary.json").read_text()) == told
+    calibrate(bench)
+    rows = list(csv.DictReader(Path("out/changes.csv").read_text().splitlines()))
+    assert [row["run"] for row in rows] == [str(run.resolve()) for run in runs]
+    found = duckdb.sql("SELECT run, len(covariance) FROM 'out/changes.parquet' ORDER BY run").fetchall()
+    assert found == [(row["run"], 144) for row in rows]
 
 
 @pytest.mark.slow
-def test_verdicts_that_would_be_different_are_told_counted_and_listed(bench, runs):
+def test_verdicts_that_would_be_different_are_told_counted_and_listed_and_shown_again(bench, runs):
     shutil.rmtree(runs[2])
     (runs[1] / "verify.json").unlink()
     out = printed(
@@ -57,7 +64,14 @@ def test_verdicts_that_would_be_different_are_told_counted_and_listed(bench, run
     (row,) = csv.DictReader(Path("out/verdicts.csv").read_text().splitlines())
     assert (Path(row["run"]).name, row["verdict_stored"]) == ("run-1", "passed (conditional pass)")
     assert row["verdict"].startswith("failed")
-    keeps_to("batch", json.loads(Path("out/summary.json").read_text()))
+    assert bench("batch", "show", "out", "--json", "told.json") == (1, out, "")
+    keeps_to("batch", json.loads(Path("told.json").read_text()))
+    assert bench("batch", "show", "nothing")[2] == "bench: nothing: no batch there (no batch.json in it)\n"
+    err = refused(calibrate(bench, "--limit", "1e-6", "--estimator", "robust"))
+    assert err.startswith(
+        "bench: out: its batch was started differently: --estimator was gls; use the same options"
+    )
+    refused(bench("batch", "diagnose", "--over", "runs/*", "--out", "out"), "the command was calibrate")
 
 
 @pytest.mark.slow
@@ -78,18 +92,6 @@ def test_strict_takes_a_fit_that_is_judged_otherwise(bench, runs):
 
 
 @pytest.mark.slow
-def test_the_table_has_each_run_once_in_every_form(bench, runs):
-    import duckdb
-
-    calibrate(bench)
-    calibrate(bench)
-    rows = list(csv.DictReader(Path("out/changes.csv").read_text().splitlines()))
-    assert [row["run"] for row in rows] == [str(run.resolve()) for run in runs]
-    found = duckdb.sql("SELECT run, len(covariance) FROM 'out/changes.parquet' ORDER BY run").fetchall()
-    assert found == [(row["run"], 144) for row in rows]
-
-
-@pytest.mark.slow
 def test_ctrl_c_says_what_is_done_and_the_same_command_goes_on(bench, runs, monkeypatch):
     def stopped(job, runs, count):
         yield worked(job, next(runs))
@@ -106,16 +108,6 @@ def test_ctrl_c_says_what_is_done_and_the_same_command_goes_on(bench, runs, monk
 
 
 @pytest.mark.slow
-def test_another_command_in_the_folder_is_refused(bench, runs):
-    calibrate(bench)
-    err = refused(calibrate(bench, "--estimator", "robust"))
-    assert err.startswith(
-        "bench: out: its batch was started differently: --estimator was gls; use the same options"
-    )
-    refused(bench("batch", "diagnose", "--over", "runs/*", "--out", "out"), "the command was calibrate")
-
-
-@pytest.mark.slow
 def test_what_no_run_could_be_asked_is_refused_at_once(bench, runs):
     for options, told in {
         ("--estimator", "best"): "best",
@@ -127,15 +119,6 @@ def test_what_no_run_could_be_asked_is_refused_at_once(bench, runs):
     }.items():
         refused(calibrate(bench, *options), told)
     assert not Path("out").exists()
-
-
-@pytest.mark.slow
-def test_show_prints_what_has_come_of_it(bench, runs):
-    before = calibrate(bench, "--limit", "1e-6")
-    status, out, _ = bench("batch", "show", "out", "--json", "told.json")
-    assert (status, out) == before[:2]
-    keeps_to("batch", json.loads(Path("told.json").read_text()))
-    assert bench("batch", "show", "nothing")[2] == "bench: nothing: no batch there (no batch.json in it)\n"
 
 
 @pytest.mark.slow

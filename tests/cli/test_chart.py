@@ -1,15 +1,18 @@
 """The check block of a simulated bench: measured on some days, a shift, a run refused."""
 
 import json
+import shutil
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 
+import bench as program
 from bench.config.bench_file.file import load_bench
 from bench.run.folder import Run
 from bench.services import check_block
 from bench.services.check_block import chart_of, check_before, check_block_runs
+from bench.services.conclusion import charted
 from bench.services.errors import Refused
 from bench.services.execution import new_run
 from bench.services.requests.measuring import RunRequest
@@ -124,16 +127,12 @@ def test_a_real_run_looks_for_real_checks(there):
 
 @pytest.mark.slow
 def test_with_warn_the_run_goes_on_and_its_result_says_so(laboratory, tmp_path, monkeypatch):
-    import shutil
-
-    import bench
-
     monkeypatch.chdir(tmp_path)
     shutil.copytree(laboratory / "runs", "runs")
     text = (laboratory / "my.yaml").read_text(encoding="utf-8").replace("rule: refuse", "rule: warn")
     Path("my.yaml").write_text(text, encoding="utf-8")
     measured("work", 30, unit=None, check_block=True)
-    notes = bench.calibrate("work").notes
+    notes = program.calibrate("work").notes
     assert any(note.startswith("check block: the last run") and "rule is to warn" in note for note in notes)
 
 
@@ -170,8 +169,6 @@ def test_what_cannot_be_charted_is_one_sentence(there, bench, laboratory, monkey
 
 
 def test_a_reference_from_elsewhere_stands_in_for_a_baseline(there, tmp_path):
-    import bench as program
-
     result = program.calibrate("check-0").to_dict()
     (tmp_path / "ours.json").write_text(json.dumps(result), encoding="utf-8")
     section = there.check_block.model_copy(update={"reference": ("ours.json",)})
@@ -186,18 +183,12 @@ def test_a_reference_from_elsewhere_stands_in_for_a_baseline(there, tmp_path):
 
 
 def test_from_python_it_is_the_same_chart(there):
-    import bench as program
-
     found = program.chart("runs", bench="my.yaml")
     assert found.to_dict() == of_days(there, 5).to_dict()
     assert not found.accepted
 
 
 def test_a_run_that_ends_puts_itself_on_the_chart(laboratory, tmp_path, monkeypatch):
-    import shutil
-
-    from bench.services.conclusion import charted
-
     monkeypatch.chdir(tmp_path)
     shutil.copytree(laboratory / "runs", "runs")
     found = charted(Run(Path("runs/shifted")))["chart"]

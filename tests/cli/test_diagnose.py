@@ -109,7 +109,9 @@ def day_before(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.delenv("BENCH_FILE", raising=False)
-        found = program.diagnose(measured("first.csv", 4, K2=(0, 100e-6, 0)), write=True, report=False)
+        found = program.diagnose(measured("first.csv", 4, K2=(0, 100e-6, 0)))
+        assert [path.name for path in Path().iterdir()] == ["first.csv"]  # nothing is written unasked
+        found.written(report=False)
     return folder, found
 
 
@@ -137,6 +139,38 @@ def test_a_model_of_one_day_serves_on_another_and_is_never_overwritten(bench, fi
         assert abs(k2["value"] - 100) < 4 * k2["u"]
         u[name] = k2["u"]
     assert u[second] / u[first] == pytest.approx(1 / np.sqrt(2), rel=0.2)
+
+
+@pytest.mark.slow
+def test_in_python_what_is_found_is_written_where_it_is_asked_for(first, day_before):
+    found = day_before[1]
+    assert (found.verdict, found.to_dict()["model"]) == ("named", None)
+    assert load_model(found.write_model("mine.yaml")).effects[0].name == "quadratic_nonlinearity"
+    with pytest.raises(program.FileMistakes, match="exists and was not overwritten"):
+        found.write_model("mine.yaml")
+    assert found.report("page.html").is_file()
+    if found.next_measurement is not None:
+        assert found.write_next("next.yaml").read_text(encoding="utf-8").startswith("# Proposed: ")
+
+
+@pytest.mark.slow
+def test_what_is_there_again_is_confirmed_and_what_confirms_nothing_is_refused(bench, first):
+    Path("mine.yaml").write_text(
+        "model_file: 1\nname: found\neffects:\n  - name: quadratic_nonlinearity\n    channels: [y]\n"
+        "    parameters: {K2: {y: {value: 100 ug/g^2, u: 5 ug/g^2}}}\n", encoding="utf-8",
+    )  # fmt: skip
+    write_csv(diagnosis_bench.paper_run(np.random.default_rng(71), K2=(0, 100e-6, 0)), Path("new.csv"))
+    status, out, err = bench("confirm", "new.csv", "--model", "mine.yaml", "--json", "c.json")
+    result = result_of("c.json")
+    assert (status, err, result["verdict"]) == (0, "", "confirmed")
+    keeps_to("confirm", result)
+    assert f"new.csv: CONFIRMED: gap closed {min(100 * result['closed'], 100):.0f} %, from " in out
+    assert "quadratic_nonlinearity[y]: confirmed" in out
+    assert program.confirm("new.csv", model="mine.yaml").to_dict() == result
+    same = "it was found in these same readings (first.csv), which cannot confirm it; measure new ones"
+    refused(bench("confirm", first, "--model", "diagnose/first-model.yaml"), same)
+    Path("empty.yaml").write_text("model_file: 1\nname: nothing\n", encoding="utf-8")
+    refused(bench("confirm", first, "--model", "empty.yaml"), "it has no effects")
 
 
 @pytest.mark.slow
@@ -205,11 +239,7 @@ def test_the_search_goes_on_in_the_copy_and_its_model_says_on_which_correction_i
     assert (copy, found["corrected"]["used"]) == (str(Path("diagnose/both-corrected.csv")), len(right) - 1)
     assert copy in model.evidence["rests on"]
     assert found["effects"][0]["words"] in model.evidence["rests on"]
-    # the copy is a readings file like any other: the same is found in it, and the model has seen it
-    assert bench("diagnose", copy, "--no-report", "--json", "e.json")[0] == 0
-    again = result_of("e.json")
-    assert (again["verdict"], again["corrected"]) == ("named", None)
-    assert again["effects"][0]["parameters"] == found["effects"][1]["parameters"]
+    # the copy is a readings file like any other, and the model has seen it
     assert "estimated again" in bench("calibrate", copy, "--model", found["model"])[1]
 
 

@@ -48,7 +48,10 @@ def test_a_resumed_dry_run_remembers_what_was_read_before(bench, monkeypatch):
 
 @pytest.mark.slow
 def test_the_model_that_a_dry_run_obeyed_is_found_by_a_fit(bench):
-    """Each within four standard uncertainties of the truth; the shape stays as the file has it."""
+    """Each within four standard uncertainties of the truth; the shape stays as the file has it.
+
+    Without the model the fit is not accepted, by the run as by `calibrate`.
+    """
     text = "model_file: 1\nname: m\neffects:\n"
     text += (
         "  - name: cubic_nonlinearity\n    parameters: {K3: {x: 600 ug/g^3, y: -500 ug/g^3, z: 400 ug/g^3}}\n"
@@ -58,9 +61,12 @@ def test_the_model_that_a_dry_run_obeyed_is_found_by_a_fit(bench):
     named = "model_file: 1\nname: named\neffects:\n  - name: cubic_nonlinearity\n    parameters: {}\n"
     named += "  - name: axis_wobble\n    parameters: {harmonic: 2}\n"
     Path("named.yaml").write_text(named, encoding="utf-8")
-    bench("run", "paper", "--dry-run", "--seed", "3", "--name", "r", "--model", "truth.yaml")
-    out = printed(bench("calibrate", "r", "--model", "named.yaml", "--json", "-"))
-    found = json.loads(out)["effects"]
+    run = ("run", "paper", "--dry-run", "--seed", "3", "--name", "r", "--model", "truth.yaml")
+    assert (bench(*run)[0], bench("calibrate", "r")[0]) == (1, 1)
+    result = json.loads(printed(bench("calibrate", "r", "--model", "named.yaml", "--json", "-")))
+    assert (result["model"], result["residual"]["p"] > 0.01) == ("named", True)
+    found = result["effects"]
+    assert found["cubic_nonlinearity.K3[x]"]["unit"] == "ug/g^3"
     true = {
         "cubic_nonlinearity.K3[x]": 600,
         "cubic_nonlinearity.K3[y]": -500,

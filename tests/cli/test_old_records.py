@@ -86,16 +86,8 @@ def without_what_sums_round(table):
 
 
 SINCE: Final = {
-    "not_observable",
-    "coefficients_per_ms2",
-    "covariance",
-    "u",
-    "U",
-    "stand",
-    "noise",
-    "points",
-    "residual",
-}
+    "not_observable", "coefficients_per_ms2", "covariance", "u", "U", "stand", "noise", "points", "residual",
+}  # fmt: skip
 """What is known better since then: u is the combined one, and holds what nobody stated."""
 
 

@@ -36,8 +36,6 @@ def test_a_schema_is_one_and_describes_what_it_is_of(name):
     [
         ("calibrate", "calibrate finished --estimator robust --join-verification"),
         ("calibrate", f"calibrate {REFERENCE / 'xsens-38.csv'} --g 9.81744 --out here"),
-        ("diagnose-free", f"diagnose {REFERENCE / 'innalabs-49.csv'} --out here"),
-        ("verify", "verify finished --rule guarded"),
         ("budget", "budget --procedure quick --trials 2200"),
         ("require", "require --accuracy 3e-4 --procedure quick"),
         ("plan-points", "plan-points --u all=2e-4"),

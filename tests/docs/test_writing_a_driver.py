@@ -14,9 +14,7 @@ import pytest
 
 from bench.config.devices.registry import devices
 from drivers.chambers import ChamberLimits
-from drivers.interfaces import (
-    BenchError,
-)
+from drivers.interfaces import BenchError
 from sim.wires.session import DROP, SILENCE, WireFault
 from tests.support.simulated_stand import a_world, served
 
@@ -107,16 +105,8 @@ def test_on_a_wire_that_fails_the_driver_tells_the_truth_or_why_not(page: dict[s
 
 @pytest.mark.slow
 def test_it_passes_what_every_instrument_must_do(folder):
-    suite = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "tests/conformance",
-        "-n",
-        "0",
-        "-k",
-        "frostline or turnwell or all_devices",
-    ]
+    suite = [sys.executable, "-m", "pytest", "tests/conformance", "-n", "0", "-k"]
+    suite.append("frostline or turnwell or all_devices")
     environment = {**os.environ, "BENCH_DEVICES": str(folder), "PYTHONPATH": str(ROOT)}
     done = subprocess.run(suite, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)  # noqa: S603
     assert done.returncode == 0, done.stdout[-3000:]

@@ -298,18 +298,9 @@ def seen(form, result):
 
 @pytest.mark.parametrize("form", FORMS)
 def test_every_form_says_of_which_block_when_with_which_g_and_what_its_u_holds(form):
+    about = {"name": "my-bench"}
     simulated = BlockResult(
-        Block(K, U0),
-        COVARIANCE,
-        "V",
-        G,
-        "run-17",
-        "QA",
-        "0815",
-        "2026-03-01",
-        {"name": "my-bench"},
-        simulated=True,
-        k=2.13,
+        Block(K, U0), COVARIANCE, "V", G, "run-17", "QA", "0815", "2026-03-01", about, simulated=True, k=2.13
     )
     text = seen(form, simulated)
     for part in ("run-17", "0815", "2026-03-01", "my-bench", repr(G), "2.13"):

@@ -25,16 +25,9 @@ U = np.sqrt(np.diag(COVARIANCE))
 
 
 def snapshot(vector, days=0.0, name="x", **changes):
-    values = {
-        "name": name,
-        "when": BEGIN + timedelta(days=days),
-        "block": "block 1",
-        "unit": "V",
-        "g_m_s2": 9.81,
-        "vector": np.asarray(vector),
-        "covariance": COVARIANCE,
-    }
-    return Snapshot(**(values | changes))
+    when = BEGIN + timedelta(days=days)
+    made = Snapshot(name, when, "block 1", "V", 9.81, np.asarray(vector), COVARIANCE)
+    return replace(made, **changes)
 
 
 def drawn(rng, shift=0.0, **changes):

@@ -1,5 +1,7 @@
 """Sizes of a bench from many runs of known truth; their likelihood against dense matrices."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import linalg, stats
@@ -125,13 +127,7 @@ def test_what_one_block_has_is_named_and_not_charged_to_the_bench(own, without_r
 @pytest.mark.slow
 def test_a_run_on_another_stand_contradicts_by_its_angles():
     """Seed 14: run 1 has its block mounted 5 arcmin off."""
-    off = Bench(
-        TRUTH.means + np.array([0, 0, 300, 0]) * ARCSEC,
-        TRUTH.remounts,
-        TRUTH.noise,
-        TRUTH.setting,
-        TRUTH.waves,
-    )
+    off = replace(TRUTH, means=TRUTH.means + np.array([0, 0, 300, 0]) * ARCSEC)
     one = fits(simulate(np.random.default_rng(14), off, 1))
     rest = fits(simulate(np.random.default_rng(15), TRUTH, 10))[1:]
     found = learn([*one, *rest], STATED)

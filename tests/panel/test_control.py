@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from bench.panel.access import Person, Refusal, Role
-from bench.panel.holding import JOURNAL, WORDS, change, read_holding, require_holder
+from bench.panel.holding import JOURNAL, WORDS, change, read_holding
 from bench.run.folder import Run
 from bench.run.person import ANSWERS, CONTROL, asked_to_json
 from bench.run.record import Record
@@ -156,13 +156,6 @@ def test_taking_over_asks_and_is_answered(anna, runs, one):
     assert [line["did"] for line in lines(one / JOURNAL)] == ["taken", "asked", "granted"]
 
 
-def test_what_the_script_is_told_names_who_is_in_control(anna):
-    anna.ask("/runs/one/control", do="take")
-    told = anna.get("/runs/one/state").json()
-    assert told["control"]["holder"] == "anna"
-    assert told["alive"] is False
-
-
 def test_a_stream_ends_when_who_looks_is_signed_out_for_good(anna, runs, monkeypatch):
     from bench.panel.access import STATE, Access
 
@@ -186,16 +179,6 @@ def refusal(folder, *what):
     with pytest.raises(Refusal) as refused:
         change(folder, *what)
     return refused.value.status, refused.value.text
-
-
-def test_nobody_is_in_control_until_somebody_takes_it(tmp_path):
-    assert read_holding(tmp_path).holder == ""
-    with pytest.raises(Refusal, match="nobody is in control; take it first"):
-        require_holder(tmp_path, ANNA)
-    change(tmp_path, "take", ANNA)
-    require_holder(tmp_path, ANNA)
-    with pytest.raises(Refusal, match="anna is in control; ask for it first"):
-        require_holder(tmp_path, BEN)
 
 
 def test_taking_over_asks_who_holds(tmp_path):

@@ -109,13 +109,6 @@ def test_what_strangers_wrote_is_shown_as_text(client, runs):
     assert "\u202e" not in text
 
 
-def test_a_damaged_record_is_said_in_a_sentence(client, runs):
-    (runs / "done" / EVENTS).write_bytes(b"{}\n")
-    reply = client.get("/runs/done/")
-    assert reply.status_code < 500
-    assert "line 1: cannot be trusted" in reply.text
-
-
 def test_a_stream_of_a_damaged_record_says_so_as_an_event(client, runs):
     (runs / "done" / EVENTS).write_bytes(b"{}\n")
     reply = client.get("/runs/done/stream")

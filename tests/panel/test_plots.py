@@ -151,8 +151,14 @@ def test_pages_lead_to_the_plots_and_a_run_without_results_says_so(runs):
     assert told["trouble"] == ["none has no calibration yet."]
 
 
-@pytest.mark.parametrize("text", ["{", "[]", '{"points": 1}', '{"verdict": 1, "simulation": {"before": 3}}'])
-@pytest.mark.parametrize("file", ["verify.json", "diagnose.json"])
+@pytest.mark.parametrize(
+    ("file", "text"),
+    [
+        ("verify.json", "["),
+        ("verify.json", '{"points": 1}'),
+        ("diagnose.json", '{"verdict": 1, "simulation": {"before": 3}}'),
+    ],
+)
 def test_a_damaged_result_is_said_to_be_one(runs, file, text):
     (runs / "later" / file).write_text(text)
     told = plots_of(Run(runs / "later"), RunsFolder(runs))

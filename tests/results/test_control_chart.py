@@ -21,19 +21,8 @@ def check_run(day: int, shift: float = 0.0) -> CheckRun:
     value[3] += shift * U
     when = datetime(2026, 3, 1, tzinfo=UTC) + timedelta(days=day)
     covariance = U**2 * np.eye(12)
-    return CheckRun(
-        f"<check-{day}>",
-        when,
-        value,
-        covariance,
-        np.full(12, U / 2),
-        1e-4,
-        36.0,
-        "plan",
-        (),
-        NOTHING,
-        NOTHING,
-    )
+    own = np.full(12, U / 2), 1e-4, 36.0, "plan", (), NOTHING, NOTHING
+    return CheckRun(f"<check-{day}>", when, value, covariance, *own)
 
 
 def page(later: list[CheckRun]) -> str:

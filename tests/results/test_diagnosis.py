@@ -11,6 +11,7 @@ from bench.base.numbers import fixed
 from bench.diagnosis import NamedEffect
 from bench.diagnosis.result import EffectValue
 from bench.readings.csv import write_csv
+from bench.results import plots
 from bench.results.diagnosis_words import (
     closed_in_words,
     effect_title,
@@ -18,7 +19,7 @@ from bench.results.diagnosis_words import (
     parameters_in_words,
     smallest_found,
     unit_in_print,
-)
+)  # fmt: skip
 from tests.support.diagnosis_bench import paper_run
 
 pytestmark = pytest.mark.slow
@@ -40,7 +41,17 @@ def cache():
 
 @pytest.fixture(scope="module")
 def named(cache, tmp_path_factory):
-    return page_of(tmp_path_factory.mktemp("named"), 4, K2=(0.0, 1e-4, 0.0))
+    """With one figure drawn; the others have an identifier each."""
+    draw = plots._written
+
+    def written(name, *how):
+        return (
+            draw(name, *how) if name == "diagnosis-overlay-0" else '<svg viewBox="0 0 1 1"><g id="a"/></svg>'
+        )
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plots, "_written", written)
+        return page_of(tmp_path_factory.mktemp("named"), 4, K2=(0.0, 1e-4, 0.0))
 
 
 @pytest.fixture(scope="module")

@@ -91,6 +91,7 @@ def _indefinite(data):
         (lambda d: d["order"].append("Kxx"), "12 coefficients"),
         (lambda d: d.update(order="Kxx"), "not a result"),
         (lambda d: d["coefficients"]["Kxx"].update(value="2"), "not a number"),
+        (lambda d: d["coefficients"]["Kxx"].update(value=float("nan")), "not a number"),
         (lambda d: d["noise"].update(reading_v=-1.0), "negative"),
         (lambda d: d.update(unit=["V"]), "unit"),
         (lambda d: d.update(unit="mV"), "coefficients in mV/g"),

@@ -72,8 +72,9 @@ class Interrupting:
         return self.scripted.ask(prompt)
 
 
-def test_a_bench_that_is_well(well) -> None:
+def test_a_bench_that_is_well_and_takes_less_than_the_quarter_of_an_hour_promised(well) -> None:
     result = well[1]
+    assert 300.0 < result["took_s"] < 900.0
     assert (result["status"], result["ended"], result["to_do"]) == (0, "", {})
     assert result["simulated"] is True
     assert {one["state"] for one in result["findings"]} == {"works"}
@@ -84,10 +85,6 @@ def test_a_bench_that_is_well(well) -> None:
     }  # fmt: skip
     names = {one["name"] for one in result["instruments"]}
     assert names == {one["instrument"] for one in result["findings"]}
-
-
-def test_it_takes_less_than_the_quarter_of_an_hour_promised(well) -> None:
-    assert 300.0 < well[1]["took_s"] < 900.0
 
 
 def test_page_result_and_wire_log_stand_in_the_folder(well) -> None:
