@@ -18,11 +18,14 @@ from bench.diagnosis.mistakes.reinterpretation import (
     losses_of,
     nothing,
     other_mountings,
+    other_wirings,
     suppositions,
 )
 from bench.model.geometry import STAND_ANGLES, Block, Installation, specific_force_on_platform
 from bench.readings.table import Readings
 
+LEAST_POINTS: Final = 2
+"""Least number of verification points that show a wrong wiring: a single one may be wrong by itself."""
 ERRORS_G: Final[tuple[float, ...]] = tuple(np.geomspace(5e-4, 0.1, 10).tolist())
 """Prior 1 sigma of the errors of a reading and of a position without a mistake, g; all sizes equally probable.
 
@@ -104,6 +107,25 @@ class GrossSearch:
         after = {one: self._with_second(one, readings, table) for one in (found, *filter(None, others))}
         better = [one for one, score in after.items() if score - after[found] > _enough(maps)]
         return min(better, key=lambda one: (len(one.equal), -after[one]), default=found)
+
+    def find_at_verification(self, readings: Readings) -> GrossMistake | None:
+        """Return the wiring mistake at the verification points that best makes |a| = 1 g there; None if none does.
+
+        The coefficients are those of the oriented readings, with the signs of the data sheet; without one, there is
+        no result. The orientation at the points counts as unknown.
+        """
+        points, table = OrientedRows.of(readings, verification=True), OrientedRows.of(readings)
+        if len(points) < LEAST_POINTS or self.nominal is None:
+            return None
+        block, maps = self.fit(table, table.every).block, other_wirings(points)
+        scores = np.array([_of_moduli(_off_g(block, one.signal(points))) for one in maps])
+        odds = scores - _of_moduli(_off_g(block, points.signal))
+        best = int(np.argmax(odds))
+        if odds[best] <= _enough(maps):
+            return None
+        near = np.flatnonzero(odds > odds[best] + math.log(BY_CHANCE))
+        equal = tuple(maps[i] for i in near if i != best)
+        return GrossMistake(maps[best], equal, p_of(float(odds[best]), math.log(len(maps))))
 
     def _with_second(self, first: GrossMistake, readings: Readings, table: OrientedRows) -> float:
         """Return ln of the evidence of a mistake together with the likeliest second mistake."""
@@ -241,6 +263,18 @@ class GrossSearch:
             products.append(_products(np.hstack([columns, one.signal(table) / unit]), *positions))
         jacobians = np.array([one.log_jacobian for one in supposed])
         return _integrated(products, mean, u, errors_g) + jacobians if supposed else jacobians
+
+
+def _off_g(block: Block, signal: Floats) -> Floats:
+    """Return |a| - 1 (n,), g, of signals (n, 3)."""
+    return np.asarray(np.linalg.norm(block.specific_force(signal), axis=1) - 1.0)
+
+
+def _of_moduli(off_g: Floats) -> float:
+    """Return ln of the evidence of errors (n,) of moduli, averaged over the sizes `ERRORS_G`, up to a constant."""
+    sizes = np.array(ERRORS_G)
+    of_size = -0.5 * np.sum((off_g / sizes[:, None]) ** 2, axis=1) - len(off_g) * np.log(sizes)
+    return float(np.logaddexp.reduce(of_size))
 
 
 def _enough(maps: Sequence[Reinterpretation]) -> float:

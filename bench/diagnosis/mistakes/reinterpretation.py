@@ -18,12 +18,12 @@ from bench.calibration.mistakes import PREFIX, PREFIXES, in_another_unit
 from bench.diagnosis.levels import MOSTLY, ONE_DIRECTION
 from bench.model import Mounting
 from bench.readings.corrected import EXCHANGED, REVERSED, RIGHT, MistakeName
-from bench.readings.table import REFERENCE, SHORTED, Readings
+from bench.readings.table import REFERENCE, SHORTED, VERIFICATION, Readings
 
 
 @dataclass(frozen=True)
 class OrientedRows:
-    """The n readings of a table that were taken in an orientation.
+    """The n readings of a table that were taken in an orientation, or those at its verification points.
 
     `rows` (n,) are the indices of the readings in the table; `mount` (n,) are the indices of their mountings in
     `mounts`; `label` (n,) are their installations. `signal` (n, 3) is in `unit`.
@@ -39,12 +39,13 @@ class OrientedRows:
     unit: str
 
     @classmethod
-    def of(cls, readings: Readings) -> OrientedRows:
-        """Return the readings of a table that were taken in an orientation."""
-        chosen = readings.oriented()
+    def of(cls, readings: Readings, *, verification: bool = False) -> OrientedRows:
+        """Return the readings of a table that were taken in an orientation, or its verification points."""
+        rows = readings.installation == VERIFICATION if verification else readings.is_oriented
+        chosen = readings.select(rows)
         conditions = chosen.conditions()
         return cls(
-            np.flatnonzero(readings.is_oriented),
+            np.flatnonzero(rows),
             conditions.mounts,
             conditions.mount,
             chosen.pass_number,
@@ -231,6 +232,12 @@ def suppositions(table: OrientedRows, *, units: bool = False) -> list[Reinterpre
         scopes[1:1] = [Scope(table.pass_number == p, (), p) for p in passes if len(passes) > 1]
         found += [supposition for scope in scopes for supposition in _other_unit(table, scope)]
     return found
+
+
+def other_wirings(points: OrientedRows) -> list[Reinterpretation]:
+    """Return the suppositions that channels were exchanged or reversed at the verification points `points`."""
+    scope = Scope(points.every, points.mounts)
+    return [*_swapped_channels(points, scope), *_reversed_polarity(points, scope)]
 
 
 def nothing(table: OrientedRows) -> Reinterpretation:

@@ -115,7 +115,8 @@ def find_mistakes(
     found: list[Mistake] = []
     copies = [readings]
     for _ in range(STEPS):
-        wrong = search.unit(copies[-1]) or search.map(copies[-1]) or search.terms(copies[-1])
+        steps = (search.unit, search.map, search.verification, search.terms)
+        wrong = next(filter(None, (step(copies[-1]) for step in steps)), [])
         if not wrong:
             break
         found += [mistake for mistake, _ in wrong]
@@ -158,6 +159,14 @@ class _Search:
             return []
         return [(_gross_mistake(gross), gross.supposition.correct(readings, OrientedRows.of(readings)))]
 
+    def verification(self, readings: Readings) -> list[tuple[Mistake, Readings]]:
+        """Return a wrong wiring at the verification points with the corrected copy; empty if there is none."""
+        gross = self.gross.find_at_verification(readings)
+        if gross is None:
+            return []
+        points = OrientedRows.of(readings, verification=True)
+        return [(_gross_mistake(gross), gross.supposition.correct(readings, points))]
+
     def terms(self, readings: Readings) -> list[tuple[Mistake, Readings]]:
         """Return the passes and single readings that are wrong, each with a corrected copy.
 
@@ -190,6 +199,7 @@ class _Search:
     def with_evidence(self, found: Sequence[Mistake], copies: Sequence[Readings]) -> tuple[Mistake, ...]:
         """Return the mistakes, each with the misfit before and after its correction (`Evidence`).
 
+        A mistake at the verification points changes no misfit of the oriented readings, and gets none.
         `copies` has the record first, then the copy after each correction.
         """
         if not found:
@@ -202,7 +212,7 @@ class _Search:
             sheet = float(np.sum(self.gross.fit(oriented, oriented.every).sheet))
             sizes.append(float(np.sqrt((terms.table.chi2(seen) + sheet) / oriented.signal.size)))
         return tuple(
-            replace(mistake, evidence=Evidence(before, after))
+            replace(mistake, evidence=Evidence(before, after)) if before != after else mistake
             for mistake, before, after in zip(found, sizes[:-1], sizes[1:], strict=True)
         )
 

@@ -109,6 +109,26 @@ def test_a_gross_mistake_is_found_named_placed_and_put_right(name, scope):
     np.testing.assert_array_equal(corrected.installation, good.installation)
 
 
+@pytest.mark.parametrize(
+    ("name", "channels", "order", "signs"),
+    [
+        ("swapped_channels", ("x", "y"), (1, 0, 2), (1, 1, 1)),
+        ("swapped_channels", ("x", "y", "z"), (2, 0, 1), (1, 1, 1)),
+        ("reversed_polarity", ("z",), (0, 1, 2), (1, 1, -1)),
+    ],
+)
+def test_a_wrong_wiring_at_the_verification_points_alone_is_named_and_put_right(name, channels, order, signs):
+    """The other readings stay as they are; points that are right, or 1 mg off, are no wrong wiring."""
+    good = run(4)
+    points = good.installation == "V"
+    result = find(with_signal(good, points, lambda signal: signal[:, np.argsort(order)] * signs))
+    (mistake,) = result.mistakes
+    assert (mistake.name, mistake.channels, mistake.installations) == (name, channels, ("V",))
+    np.testing.assert_array_equal(result.corrected.signal, good.signal)
+    assert find(good).mistakes == ()
+    assert find(with_signal(good, points, lambda signal: signal * 1.001)).mistakes == ()
+
+
 @pytest.mark.slow
 def test_signs_and_order_of_channels_are_put_right_in_free_and_input_rows_too():
     good = run(3)
