@@ -145,7 +145,8 @@ def told_by(
     except Refusal:
         return None
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError):
-        trouble.append(f"{name}: cannot be read; 'bench report {run.name}' makes it again")
+        command = name.removesuffix(".json")
+        trouble.append(f"{name}: cannot be read; 'bench {command} {run.name}' makes it again")
         return None
 
 

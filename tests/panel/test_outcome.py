@@ -70,6 +70,13 @@ def test_a_run_that_failed_or_misfits_offers_the_diagnosis(runs, judged, file, t
     assert '<button class="primary">Diagnose</button>' in page
 
 
+def test_a_damaged_verdict_is_named_with_the_command_that_makes_it_again(runs, judged):
+    change(judged / "verify.json", statement="splendid")
+    page = Browser(runs, "anna").get("/runs/run/").text
+    assert "verify.json: cannot be read; &#39;bench verify run&#39; makes it again" in page
+    assert "has no verification points" not in page
+
+
 def test_results_that_are_being_computed_are_waited_for(judged):
     assert outcome(judged).state == "ready"
     assert outcome(judged, alive=True).state == "waiting"
