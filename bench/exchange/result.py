@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from bench.base.arrays import Floats, u_of
-from bench.base.result_model import Matrix, ResultModel
+from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.text import one_line
 from bench.calibration.intrinsic import intrinsic, intrinsic_unit
 from bench.calibration.result import Derived, inverse, misalignments
@@ -93,6 +94,9 @@ class CoefficientsResult(ResultModel):
     source: str = Field(description="the run, readings file or result")
     unit_under_test: BlockPart | None
     made_at: str | None = Field(description="when the run was begun, ISO 8601")
+    temperature_c: Real = Field(
+        description="temperature of the block at which the coefficients hold, °C; null if unknown or corrected for"
+    )
     bench: dict[str, str] | None = Field(description="the bench file, as in the result of `bench calibrate`")
     certificates: list[str] = Field(description="the certificates of the instruments, in words")
     simulated: bool
@@ -140,7 +144,8 @@ class BlockResult:
     uncertainty of `g_m_s2`, 0 if the result does not state it; numbers per g do not include it. `bench`
     describes the bench file of the result, `certificates` those of the instruments. `block_type`, `serial`
     and `made_at` are empty if unknown. `temperature` names the temperature effects for which these numbers
-    are corrected; empty for none.
+    are corrected; empty for none. `temperature_c` is the temperature at which the coefficients hold, °C; NaN if it
+    is unknown or corrected for.
     """
 
     block: Block
@@ -159,6 +164,7 @@ class BlockResult:
     gravity_u: float = 0.0
     certificates: tuple[str, ...] = ()
     temperature: str = ""
+    temperature_c: float = math.nan
 
     @cached_property
     def check(self) -> tuple[Floats, Floats]:
@@ -234,6 +240,9 @@ class BlockResult:
             "block": self.block_name or "not stated",
             "source": self.source,
             "made at": self.made_at or "not stated",
+            "block temperature": f"{self.temperature_c:.1f} deg C"
+            if math.isfinite(self.temperature_c)
+            else "not stated",
             "bench": (self.bench or {}).get("name", "not stated"),
             "certificates": "; ".join(self.certificates) or "none of the instruments is stated",
             "local gravity": f"g = {self.g_m_s2!r} m/s^2{self._of_gravity()}: accelerations are in this g",

@@ -198,6 +198,7 @@ def block_result(data: Any, where: str) -> BlockResult:
         gravity_u=_positive(data.get("gravity_u")),
         certificates=tuple(_certificates(data.get("corrections"))),
         temperature=_temperature(data),
+        temperature_c=taken.temperature_c,
     )
 
 
