@@ -312,16 +312,25 @@ def _on_copies(readings: Readings) -> Iterator[str]:
     for row, (installation, series, number, point) in enumerate(rows):
         own = passes.setdefault((str(installation), int(series), int(number)), {})
         own[int(point)] = readings.signal[row]
-    for later, earlier in combinations(reversed(passes), 2):
-        common = passes[later].keys() & passes[earlier].keys() if later[0] == earlier[0] else ()
-        if len(common) >= LEAST_COPIED and all(
-            np.array_equal(passes[later][at], passes[earlier][at]) for at in common
-        ):
-            copy, original = (f"pass {number} of series {series}" for _, series, number in (later, earlier))
-            yield (
-                f"{copy} in installation {later[0]} equals {original} in every digit: copied rows are no repeats "
-                "and make u too small; delete the copy"
-            )
+    repeats = [
+        (later, earlier, common)
+        for later, earlier in combinations(reversed(passes), 2)
+        if later[0] == earlier[0]
+        and len(common := passes[later].keys() & passes[earlier].keys()) >= LEAST_COPIED
+    ]
+    copies = [
+        (later, earlier)
+        for later, earlier, common in repeats
+        if all(np.array_equal(passes[later][at], passes[earlier][at]) for at in common)
+    ]
+    if len(copies) == len(repeats) > 1:
+        return  # all repeats are equal: readings without noise
+    for later, earlier in copies:
+        copy, original = (f"pass {number} of series {series}" for _, series, number in (later, earlier))
+        yield (
+            f"{copy} in installation {later[0]} equals {original} in every digit: copied rows are no repeats and "
+            "make u too small; delete the copy"
+        )
 
 
 def _learned(
