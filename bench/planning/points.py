@@ -167,7 +167,7 @@ class Passes:
 
 
 def passes(angles: Mapping[float, int]) -> list[Passes]:
-    """Group angles by their number of visits; each group starts in the direction opposite to the last pass."""
+    """Group `angles` (rad: visits) by visits; a group starts opposite to the last pass of the one before."""
     found, first, direction = [], 1, 1
     for times in sorted(set(angles.values()), reverse=True):
         own = tuple(sorted(angle for angle, visits in angles.items() if visits == times))

@@ -295,7 +295,7 @@ def _gained(more: HistoryLikelihood, fewer: HistoryLikelihood) -> float:
 
 
 def _least(within: Within, moving: HistoryLikelihood, first: Sequence[int], mean: float) -> float:
-    """Return the lower 95 % limit of the scatter by the profile likelihood; 0 if it is not significant."""
+    """Return the lower 95 % profile-likelihood limit of the scatter, at most `mean`; 0 if none shows."""
     others = [j for j in (*first, RATE, WALK) if j != SCATTER]
     end = float(np.sqrt(moving.variances[SCATTER]))
 
