@@ -61,8 +61,8 @@ class LineThermometer:
     def block_c(self, key: str) -> float:
         """Return the block's temperature, °C.
 
-        Raises `BadReading` for a value not found or out of range, `InstrumentRefused` for a line in
-        `errors`, `InstrumentLost` for none.
+        Raises `BadReading` for no number or one out of range, `InstrumentRefused` for a line in `errors`,
+        `InstrumentLost` without a line.
         """
         shown_c, (low_c, high_c) = self._line.number(self._session), self._range_c
         if not low_c <= shown_c <= high_c:
