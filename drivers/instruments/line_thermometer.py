@@ -59,7 +59,7 @@ class LineThermometer:
         self._session.close()
 
     def block_c(self, key: str) -> float:
-        """Return the block's temperature, °C.
+        """Return the block temperature, °C.
 
         Raises `BadReading` for no number or one out of range, `InstrumentRefused` for a line in `errors`,
         `InstrumentLost` without a line.
