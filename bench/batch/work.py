@@ -298,7 +298,7 @@ class Named:
 
     @classmethod
     def of_file(cls, told: Mapping[str, Any]) -> Named:
-        """Return the diagnosis in a result, computed now or read from a file."""
+        """Return the diagnosis in `told`, the parsed JSON of a result."""
         gap = told.get("gap") or {}
         names = [
             " or ".join(map(str, (effect["name"], *effect.get("cannot_tell_from", ()))))

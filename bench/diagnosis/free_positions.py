@@ -222,9 +222,9 @@ FAR: Final = 12.0
 
 
 def _prepared(linear: FreeSystem) -> tuple[NoiseGrid, Candidates]:
-    """Return the grid of the noise and the candidates.
+    """Return the noise grid and the candidate effects.
 
-    The noise is the scatter that remains when each record has zeros and scale factors of its own.
+    The noise is the scatter after a fit of separate zeros and scale factors to each record.
     """
     left, _, freedom = _loose(linear)
     if freedom < LEAST_FREEDOM:

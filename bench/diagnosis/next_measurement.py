@@ -365,7 +365,7 @@ class _Bill:
         return whole
 
     def _divergences(self, plan: Plan | None) -> dict[tuple[str, str], float]:
-        """Return the divergence D of each find from each of its ties, by the two names."""
+        """Return the divergence D by (effect found, tie); a `plan` adds its readings."""
         diagnosis, linear = self._diagnosis, self._linear(plan)
         result = {}
         for index, effect in enumerate(diagnosis.effects):

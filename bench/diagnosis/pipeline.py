@@ -205,9 +205,8 @@ class _Estimated:
     """The joint estimate of coefficients and named effects.
 
     `noise` is the noise about the model with the effects. `sized` are the estimates with the effects in the
-    shapes found. `fitted` are the estimates that also include the possible parts of the effects with other
-    shapes. `in_part` are these parts and the starting states of mountings. `left_open` are those of them that go
-    into a model file.
+    shapes found; `fitted`, those that also allow parts of other shapes. `in_part` are these parts, then the
+    starting states of mountings. `left_open` are the members of `in_part` that go into a model file.
     """
 
     effects: tuple[NamedEffect, ...]

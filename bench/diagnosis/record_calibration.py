@@ -155,7 +155,7 @@ class _Refitted:
 
 
 def _refitted(left: Record, effects: Sequence[AppliedEffect], several_levels: bool) -> list[_Refitted]:
-    """Return the effects to estimate again. `left` is the record after they are subtracted with their values."""
+    """Return `effects` to estimate again, with a gain if `several_levels`; `left` is the record less them."""
     if not effects:
         return []
     record = left.less(-left.added_by(effects))
@@ -297,7 +297,7 @@ def averaged(trials: NoiseTrials, design: Floats, targets: Floats) -> tuple[Floa
 
 
 def _scatter(readings: Readings, record: Record) -> tuple[Floats, tuple[str, ...]]:
-    """Return the scatter (n,) of the meters that read the reference, V, as one error common to all readings."""
+    """Return the scatter (n,) of reference meters, V, as one common error; if unrecorded, 0 and a note."""
     cells = readings.extra.get(REFERENCE_SD_V)
     known = np.zeros(0) if cells is None else np.isfinite(numbers(cells))
     if cells is None or not known.any():

@@ -1,4 +1,4 @@
-"""The dictionary of the residual model: courses over angle, turns, time, temperature and passes."""
+"""The terms of the residual model: functions of angle, turns, time, temperature and pass."""
 
 from __future__ import annotations
 

@@ -191,10 +191,10 @@ def search_run(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]:
 
 
 def _beside_shapes(task: SearchTask, prepared: Prepared, naming: Naming) -> Naming:
-    """Return the finds that the search still makes if the largest effect may have parts of other shapes.
+    """Return the effects still found if the largest one in `naming` may have parts of other shapes.
 
-    A large effect whose shape lies between two shapes of the catalogue's grid leaves residuals, which other
-    effects would explain.
+    If its true shape lies between two shapes of the catalogue's grid, it leaves residuals that other effects
+    would explain.
     """
     largest = max(naming.found, key=lambda found: found.size, default=None)
     if largest is None or len(naming.found) < 2 or not largest.variant.named:

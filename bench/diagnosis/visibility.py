@@ -231,9 +231,9 @@ class ReadingDesign:
         return self._unseen[part]
 
     def seen(self, form: Form) -> Floats:
-        """Return the columns of a form in units of the noise, with all free unknowns projected out.
+        """Return a column for each part of a form, in units of the noise, free unknowns projected out.
 
-        There is a column for each part of the form, the change of the rows by its plausible size.
+        It is the change of the rows, before projection, if the part has its plausible size.
         """
         new = [part for part in form if part not in self._seen]
         if new:

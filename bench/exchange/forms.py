@@ -75,7 +75,7 @@ _CSV_TEST: Final = (
 
 
 def c_header(result: BlockResult) -> str:
-    """Return a self-contained C99 header: N, U0, their covariance, and functions for a and for its covariance."""
+    """Return a self-contained C99 header: N, U0, their covariance, functions for force and its covariance."""
     numbers = result.inverse
     rows = ",\n".join(f"    {_row(row)}" for row in numbers.covariance)
     n = ",\n".join(f"    {_row(row)}" for row in numbers.values[:9].reshape(3, 3))

@@ -258,7 +258,7 @@ def compare(snapshots: Sequence[Snapshot]) -> Comparison:
 
 
 def _compared(names: tuple[str, ...], there: Sequence[Snapshot], dates: Sequence[datetime]) -> InNumbers:
-    """Compare ordered snapshots in the numbers `names`; `dates` are empty if there is no drift to compute."""
+    """Compare the numbers `names` of snapshots `there` with the first; without `dates`, give no drift."""
     alike = [snapshot.against(there[0]) for snapshot in there]
     differences = [later.vector - alike[0].vector for later in alike[1:]]
     u = [np.sqrt(np.diag(alike[0].covariance) + np.diag(later.covariance)) for later in alike[1:]]

@@ -297,7 +297,7 @@ class ControlChart:
 
     @property
     def in_control(self) -> bool:
-        """Whether the last run is accepted; true without later runs."""
+        """Whether the last judged run is accepted; true if none is."""
         return not self.verdicts or self.verdicts[-1].accepted
 
     @cached_property

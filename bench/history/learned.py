@@ -292,7 +292,7 @@ class MeterDifferences:
     day: float
 
     def pairs(self) -> Iterator[tuple[int, int]]:
-        """Yield the indices of each meter and of the first meter of its group."""
+        """Yield pairs of indices: a meter, and the earlier first of its group."""
         for b, group in enumerate(self.group):
             first = self.group.index(group)
             if first != b:
@@ -366,7 +366,7 @@ def exchanged(runs: Sequence[tuple[str, tuple[str, str, str]]]) -> list[int]:
 
 
 def _stacked(runs: Sequence[MeterRun], day: float, quantity: int, scale: Floats) -> tuple[Floats, Floats]:
-    """Return the values (N,) of a quantity times `scale`, and their covariance (N, N) with the meters' drift."""
+    """Return `scale` times quantity 0 (gain) or 1 (zero), (N,); covariance (N, N) with drift from `day`."""
     at = slice(3 * quantity, 3 * quantity + 3)
     y = scale * np.concatenate([run.values[at] for run in runs])
     known = linalg.block_diag(*(run.covariance[at, at] for run in runs))

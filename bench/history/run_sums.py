@@ -204,7 +204,7 @@ class Layout:
     def of(
         cls, runs: Sequence[RunFit], stand_u: Mapping[str, float], *, by_installation: bool, waves: bool
     ) -> Layout:
-        """Return the layout for runs; with `by_installation`, each installation has means of its own."""
+        """Return the layout for runs; `stand_u` is rad by angle; `by_installation` splits the means."""
         pairs = dict.fromkeys(pair for run in runs for pair in run.angles)
         kinds = tuple(name for name in STAND_ANGLES if any(pair[0] == name for pair in pairs))
         means = [pair if by_installation else (pair[0], "") for pair in pairs]

@@ -255,7 +255,7 @@ def first_sentence(model: type[BaseModel]) -> str:
 
 
 def values_of(data: Any) -> dict[str, str]:
-    """Return the values of a parsed bench file, and the choices of the form, as texts by dotted path."""
+    """Return texts by dotted path: a bench file's values, its form of gravity, its number of meters."""
     values: dict[str, str] = {}
 
     def look(part: Any, at: Place) -> None:

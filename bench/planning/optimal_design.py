@@ -119,7 +119,7 @@ def delta_g_goals(
 
 
 def modulus_goals(block: Block, magnitude_g: float, asked_g: float) -> list[Goal]:
-    """Return goals for the measured modulus of specific forces up to `magnitude_g`, in many directions.
+    """Return goals of u = `asked_g` for the measured modulus up to `magnitude_g`, in many directions.
 
     The variance is convex in the magnitude, so goals at zero and at `magnitude_g` cover all magnitudes between.
     """

@@ -167,7 +167,7 @@ class Passes:
 
 
 def passes(angles: Mapping[float, int]) -> list[Passes]:
-    """Group angles by their number of visits; each group starts in the direction opposite to the last pass."""
+    """Group `angles` (rad: visits) by visits; a group starts opposite to the last pass of its predecessor."""
     found, first, direction = [], 1, 1
     for times in sorted(set(angles.values()), reverse=True):
         own = tuple(sorted(angle for angle, visits in angles.items() if visits == times))
@@ -381,7 +381,7 @@ class Times:
 def procedure_text(
     name: str, remarks: str, visits: Mapping[Mounting, Mapping[float, int]], times: Times, *, verified: bool
 ) -> str:
-    """Return a procedure file: `remarks` as comments, warm-up, each mounting, and verification points.
+    """Return a procedure file: `remarks`, warm-up, mountings and, if `verified`, verification points.
 
     `visits` maps each mounting to the number of visits to each angle (rad).
     """

@@ -326,7 +326,7 @@ def mistake_part(mistake: Mistake) -> EffectPart:
 
 
 def gap_part(gap: Gap) -> GapPart:
-    """Return the part of the result on a gap; numbers are null if no readings could be held out."""
+    """Return the part on the misfit of held-out readings; its numbers are null without readings."""
     return GapPart.from_object(
         gap,
         **_sizes(gap),

@@ -378,7 +378,7 @@ def _rates_table(rates: dict[str, RatePart], then: dict[str, ValuePart] | None, 
 
 
 class ScatterPart(LimitedPart):
-    """The standard deviation between a unit's calibrations, without drift, that exceeds their stated u."""
+    """The scatter (1 sigma) of a unit's calibrations beyond their stated u, significant drift removed."""
 
     value: float = Field(description="root mean square, allowing for the degrees of freedom")
     at_least: float = Field(description="lower 95 % limit of the scatter")

@@ -395,7 +395,7 @@ def drawn(name: str, inches: tuple[float, float], draw: Callable[[Figure], None]
 
 
 def translate_texts(figure: Figure) -> None:
-    """Translate the texts of a figure into the language of views, and use its decimal sign on the axes."""
+    """Put a figure into the current language: its texts, and the decimal sign on its axes."""
     if language() == ENGLISH:
         return
     from matplotlib.text import Text

@@ -112,7 +112,7 @@ def place_together(sources: Sequence[Source]) -> Source:
 
 
 def _blocks(sources: list[Source], one_block: bool | None) -> list[int | None]:
-    """Return the index of the block in each source; all are None if only the readings can decide."""
+    """Number each source's block by `one_block`, else name and scale factors; None if all agree."""
     if one_block is not None:
         return [0 if one_block else number for number in range(len(sources))]
     sheets = [tuple(source.bench.unit_under_test.scale_factors.values) for source in sources]

@@ -357,7 +357,7 @@ def calibration_of(
     join_verification: bool = False,
     prior: Path | None = None,
 ) -> CalibrationResult:
-    """Calibrate a source with its own bench and model and, if given, the `prior` file for its unit's type.
+    """Calibrate a source by its bench, model and any `prior` of its unit's type; options as in `estimate`.
 
     Raises `CalibrationError` if the readings allow no calibration, `Refused` for a prior that does not apply.
     """

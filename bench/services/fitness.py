@@ -45,7 +45,7 @@ def reminders(bench: BenchFile) -> Iterator[str]:
 
 
 def is_away(answers: str | None, *, panel: bool) -> bool:
-    """Return whether questions are answered in the run's folder: if `answers` says so, else for a panel alone.
+    """Return whether the folder takes answers: `answers` is "folder", or None and a panel has no terminal.
 
     Raises `Refused` for an unknown place in `answers`.
     """

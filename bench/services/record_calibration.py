@@ -99,7 +99,7 @@ def meters_at_rest(source: Source, found: RecordCalibration) -> Stability:
 
 
 def of_meters(source: Source, found: RecordCalibration) -> StaticRecord:
-    """Return the residuals of meters at a known input, less gain, offset and the model's effects; no outliers."""
+    """Return what meters add to a known input beyond gain, offset and the model's effects, less outliers."""
     readings, used = source.readings, found.record.used
     channels = tuple(CHANNELS[i] for i in found.record.channels)
     made = on_grid(source.name, readings.time_s[used], found.residual_of(readings)[used], channels)

@@ -278,7 +278,7 @@ def _columns(tau_s: Floats) -> Floats:
 
 
 def _start(curve: AllanCurve, columns: Floats, measured: Floats) -> Floats:
-    """Return nonzero start values, for which all terms contribute equally at the middle of the curve."""
+    """Return the terms' squared sizes to start from: equal nonzero parts of the mid-curve variance."""
     middle = len(measured) // 2
     return np.asarray(measured[middle] / columns[middle] / len(TERMS), dtype=np.float64)
 

@@ -435,7 +435,7 @@ def _bartlett(variances: Floats, dof: int) -> float:
 
 @dataclass(frozen=True)
 class DriftSeen:
-    """Drift of each coefficient (p,) of the check block: `per_year` with `u`, and adjusted p-value `p`."""
+    """Drifts of the check block's coefficients, (m,) each: `per_year` with `u`; adjusted p-values `p`."""
 
     per_year: Floats
     u: Floats

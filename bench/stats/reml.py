@@ -271,7 +271,7 @@ class Profile:
         return end
 
     def most(self) -> float:
-        """Return the upper 95 % limit of the size, to the relative accuracy `LIMIT_AT_REST`."""
+        """Return the upper 95 % limit of s to a relative `LIMIT_AT_REST`; inf if none."""
         end = self.beyond(ONE_SIDED)
         if not np.isfinite(end):
             return end

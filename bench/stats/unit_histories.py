@@ -295,7 +295,7 @@ def _gained(more: HistoryLikelihood, fewer: HistoryLikelihood) -> float:
 
 
 def _least(within: Within, moving: HistoryLikelihood, first: Sequence[int], mean: float) -> float:
-    """Return the lower 95 % limit of the scatter by the profile likelihood; 0 if it is not significant."""
+    """Return the lower 95 % limit of scatter by profile likelihood, at most `mean`; 0 if insignificant."""
     others = [j for j in (*first, RATE, WALK) if j != SCATTER]
     end = float(np.sqrt(moving.variances[SCATTER]))
 

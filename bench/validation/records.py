@@ -61,7 +61,7 @@ def whole_run(context: Context) -> Run:
 
 
 def standard_run(context: Context) -> Run:
-    """Return a finished dry run on the shipped paper-stand; its record has all that a certificate needs."""
+    """Return a finished dry run of the shipped bench paper-stand; its record suffices for a certificate."""
     return _finished(context, find_bench("paper-stand"), "standard")
 
 

@@ -59,10 +59,10 @@ class LineThermometer:
         self._session.close()
 
     def block_c(self, key: str) -> float:
-        """Return the temperature, °C.
+        """Return the block temperature, °C.
 
-        Raises `BadReading` for a line that does not match or a value out of range, `InstrumentRefused` for one of
-        the `errors`, `InstrumentLost`.
+        Raises `BadReading` for no number or one out of range, `InstrumentRefused` for a line in `errors`,
+        `InstrumentLost` without a line.
         """
         shown_c, (low_c, high_c) = self._line.number(self._session), self._range_c
         if not low_c <= shown_c <= high_c:

@@ -343,7 +343,7 @@ class Replay(Connection):
         return reply.data + self._read_end, reply.data.endswith(b"\n")
 
     def take_all(self) -> bytes:
-        """Return the next reply, if it is logged with its own line end; otherwise return what `take` returns."""
+        """Return the next reply as logged: what `take` returns, without the line end that it adds."""
         return self.take()[0].removesuffix(self._read_end)
 
     def resynchronise(self, device_clear: bytes, timeout_s: float) -> bool:

@@ -66,7 +66,7 @@ class MeasuredAcceleration:
 
     @property
     def u_vector(self) -> Floats:
-        """Root of the sum of the three variances, g, shape (d,)."""
+        """Root mean square of the error vector, g, shape (d,)."""
         return np.asarray(np.sqrt(np.trace(self.covariance, axis1=1, axis2=2)))
 
     @property

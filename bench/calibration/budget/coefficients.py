@@ -231,9 +231,9 @@ def estimator_map(
 def _task(
     problem: Problem, setup: Setup, stated: Mapping[str, float], known: KnownStand | None
 ) -> WeightingTask:
-    """Return the input of an estimator's weighting for noise-free readings of the setup.
+    """Return an estimator's input for exact readings of `setup`, with noise `known` or `stated`.
 
-    Its `fit` has the same linear map as the last step of a fit to real readings.
+    `fit` has the linear map of the last step of a fit to real readings.
     """
     signal = setup.signal[setup.fitted]
     floor = gls.LEAST_NOISE * float(np.max(np.abs(signal)))

@@ -99,7 +99,7 @@ class ErrorSource:
         return np.array([float(channel in self.channels) for channel in CHANNELS])
 
     def acting(self, draws: Floats) -> Floats:
-        """Return the effects (..., k) of the source's k draws, from the effects `draws` (..., q) per unit."""
+        """Return the effects (..., k) of k independent draws; `draws` (..., q) are effects per unit error."""
         return self.u * draws if self.root is None else self.u * draws @ np.array(self.root)
 
     def sized(self, u: float) -> ErrorSource:

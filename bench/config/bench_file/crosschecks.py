@@ -181,7 +181,7 @@ def _label_mistakes(installations: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _name_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Check that instrument names are unique, and that each simulated fault is of an instrument with a wire."""
+    """Yield mistakes: an instrument name used twice, a simulated fault that names no wired instrument."""
     instruments = _instruments(data)
     if instruments is None:
         return

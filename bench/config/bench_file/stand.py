@@ -307,7 +307,7 @@ class InstallationSection(FileModel):
         return axes
 
     def to_model(self, label: str) -> Installation:
-        """Return the installation of the forward model."""
+        """Return the model installation named `label`."""
         return Installation.from_axes(label, self.axes, self.turned, self.about)
 
 

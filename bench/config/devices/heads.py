@@ -233,9 +233,9 @@ Axis = Literal["+X", "-X", "+Y", "-Y"]
 class LeicaNivelSection(LevelForm, WiredForm):
     """A Leica Nivel210 (RS-232) or Nivel220 (RS-485), at a serial port or behind a terminal server.
 
-    `sensor` is the sensor's address without the N. `along` and `across` name sensor axes in the first of the two
-    positions. For an observer who faces the end of the shaft, `along` points away along the shaft, and `across` to
-    the right.
+    `sensor` is its address without the N. It is read in two positions half a turn apart. In the first, for an
+    observer who faces the end of the shaft, its axis `along` points away along the shaft, and `across` to the
+    right.
     """
 
     facts: ClassVar = nivel

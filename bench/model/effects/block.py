@@ -287,7 +287,7 @@ class LaggedEffect(BlockEffect):
         return np.asarray(added)
 
     def start_spread(self, conditions: Conditions) -> float:
-        """Return how much the temperature varies in the run, K: by as much it may have differed before."""
+        """Return the assumed spread of the starting temperature, K: the standard deviation in the run."""
         return float(np.std(conditions.warmth_k))
 
 

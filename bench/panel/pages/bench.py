@@ -128,7 +128,7 @@ def form(request: Request) -> Response:
 
 
 def _begun(name: str, start: str, new_name: str = "") -> FormState:
-    """Return the form of the file `name`, else of a copy of the file `start`. Raises `Refusal` without it."""
+    """Return the form of file `name`, else of a copy `new_name` of `start`. Raises `Refusal` if missing."""
     if name:
         base = read_file(own_file(CONFIG, name))
         return FormState(name, "", base, values=_values(base.text))
