@@ -37,13 +37,14 @@ from bench.validation.registry import Context
 class PlantedFault:
     """A fault by name: the pattern of its place, the family that should find it, and how it is planted.
 
-    `plant(context)` is a context manager, which yields the context to validate in.
+    `plant(context)` is a context manager, which yields the context to validate in; `kind` is the name of its function.
     """
 
     name: str
     place: str
     family: str
     plant: Callable[[Context], AbstractContextManager[Context]]
+    kind: str
 
 
 def of_kind(plant: Callable[..., Iterator[Context]]) -> Callable[..., PlantedFault]:
@@ -51,8 +52,9 @@ def of_kind(plant: Callable[..., Iterator[Context]]) -> Callable[..., PlantedFau
 
     def made(name: str, place: str, family: str, *given: Any, **options: Any) -> PlantedFault:
         return PlantedFault(
-            name, place, family, lambda context: contextlib.contextmanager(plant)(context, *given, **options)
-        )
+            name, place, family,
+            lambda context: contextlib.contextmanager(plant)(context, *given, **options), plant.__name__,
+        )  # fmt: skip
 
     return made
 
@@ -309,14 +311,14 @@ INSTRUMENTS: Final = (
     edit("dialect: readings of the meter", "voltmeter", WIRE, "sim.agilent_34401a:Trigger._taken",
          "yield reading_text(", 'yield "V" + reading_text('),
     edit("sign of the head's scale", "simulated bench|head", "records",
-         "drivers.instruments.manual:ManualHead.move", "HeadPosition(angle_rad", "HeadPosition(-angle_rad"),
+         "drivers.instruments.manual:ManualHead._turned", "HeadPosition(angle_rad", "HeadPosition(-angle_rad"),
     edit("garbled replies accepted", "voltmeter", WIRE, "drivers.wire.visa:MessageSession.query",
-         "reply) is not None", "reply) is not 1"),
+         "reply) is not None", "reply) != 1"),
 )  # fmt: skip
 
 RECORDS: Final = (
     edit("chain of a record not checked", "record", "records", "bench.run.record:_Reader._take",
-         "previous != self._head or", "False or"),
+         "previous != history.head or", "False or"),
     edit("inputs of a record not checked", "record", "records", "bench.run.events:changed_inputs",
          "sha256(read_regular(folder / name)) != digest", "False"),
     edit("inputs hashed wrongly", "record|run", "records", "bench.run.record:Record.create",

@@ -3,6 +3,7 @@
 import pytest
 
 from bench.config.shipped import find_bench
+from bench.validation.registry import Context
 from benchmarks.validation_campaign import found
 from benchmarks.validation_faults import FAULTS
 
@@ -22,3 +23,12 @@ def test_a_planted_fault_is_found_with_its_place(name):
     failed, placed = found(fault, find_bench("paper-stand"))
     assert failed
     assert placed
+
+
+def test_each_line_of_the_program_that_a_fault_edits_is_there(tmp_path):
+    """A fault whose line has changed could not be planted, and nobody would look for it."""
+    edits = [fault for fault in FAULTS if fault.kind == "edit"]
+    assert len(edits) > 20
+    for fault in edits:
+        with fault.plant(Context(find_bench("paper-stand"), tmp_path)):
+            pass
