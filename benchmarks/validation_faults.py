@@ -37,7 +37,7 @@ from bench.validation.registry import Context
 class PlantedFault:
     """A fault by name: the pattern of its place, the family that should find it, and how it is planted.
 
-    `plant(context)` is a context manager, which yields the context to validate in; `kind` is the name of its function.
+    `plant(context)` is a context manager, which yields the context to validate in; `kind` names its function.
     """
 
     name: str
