@@ -154,6 +154,8 @@ class KnownStand:
         return mean, covariance + np.diag(np.square(own))
 
 
+ONE_TEMPERATURE_K: Final = 1.0
+"""Largest difference between temperatures, K, that counts as one temperature: the width of a chamber's band."""
 METERS_DRIFT: Final = timedelta(days=90)
 """Time in which a meter may drift through its full limits: data sheets state 90-day limits."""
 ONE_SITTING: Final = timedelta(days=1)

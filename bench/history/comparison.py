@@ -18,7 +18,7 @@ from scipy import special
 from bench.base.arrays import Floats, Ints, Mask, u_of
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.intrinsic import INTRINSIC
-from bench.calibration.noise import METERS_DRIFT, drifted
+from bench.calibration.noise import METERS_DRIFT, ONE_TEMPERATURE_K, drifted
 from bench.calibration.result import CalibrationError, through
 from bench.history.measured import nine_of, to_gravity
 from bench.model.geometry import COEFFICIENTS
@@ -30,8 +30,6 @@ LEAST_FOR_DRIFT: Final = 3
 LEAST_SPAN: Final = timedelta(days=1)
 """Least time span of calibrations for a drift; over a shorter time they show only scatter."""
 MOST_CONDITION: Final = 1e12
-ONE_TEMPERATURE_K: Final = 1.0
-"""Largest difference between temperatures, K, that counts as one temperature: the width of a chamber's band."""
 ALIKE: Final = 0.01
 """Two calibrations whose coefficients all agree within this fraction of u are not independent.
 

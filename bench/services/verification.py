@@ -18,11 +18,10 @@ from bench.calibration import Calibration, CalibrationError, LackOfFit
 from bench.calibration.budget.sources import hidden_sources
 from bench.calibration.budget.whole import delta_g_contributions, delta_g_elsewhere
 from bench.calibration.conformity import SIMPLE, DecisionRule, Population
-from bench.calibration.noise import drifted
+from bench.calibration.noise import ONE_TEMPERATURE_K, drifted
 from bench.calibration.verification import Verification
 from bench.calibration.verification import verify as check
 from bench.config.bench_file.file import BenchFile
-from bench.history.comparison import ONE_TEMPERATURE_K
 from bench.results import verification as shown
 from bench.run.events import VerdictAsked
 from bench.run.folder import Run
