@@ -108,7 +108,7 @@ class Verification:
     `missing` counts points that were planned or recorded but could not be judged; if one is missing, nothing is
     accepted, since equation (10) applies to every point. `covariance` (n, n) is the covariance of delta g at the
     points; `contributions` are the parts of this covariance by name. `population` is the prior distribution of
-    delta g, over many blocks.
+    delta g, over many blocks. Unless `fits`, the coefficients contradict their own readings.
     """
 
     limit_g: float
@@ -118,6 +118,7 @@ class Verification:
     decision: DecisionRule = field(default_factory=DecisionRule)
     population: Population | None = None
     contributions: Mapping[str, Floats] = field(default_factory=dict)
+    fits: bool = True
 
     @property
     def rule(self) -> str:
@@ -194,7 +195,7 @@ class Verification:
 
         None if the verification passes, lacks points, or is of a model that does not fit.
         """
-        if self.passed or self.missing or self.statement is Statement.MISFIT:
+        if self.passed or self.missing or not self.fits:
             return None
         u, sizes = np.array([point.u for point in self.points]), np.abs(self._errors)
         known = MeasuredValues.of(u, self._dof, self.population)
@@ -288,12 +289,18 @@ def verify(
             limit_g=limit_g,
             accepted_up_to=float(accepted_up_to[i]),
             statement=statements[i],
-            rejected=bool(not abs(errors[i]) <= accepted_up_to[i] and decision.rejects(statements[i])),
+            rejected=bool(
+                not abs(errors[i]) <= accepted_up_to[i]
+                and statements[i] is not Statement.MISFIT
+                and decision.rejects(statements[i])
+            ),
             p_outside=float(outside[i]),
         )
         for i in range(len(rows))
     )
-    return Verification(limit_g, points, together, readings.verification_missing, decision, population, joint)
+    return Verification(
+        limit_g, points, together, readings.verification_missing, decision, population, joint, fits
+    )
 
 
 def by_rule(statement: Statement, rule: str, *, passed: bool) -> Statement:

@@ -450,14 +450,17 @@ def verification_of(
         from bench.services.coefficients import read_coefficients
 
         taken = read_coefficients(coefficients, source.readings.unit)
-        return judged(source, judgement, taken, warnings=tuple(unsuitable(taken, coefficients, source)))
+        return judged(source, judgement, taken, warnings=tuple(unsuitable(taken, str(coefficients), source)))
     own = coefficients.calibration
     if own.unit != source.readings.unit:
         raise Refused(
             f"coefficients in {own.unit}/g, but the readings are in {source.readings.unit}; use one unit"
         )
-    same = own if coefficients.source is source else None
-    return judged(source, judgement, coefficients.as_coefficients(), same)
+    taken = coefficients.as_coefficients()
+    if coefficients.source is source:
+        return judged(source, judgement, taken, own)
+    warnings = tuple(unsuitable(taken, coefficients.source.name, source))
+    return judged(source, judgement, taken, warnings=warnings)
 
 
 def verified(request: Verify, source: Source) -> VerificationResult:

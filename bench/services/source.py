@@ -323,13 +323,11 @@ def _on_copies(readings: Readings) -> Iterator[str]:
         for later, earlier, common in repeats
         if all(np.array_equal(passes[later][at], passes[earlier][at]) for at in common)
     ]
-    if len(copies) == len(repeats) > 1:
-        return  # all repeats are equal: readings without noise
     for later, earlier in copies:
         copy, original = (f"pass {number} of series {series}" for _, series, number in (later, earlier))
         yield (
-            f"{copy} in installation {later[0]} equals {original} in every digit: copied rows are no repeats and "
-            "make u too small; delete the copy"
+            f"{copy} in installation {later[0]} equals {original} in every digit; if its rows were copied, "
+            "delete them: they are no repeats and make u too small"
         )
 
 

@@ -226,8 +226,9 @@ class VerificationResult:
         return self.result().to_dict()
 
     def verdict(self) -> str:
-        """Return the verdict in one line, with the lack of fit of the coefficients if the fit is rejected."""
-        return "; ".join((shown.verdict_line(self.source.name, self.verification), *self._against))
+        """Return the verdict in one line, with what speaks against the coefficients."""
+        line = shown.verdict_line(self.source.name, self.verification)
+        return "; ".join((line, *self._against, *self.warnings))
 
     def print_on(self, out: Console) -> None:
         """Print Δg at each verification point, and the notes."""
@@ -291,7 +292,8 @@ def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[
     Errors of the same meters cancel, but the less, the longer ago the calibration, because meters drift.
     """
     known = taken.covariance if taken.same_meters is None else taken.same_meters
-    at_c = taken.temperature_c if math.isfinite(taken.temperature_c) else None
+    known_c = np.isfinite(source.readings.verification().temperature_c).any()
+    at_c = taken.temperature_c if known_c and math.isfinite(taken.temperature_c) else None
     part = drifted((taken.meters, _when(taken.made_at)), (source.meters, _when(source.made_at)))
     joint, said = np.zeros((0, 0)), ""
     for covariance, same, weight in ((known, True, 1.0 - part), (taken.covariance, False, part)):
@@ -332,25 +334,32 @@ def _on_temperature(taken: Coefficients, source: Source) -> Iterator[str]:
         )
 
 
-def unsuitable(taken: Coefficients, path: Path, source: Source) -> Iterator[str]:
-    """Yield a warning for coefficients from the file `path` that do not suit the readings of a source.
+def unsuitable(taken: Coefficients, name: str, source: Source) -> Iterator[str]:
+    """Yield a warning for coefficients of the calibration `name` that do not suit the readings of a source.
 
-    Raises `Refused` if they are of another block, or were fitted to the verification points that they shall verify.
+    Raises `Refused` if they were fitted to the verification points that they shall verify.
     """
-    if source.run is not None and taken.block_name and source.block_name not in ("", taken.block_name):
+    if taken.joined and _same_readings(taken, source):
         raise Refused(
-            f"{path}: coefficients of block '{taken.block_name}', but the readings are of block "
-            f"'{source.block_name}'; give the coefficients of this block"
-        )
-    if taken.joined and taken.joined == source.name and taken.made_at == (source.made_at or ""):
-        raise Refused(
-            f"{path}: the verification points of {source.name} joined the fit of these coefficients and cannot "
+            f"{name}: the verification points of {source.name} joined the fit of these coefficients and cannot "
             "verify them; calibrate without --join-verification"
         )
+    if taken.block_name and source.block_name not in ("", taken.block_name):
+        yield (
+            f"THE COEFFICIENTS ARE OF ANOTHER BLOCK, as recorded: {name} is of '{taken.block_name}', "
+            f"{source.name} of '{source.block_name}'"
+        )
     if not taken.fits:
-        yield f"the readings that gave the coefficients in {path} contradict the model: no point is accepted"
+        yield f"the readings that gave the coefficients in {name} contradict the model: no point is accepted"
     if taken.simulated and not source.simulated:
-        yield f"the coefficients in {path} were found on simulated instruments"
+        yield f"the coefficients in {name} were found on simulated instruments"
+
+
+def _same_readings(taken: Coefficients, source: Source) -> bool:
+    """Return whether coefficients were fitted to the readings of a source: the same begin or, without one, file."""
+    if taken.made_at:
+        return taken.made_at == source.made_at
+    return Path(taken.joined).resolve() == Path(source.name).resolve()
 
 
 def _when(text: str | None) -> datetime | None:

@@ -23,19 +23,24 @@ def verified(bench, *arguments):
     return json.loads(bench("verify", *arguments, "--json", "-")[1])
 
 
-def test_coefficients_of_another_block_are_refused(bench, run):
+def test_coefficients_of_another_block_are_named_beside_the_verdict(bench, run):
     told = json.loads(Path("runs/run/calibrate.json").read_text())
     told["unit_under_test"]["serial"] = "7"
     Path("other.json").write_text(json.dumps(told))
-    refused(
-        bench("verify", "run", "--coefficients", "other.json"), "of block 'triaxial block of the paper 7'"
+    named = (
+        "THE COEFFICIENTS ARE OF ANOTHER BLOCK, as recorded: other.json is of 'triaxial block of the paper 7'"
     )
+    _, out, _ = bench("verify", "run", "--coefficients", "other.json", "--json", "result.json")
+    assert named in " ".join(out.split())
+    assert any(note.startswith(named) for note in json.loads(Path("result.json").read_text())["notes"])
 
 
 @pytest.mark.slow
 def test_points_that_joined_a_fit_cannot_verify_it(bench, run):
     assert bench("calibrate", "run", "--join-verification", "--json", "joined.json")[0] == 0
-    refused(bench("verify", "run", "--coefficients", "joined.json"), "calibrate without --join-verification")
+    for place in ("run", "runs/run"):
+        said = bench("verify", place, "--coefficients", "joined.json")
+        refused(said, "calibrate without --join-verification")
 
 
 @pytest.mark.slow
@@ -54,6 +59,10 @@ def test_u_contains_the_temperature_difference_between_calibration_and_check(ben
         result = verified(bench, "check.csv", *calibrated)
         u[warmer] = np.array([point["u"] for point in result["points"]])
         assert any("verified at" in note for note in result["notes"]) == (warmer > 1.0)
+    points.temperature_c[:] = np.nan
+    write_csv(points, Path("check.csv"))
+    unknown = np.array([point["u"] for point in verified(bench, "check.csv", *calibrated)["points"]])
+    assert np.all(unknown <= u[1.0])  # nothing is known of a difference
     K = np.array([[told["coefficients"][f"K{a}{b}"]["value"] for b in "xyz"] for a in "xyz"])
     U0 = np.array([told["coefficients"][f"U0{a}"]["value"] for a in "xyz"])
     n = (points.signal - U0) @ np.linalg.inv(K).T
