@@ -224,7 +224,7 @@ class CalibrationResult:
             own.covariance_same_meters if own.sources else None, self.source.meters, own.gravity_u,
             self.source.made_at or "", own.block_terms if own.sources else None, own.wander,
             self.source.block_name, math.nan if self._temperature_effects else self.temperature_c, self.accepted,
-            self._joined_points,
+            self.joined_points,
         )  # fmt: skip
 
     @property
@@ -239,7 +239,7 @@ class CalibrationResult:
         return [name for name in names if name in TEMPERATURE_EFFECTS]
 
     @property
-    def _joined_points(self) -> str:
+    def joined_points(self) -> str:
         """The name of the source if its verification points joined the fit, else ""."""
         free = self.calibration.free
         return self.source.name if free is not None and VERIFICATION in free.installation else ""
@@ -476,7 +476,10 @@ def verified(request: Verify, source: Source) -> VerificationResult:
 def report_page(
     result: CalibrationResult | RecordCalibrationResult, asked: VerdictOptions | None = None
 ) -> tuple[str, VerificationResult | None]:
-    """Return the report as HTML, and the verification in it (None without points). Raises `Refused`."""
+    """Return the report as HTML, and the verification in it. Raises `Refused`.
+
+    The verification is None without verification points, and if these joined the fit.
+    """
     if not isinstance(result, CalibrationResult):
         from bench.services.verification import NOTHING_ASKED
 
@@ -489,7 +492,9 @@ def report_page(
     from bench.results.page import ReportContent, render_report  # matplotlib is slow to import
 
     source = result.source
-    verdict = verification_of(source, result, asked) if len(source.readings.verification()) else None
+    # points that joined the fit cannot verify it
+    judged = len(source.readings.verification()) > 0 and not result.joined_points
+    verdict = verification_of(source, result, asked) if judged else None
     content = ReportContent(
         title=message(f"Calibration of {source.block_name or source.name}"),
         calibration=result.calibration,

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import bench as api
 from bench.readings.csv import write_csv
 from bench.run.folder import Run
 from tests.support.commands import printed, refused
@@ -41,6 +42,9 @@ def test_points_that_joined_a_fit_cannot_verify_it(bench, run):
     for place in ("run", "runs/run"):
         said = bench("verify", place, "--coefficients", "joined.json")
         refused(said, "calibrate without --join-verification")
+    joined = api.calibrate("runs/run", join_verification=True)
+    joined.report("joined.html")
+    assert "Not verified" in Path("joined.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
