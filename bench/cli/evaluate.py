@@ -89,16 +89,16 @@ def verify(requests: list[Verify], json: JsonOption = None, out: OutOption = Non
     everyone = _each(requests, lambda source: verified(asked, source), json, out)
     results = done(everyone)
     for result in results:
-        printing.notes_aside(result.warnings)
-    for result in results:
         what_if = asked.coefficients is not None or result.otherwise
         printing.evaluated(result, "verify", json, what_if=what_if)
-        if json != "-":
+        if json == "-":
+            printing.notes_aside(result.warnings)
+        else:
             printing.console().print(result.verdict(), style="bold")
     printing.write_json([one.to_dict() for one in everyone], json)
     if printing.failed(everyone):
         return 2
-    return 0 if all(result.accepted for result in results) else 1
+    return 0 if all(result.passed for result in results) else 1
 
 
 @command("bench report unit-17")

@@ -169,12 +169,12 @@ class VerificationResult:
 
     @property
     def accepted(self) -> bool:
-        """Whether the verification passed, which it does not with coefficients that contradict their readings."""
+        """The same as `passed`."""
         return self.passed
 
     @property
     def passed(self) -> bool:
-        """Whether every verification point was measured and accepted by the rule."""
+        """Whether every point was measured and accepted by the rule; none is if the model does not fit."""
         return self.verification.passed
 
     @property
@@ -248,8 +248,7 @@ class VerificationResult:
         return as_html([], shown.verification_table(self.verification)) + as_html(self._below())
 
     def _below(self) -> list[str]:
-        notes = (*self.warnings, *self.notes)
-        return [f"bench: {self.bench}", *(f"note: {note}" for note in notes), self.verdict()]
+        return [f"bench: {self.bench}", *(f"note: {note}" for note in self.notes), self.verdict()]
 
 
 def judged(

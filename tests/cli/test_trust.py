@@ -167,7 +167,9 @@ def test_arguments_that_make_no_sense_are_refused_before_anything_is_written(
 
 def test_coefficients_of_a_simulation_are_told_from_those_of_a_block(bench, measured):
     write_csv(measured, Path("r.csv"))
-    assert "simulated" in bench("verify", "r.csv", "--coefficients", "runs/good/calibrate.json")[2]
+    given = ("verify", "r.csv", "--coefficients", "runs/good/calibrate.json")
+    assert "simulated" in bench(*given)[1]
+    assert "simulated" in bench(*given, "--json", "-")[2]
     assert bench("verify", "good", "--coefficients", "runs/good/calibrate.json")[2] == ""
 
 

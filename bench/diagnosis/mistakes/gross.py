@@ -118,8 +118,9 @@ class GrossSearch:
         if len(points) < LEAST_POINTS or self.nominal is None:
             return None
         block, maps = self.fit(table, table.every).block, other_wirings(points)
-        scores = np.array([_of_moduli(_off_g(block, one.signal(points))) for one in maps])
-        odds = scores - _of_moduli(_off_g(block, points.signal))
+        errors_g = np.maximum(ERRORS_G, self._smallest_g)
+        scores = np.array([_of_moduli(_off_g(block, one.signal(points)), errors_g) for one in maps])
+        odds = scores - _of_moduli(_off_g(block, points.signal), errors_g)
         best = int(np.argmax(odds))
         if odds[best] <= _enough(maps):
             return None
@@ -270,10 +271,9 @@ def _off_g(block: Block, signal: Floats) -> Floats:
     return np.asarray(np.linalg.norm(block.specific_force(signal), axis=1) - 1.0)
 
 
-def _of_moduli(off_g: Floats) -> float:
-    """Return ln of the evidence of errors (n,) of moduli, averaged over the sizes `ERRORS_G`, up to a constant."""
-    sizes = np.array(ERRORS_G)
-    of_size = -0.5 * np.sum((off_g / sizes[:, None]) ** 2, axis=1) - len(off_g) * np.log(sizes)
+def _of_moduli(off_g: Floats, errors_g: Floats) -> float:
+    """Return ln of the evidence of moduli that are `off_g` (n,), averaged over the sizes `errors_g` (k,)."""
+    of_size = -0.5 * np.sum((off_g / errors_g[:, None]) ** 2, axis=1) - len(off_g) * np.log(errors_g)
     return float(np.logaddexp.reduce(of_size))
 
 
