@@ -443,4 +443,6 @@ def fit_in_a_line(found: Calibration) -> str:
     """Return a line that states whether the model fits the readings, with the numbers of the test."""
     how = "; u is widened for this misfit" if found.shared else ""
     how = f"; u is {found.birge:.2g} times that of the noise" if found.birge > 1 else how
-    return parts.fit_in_words(found.lack_of_fit, f"THE MODEL DOES NOT FIT the readings{how}")
+    accepted = found.lack_of_fit.accepted()
+    said = "shown at 1 %" if accepted else "THE MODEL DOES NOT FIT the readings"
+    return parts.fit_in_words(found.lack_of_fit, f"{said}{how}")

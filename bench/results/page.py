@@ -139,10 +139,12 @@ def _fit(fit: LackOfFit) -> dict[str, str]:
         )
     else:
         state, short = "misfits", message("the model does not fit the readings")
+        if fit.accepted():
+            short = message("lack of fit shown at 1 %")
         sentence = message(
-            "The model does not fit: its residuals exceed the scatter of the repeats; chance alone would "
-            f"leave as much in {_percent(fit.p)} of calibrations. The misfit has widened u"
-            "; the residuals show where it acts."
+            "A lack of fit is shown: the residuals exceed the scatter of the repeats; chance alone would leave "
+            f"as much in {_percent(fit.p)} of calibrations. The misfit has widened u; the residuals show where "
+            "it acts."
         )
     return {"state": state, "figures": figures, "short": short, "sentence": sentence}
 
