@@ -42,7 +42,7 @@ from bench.results.learning import LearnResult, RecordPart, learn_result, print_
 from bench.services.arguments import python_call
 from bench.services.bench_selection import BenchTaken
 from bench.services.calibration import calibration_of
-from bench.services.coefficients import date_of, is_result, snapshots_in
+from bench.services.coefficients import date_of, dated, is_result, snapshots_in
 from bench.services.errors import Refused
 from bench.services.requests import history as asked
 from bench.services.requests.history import Learn
@@ -425,15 +425,7 @@ def _snapshots(name: str, request: asked.Compare, taken: list[tuple[str, BenchTa
     (source,) = load_sources(reading(request, name))
     taken.append((name, source.taken))
     own = calibration_of(source)
-    found = own.calibration
-    return [
-        Snapshot(
-            name, date_of(source.made_at, name), source.block_name, found.unit, found.g_m_s2, found.block.vector,
-            found.covariance, source.simulated, found.covariance_same_meters, source.meters,
-            found.block_terms if found.sources else None, found.wander, least_dof(found),
-            own.as_coefficients().temperature_c,
-        )
-    ]  # fmt: skip
+    return [dated(own.as_coefficients(), name, least_dof(own.calibration))]
 
 
 def _dated(snapshots: list[Snapshot], dates: Sequence[str]) -> list[Snapshot]:
