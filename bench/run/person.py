@@ -30,6 +30,9 @@ from drivers.interfaces import BenchError
 from drivers.person import Person, Prompt, PromptKind
 
 CONTROL: Final = "control.jsonl"
+ANSWERS: Final = "answers.jsonl"
+LONGEST: Final = 4000
+"""Greatest length of an answer in characters; longer texts are rejected."""
 SIGN: Final = ":"
 """First character of a wish typed at the terminal: ":redo", ":skip the cable came loose"."""
 
@@ -140,30 +143,45 @@ class NoControls:
         return None
 
 
+class _Lines:
+    """The lines of a file that other programs append to, from the byte `place` on."""
+
+    def __init__(self, path: Path, place: int = 0) -> None:
+        self._path, self._place = path, place
+
+    def next(self) -> bytes | None:
+        """Return the next complete line, or None; an overlong line is cut to its first 8 × `LONGEST` bytes."""
+        try:
+            if self._path.stat().st_size <= self._place:  # as nearly always: quicker than to open it
+                return None
+            with open_regular(self._path) as file:
+                file.seek(self._place)
+                beginning = part = file.readline(8 * LONGEST)
+                length = len(part)
+                while part and not part.endswith(b"\n"):
+                    part = file.readline(8 * LONGEST)
+                    length += len(part)
+        except OSError:
+            return None
+        if not part.endswith(b"\n"):
+            return None
+        self._place += length
+        return beginning
+
+
 class ControlFile:
     """The wishes left in a run folder, one JSON line each; lines present at construction are ignored."""
 
     def __init__(self, folder: Path) -> None:
-        self._path = folder / CONTROL
-        self._bytes_read = self._path.stat().st_size if self._path.exists() else 0
+        path = folder / CONTROL
+        self._lines = _Lines(path, path.stat().st_size if path.exists() else 0)
 
     def poll(self) -> RunControl | None:
         """Return the next wish, or None; skip invalid lines, and leave an incomplete last line for later."""
-        while (line := self._line()).endswith(b"\n"):
-            self._bytes_read += len(line)
+        while (line := self._lines.next()) is not None:
             with suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
                 return RunControl.from_json(json.loads(line))
         return None
-
-    def _line(self) -> bytes:
-        try:
-            if self._path.stat().st_size <= self._bytes_read:  # as nearly always: quicker than to open it
-                return b""
-            with open_regular(self._path) as file:
-                file.seek(self._bytes_read)
-                return file.readline()
-        except OSError:
-            return b""
 
 
 def leave_wish(folder: Path, control: RunControl) -> None:
@@ -192,10 +210,6 @@ def parse_wish(text: str) -> RunControl:
         raise ValueError(f"give a reason: {SIGN}skip REASON")
     return RunControl(wish, reason.strip(), by_person=True)
 
-
-ANSWERS: Final = "answers.jsonl"
-LONGEST: Final = 4000
-"""Greatest length of an answer in characters; longer texts are rejected."""
 
 YES: Final = frozenset({"y", "yes", "ok", "done"})
 NO: Final = frozenset({"n", "no"})
@@ -232,39 +246,19 @@ class AnswersFile:
     """The answers left in a run folder, in order; the first `answers_read` lines are skipped."""
 
     def __init__(self, folder: Path, answers_read: int = 0) -> None:
-        self._path = folder / ANSWERS
-        self._line = 0
-        self._place = 0
-        while self._line < answers_read and self._next() is not None:
-            pass
+        self._lines, self._count = _Lines(folder / ANSWERS), 0
+        while self._count < answers_read and self._lines.next() is not None:
+            self._count += 1
 
     def poll(self) -> LeftAnswer | None:
         """Return the next answer, or None; an incomplete last line is left for later.
 
         An unreadable line is returned as an answer with a `flaw` and an empty id.
         """
-        found = self._next()
-        return None if found is None else _read_answer(found, self._line)
-
-    def _next(self) -> bytes | None:
-        """Return the next complete line, or None; an overlong line is cut to its first 8 × `LONGEST` bytes."""
-        try:
-            if self._path.stat().st_size <= self._place:
-                return None
-            with open_regular(self._path) as file:
-                file.seek(self._place)
-                beginning = part = file.readline(8 * LONGEST)
-                length = len(part)
-                while part and not part.endswith(b"\n"):
-                    part = file.readline(8 * LONGEST)
-                    length += len(part)
-        except OSError:
+        if (line := self._lines.next()) is None:
             return None
-        if not part.endswith(b"\n"):
-            return None
-        self._place += length
-        self._line += 1
-        return beginning
+        self._count += 1
+        return _read_answer(line, self._count)
 
 
 def _read_answer(line: bytes, number: int) -> LeftAnswer:
