@@ -297,7 +297,7 @@ def on_terminals(bench: BenchFile) -> tuple[str, ...]:
         for section in bench.instruments.all()
         if isinstance(section, WiredForm)
         and is_serial(section.resource)
-        and getattr(getattr(section, "serial", None), "data_bits", 8) == 8
+        and (section.port().serial or {}).get("data_bits", 8) == 8
     )
 
 
