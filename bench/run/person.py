@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from bench.base.files import open_regular
 from bench.base.languages import ENGLISH, language, message, translated
@@ -120,26 +120,16 @@ def raised(control: RunControl) -> OperatorWish | Stopped:
     return Stopped(control) if control.wish is Wish.STOP else OperatorWish(control)
 
 
-class Controls(Protocol):
-    """A source of wishes; `stopped` is the wish that interrupted the program, if any."""
+class Controls:
+    """A source of wishes; this one has none, for a run that nobody can control.
 
-    @property
-    def stopped(self) -> RunControl | None:
-        """The wish that stopped the program, or None."""
-        ...
-
-    def poll(self) -> RunControl | None:
-        """Return the next wish, or None."""
-        ...
-
-
-class NoControls:
-    """A source of wishes that has none, for a run that nobody can control."""
+    `stopped` is the wish that interrupted the program, if any.
+    """
 
     stopped: RunControl | None = None
 
     def poll(self) -> RunControl | None:
-        """Return None."""
+        """Return the next wish, or None."""
         return None
 
 
