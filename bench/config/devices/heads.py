@@ -65,18 +65,15 @@ class AcutrolSection(MotorisedHeadForm):
         return {"axis": self.axis, "still_rad_s": self.still_rate}
 
 
+_TURN: Final = {"minimum": "-5 deg", "maximum": "365 deg", "tolerance": "5 arcsec", "speed": "10 deg/s"}
+"""Keys of the examples of motorised heads."""
+
 _ACUTROL = Device(
     "acutrol",
     AcutrolSection,
     driver="drivers.instruments.acutrol:AcutrolHead",
     simulation="sim.acutrol:AcutrolTable",
-    example={
-        "resource": "TCPIP0::192.0.2.40::9888::SOCKET",
-        "minimum": "-5 deg",
-        "maximum": "365 deg",
-        "tolerance": "5 arcsec",
-        "speed": "10 deg/s",
-    },
+    example={"resource": "TCPIP0::192.0.2.40::9888::SOCKET", **_TURN},
     place=2,
 )
 
@@ -131,13 +128,7 @@ _NEWPORT_ESP301 = Device(
     NewportSection,
     driver="drivers.instruments.newport_esp301:NewportHead",
     simulation="sim.newport_esp301:Esp301",
-    example={
-        "resource": "ASRL/dev/ttyUSB0::INSTR",
-        "minimum": "-5 deg",
-        "maximum": "365 deg",
-        "tolerance": "5 arcsec",
-        "speed": "10 deg/s",
-    },
+    example={"resource": "ASRL/dev/ttyUSB0::INSTR", **_TURN},
     simulated=("homed",),
 )
 
@@ -198,10 +189,7 @@ _ZABER = Device(
     example={
         "resource": "TCPIP0::192.0.2.30::55550::SOCKET",
         "steps_per_degree": "4266.6667",
-        "minimum": "-5 deg",
-        "maximum": "365 deg",
-        "tolerance": "5 arcsec",
-        "speed": "10 deg/s",
+        **_TURN,
     },
     simulated=("homed", "encoder"),
     place=1,
