@@ -1,4 +1,4 @@
-"""Evaluations of several runs: of one bench (learning), or of one block over time (comparison)."""
+"""Evaluations of several runs: of one bench (learning), of one block over time (comparison), of monitors."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from bench.config.bench_file.learned import arcsec, learned_for, write_learned
 from bench.config.model_file import load_model
 from bench.history.comparison import Comparison, Snapshot
 from bench.history.comparison import compare as compare_snapshots
+from bench.history.control_chart import CheckRun, ControlChart
 from bench.history.learned import (
     FEW_DOF,
     WAVE_NAMES,
@@ -34,11 +35,14 @@ from bench.history.learned import (
     meter_differences,
 )
 from bench.history.learning import learn as learn_from
+from bench.history.monitor import monitor_chart, monitor_run
 from bench.history.run_sums import run_fit
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.model.effects import Subsystem
+from bench.model.geometry import STAND_ANGLES, Block
 from bench.results.compare import BenchOfSource, CompareResult, compare_result, history_figure, print_compare
 from bench.results.learning import LearnResult, RecordPart, learn_result, print_learned
+from bench.results.monitor import MonitorResult, monitor_figures, monitor_result
 from bench.services.arguments import python_call
 from bench.services.bench_selection import BenchTaken
 from bench.services.calibration import calibration_of
@@ -434,3 +438,46 @@ def _dated(snapshots: list[Snapshot], dates: Sequence[str]) -> list[Snapshot]:
             f"--date: {len(dates)} given for {len(snapshots)} calibrations; give one for each, in order"
         )
     return [replace(s, when=date_of(date, "--date")) for s, date in zip(snapshots, dates, strict=True)]
+
+
+# --- monitors ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Monitored:
+    """The chart of a series of monitors, and the sources from which it was computed."""
+
+    chart: ControlChart
+    sources: tuple[Source, ...]
+
+    @property
+    def result(self) -> MonitorResult:
+        """The result for JSON."""
+        return monitor_result(self.chart)
+
+    def files(self, out: Path) -> Files:
+        """Yield description, path and text of each file in `out`."""
+        yield "result", out / "monitor.json", to_text(self.result.to_dict())
+        for name, figure in monitor_figures(self.chart).items():
+            yield "chart", out / f"monitor-{name}.svg", figure
+
+
+def monitored(request: asked.Monitor) -> Monitored:
+    """Return the chart of monitors; the first `baseline` set the limits. Raises `Refused`, `CalibrationError`."""
+    sources = tuple(load_sources(reading(request, *request.sources)))
+    for source in sources:
+        if source.made_at is None:
+            raise Refused(f"{source.name}: has no date; use runs, or a file that 'bench export' wrote")
+    return Monitored(monitor_chart([check_run(source) for source in sources], request.baseline), sources)
+
+
+def check_run(source: Source) -> CheckRun:
+    """Return a monitor as a run for a chart (day 1970-01-01 if unknown). Raises `CalibrationError`."""
+    conditions = source.readings.conditions()
+    stand = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))
+    force = source.model.specific_force(conditions, stand, Block(np.eye(3), np.zeros(3)))
+    when = date_of(source.made_at, source.name) or datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
+    return monitor_run(source.name, when, source.readings.signal, force)
+
+
+monitor = python_call(asked.Monitor, monitored)
