@@ -5,7 +5,7 @@ from __future__ import annotations
 import getpass
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
@@ -337,7 +337,10 @@ _KEEPS_OPEN: Final = {
 
 @dataclass
 class OpenPrompt:
-    """Finds the prompt that is open after the events of a run, which are passed to `take` in order."""
+    """Finds the prompt that is open after the events of a run, which are passed to `take` in order.
+
+    It can be answered only while a program is carrying out the run.
+    """
 
     _event: Event | None = field(default=None, init=False)
 
@@ -352,17 +355,6 @@ class OpenPrompt:
     def prompt(self) -> AskedPrompt | None:
         """The open prompt, or None."""
         return None if self._event is None else _asked(self._event)
-
-
-def open_prompt(events: Iterable[Event]) -> AskedPrompt | None:
-    """Return the prompt that is open after the events of a run, in their order, or None.
-
-    It can be answered only while a program is carrying out the run.
-    """
-    found = OpenPrompt()
-    for event in events:
-        found.take(event)
-    return found.prompt
 
 
 # --- faults of an answer -----------------------------------------------------------------------------

@@ -147,17 +147,12 @@ class OperatorTruth(FileModel):
     """
 
     setting_deviation: SizeRad = 2 * ARCSEC
-    resolution: SizeRad = ARCSEC
+    resolution: Annotated[SizeRad, above_zero("state the resolution of the scale, such as '1 arcsec'")] = (
+        ARCSEC
+    )
     slip_probability: Annotated[Ratio, Field(ge=0.0, lt=1.0)] = 0.01
     turn_time: Annotated[tuple[SpanS, ...], Field(min_length=2, max_length=2)] = (60.0, 180.0)
     mount_time: SpanS = 1200.0
-
-    @field_validator("resolution")
-    @classmethod
-    def _has_steps(cls, resolution_rad: float) -> float:
-        if resolution_rad == 0.0:
-            raise ValueError("state the resolution of the scale, such as '1 arcsec'")
-        return resolution_rad
 
     @field_validator("turn_time")
     @classmethod
