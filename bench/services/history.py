@@ -20,6 +20,7 @@ from bench.calibration.intrinsic import least_dof
 from bench.calibration.noise import METERS_DRIFT
 from bench.calibration.result import CalibrationError
 from bench.config.bench_file.learned import arcsec, learned_for, write_learned
+from bench.config.bench_file.sections import DAY_S
 from bench.config.model_file import load_model
 from bench.history.comparison import Comparison, Snapshot
 from bench.history.comparison import compare as compare_snapshots
@@ -50,7 +51,7 @@ from bench.services.coefficients import date_of, dated, is_result, snapshots_in
 from bench.services.errors import Refused
 from bench.services.requests import history as asked
 from bench.services.requests.history import Learn
-from bench.services.source import Source, data_sha256, load_sources, reading
+from bench.services.source import Source, data_sha256, load_sources, reading, time_of
 from bench.services.traceability import voltmeter_names
 from drivers.clock import utc_now
 
@@ -320,11 +321,11 @@ def differences_of(sources: Sequence[Source]) -> MeterDifferences | str:
     if sources[0].readings.unit != "V":
         return NOT_VOLTS.format(unit=sources[0].readings.unit)
     known = [
-        (source, by_channel, day)
+        (source, by_channel, begun.timestamp() / DAY_S)
         for source in sources
         if source.block_name
         and (by_channel := _by_channel(source)) is not None
-        and (day := _day(source)) is not None
+        and (begun := time_of(source.made_at)) is not None
     ]
     if not known:
         return NOT_RECORDED
@@ -338,13 +339,6 @@ def differences_of(sources: Sequence[Source]) -> MeterDifferences | str:
 def _by_channel(source: Source) -> tuple[str, str, str] | None:
     of = voltmeter_names(source.bench, source.taken, source.origin, source.name)
     return (of["x"], of["y"], of["z"]) if of else None
-
-
-def _day(source: Source) -> float | None:
-    try:
-        return datetime.datetime.fromisoformat(source.made_at or "").timestamp() / 86400.0
-    except ValueError:
-        return None
 
 
 def _meter_run(source: Source, meters: tuple[str, str, str], day: float) -> MeterRun | None:
@@ -366,7 +360,7 @@ def written_meters(found: MeterDifferences) -> dict[str, Any]:
     return {
         "meters": list(found.meters),
         "group": list(found.group),
-        "day": datetime.date.fromtimestamp(found.day * 86400.0).isoformat(),
+        "day": datetime.date.fromtimestamp(found.day * DAY_S).isoformat(),
         "gain": _written(found.gain),
         "offset_v": _written(found.zero),
         "runs": list(found.runs),

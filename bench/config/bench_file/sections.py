@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from itertools import takewhile
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -190,10 +190,6 @@ class FaultSection(FileModel):
         if self.error is not None and self.fault != "error":
             raise ValueError(f"'{self.fault}' puts no error into the queue; remove 'error'")
         return self
-
-    def to_plain(self) -> dict[str, Any]:
-        """Return the section as a dictionary without the omitted keys."""
-        return self.model_dump(exclude_none=True)
 
 
 class RoomTruth(FileModel):

@@ -303,4 +303,4 @@ def on_terminals(bench: BenchFile) -> tuple[str, ...]:
 
 def faults_of(bench: BenchFile) -> list[Fault]:
     """Return the simulated faults of the bench file."""
-    return [Fault.parse(fault.to_plain()) for fault in bench.simulation.faults]
+    return [Fault.parse(fault.model_dump(exclude_none=True)) for fault in bench.simulation.faults]
