@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from bench.services.history import LearningResult as LearningResult
     from bench.services.history import compare as compare
     from bench.services.history import learn as learn
-    from bench.services.monitor import monitor as monitor
+    from bench.services.history import monitor as monitor
     from bench.services.planning import budget as budget
     from bench.services.record_calibration import RecordCalibrationResult as RecordCalibrationResult
     from bench.services.stability import RecordAtRest as RecordAtRest
@@ -78,8 +78,7 @@ _HOMES: Final = {
         "DryRun", "calibrate", "confirm", "diagnose", "diagnose_each", "dry_run", "load_bench",
         "read_readings", "verify",
     ),
-    "bench.services.history": ("ComparisonResult", "LearningResult", "compare", "learn"),
-    "bench.services.monitor": ("monitor",),
+    "bench.services.history": ("ComparisonResult", "LearningResult", "compare", "learn", "monitor"),
     "bench.services.stability": ("RecordAtRest", "stability"),
     "bench.services.verification": ("VerificationResult",),
     "bench.base.yaml_files": ("FileMistakes",),

@@ -326,7 +326,7 @@ class Place:
         self.actors.append(Actor("looker", access.sign_in_by_token(token), token, cookie))
         # a program carries the run out, and asks a question
         self.record, history = Record.reopen(self.runs / "alive", utc_now)
-        bench_s = history.events[-1].bench_s
+        bench_s = history.events.last_s
         self.record.append("run_resumed", bench_s, step=1, instruments={})
         self.record.append("asked", bench_s, **asked_to_json(QUESTION))
 

@@ -25,7 +25,6 @@ from bench.panel.app import begin_panel, url_of
 from bench.panel.launching import Started, start
 from bench.run.events import EVENTS
 from bench.run.folder import Run
-from bench.run.person import open_prompt
 from bench.run.record import is_being_written
 from benchmarks.campaign import amiss, arguments
 
@@ -148,7 +147,7 @@ class Campaign:
         self.check_answers(name)
 
     def _same_question(self, name: str) -> bool:
-        on_disk = open_prompt(Run(self.runs / name).history.events)
+        on_disk = Run(self.runs / name).history.progress.asked.prompt
         shown = self.person.state(name)
         return not shown["alive"] or (on_disk and on_disk.prompt.id) == (
             shown["prompt"] and shown["prompt"]["id"]

@@ -291,7 +291,7 @@ def judge(outcome: Outcome, process: Process, served: Served, run: Path) -> None
         wrong += history.problems
         if history.torn:
             wrong.append("the last line of the record is torn")
-    told = json.dumps([event.data for event in history.events[-2:]]) if history is not None else ""
+    told = json.dumps([event.data for event in [*history.events][-2:]]) if history is not None else ""
     if served.conditions() and not (
         "is still conditioning at 60" in told and "switch it off by hand" in told
     ):

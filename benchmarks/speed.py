@@ -367,7 +367,7 @@ def diagnosed(runs: int, blocks: bool) -> str:
     full = diagnose_fully(
         case.readings, model, bench, 9.81, ThresholdCache(None), source="many", simulated=False, stated=False
     )
-    render_diagnosis(full, NO_FILES, "many", bench.verification_limit_g, {"model": model.name})
+    render_diagnosis(full, NO_FILES, "many", bench.verification.limit, {"model": model.name})
     return full.diagnosis.verdict
 
 

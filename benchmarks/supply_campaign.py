@@ -155,7 +155,7 @@ def stands(folder: Path, ways: Sequence[Fed] = WAYS) -> list[FedStand]:
         if watch.power.violations:
             raise RuntimeError(f"{fed.name}: outside of the block's limits: {watch.power.violations}")
         run = Run(folder / f"undisturbed-{number}")
-        made.append(replace(bare, duration_s=run.history.events[-1].bench_s, values=values_of(run)))
+        made.append(replace(bare, duration_s=run.history.events.last_s, values=values_of(run)))
     return made
 
 
@@ -265,7 +265,7 @@ def _judge_readings(run: Run, watch: Watch, outcome: FedOutcome) -> None:
             outcome.wrong_values += 1
             outcome.violations.append(f"wrong value: {wrong}")
     if outcome.completed:
-        end_s = run.history.events[-1].bench_s
+        end_s = run.history.events.last_s
         first_s = next(e.bench_s for e in run.history.events if e.type == "warmed_up")
         lost = [at_s for at_s, alive in watch.power.switchings if not alive and first_s < at_s < end_s - 5.0]
         outcome.unseen = bool(lost)

@@ -36,7 +36,6 @@ NOMINAL_BAND: Final = float(special.ndtri(1.0 - FALSE_ACCEPTANCE)) / 2.0
 COVERAGE_FACTOR: Final = 2.0
 """Coverage factor k of U = k u for infinite degrees of freedom."""
 
-_COVERAGE: Final = float(special.ndtr(COVERAGE_FACTOR) - special.ndtr(-COVERAGE_FACTOR))
 _SEED: Final = 106
 """Seed of the Monte Carlo draws for the joint probability of several values."""
 _DRAWS: Final = 100_000
@@ -200,13 +199,10 @@ class MeasuredValues:
     population: Population | None = None
 
     @classmethod
-    def of(
-        cls, u: ArrayLike, dof: ArrayLike = np.inf, population: Population | None = None
-    ) -> MeasuredValues:
-        """Return the uncertainties, with U = k u at the coverage probability of k = 2 for a normal distribution."""
-        size, nu = (np.atleast_1d(np.asarray(one, dtype=np.float64)) for one in (u, dof))
-        nu = np.broadcast_to(nu, size.shape)
-        return cls(size, coverage_factor(nu) * size, nu, population)
+    def of(cls, u: ArrayLike, population: Population | None = None) -> MeasuredValues:
+        """Return the uncertainties of normal distributions, with U = 2 u."""
+        size = np.atleast_1d(np.asarray(u, dtype=np.float64))
+        return cls(size, COVERAGE_FACTOR * size, np.full(size.shape, np.inf), population)
 
     def but(self, *, times: float) -> MeasuredValues:
         """Return a copy with all uncertainties multiplied by `times`."""
@@ -235,15 +231,6 @@ def _largest_sure(limit: float, known: MeasuredValues) -> Floats:
         inside = sure(middle)
         low, high = np.where(inside, middle, low), np.where(inside, high, middle)
     return np.where(none, -limit, np.where(all_of_it, limit, low))
-
-
-def coverage_factor(dof: ArrayLike) -> Floats:
-    """Return the k that gives, at `dof`, the coverage probability of k = 2 at infinite degrees of freedom.
-
-    `dof` may have any shape. Source: JCGM 100:2008, G.3.
-    """
-    nu = np.asarray(dof, dtype=np.float64)
-    return np.where(np.isinf(nu), COVERAGE_FACTOR, _quantile(0.5 * (1.0 + _COVERAGE), nu))
 
 
 def _quantile(level: float, dof: Floats) -> Floats:
@@ -312,29 +299,18 @@ def _below(t: Floats, dof: Floats) -> Floats:
 
 
 def probability_one_outside(
-    value: Floats,
-    covariance: Floats,
-    limit: float,
-    dof: ArrayLike = np.inf,
-    population: Population | None = None,
+    value: Floats, covariance: Floats, limit: float, population: Population | None = None
 ) -> float:
     """Return the probability that at least one of n quantities lies outside ±limit.
 
-    `value` (n,) has the covariance `covariance` (n, n); the least of `dof` holds for all, since they were
-    estimated together. `population` is the prior of each quantity. The quantities may share one common error or
-    not; the prior probability that they do is `_ALIKE`.
+    `value` (n,) has a normal distribution with the covariance `covariance` (n, n). `population` is the prior of
+    each quantity. The quantities may share one common error or not; the prior probability that they do is `_ALIKE`.
 
     The result is from `_DRAWS` draws with a fixed seed, hence reproducible; a probability of 0.01 is accurate to
     0.0003. Rare events are bounded by the single probabilities: at least the largest, at most their sum.
     """
-    nu = float(np.min(np.asarray(dof)))
-    if population is None:
-        parts = [(1.0, value, covariance)]
-        single = probability_outside(value, _sizes(covariance), limit, dof)
-    else:
-        parts = _after(value, covariance, nu, population)
-        single = _each_outside(parts, limit)
-        nu = math.inf
+    parts = [(1.0, value, covariance)] if population is None else _after(value, covariance, population)
+    single = _each_outside(parts, limit)
     least, most = float(np.max(single)), min(float(np.sum(single)), 1.0)
     if len(value) == 1 or most - least <= _NEGLIGIBLE:
         return least
@@ -342,19 +318,19 @@ def probability_one_outside(
     outside = 0.0
     for weight, mean, spread in parts:
         draws = max(_DRAWS // len(parts) // _AT_ONCE, 1)
-        found = sum(_outside(rng, mean, spread, limit, nu) for _ in range(draws))
+        found = sum(_outside(rng, mean, spread, limit) for _ in range(draws))
         outside += weight * found / (draws * _AT_ONCE)
     return min(max(outside, least), most)
 
 
 def probability_worst_outside(
-    value: Floats, covariance: Floats, limit: float, dof: ArrayLike, population: Population
+    value: Floats, covariance: Floats, limit: float, population: Population
 ) -> float:
     """Return the largest of the probabilities of single quantities to lie outside ±limit, given all values.
 
     See `probability_one_outside` for the arguments.
     """
-    parts = _after(value, covariance, float(np.min(np.asarray(dof))), population)
+    parts = _after(value, covariance, population)
     return float(np.max(_each_outside(parts, limit)))
 
 
@@ -370,32 +346,24 @@ def _sizes(covariance: Floats) -> Floats:
     return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
 
-def _outside(rng: np.random.Generator, mean: Floats, covariance: Floats, limit: float, dof: float) -> int:
+def _outside(rng: np.random.Generator, mean: Floats, covariance: Floats, limit: float) -> int:
     """Return how many of `_AT_ONCE` draws have a quantity outside ±limit."""
     variances, axes = np.linalg.eigh(covariance)
     drawn = rng.standard_normal((_AT_ONCE, len(mean))) @ (axes * np.sqrt(np.maximum(variances, 0.0))).T
-    if math.isfinite(dof):
-        drawn *= np.sqrt(dof / rng.chisquare(dof, _AT_ONCE))[:, None]
     return int(np.sum(np.any(np.abs(mean + drawn) > limit, axis=1)))
 
 
-def _after(
-    value: Floats, covariance: Floats, dof: float, population: Population
-) -> list[tuple[float, Floats, Floats]]:
+def _after(value: Floats, covariance: Floats, population: Population) -> list[tuple[float, Floats, Floats]]:
     """Return weight, mean (n,) and covariance (n, n) of each normal distribution in the posterior mixture."""
     n, off = len(value), value - population.mean
-    scales = [(1.0, 0.0)]
-    if math.isfinite(dof):
-        scales = list(zip(*(one[:: _SCALES // 20].tolist() for one in _scales(np.array(dof))), strict=True))
     found, log_weights = [], []
     for alike, probability in _ALIKE.items() if n > 1 else [(0.0, 1.0)]:
         prior = population.variance * (alike * np.ones((n, n)) + (1.0 - alike + _NEGLIGIBLE) * np.eye(n))
-        for scale, log_weight in scales:
-            both = prior + scale * covariance
-            gain = np.linalg.solve(both, prior).T
-            found.append((population.mean + gain @ off, prior - gain @ prior))
-            fit = off @ np.linalg.solve(both, off) + np.linalg.slogdet(both)[1]
-            log_weights.append(math.log(probability) + log_weight - 0.5 * fit)
+        both = prior + covariance
+        gain = np.linalg.solve(both, prior).T
+        found.append((population.mean + gain @ off, prior - gain @ prior))
+        fit = off @ np.linalg.solve(both, off) + np.linalg.slogdet(both)[1]
+        log_weights.append(math.log(probability) - 0.5 * fit)
     weights = special.softmax(log_weights).tolist()
     return [(w, *after) for w, after in zip(weights, found, strict=True) if w > _NEGLIGIBLE]
 
@@ -430,12 +398,10 @@ class GlobalRisk:
     false_reject: float
 
 
-def global_risk(
-    population: Population, u: float, limit: float, accepted_up_to: float, dof: float = math.inf
-) -> GlobalRisk:
-    """Return the global risks of accepting measured values up to ±`accepted_up_to`.
+def global_risk(population: Population, u: float, limit: float, accepted_up_to: float) -> GlobalRisk:
+    """Return the global risks of accepting values, measured with uncertainty `u`, up to ±`accepted_up_to`.
 
-    `u` and `dof` are those of the measurement. The double integral over true and measured value has an inner
+    The double integral over true and measured value has an inner
     integral in closed form. Source: JCGM 106:2012, 9.5.
     """
     from scipy.integrate import quad
@@ -448,7 +414,7 @@ def global_risk(
         if u == 0.0:
             return float(abs(true) <= accepted_up_to)
         at = np.array([accepted_up_to - true, -accepted_up_to - true]) / u
-        high, low = _below(at, np.full(2, dof))
+        high, low = special.ndtr(at)
         return float(high - low)
 
     def density(true: float) -> float:

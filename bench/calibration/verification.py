@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from bench.base.arrays import Floats
 from bench.calibration.conformity import (
+    COVERAGE_FACTOR,
     NON_BINARY,
     DecisionRule,
     GlobalRisk,
     MeasuredValues,
     Population,
     Statement,
-    coverage_factor,
     global_risk,
     probability_one_outside,
     probability_worst_outside,
@@ -37,8 +37,11 @@ class VerificationPoint:
 
     `accepted_up_to` is the acceptance limit of the rule; it is negative if nothing is accepted, because U exceeds
     the limit. A value without a decision is not `rejected`. `p_outside` is the probability that the true error is
-    outside the limit.
+    outside the limit. u is already widened for few degrees of freedom, so that `k` and `dof` are the same for all.
     """
+
+    k: ClassVar[float] = COVERAGE_FACTOR
+    dof: ClassVar[float] = math.inf
 
     angle_deg: float
     pass_number: int
@@ -47,8 +50,6 @@ class VerificationPoint:
     delta_g: float
     u: float
     U: float
-    k: float
-    dof: float
     limit_g: float
     accepted_up_to: float
     statement: Statement
@@ -170,24 +171,16 @@ class Verification:
         """
         if self.population is None:
             return max(point.p_outside for point in self.points)
-        return probability_worst_outside(
-            self._errors, self.covariance, self.limit_g, self._dof, self.population
-        )
+        return probability_worst_outside(self._errors, self.covariance, self.limit_g, self.population)
 
     @cached_property
     def p_outside(self) -> float:
         """Probability that the true error is outside the limit at one point or more."""
-        return probability_one_outside(
-            self._errors, self.covariance, self.limit_g, self._dof, self.population
-        )
+        return probability_one_outside(self._errors, self.covariance, self.limit_g, self.population)
 
     @property
     def _errors(self) -> Floats:
         return np.array([point.delta_g for point in self.points])
-
-    @property
-    def _dof(self) -> Floats:
-        return np.array([point.dof for point in self.points])
 
     @cached_property
     def to_pass(self) -> LimitToPass | None:
@@ -198,7 +191,7 @@ class Verification:
         if self.passed or self.missing or not self.fits:
             return None
         u, sizes = np.array([point.u for point in self.points]), np.abs(self._errors)
-        known = MeasuredValues.of(u, self._dof, self.population)
+        known = MeasuredValues.of(u, self.population)
 
         def passes(limit: float, times: float) -> bool:
             return bool(np.all(sizes <= self.decision.acceptance_limit(limit, known.but(times=times))))
@@ -217,7 +210,7 @@ class Verification:
         if self.population is None:
             return None
         point = max(self.points, key=lambda p: p.U)
-        return global_risk(self.population, point.u, self.limit_g, point.accepted_up_to, point.dof)
+        return global_risk(self.population, point.u, self.limit_g, point.accepted_up_to)
 
 
 def verify(
@@ -229,7 +222,6 @@ def verify(
     g_ratio: float = 1.0,
     rule: str | DecisionRule | None = None,
     *,
-    dof: ArrayLike = np.inf,
     joint: Mapping[str, Floats] | None = None,
     population: Population | None = None,
     fits: bool = True,
@@ -237,10 +229,10 @@ def verify(
     """Return the verdict of the paper's check (9)-(10) on the verification rows of a table.
 
     `g_ratio` is the gravity to which the coefficients refer, divided by local gravity; it differs from 1 for a
-    block calibrated elsewhere. u of each delta g, with degrees of freedom `dof`, follows from the `covariance`
-    (12, 12) of the coefficients and from `reading_noise`, independent in each signal (unit of the signal; one
-    size, or one per channel). `joint` replaces both: parts by name, (n, n) each, of the covariance of |a| at the
-    points, in the gravity of the coefficients. The setting error of the head has no effect, because the modulus
+    block calibrated elsewhere. u of each delta g follows from the `covariance` (12, 12) of the coefficients and
+    from `reading_noise`, independent in each signal (unit of the signal; one size, or one per channel). `joint`
+    replaces both: parts by name, (n, n) each, of the covariance of |a| at the points, in the gravity of the
+    coefficients. The setting error of the head has no effect, because the modulus
     does not depend on it. `rule` is one of `RULES`, a `DecisionRule`, or None for the default. Unless `fits`, the
     coefficients contradict their own readings, and no point is accepted. Raises `CalibrationError` if there is no
     verification row, K is singular or the rule is unknown.
@@ -269,8 +261,8 @@ def verify(
     joint = {name: part * g_ratio**2 for name, part in joint.items()}
     together = sum(joint.values(), np.zeros((len(rows), len(rows))))
     u = np.sqrt(np.maximum(np.diag(together), 0.0))
-    known = MeasuredValues.of(u, dof, population)
-    k, outside = coverage_factor(known.dof), known.outside(errors, limit_g)
+    known = MeasuredValues.of(u, population)
+    outside = known.outside(errors, limit_g)
     accepted_up_to = decision.acceptance_limit(limit_g, known)
     statements = decision.statements(errors, limit_g, known)
     if not fits:
@@ -284,8 +276,6 @@ def verify(
             delta_g=float(errors[i]),
             u=float(u[i]),
             U=float(known.expanded[i]),
-            k=float(k[i]),
-            dof=float(known.dof[i]),
             limit_g=limit_g,
             accepted_up_to=float(accepted_up_to[i]),
             statement=statements[i],

@@ -155,7 +155,7 @@ def found_by(
     verdict = None
     if len(source.readings.verification()):
         verdict = verification_of(result.source, result, asked, agreed)
-    last = run.history.events[-1] if len(run.history.events) else None
+    last = run.history.events.last
     # only the global risks: the other notes of a verdict advise the operator and do not belong on a certificate
     of_all = () if verdict is None else global_risk_in_words(verdict.verification)
     record, begun, unit = _record(run), _begun(source), source.bench.unit_under_test

@@ -26,7 +26,7 @@ from bench.results.parts import ValuePart
 from bench.services.arguments import python_call
 from bench.services.coefficients import snapshot_of, snapshots_in
 from bench.services.errors import Refused
-from bench.services.monitor import check_run
+from bench.services.history import check_run
 from bench.services.requests.documents import EvaluateKit, PlanKit, SealKit
 from bench.services.requests.shared import runs_folder
 from bench.services.source import Request, load_sources

@@ -97,7 +97,7 @@ def monitor(request: Monitor, json: JsonOption = None, out: OutOption = None) ->
     Exit status 1 unless the last run is in control.
     """
     from bench.results.monitor import print_monitor
-    from bench.services.monitor import monitored
+    from bench.services.history import monitored
 
     found = monitored(request)
     printing.bench_files(list(found.sources), json)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from bench.run.events import EventType, Wish
 from bench.run.interrupts import interrupt_main
@@ -20,7 +20,6 @@ from bench.run.person import (
     ControlFile,
     Controls,
     LeftAnswer,
-    NoControls,
     RunControl,
     Stopped,
     WishAuthor,
@@ -28,6 +27,7 @@ from bench.run.person import (
     problem_with_answer,
     raised,
 )
+from bench.run.record import Record
 from bench.run.terminal import TerminalPerson, heard_at
 from drivers.clock import Clock, SystemClock
 from drivers.interfaces import NoAnswer
@@ -62,14 +62,13 @@ LISTEN_S: Final = 0.1
 """Interval between checks of the run's folder for wishes and answers, s."""
 
 
-class WishListener:
+class WishListener(Controls):
     """Reads the wishes left in a run folder; within this context, a wish to stop interrupts the main thread.
 
-    It implements `Controls`. `stopped` is the first wish to stop that was received.
+    `stopped` is the first wish to stop that was received.
     """
 
     def __init__(self, controls: ControlFile, interrupt: Callable[[], None] = interrupt_main) -> None:
-        self.stopped: RunControl | None = None
         self._controls = controls
         self._interrupt = interrupt
         self._waiting: deque[RunControl] = deque()
@@ -120,15 +119,6 @@ If the previous prompt was answered elsewhere, a line typed within this time was
 Tell = Callable[[EventType, dict[str, Any]], object]
 
 
-class CountingRecord(Protocol):
-    """A record that counts its events."""
-
-    @property
-    def count(self) -> int:
-        """The number of events written."""
-        ...
-
-
 class _Elsewhere(Exception):
     """The prompt was answered in the run's folder; the text of the exception is the answer."""
 
@@ -144,7 +134,7 @@ class Asker:
     def __init__(
         self,
         folder: Path,
-        record: CountingRecord,
+        record: Record,
         tell: Tell,
         *,
         terminal: TerminalPerson | None = None,
@@ -160,7 +150,7 @@ class Asker:
             terminal.meanwhile, terminal.slice_s = self._listen, LISTEN_S
         self._record = record
         self._tell = tell
-        self._controls: Controls = NoControls()
+        self._controls = Controls()
         self._wishes: Collection[Wish] | None = ()
         self._answers = AnswersFile(folder, answers_read)
         self._clock = SystemClock() if clock is None else clock

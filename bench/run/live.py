@@ -6,11 +6,11 @@ import json
 import math
 import os
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
@@ -21,8 +21,9 @@ from bench.readings.reading import Reading
 from bench.run.early_warning import EarlyWarning
 from bench.run.events import Event, EventType
 from bench.run.expectation import ExpectedSignals
+from bench.run.workbench import Workbench
 from drivers.clock import Clock, SystemClock, utc_now
-from drivers.interfaces import BadReading, BenchError, Voltmeter
+from drivers.interfaces import BadReading, BenchError
 from drivers.person import Prompt
 
 LIVE: Final = "live.json"
@@ -46,17 +47,6 @@ LINEAR_ARCSEC: Final = 3600.0
 
 SHOWN_V: Final = 5
 """Decimals of a signal in the terminal: 10 µV, about an arcsecond."""
-
-
-class LightlyRead(Protocol):
-    """A bench whose signals can be sampled between two readings, without a record."""
-
-    def glance(self) -> tuple[float, ...]:
-        """Return the present signals x, y, z in V, and record nothing. Raises `BenchError`."""
-
-    @property
-    def voltmeters(self) -> Sequence[Voltmeter]:
-        """The meters whose signals are read."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +129,7 @@ class LiveSignals:
         self._file, self._plan, self._watcher, self._show = folder / LIVE, plan, watcher, show
         self._settled_v, self._quiet_v = SETTLED_G * scale_v_g, QUIET_G * scale_v_g
         self._clock = clock or SystemClock()
-        self._bench: LightlyRead | None = None
+        self._bench: Workbench | None = None
         self._step = 0
         self._prompt: Prompt | None = None
         self._expected: ExpectedSignals | None = None
@@ -147,7 +137,7 @@ class LiveSignals:
         self._looked_s = -math.inf
         self._recent: deque[tuple[float, tuple[float, ...]]] = deque()
 
-    def attach(self, bench: LightlyRead) -> None:
+    def attach(self, bench: Workbench) -> None:
         """Sample the signals of this bench from now on."""
         self._bench = bench
 
@@ -190,7 +180,7 @@ class LiveSignals:
 
     def _why_not(self) -> str:
         """Return why the meters of the bench cannot be sampled quickly; empty if they can."""
-        meters = [] if self._bench is None else self._bench.voltmeters
+        meters = [] if self._bench is None else self._bench.instruments.voltmeters
         return next((f"{m.name}: {why}" for m in meters if (why := getattr(m, "not_live", ""))), "")
 
     def _value(self, prompt: str, now_s: float, signals: tuple[float, ...]) -> LiveValue:

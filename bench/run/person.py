@@ -5,11 +5,11 @@ from __future__ import annotations
 import getpass
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from bench.base.files import open_regular
 from bench.base.languages import ENGLISH, language, message, translated
@@ -30,6 +30,9 @@ from drivers.interfaces import BenchError
 from drivers.person import Person, Prompt, PromptKind
 
 CONTROL: Final = "control.jsonl"
+ANSWERS: Final = "answers.jsonl"
+LONGEST: Final = 4000
+"""Greatest length of an answer in characters; longer texts are rejected."""
 SIGN: Final = ":"
 """First character of a wish typed at the terminal: ":redo", ":skip the cable came loose"."""
 
@@ -117,53 +120,58 @@ def raised(control: RunControl) -> OperatorWish | Stopped:
     return Stopped(control) if control.wish is Wish.STOP else OperatorWish(control)
 
 
-class Controls(Protocol):
-    """A source of wishes; `stopped` is the wish that interrupted the program, if any."""
+class Controls:
+    """A source of wishes; this one has none, for a run that nobody can control.
 
-    @property
-    def stopped(self) -> RunControl | None:
-        """The wish that stopped the program, or None."""
-        ...
-
-    def poll(self) -> RunControl | None:
-        """Return the next wish, or None."""
-        ...
-
-
-class NoControls:
-    """A source of wishes that has none, for a run that nobody can control."""
+    `stopped` is the wish that interrupted the program, if any.
+    """
 
     stopped: RunControl | None = None
 
     def poll(self) -> RunControl | None:
-        """Return None."""
+        """Return the next wish, or None."""
         return None
+
+
+class _Lines:
+    """The lines of a file that other programs append to, from the byte `place` on."""
+
+    def __init__(self, path: Path, place: int = 0) -> None:
+        self._path, self._place = path, place
+
+    def next(self) -> bytes | None:
+        """Return the next complete line, or None; an overlong line is cut to its first 8 × `LONGEST` bytes."""
+        try:
+            if self._path.stat().st_size <= self._place:  # as nearly always: quicker than to open it
+                return None
+            with open_regular(self._path) as file:
+                file.seek(self._place)
+                beginning = part = file.readline(8 * LONGEST)
+                length = len(part)
+                while part and not part.endswith(b"\n"):
+                    part = file.readline(8 * LONGEST)
+                    length += len(part)
+        except OSError:
+            return None
+        if not part.endswith(b"\n"):
+            return None
+        self._place += length
+        return beginning
 
 
 class ControlFile:
     """The wishes left in a run folder, one JSON line each; lines present at construction are ignored."""
 
     def __init__(self, folder: Path) -> None:
-        self._path = folder / CONTROL
-        self._bytes_read = self._path.stat().st_size if self._path.exists() else 0
+        path = folder / CONTROL
+        self._lines = _Lines(path, path.stat().st_size if path.exists() else 0)
 
     def poll(self) -> RunControl | None:
         """Return the next wish, or None; skip invalid lines, and leave an incomplete last line for later."""
-        while (line := self._line()).endswith(b"\n"):
-            self._bytes_read += len(line)
+        while (line := self._lines.next()) is not None:
             with suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
                 return RunControl.from_json(json.loads(line))
         return None
-
-    def _line(self) -> bytes:
-        try:
-            if self._path.stat().st_size <= self._bytes_read:  # as nearly always: quicker than to open it
-                return b""
-            with open_regular(self._path) as file:
-                file.seek(self._bytes_read)
-                return file.readline()
-        except OSError:
-            return b""
 
 
 def leave_wish(folder: Path, control: RunControl) -> None:
@@ -192,10 +200,6 @@ def parse_wish(text: str) -> RunControl:
         raise ValueError(f"give a reason: {SIGN}skip REASON")
     return RunControl(wish, reason.strip(), by_person=True)
 
-
-ANSWERS: Final = "answers.jsonl"
-LONGEST: Final = 4000
-"""Greatest length of an answer in characters; longer texts are rejected."""
 
 YES: Final = frozenset({"y", "yes", "ok", "done"})
 NO: Final = frozenset({"n", "no"})
@@ -232,39 +236,19 @@ class AnswersFile:
     """The answers left in a run folder, in order; the first `answers_read` lines are skipped."""
 
     def __init__(self, folder: Path, answers_read: int = 0) -> None:
-        self._path = folder / ANSWERS
-        self._line = 0
-        self._place = 0
-        while self._line < answers_read and self._next() is not None:
-            pass
+        self._lines, self._count = _Lines(folder / ANSWERS), 0
+        while self._count < answers_read and self._lines.next() is not None:
+            self._count += 1
 
     def poll(self) -> LeftAnswer | None:
         """Return the next answer, or None; an incomplete last line is left for later.
 
         An unreadable line is returned as an answer with a `flaw` and an empty id.
         """
-        found = self._next()
-        return None if found is None else _read_answer(found, self._line)
-
-    def _next(self) -> bytes | None:
-        """Return the next complete line, or None; an overlong line is cut to its first 8 × `LONGEST` bytes."""
-        try:
-            if self._path.stat().st_size <= self._place:
-                return None
-            with open_regular(self._path) as file:
-                file.seek(self._place)
-                beginning = part = file.readline(8 * LONGEST)
-                length = len(part)
-                while part and not part.endswith(b"\n"):
-                    part = file.readline(8 * LONGEST)
-                    length += len(part)
-        except OSError:
+        if (line := self._lines.next()) is None:
             return None
-        if not part.endswith(b"\n"):
-            return None
-        self._place += length
-        self._line += 1
-        return beginning
+        self._count += 1
+        return _read_answer(line, self._count)
 
 
 def _read_answer(line: bytes, number: int) -> LeftAnswer:
@@ -353,7 +337,10 @@ _KEEPS_OPEN: Final = {
 
 @dataclass
 class OpenPrompt:
-    """Finds the prompt that is open after the events of a run, which are passed to `take` in order."""
+    """Finds the prompt that is open after the events of a run, which are passed to `take` in order.
+
+    It can be answered only while a program is carrying out the run.
+    """
 
     _event: Event | None = field(default=None, init=False)
 
@@ -368,17 +355,6 @@ class OpenPrompt:
     def prompt(self) -> AskedPrompt | None:
         """The open prompt, or None."""
         return None if self._event is None else _asked(self._event)
-
-
-def open_prompt(events: Iterable[Event]) -> AskedPrompt | None:
-    """Return the prompt that is open after the events of a run, in their order, or None.
-
-    It can be answered only while a program is carrying out the run.
-    """
-    found = OpenPrompt()
-    for event in events:
-        found.take(event)
-    return found.prompt
 
 
 # --- faults of an answer -----------------------------------------------------------------------------

@@ -10,14 +10,14 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from hashlib import sha256 as digest_of
 from itertools import islice
 from pathlib import Path
-from typing import Any, BinaryIO, Final, overload
+from typing import Any, BinaryIO, Final
 
 from bench.base.computing import uncollected
 from bench.base.files import DISK_FULL, open_regular, read_json, read_regular, write_synced
@@ -42,37 +42,27 @@ from bench.run.events import (
 from bench.run.resume import ENDS_A_POINT, PlanProgress, end_of_point, turn_before
 
 
-class Events(Sequence[Event]):
-    """The valid events of a record, parsed again from the file at each iteration."""
+class Events:
+    """The valid events of a record, parsed from the file at each iteration; `last` is the last one, or None."""
 
     def __init__(self, path: Path) -> None:
-        self._path, self._count = path, 0
-        self._last: Event | None = None
-
-    def followed_by(self, event: Event) -> None:
-        """Take the next event of the file, which was found valid."""
-        self._count, self._last = event.number, event
+        self._path = path
+        self.last: Event | None = None
 
     def __len__(self) -> int:
-        return self._count
+        return 0 if self.last is None else self.last.number
 
     def __iter__(self) -> Iterator[Event]:
-        if not self._count:
+        if self.last is None:
             return
         with open_regular(self._path) as file:
-            for line in islice(file, self._count):
+            for line in islice(file, self.last.number):
                 yield parse_line(line)[0]
 
-    @overload
-    def __getitem__(self, index: int) -> Event: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Event]: ...
-
-    def __getitem__(self, index: int | slice) -> Event | Sequence[Event]:
-        if index == -1 and self._last is not None:
-            return self._last
-        return tuple(self)[index]
+    @property
+    def last_s(self) -> float:
+        """The bench time of the last event, s; 0 without events."""
+        return 0.0 if self.last is None else self.last.bench_s
 
 
 @dataclass
@@ -171,7 +161,7 @@ class _Reader:
             return f"not an event that can follow here ({error})"
         history.head = digest_of(line[:-1]).hexdigest()
         history.length += len(line)
-        history.events.followed_by(event)
+        history.events.last = event
         return ""
 
     def _note(self, event: Event) -> None:
@@ -242,7 +232,7 @@ def resume_point(plan: Plan, history: History) -> ResumePoint:
             f"the record has step {max(beyond) + 1}, and the plan has {len(plan.steps)}: "
             "they belong to different runs; restore both from a copy of the run"
         )
-    last_s = history.events[-1].bench_s if history.events else 0.0
+    last_s = history.events.last_s
     step = next((i for i in range(len(plan.steps)) if not progress.settled(i)), len(plan.steps))
     turn = turn_before(plan, step, progress.left_out)
     if turn == step or not _reading_is_open(plan, step):
@@ -270,8 +260,9 @@ Shield = Callable[[], AbstractContextManager[None]]
 class Record:
     """The writer of a run's events; a lock admits only one writing program at a time.
 
-    `state` is the state of the run; events that are invalid in this state are rejected. `shield` returns a
-    context in which no signal interrupts the program.
+    `state` is the state of the run; events that are invalid in this state are rejected. `count` is the number of
+    events in the record, including events of earlier programs. `shield` returns a context in which no signal
+    interrupts the program.
     """
 
     def __init__(self, folder: Path, now: Callable[[], datetime], shield: Shield = nullcontext) -> None:
@@ -279,7 +270,7 @@ class Record:
         self.state = RunState.READY
         self._now = now
         self._shield = shield
-        self._last_hash, self._count, self._length = "", 0, 0
+        self._last_hash, self.count, self._length = "", 0, 0
         self._half_written = False
         try:
             # unbuffered, so that closing the file does not retry a write that a full disk refused
@@ -338,15 +329,10 @@ class Record:
     def _go_on_after(self, history: History) -> None:
         """Continue after the last event of `history`, which was read while this record held the file's lock."""
         self.state = history.state
-        self._last_hash, self._count, self._length = history.head, len(history.events), history.length
+        self._last_hash, self.count, self._length = history.head, len(history.events), history.length
         if history.torn:
             self._cut_back()
             self._check_place()
-
-    @property
-    def count(self) -> int:
-        """The number of events in the record, including events written by earlier programs."""
-        return self._count
 
     def append(self, kind: str, bench_s: float, /, **data: Any) -> Event:
         """Write one event and return it.
@@ -363,7 +349,7 @@ class Record:
         if self._half_written:
             self._cut_back()
         self._check_place()
-        event = Event(self._count + 1, self._now().isoformat(), bench_s, kind, data)
+        event = Event(self.count + 1, self._now().isoformat(), bench_s, kind, data)
         whole_event = {**event.to_json(), "prev": self._last_hash}
         line = in_json(json.dumps(whole_event, ensure_ascii=False, allow_nan=False)).encode()
         try:
@@ -375,7 +361,7 @@ class Record:
             raise _cannot_write(self.folder, error) from error
         self._last_hash = sha256(line)
         self._length += len(line) + 1
-        self._count, self.state = event.number, state
+        self.count, self.state = event.number, state
         return event
 
     def _check_place(self) -> None:

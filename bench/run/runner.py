@@ -30,7 +30,6 @@ from bench.run.listening import Asker, ClockWatch
 from bench.run.person import (
     NOBODY_KNOWN,
     Controls,
-    NoControls,
     OperatorWish,
     RunControl,
     Stopped,
@@ -81,7 +80,7 @@ class People:
     person: Person
     decider: Person | None = None
     asker: Asker | None = None
-    controls: Controls = field(default_factory=NoControls)
+    controls: Controls = field(default_factory=Controls)
     patience: Clock = field(default_factory=SystemClock)
     hold_signals: Callable[[], None] = lambda: None
     resumed_by: WishAuthor = NOBODY_KNOWN

@@ -421,11 +421,6 @@ class Workbench:
         samples = self._sample(self.instruments.voltmeters)
         return tuple(samples[channel][-1] for channel in CHANNELS)
 
-    @property
-    def voltmeters(self) -> Sequence[Voltmeter]:
-        """The meters of the bench."""
-        return self.instruments.voltmeters
-
     def glance(self) -> tuple[float, ...]:
         """Return the present signals x, y, z in V, outside a reading, and record nothing. Raises `BenchError`."""
         with self.bench.aside():

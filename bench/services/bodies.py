@@ -6,7 +6,6 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
 from pathlib import Path
 from typing import Final
 
@@ -24,7 +23,7 @@ from bench.run.folder import Run
 from bench.services.errors import Refused
 from bench.services.own_effects import knowing_effects_in
 from bench.services.requests.evaluation import Diagnose
-from bench.services.source import Failed, Source, data_sha256, load_each, load_sources, reading
+from bench.services.source import Failed, Source, data_sha256, load_each, load_sources, reading, time_of
 
 TOGETHER: Final = "diagnose-together"
 
@@ -145,12 +144,8 @@ def _require_same_bench(first: Source, other: Source) -> None:
 
 def _began_s(source: Source) -> float | None:
     """Return the start of a run, s in Unix time; None for a readings file, which does not state it."""
-    if source.run is None or source.run.imported:
-        return None
-    try:
-        return datetime.fromisoformat(source.run.created).timestamp()
-    except ValueError:
-        return None
+    begun = None if source.run is None or source.run.imported else time_of(source.run.created)
+    return None if begun is None else begun.timestamp()
 
 
 SAT_IN: Final = re.compile(r"the block sits in installation (\S+), not in (\S+)")

@@ -388,25 +388,18 @@ def snapshots_in(path: Path) -> list[Snapshot]:
 
 def snapshot_of(data: Any, name: str) -> Snapshot:
     """Return the calibration in a parsed result of `calibrate --json`. Raises `Refused` for other data."""
+    return dated(coefficients_of(data, name), name, _least_dof(data))
+
+
+def dated(taken: Coefficients, name: str, dof: float) -> Snapshot:
+    """Return coefficients as a dated calibration; `dof` are the least degrees of freedom of the nine numbers."""
     from bench.history.comparison import Snapshot
 
-    found = coefficients_of(data, name)
     return Snapshot(
-        name,
-        date_of(data.get("made_at"), name),
-        found.block_name,
-        found.unit,
-        found.g_m_s2,
-        found.block.vector,
-        found.covariance,
-        found.simulated,
-        found.same_meters,
-        found.meters,
-        found.block_terms,
-        found.wander,
-        _least_dof(data),
-        found.temperature_c,
-    )
+        name, date_of(taken.made_at, name), taken.block_name, taken.unit, taken.g_m_s2, taken.block.vector,
+        taken.covariance, taken.simulated, taken.same_meters, taken.meters, taken.block_terms, taken.wander, dof,
+        taken.temperature_c,
+    )  # fmt: skip
 
 
 def _least_dof(data: Any) -> float:

@@ -113,7 +113,7 @@ class DiagnosisResult(ResultWithPage):
         source = self.source
         title, limit_g = (
             message(f"Diagnosis of {source.block_name or source.name}"),
-            source.bench.verification_limit_g,
+            source.bench.verification.limit,
         )
         with knowing_effects_of(source):
             return render_diagnosis(self.found, self.files, title, limit_g, provenance(source))

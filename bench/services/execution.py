@@ -202,7 +202,7 @@ def asker_of(
     """
     if not run.asks_somebody and history is None:
         return None
-    last_s = history.events[-1].bench_s if history is not None and history.events else 0.0
+    last_s = 0.0 if history is None else history.events.last_s
 
     def tell(kind: EventType, data: dict[str, Any]) -> Event:
         event = record.append(kind, last_s, **data)
@@ -445,9 +445,8 @@ def _assembly(
 
 def _elapsed_s(history: History) -> float:
     """Return the present bench time (s) of a real bench: that of the last event plus civil time since."""
-    if not history.events:
+    if (last := history.events.last) is None:
         return 0.0
-    last = history.events[-1]
     return last.bench_s + max(0.0, (utc_now() - datetime.fromisoformat(last.time)).total_seconds())
 
 
@@ -550,8 +549,7 @@ def give_up(run: Run, who: WishAuthor = NOBODY_KNOWN) -> tuple[str, ...]:
     """End an unfinished run for good; return sentences on what remains. Raises `Refused`, `RecordError`."""
     record, history = taken_up(run)
     try:
-        bench_s = history.events[-1].bench_s if history.events else 0.0
-        record.append(EventType.RUN_ABORTED, bench_s, **who.to_json())
+        record.append(EventType.RUN_ABORTED, history.events.last_s, **who.to_json())
     finally:
         record.close()
     if history.progress.power in {"on", "found on", "fault"}:

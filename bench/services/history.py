@@ -1,4 +1,4 @@
-"""Evaluations of several runs: of one bench (learning), or of one block over time (comparison)."""
+"""Evaluations of several runs: of one bench (learning), of one block over time (comparison), of monitors."""
 
 from __future__ import annotations
 
@@ -20,9 +20,11 @@ from bench.calibration.intrinsic import least_dof
 from bench.calibration.noise import METERS_DRIFT
 from bench.calibration.result import CalibrationError
 from bench.config.bench_file.learned import arcsec, learned_for, write_learned
+from bench.config.bench_file.sections import DAY_S
 from bench.config.model_file import load_model
 from bench.history.comparison import Comparison, Snapshot
 from bench.history.comparison import compare as compare_snapshots
+from bench.history.control_chart import CheckRun, ControlChart
 from bench.history.learned import (
     FEW_DOF,
     WAVE_NAMES,
@@ -34,19 +36,22 @@ from bench.history.learned import (
     meter_differences,
 )
 from bench.history.learning import learn as learn_from
+from bench.history.monitor import monitor_chart, monitor_run
 from bench.history.run_sums import run_fit
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.model.effects import Subsystem
+from bench.model.geometry import STAND_ANGLES, Block
 from bench.results.compare import BenchOfSource, CompareResult, compare_result, history_figure, print_compare
 from bench.results.learning import LearnResult, RecordPart, learn_result, print_learned
+from bench.results.monitor import MonitorResult, monitor_figures, monitor_result
 from bench.services.arguments import python_call
 from bench.services.bench_selection import BenchTaken
 from bench.services.calibration import calibration_of
-from bench.services.coefficients import date_of, is_result, snapshots_in
+from bench.services.coefficients import date_of, dated, is_result, snapshots_in
 from bench.services.errors import Refused
 from bench.services.requests import history as asked
 from bench.services.requests.history import Learn
-from bench.services.source import Source, data_sha256, load_sources, reading
+from bench.services.source import Source, data_sha256, load_sources, reading, time_of
 from bench.services.traceability import voltmeter_names
 from drivers.clock import utc_now
 
@@ -316,11 +321,11 @@ def differences_of(sources: Sequence[Source]) -> MeterDifferences | str:
     if sources[0].readings.unit != "V":
         return NOT_VOLTS.format(unit=sources[0].readings.unit)
     known = [
-        (source, by_channel, day)
+        (source, by_channel, begun.timestamp() / DAY_S)
         for source in sources
         if source.block_name
         and (by_channel := _by_channel(source)) is not None
-        and (day := _day(source)) is not None
+        and (begun := time_of(source.made_at)) is not None
     ]
     if not known:
         return NOT_RECORDED
@@ -334,13 +339,6 @@ def differences_of(sources: Sequence[Source]) -> MeterDifferences | str:
 def _by_channel(source: Source) -> tuple[str, str, str] | None:
     of = voltmeter_names(source.bench, source.taken, source.origin, source.name)
     return (of["x"], of["y"], of["z"]) if of else None
-
-
-def _day(source: Source) -> float | None:
-    try:
-        return datetime.datetime.fromisoformat(source.made_at or "").timestamp() / 86400.0
-    except ValueError:
-        return None
 
 
 def _meter_run(source: Source, meters: tuple[str, str, str], day: float) -> MeterRun | None:
@@ -362,7 +360,7 @@ def written_meters(found: MeterDifferences) -> dict[str, Any]:
     return {
         "meters": list(found.meters),
         "group": list(found.group),
-        "day": datetime.date.fromtimestamp(found.day * 86400.0).isoformat(),
+        "day": datetime.date.fromtimestamp(found.day * DAY_S).isoformat(),
         "gain": _written(found.gain),
         "offset_v": _written(found.zero),
         "runs": list(found.runs),
@@ -425,15 +423,7 @@ def _snapshots(name: str, request: asked.Compare, taken: list[tuple[str, BenchTa
     (source,) = load_sources(reading(request, name))
     taken.append((name, source.taken))
     own = calibration_of(source)
-    found = own.calibration
-    return [
-        Snapshot(
-            name, date_of(source.made_at, name), source.block_name, found.unit, found.g_m_s2, found.block.vector,
-            found.covariance, source.simulated, found.covariance_same_meters, source.meters,
-            found.block_terms if found.sources else None, found.wander, least_dof(found),
-            own.as_coefficients().temperature_c,
-        )
-    ]  # fmt: skip
+    return [dated(own.as_coefficients(), name, least_dof(own.calibration))]
 
 
 def _dated(snapshots: list[Snapshot], dates: Sequence[str]) -> list[Snapshot]:
@@ -442,3 +432,46 @@ def _dated(snapshots: list[Snapshot], dates: Sequence[str]) -> list[Snapshot]:
             f"--date: {len(dates)} given for {len(snapshots)} calibrations; give one for each, in order"
         )
     return [replace(s, when=date_of(date, "--date")) for s, date in zip(snapshots, dates, strict=True)]
+
+
+# --- monitors ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Monitored:
+    """The chart of a series of monitors, and the sources from which it was computed."""
+
+    chart: ControlChart
+    sources: tuple[Source, ...]
+
+    @property
+    def result(self) -> MonitorResult:
+        """The result for JSON."""
+        return monitor_result(self.chart)
+
+    def files(self, out: Path) -> Files:
+        """Yield description, path and text of each file in `out`."""
+        yield "result", out / "monitor.json", to_text(self.result.to_dict())
+        for name, figure in monitor_figures(self.chart).items():
+            yield "chart", out / f"monitor-{name}.svg", figure
+
+
+def monitored(request: asked.Monitor) -> Monitored:
+    """Return the chart of monitors; the first `baseline` set the limits. Raises `Refused`, `CalibrationError`."""
+    sources = tuple(load_sources(reading(request, *request.sources)))
+    for source in sources:
+        if source.made_at is None:
+            raise Refused(f"{source.name}: has no date; use runs, or a file that 'bench export' wrote")
+    return Monitored(monitor_chart([check_run(source) for source in sources], request.baseline), sources)
+
+
+def check_run(source: Source) -> CheckRun:
+    """Return a monitor as a run for a chart (day 1970-01-01 if unknown). Raises `CalibrationError`."""
+    conditions = source.readings.conditions()
+    stand = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))
+    force = source.model.specific_force(conditions, stand, Block(np.eye(3), np.zeros(3)))
+    when = date_of(source.made_at, source.name) or datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
+    return monitor_run(source.name, when, source.readings.signal, force)
+
+
+monitor = python_call(asked.Monitor, monitored)

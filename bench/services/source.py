@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from datetime import datetime
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -225,6 +226,14 @@ def _output(name: str, run: Run | None, out: Path | None, command: str, suffix: 
     if run is not None:
         return out / f"{run.name}-{command}{suffix}" if out else run.folder / f"{command}{suffix}"
     return (out or Path(name).parent / command) / f"{Path(name).stem}{suffix}"
+
+
+def time_of(text: str | None) -> datetime | None:
+    """Return an ISO 8601 time, with the time zone of this computer if it names none; None for any other text."""
+    try:
+        return datetime.fromisoformat(text or "").astimezone()
+    except ValueError:
+        return None
 
 
 def data_sha256(readings: Readings) -> str:

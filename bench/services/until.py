@@ -65,7 +65,6 @@ from bench.results.check import (
 )
 from bench.run.events import Manifest
 from bench.run.folder import BENCH, Run
-from bench.run.record import History
 from bench.run.resume import PlanProgress
 from bench.run.sentences import size_in_words
 from bench.services.bench_selection import bench_path
@@ -252,9 +251,9 @@ class Until:
             refused_mounts=refused,
             now=now,
         )
-        return self._with_noise(standing, history) if taken else standing
+        return self._with_noise(standing) if taken else standing
 
-    def _with_noise(self, standing: Standing, history: History) -> Standing:
+    def _with_noise(self, standing: Standing) -> Standing:
         (source,) = load_sources(Request([str(self._run.folder)], self._run.folder.parent))
         readings = source.readings.select(source.readings.installation != VERIFICATION)
         standing = replace(standing, scale=scale_of(self._chooser.stand, readings))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,7 +27,7 @@ from bench.run.folder import Run
 from bench.services.coefficients import Coefficients
 from bench.services.errors import Refused
 from bench.services.requests.evaluation import Judging
-from bench.services.source import Source
+from bench.services.source import Source, time_of
 
 
 @dataclass(frozen=True)
@@ -293,7 +292,7 @@ def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[
     known = taken.covariance if taken.same_meters is None else taken.same_meters
     known_c = np.isfinite(source.readings.verification().temperature_c).any()
     at_c = taken.temperature_c if known_c and math.isfinite(taken.temperature_c) else None
-    part = drifted((taken.meters, _when(taken.made_at)), (source.meters, _when(source.made_at)))
+    part = drifted((taken.meters, time_of(taken.made_at)), (source.meters, time_of(source.made_at)))
     joint, said = np.zeros((0, 0)), ""
     for covariance, same, weight in ((known, True, 1.0 - part), (taken.covariance, False, part)):
         found = delta_g_elsewhere(
@@ -359,11 +358,3 @@ def _same_readings(taken: Coefficients, source: Source) -> bool:
     if taken.made_at:
         return taken.made_at == source.made_at
     return Path(taken.joined).resolve() == Path(source.name).resolve()
-
-
-def _when(text: str | None) -> datetime | None:
-    """Return an ISO 8601 time as a datetime with a time zone; None for an empty or invalid text."""
-    try:
-        return datetime.fromisoformat(text or "").astimezone()
-    except ValueError:
-        return None

@@ -135,18 +135,11 @@ def test_a_covariance_of_the_points_that_is_known_is_taken_as_it_is():
     assert [p.u for p in result.points] == pytest.approx([2e-5] * 4)
 
 
-def test_u_grows_as_its_degrees_of_freedom_shrink():
-    certain, few = (verify(turned(), BLOCK, NONE, 1e-4, 3e-4, dof=dof) for dof in (np.inf, 5.0))
-    for one, other in zip(certain.points, few.points, strict=True):
-        assert (one.k, one.dof, one.U) == (2.0, np.inf, 2 * one.u)
-        assert other.k == pytest.approx(
-            2.6487, abs=1e-4
-        )  # t of 5 degrees of freedom at 95.45 % (GUM, table G.2)
-        assert pytest.approx(other.k * one.u) == other.U
-        assert other.p_outside > one.p_outside
-    told = verification_json(few)["points"][0]
-    assert (told["dof"], told["k"]) == (5.0, few.points[0].k)
-    assert verification_json(certain)["points"][0]["dof"] is None
+def test_u_of_a_point_has_infinite_degrees_of_freedom():
+    found = verify(turned(), BLOCK, NONE, 1e-4, 3e-4)
+    assert all((one.k, one.dof, one.U) == (2.0, np.inf, 2 * one.u) for one in found.points)
+    told = verification_json(found)["points"][0]
+    assert (told["dof"], told["k"]) == (None, 2.0)
 
 
 @pytest.mark.parametrize(

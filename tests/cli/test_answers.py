@@ -129,7 +129,7 @@ def test_a_run_that_was_stopped_in_the_panel_goes_on_with_a_living_person(points
     assert status == 2
     assert "stopped in the panel by Eve" in out
     assert "resume with 'bench resume one'" in err
-    assert run.history.events[-1].data == {"reason": "tea", "by": "Eve", "role": "viewer", "where": "panel"}
+    assert run.history.events.last.data == {"reason": "tea", "by": "Eve", "role": "viewer", "where": "panel"}
     run, (status, _, _) = points("one", "resume", "one", "--answers", "folder")
     assert status == 0
     whole, _ = points("whole", *RUN, "--name", "whole", "--answers", "folder")

@@ -39,8 +39,8 @@ def one(runs):
 def alive(one):
     """The record of the run, which somebody carries out, and who has asked something."""
     record, history = Record.reopen(one, utc_now)
-    record.append("run_resumed", history.events[-1].bench_s, step=1, instruments={})
-    record.append("asked", history.events[-1].bench_s, **asked_to_json(QUESTION))
+    record.append("run_resumed", history.events.last_s, step=1, instruments={})
+    record.append("asked", history.events.last_s, **asked_to_json(QUESTION))
     yield record
     record.close()
 
@@ -132,7 +132,7 @@ def test_a_run_is_given_up_for_good_by_who_is_in_control(anna, runs, one):
     assert ben.ask("/runs/one/wish", wish="abort")[0] == 200
     history = Run(one).history
     assert (history.state, history.problems) == ("aborted", ())
-    assert history.events[-1].data == {"by": "ben", "role": "operator", "where": "panel"}
+    assert history.events.last.data == {"by": "ben", "role": "operator", "where": "panel"}
     assert ben.ask("/runs/one/give-up")[0] == 409
 
 

@@ -13,7 +13,6 @@ from bench.run.person import (
     WishAuthor,
     asked_to_json,
     leave_answer,
-    open_prompt,
     problem_with_answer,
     understood_answer,
 )
@@ -21,6 +20,7 @@ from bench.run.resume import halt_prompt
 from drivers.angles import parse_angle
 from drivers.instruments.manual import ManualHead
 from drivers.person import Prompt, PromptKind
+from tests.support.open_prompts import open_prompt
 
 ANN = WishAuthor("Ann", "operator", "panel")
 ARCSEC = math.pi / 648000.0

@@ -23,7 +23,6 @@ from bench.run.person import (
     confirm,
     leave_answer,
     leave_wish,
-    open_prompt,
 )
 from bench.run.power import RailFault
 from bench.run.sentences import sentence
@@ -33,6 +32,7 @@ from drivers.instruments.manual import ManualHead
 from drivers.interfaces import NoAnswer
 from drivers.person import Prompt, PromptKind
 from sim.world.clock import VirtualClock
+from tests.support.open_prompts import open_prompt
 
 ANN = WishAuthor("Ann", "operator", "panel")
 BOB = WishAuthor("bob", "supervisor", "terminal")

@@ -5,6 +5,7 @@ import json
 import math
 import os
 import pty
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -142,7 +143,7 @@ class SlowlySettling:
     """A bench whose signals come to rest; `fails` is raised instead."""
 
     def __init__(self):
-        self.voltmeters, self.fails, self.looks = [Meter()], None, 0
+        self.instruments, self.fails, self.looks = SimpleNamespace(voltmeters=[Meter()]), None, 0
 
     def glance(self):
         if self.fails:
@@ -196,7 +197,7 @@ def test_signals_have_settled_when_they_have_rested_for_three_seconds(looking, t
 class Noisy:
     """Meters whose quick samples scatter by 100 µV on a head that turns at a steady rate."""
 
-    voltmeters = ()
+    instruments = SimpleNamespace(voltmeters=())
 
     def __init__(self, rate_v, seed):
         self.rate_v, self.random, self.looked = rate_v, np.random.default_rng(seed), 0
@@ -246,7 +247,7 @@ def test_a_lost_meter_is_said_once_and_stops_no_question(looking):
 
 def test_a_scanner_is_left_alone_and_says_why(looking):
     signals, bench, lines = looking
-    bench.voltmeters[0].not_live = "a scanner's relays wear with every query"
+    bench.instruments.voltmeters[0].not_live = "a scanner's relays wear with every query"
     signals.begin(prompt())
     signals.look()
     signals.look()

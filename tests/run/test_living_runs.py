@@ -17,7 +17,6 @@ from bench.run.person import (
     WishAuthor,
     leave_answer,
     leave_wish,
-    open_prompt,
 )
 from bench.run.record import Record, read_history, resume_point
 from bench.run.runner import RunAborted
@@ -101,7 +100,7 @@ def test_a_whole_run_is_answered_in_its_folder(living):
     assert history.state is RunState.FINISHED
     assert len(told(history, "asked")) == len(told(history, "answered")) == 3
     assert history.progress.answers_heard == 3
-    assert open_prompt(history.events) is None
+    assert history.progress.asked.prompt is None
 
 
 def test_a_pause_is_a_question_wherever_it_came_from(living):
@@ -133,7 +132,7 @@ def test_stop_at_a_question_leaves_the_run_to_be_resumed_and_the_question_is_put
     assert keys == READS[:3]
     assert history.state is RunState.INTERRUPTED
     assert told(history, "run_interrupted") == [{"reason": "why", **ANN.to_json()}]
-    assert open_prompt(history.events) is None
+    assert history.progress.asked.prompt is None
     late = told(history, "asked")[-1]["id"]
     leave_answer(tmp_path / "run", LeftAnswer(late, "yes", ANN))
     history, keys = living(resumed=True)

@@ -30,7 +30,7 @@ def make(folder, events=3):
 def test_events_come_back_as_written(tmp_path):
     history = read_history(make(tmp_path / "run"))
     assert [e.type for e in history.events] == ["run_started", "step_done", "step_done", "step_done"]
-    assert [e.data.get("step") for e in history.events[1:]] == [0, 1, 2]
+    assert [e.data.get("step") for e in [*history.events][1:]] == [0, 1, 2]
     assert history.problems == ()
     assert history.state == "running"
 
@@ -80,7 +80,7 @@ def test_a_torn_last_line_is_cut_off_when_the_run_goes_on(tmp_path):
     again = read_history(folder)
     assert again.problems == ()
     assert [e.number for e in again.events] == [1, 2, 3, 4, 5]
-    assert again.events[-1].type == "run_resumed"
+    assert again.events.last.type == "run_resumed"
 
 
 def test_a_second_writer_is_refused(tmp_path):
@@ -236,8 +236,8 @@ def test_a_history_keeps_what_going_on_needs_and_no_sample(tmp_path):
     assert not any(taken and taken[1].samples for taken in history.taken)
     assert history.progress.temperature_c == 21.5
     assert history.identities == {"head": "none"}
-    assert history.events[-1].number == len(history.events) == 4
-    assert history.events[1].data["reading"]["samples"]["x"] == [1.0] * 1000
+    assert history.events.last.number == len(history.events) == 4
+    assert [*history.events][1].data["reading"]["samples"]["x"] == [1.0] * 1000
     lines = (tmp_path / "run" / EVENTS).read_bytes()
     assert history.head == hashlib.sha256(lines.splitlines()[-1]).hexdigest()
     assert history.length == len(lines)

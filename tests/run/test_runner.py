@@ -39,7 +39,7 @@ def test_a_run_records_every_step_and_closes_the_bench(tmp_path):
     table = readings_of([Reading.from_json(row) for row in rows], "run")
     assert table.signal.tolist() == [[1.5, 1.5, 1.5]] * 6
     assert table.angle_rad == pytest.approx([p * 0.5 + 1e-5 for p in (1, 2, 3)] * 2, abs=1e-11)
-    assert history.events[0].data["instruments"]["voltmeter.x"] == "HEWLETT-PACKARD 34401A"
+    assert next(iter(history.events)).data["instruments"]["voltmeter.x"] == "HEWLETT-PACKARD 34401A"
 
 
 def test_all_meters_are_started_before_the_first_is_fetched(tmp_path):
@@ -147,7 +147,7 @@ def test_resumed_with_the_instruments_still_off_a_run_stays_as_it_was(tmp_path, 
             resumed(tmp_path / "run", Bench(), absent=("x", "z"))
         history, keys, _ = recorded(tmp_path / "run")
         assert (history.state, keys) == (before[0].state, before[1])
-    assert "voltmeter.z" in history.events[-1].data["error"]
+    assert "voltmeter.z" in history.events.last.data["error"]
     resumed(tmp_path / "run", Bench())
     assert recorded(tmp_path / "run")[1] == READS
 
@@ -258,7 +258,7 @@ def test_a_block_that_is_too_hot_stops_the_run(tmp_path):
         changed(runner, instruments=together).run()
     history, keys, _ = recorded(tmp_path / "run")
     assert keys == ["r11", "r12", "r13"]
-    assert history.events[-1].data == {"to_do": {"chamber": "open the door"}}
+    assert history.events.last.data == {"to_do": {"chamber": "open the door"}}
 
 
 def test_the_table_of_transitions_has_no_dead_end_but_the_two_ends():

@@ -120,7 +120,7 @@ def test_whatever_an_instrument_raises_the_others_are_let_go_and_the_first_cause
     assert "switch it off by hand" in text
     assert "voltmeter.x could not be released" in text
     history, _, _ = recorded(tmp_path / "run")
-    failed, left = history.events[-2:]
+    failed, left = [*history.events][-2:]
     assert failed.data["error"] == "voltmeter.z: it smokes; pull the plug"
     assert set(left.data["to_do"]) == {"chamber", "voltmeter.x"}
 

@@ -44,7 +44,7 @@ from bench.config.bench_file.stand import (
     VerificationSection,
 )
 from bench.config.devices.device import Certificate, ChamberCertificate, HeadCertificate
-from bench.config.devices.registry import RECORDED, UnknownVoltmeter, devices, unknown_drivers
+from bench.config.devices.registry import RECORDED, devices, unknown_drivers
 from bench.config.devices.sections import MotorisedHeadForm, VoltmeterForm
 from bench.config.formulas import FormulaEntry, effects_as_written
 from bench.config.model_file import EffectEntry, mistakes_with_formulas
@@ -120,16 +120,6 @@ class BenchFile(FileModel):
         return self.instruments.voltmeters[0].range
 
     @property
-    def verification_limit_g(self) -> float:
-        """The verification limit Delta g_A, in local g."""
-        return self.verification.limit
-
-    @property
-    def knows_its_meters(self) -> bool:
-        """Whether the drivers of all voltmeters are known; drivers of a recorded run may be missing."""
-        return not any(isinstance(meter, UnknownVoltmeter) for meter in self.instruments.voltmeters)
-
-    @property
     def nplc_supported(self) -> tuple[float, ...]:
         """The integration times, in power-line cycles, that all voltmeters support, ascending."""
         kinds = [meter.kind.limits.nplc for meter in self.instruments.voltmeters]
@@ -157,12 +147,6 @@ class BenchFile(FileModel):
         """The least rotation, rad, by which the head approaches an angle; 0 for a manual head."""
         head = self.instruments.head
         return head.backoff if isinstance(head, MotorisedHeadForm) else 0.0
-
-    @property
-    def block_limits_c(self) -> tuple[float, float]:
-        """The lowest and highest permitted temperature of the block, °C."""
-        allowed = self.unit_under_test.temperature
-        return allowed.minimum, allowed.maximum
 
     def installation_models(self) -> dict[str, Installation]:
         """Return the installations by label: the paper's 1 and 2, and those in the file."""

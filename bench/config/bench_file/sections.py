@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from itertools import takewhile
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -147,17 +147,12 @@ class OperatorTruth(FileModel):
     """
 
     setting_deviation: SizeRad = 2 * ARCSEC
-    resolution: SizeRad = ARCSEC
+    resolution: Annotated[SizeRad, above_zero("state the resolution of the scale, such as '1 arcsec'")] = (
+        ARCSEC
+    )
     slip_probability: Annotated[Ratio, Field(ge=0.0, lt=1.0)] = 0.01
     turn_time: Annotated[tuple[SpanS, ...], Field(min_length=2, max_length=2)] = (60.0, 180.0)
     mount_time: SpanS = 1200.0
-
-    @field_validator("resolution")
-    @classmethod
-    def _has_steps(cls, resolution_rad: float) -> float:
-        if resolution_rad == 0.0:
-            raise ValueError("state the resolution of the scale, such as '1 arcsec'")
-        return resolution_rad
 
     @field_validator("turn_time")
     @classmethod
@@ -195,10 +190,6 @@ class FaultSection(FileModel):
         if self.error is not None and self.fault != "error":
             raise ValueError(f"'{self.fault}' puts no error into the queue; remove 'error'")
         return self
-
-    def to_plain(self) -> dict[str, Any]:
-        """Return the section as a dictionary without the omitted keys."""
-        return self.model_dump(exclude_none=True)
 
 
 class RoomTruth(FileModel):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from bench.base.units import TemperatureC
 from bench.config.devices.device import (
@@ -13,7 +13,7 @@ from bench.config.devices.device import (
     PortSection,
     as_stated,
     resource_on,
-    usual_baud_rate,
+    serial_or_socket,
 )
 from bench.config.devices.sections import (
     OF_THE_AIR,
@@ -21,7 +21,6 @@ from bench.config.devices.sections import (
     ChamberTruth,
     ControlledChamberForm,
     SerialSection,
-    SupplyTruth,
     WiredSupplyForm,
 )
 from drivers.facts import aim_tti as aim
@@ -34,20 +33,12 @@ class EspecSection(ControlledChamberForm):
     """A chamber with an Espec P300 or SCP-220; `identity` is the pattern of the controller's name."""
 
     facts: ClassVar = espec
+    for_driver: ClassVar = ("identity",)
 
     driver: Literal["espec"]
-    resource: Annotated[
-        str,
-        resource_on(
-            "ASRL", "TCPIP", example="'ASRL/dev/ttyUSB1::INSTR' or 'TCPIP0::192.0.2.50::10001::SOCKET'"
-        ),
-    ]
+    resource: Annotated[str, serial_or_socket("ttyUSB1", "192.0.2.50::10001")]
     identity: IdentityPattern = espec.IDENTITY
     serial: PortSection = PortSection.of(espec)
-
-    def driver_options(self) -> dict[str, Any]:
-        """Return the driver's option: the pattern that the controller's identity must match."""
-        return {"identity": self.identity}
 
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
         """Return the simulation's options: limits (°C), sensor noise, and a name if `identity` is a plain name."""
@@ -70,20 +61,12 @@ class ThermotronSection(ControlledChamberForm):
     """A chamber with a Thermotron controller that works in °C; `identity` is the pattern of its name."""
 
     facts: ClassVar = thermotron
+    for_driver: ClassVar = ("identity",)
 
     driver: Literal["thermotron"]
-    resource: Annotated[
-        str,
-        resource_on(
-            "ASRL", "TCPIP", example="'ASRL/dev/ttyUSB1::INSTR' or 'TCPIP0::192.0.2.52::8888::SOCKET'"
-        ),
-    ]
+    resource: Annotated[str, serial_or_socket("ttyUSB1", "192.0.2.52::8888")]
     identity: IdentityPattern = thermotron.IDENTITY
     serial: PortSection = PortSection.of(thermotron)
-
-    def driver_options(self) -> dict[str, Any]:
-        """Return the driver's option: the pattern that the controller's identity must match."""
-        return {"identity": self.identity}
 
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
         """Return the simulation's options: temperature limits, °C, and a name if `identity` is a plain name."""
@@ -110,6 +93,7 @@ class WatlowF4TSection(ControlledChamberForm):
     """
 
     facts: ClassVar = f4t
+    for_driver: ClassVar = ("loop", "output", "identity")
 
     driver: Literal["watlow-f4t"]
     resource: Annotated[str, resource_on("TCPIP", example="'TCPIP0::192.0.2.51::5025::SOCKET'")]
@@ -125,8 +109,8 @@ class WatlowF4TSection(ControlledChamberForm):
         return self
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the driver's options: loop, output, safe temperature (°C) and identity pattern."""
-        return {"loop": self.loop, "output": self.output, "safe_c": self.safe, "identity": self.identity}
+        """Return the keys for the driver, and the safe temperature, °C."""
+        return super().driver_options() | {"safe_c": self.safe}
 
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
         """Return the simulation's options: temperature limits, °C, loop and output."""
@@ -149,24 +133,19 @@ _WATLOW_F4T = Device(
 )
 
 
-class AimTtiPort(PortSection):
-    """The supply's RS-232 port, or the serial port that the computer shows for its USB connection."""
-
-    known: ClassVar = aim.BAUD_RATES
-
-
 class AimTtiSection(WiredSupplyForm):
-    """A PL303QMD-P, CPX200DP or CPX400DP with isolated outputs 1 and 2; a CPX has over-voltage protection."""
+    """A PL303QMD-P, CPX200DP or CPX400DP with isolated outputs 1 and 2; a CPX has over-voltage protection.
+
+    The serial port is its RS-232 port, or the one that the computer shows for its USB connection.
+    """
 
     facts: ClassVar = aim
+    for_driver: ClassVar = ("model",)
+    for_simulation: ClassVar = ("model",)
 
     driver: Literal["aim-tti"]
     model: Literal["PL303QMD-P", "CPX200DP", "CPX400DP"]
-    serial: AimTtiPort = AimTtiPort.of(aim)
-
-    def driver_options(self) -> dict[str, Any]:
-        """Return the driver's options: the settings that the outputs support, and the model that must respond."""
-        return super().driver_options() | {"model": self.model}
+    serial: PortSection = PortSection.of(aim)
 
 
 _AIM_TTI = Device(
@@ -184,13 +163,11 @@ class KeysightE36300Section(WiredSupplyForm):
     """A Keysight E36311A to E36313A: outputs 1, 2, 3, each with a switch and over-voltage protection."""
 
     facts: ClassVar = keysight
+    for_driver: ClassVar = ("model",)
+    for_simulation: ClassVar = ("model",)
 
     driver: Literal["keysight-e36300"]
     model: Literal["E36311A", "E36312A", "E36313A"]
-
-    def driver_options(self) -> dict[str, Any]:
-        """Return the driver's options: the settings that the outputs support, and the model that must respond."""
-        return super().driver_options() | {"model": self.model}
 
 
 _KEYSIGHT_E36300 = Device(
@@ -212,24 +189,12 @@ class KeysightE3631ASection(WiredSupplyForm):
     """
 
     facts: ClassVar = keysight_e3631a
+    for_driver: ClassVar = ("interface",)
+    for_simulation: ClassVar = ("interface",)
 
     driver: Literal["keysight-e3631a"]
     interface: Literal["gpib", "rs232"] = "gpib"
     serial: SerialSection = SerialSection()
-
-    @field_validator("serial")
-    @classmethod
-    def _speed_of_the_supply(cls, serial: SerialSection) -> SerialSection:
-        usual_baud_rate(serial.baud_rate, cls.facts.BAUD_RATES)
-        return serial
-
-    def driver_options(self) -> dict[str, Any]:
-        """Return the driver's options: the settings that the outputs support, and the selected interface."""
-        return super().driver_options() | {"interface": self.interface}
-
-    def simulation_options(self, truth: SupplyTruth) -> dict[str, Any]:
-        """Return the simulation's option: the selected interface."""
-        return {"interface": self.interface}
 
 
 _KEYSIGHT_E3631A = Device(

@@ -55,6 +55,9 @@ class DeviceSection(FileModel):
     """Whether a person operates the instrument; such an instrument has no wire and no simulation."""
     sections_of: ClassVar[Callable[[Role], Sequence[type[FileModel]]]] = staticmethod(lambda role: ())
     """Return the section classes of all instruments of a role; set by the registry, which knows them."""
+    for_driver: ClassVar[tuple[str, ...]] = ()
+    for_simulation: ClassVar[tuple[str, ...]] = ()
+    """Keys whose values are keyword arguments of driver and simulation under the same names."""
 
     driver: str
 
@@ -65,14 +68,14 @@ class DeviceSection(FileModel):
 
     def driver_options(self) -> dict[str, Any]:
         """Return the driver's own keyword arguments, in addition to those of every driver of its role."""
-        return {}
+        return {key: getattr(self, key) for key in self.for_driver}
 
     def simulation_options(self, truth: Any) -> dict[str, Any]:
         """Return the keyword arguments of the simulated instrument.
 
         `truth` is the section on this role under `simulation` in the bench file.
         """
-        return {}
+        return {key: getattr(self, key) for key in self.for_simulation}
 
 
 @dataclass(frozen=True)
@@ -158,6 +161,12 @@ def resource_on(*interfaces: Literal["TCPIP", "ASRL"], example: str) -> AfterVal
     return AfterValidator(check)
 
 
+def serial_or_socket(port: str, address: str) -> AfterValidator:
+    """Return a validator that accepts serial ports and network sockets; its message shows these two as examples."""
+    example = f"'ASRL/dev/{port}::INSTR' or 'TCPIP0::{address}::SOCKET'"
+    return resource_on("ASRL", "TCPIP", example=example)
+
+
 @dataclass(frozen=True)
 class Port:
     """The line terminations of an instrument's wire, and the parameters of its serial port, if it has one."""
@@ -184,6 +193,14 @@ class WiredForm(DeviceSection):
     resource: str
     timeout: Timeout = 3.0
 
+    @field_validator("serial", check_fields=False)
+    @classmethod
+    def _speed_that_it_has(cls, serial: Any) -> Any:
+        known = getattr(cls.facts, "BAUD_RATES", BAUD_RATES)
+        if serial.baud_rate not in known:
+            raise ValueError(f"expected one of {', '.join(map(str, known))}, got '{serial.baud_rate}'")
+        return serial
+
     @property
     def place(self) -> BusPlace | None:
         """The location behind a GPIB adapter; None without an adapter."""
@@ -198,16 +215,9 @@ class WiredForm(DeviceSection):
 
 
 class PortSection(FileModel):
-    """The speed of a serial port, one of `known`; the instrument's facts fix all other parameters."""
-
-    known: ClassVar[tuple[int, ...]] = BAUD_RATES
+    """The speed of a serial port, which the instrument must have; its facts fix all other parameters."""
 
     baud_rate: int
-
-    @field_validator("baud_rate")
-    @classmethod
-    def _usual(cls, baud_rate: int) -> int:
-        return usual_baud_rate(baud_rate, cls.known)
 
     @classmethod
     def of(cls, facts: ModuleType) -> Self:
@@ -217,13 +227,6 @@ class PortSection(FileModel):
     def settings(self) -> dict[str, Any]:
         """Return the stated serial port parameters."""
         return {"baud_rate": self.baud_rate}
-
-
-def usual_baud_rate(baud_rate: int, known: tuple[int, ...]) -> int:
-    """Return the baud rate if it is one of those in `known`. Raises `ValueError` otherwise."""
-    if baud_rate not in known:
-        raise ValueError(f"expected one of {', '.join(map(str, known))}, got '{baud_rate}'")
-    return baud_rate
 
 
 def _pattern(text: str) -> str:
@@ -479,6 +482,7 @@ class LineForm(WiredForm):
     """
 
     group: ClassVar[str]
+    for_driver: ClassVar = ("model", "request", "pattern", "errors")
 
     model: Printable
     request: Printable
@@ -518,10 +522,6 @@ class LineForm(WiredForm):
         ends = text_line.ENDS
         serial = {**text_line.SERIAL, **self.serial.settings()} if is_serial(self.resource) else None
         return Port(ends[self.reply_end], ends[self.request_end], serial)
-
-    def driver_options(self) -> dict[str, Any]:
-        """Return the driver's options: `model`, `request`, `pattern` and `errors`."""
-        return self.model_dump(include={"model", "request", "pattern", "errors"})
 
     def line_options(self) -> dict[str, Any]:
         """Return the simulation's options: request, pattern and example of the reply, error lines."""

@@ -22,11 +22,11 @@ from bench.config.devices.device import (
     any_resource,
     as_stated,
     resource_on,
+    serial_or_socket,
 )
 from bench.config.devices.sections import (
     HeadTruth,
     LevelForm,
-    LevelTruth,
     MotorisedHeadForm,
     ReadOutHeadForm,
     SpeedRadS,
@@ -42,6 +42,7 @@ class AcutrolSection(MotorisedHeadForm):
 
     facts: ClassVar = acutrol
     scale_on_axis: ClassVar[bool] = True
+    for_simulation: ClassVar = ("axis",)
 
     driver: Literal["acutrol"]
     resource: Annotated[str, resource_on("TCPIP", example="'TCPIP0::192.0.2.40::9888::SOCKET'")]
@@ -63,23 +64,16 @@ class AcutrolSection(MotorisedHeadForm):
         """Return the driver's options: the axis, and the rate (rad/s) below which the axis counts as stationary."""
         return {"axis": self.axis, "still_rad_s": self.still_rate}
 
-    def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the simulation's options: the speed, deg/s, and the axis."""
-        return super().simulation_options(truth) | {"axis": self.axis}
 
+_TURN: Final = {"minimum": "-5 deg", "maximum": "365 deg", "tolerance": "5 arcsec", "speed": "10 deg/s"}
+"""Keys of the examples of motorised heads."""
 
 _ACUTROL = Device(
     "acutrol",
     AcutrolSection,
     driver="drivers.instruments.acutrol:AcutrolHead",
     simulation="sim.acutrol:AcutrolTable",
-    example={
-        "resource": "TCPIP0::192.0.2.40::9888::SOCKET",
-        "minimum": "-5 deg",
-        "maximum": "365 deg",
-        "tolerance": "5 arcsec",
-        "speed": "10 deg/s",
-    },
+    example={"resource": "TCPIP0::192.0.2.40::9888::SOCKET", **_TURN},
     place=2,
 )
 
@@ -97,30 +91,23 @@ def _on_a_wire_it_has(resource: str) -> str:
     return any_resource(resource)
 
 
-class NewportPort(PortSection):
-    """The controller's RS-232 port, or the serial port that the computer shows for its USB connection."""
-
-    known: ClassVar = newport.BAUD_RATES
-
-
 class NewportSection(MotorisedHeadForm):
     """A rotary stage on one axis of a Newport ESP301, configured in degrees, with 0° at its home position.
 
+    The serial port is the controller's RS-232 port, or the one that the computer shows for its USB connection.
     Homing turns the stage to its sensor and ignores all limits; it therefore requires `allow_homing`.
     """
 
     facts: ClassVar = newport
+    for_driver: ClassVar = ("axis", "identity", "allow_homing")
+    for_simulation: ClassVar = ("axis",)
 
     driver: Literal["newport-esp301"]
     resource: Annotated[str, AfterValidator(_on_a_wire_it_has)]
     axis: Annotated[int, Field(ge=1, le=newport.MOST_AXES)] = 1
     identity: IdentityPattern = newport.IDENTITY
     allow_homing: bool = False
-    serial: NewportPort = NewportPort.of(newport)
-
-    def driver_options(self) -> dict[str, Any]:
-        """Return the driver's options: the axis, the identity pattern, and whether homing is allowed."""
-        return self.model_dump(include={"axis", "identity", "allow_homing"})
+    serial: PortSection = PortSection.of(newport)
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
         """Return the simulation's options: speed, axis, travel, homed state, and the identity if it is a plain
@@ -129,7 +116,6 @@ class NewportSection(MotorisedHeadForm):
         named = {"model": self.identity} if as_stated(self.identity) else {}
         return {
             **super().simulation_options(truth),
-            "axis": self.axis,
             "lowest_deg": math.degrees(self.minimum) - _BEYOND_DEG,
             "highest_deg": math.degrees(self.maximum) + _BEYOND_DEG,
             "homed": truth.homed,
@@ -142,13 +128,7 @@ _NEWPORT_ESP301 = Device(
     NewportSection,
     driver="drivers.instruments.newport_esp301:NewportHead",
     simulation="sim.newport_esp301:Esp301",
-    example={
-        "resource": "ASRL/dev/ttyUSB0::INSTR",
-        "minimum": "-5 deg",
-        "maximum": "365 deg",
-        "tolerance": "5 arcsec",
-        "speed": "10 deg/s",
-    },
+    example={"resource": "ASRL/dev/ttyUSB0::INSTR", **_TURN},
     simulated=("homed",),
 )
 
@@ -162,14 +142,11 @@ class ZaberSection(MotorisedHeadForm):
     """
 
     facts: ClassVar = zaber
+    for_simulation: ClassVar = ("steps_per_degree", "resolution", "device", "axis")
+    for_driver: ClassVar = (*for_simulation, "identity", "allow_homing", "checksums")
 
     driver: Literal["zaber"]
-    resource: Annotated[
-        str,
-        resource_on(
-            "ASRL", "TCPIP", example="'ASRL/dev/ttyUSB0::INSTR' or 'TCPIP0::192.0.2.30::55550::SOCKET'"
-        ),
-    ]
+    resource: Annotated[str, serial_or_socket("ttyUSB0", "192.0.2.30::55550")]
     steps_per_degree: float
     resolution: Annotated[int, Field(ge=1, le=256)] = zaber.RESOLUTION
     device: Annotated[int, Field(ge=1, le=zaber.MOST_DEVICES)] = 1
@@ -191,17 +168,11 @@ class ZaberSection(MotorisedHeadForm):
             raise ValueError("a step of the head is coarser than its tolerance; widen the tolerance")
         return self
 
-    def driver_options(self) -> dict[str, Any]:
-        """Return the driver's options: address, step scale, identity, permission to home, use of checksums."""
-        own = {"steps_per_degree", "resolution", "device", "axis", "identity", "allow_homing", "checksums"}
-        return self.model_dump(include=own)
-
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
         """Return the simulation's options: address, step scale, speed, range of travel, homed state and encoder."""
         named = {"device_id": int(self.identity)} if self.identity.isdecimal() else {}
         return {
             **super().simulation_options(truth),
-            **self.model_dump(include={"steps_per_degree", "resolution", "device", "axis"}),
             "lowest_deg": math.degrees(self.minimum) - _BEYOND_DEG,
             "highest_deg": math.degrees(self.maximum) + _BEYOND_DEG,
             "homed": truth.homed,
@@ -218,10 +189,7 @@ _ZABER = Device(
     example={
         "resource": "TCPIP0::192.0.2.30::55550::SOCKET",
         "steps_per_degree": "4266.6667",
-        "minimum": "-5 deg",
-        "maximum": "365 deg",
-        "tolerance": "5 arcsec",
-        "speed": "10 deg/s",
+        **_TURN,
     },
     simulated=("homed", "encoder"),
     place=1,
@@ -239,14 +207,11 @@ class LeicaNivelSection(LevelForm, WiredForm):
     """
 
     facts: ClassVar = nivel
+    for_driver: ClassVar = ("sensor", "along", "across", "averages")
+    for_simulation: ClassVar = ("sensor", "along", "across")
 
     driver: Literal["leica-nivel"]
-    resource: Annotated[
-        str,
-        resource_on(
-            "ASRL", "TCPIP", example="'ASRL/dev/ttyUSB0::INSTR' or 'TCPIP0::192.0.2.50::4001::SOCKET'"
-        ),
-    ]
+    resource: Annotated[str, serial_or_socket("ttyUSB0", "192.0.2.50::4001")]
     timeout: DurationS = 5.0
     sensor: Annotated[str, Field(pattern=r"^[1-9A-Z]$")] = "1"
     along: Axis = "+Y"
@@ -260,14 +225,6 @@ class LeicaNivelSection(LevelForm, WiredForm):
             raise ValueError(f"along and across are both axis {self.along[1]}; change one of them")
         return self
 
-    def driver_options(self) -> dict[str, Any]:
-        """Return the driver's options: the address, the directions of the axes, and the number of averages."""
-        return self.model_dump(include={"sensor", "along", "across", "averages"})
-
-    def simulation_options(self, truth: LevelTruth) -> dict[str, Any]:
-        """Return the simulation's options: the sensor's address and the directions of its axes."""
-        return self.model_dump(include={"sensor", "along", "across"})
-
 
 _LEICA_NIVEL = Device(
     "leica-nivel",
@@ -280,21 +237,7 @@ _LEICA_NIVEL = Device(
 )
 
 
-Wire = Annotated[
-    str,
-    resource_on("ASRL", "TCPIP", example="'ASRL/dev/ttyUSB0::INSTR' or 'TCPIP0::192.0.2.60::4001::SOCKET'"),
-]
-
-
-class NdPort(PortSection):
-    """The serial port of a display unit, with 7 data bits and even parity."""
-
-    known: ClassVar = nd.BAUD_RATES
-
-    @property
-    def data_bits(self) -> Literal[7]:
-        """Data bits of a character."""
-        return 7
+Wire = Annotated[str, serial_or_socket("ttyUSB0", "192.0.2.60::4001")]
 
 
 class HeidenhainNd28xSection(ReadOutHeadForm):
@@ -304,38 +247,26 @@ class HeidenhainNd28xSection(ReadOutHeadForm):
     """
 
     facts: ClassVar = nd
+    for_driver: ClassVar = ("model",)
+    for_simulation: ClassVar = ("model",)
 
     driver: Literal["heidenhain-nd28x"]
     resource: Wire
     model: Literal["ND-281B", "ND-287"] = "ND-281B"
-    serial: NdPort = NdPort.of(nd)
-
-    def driver_options(self) -> dict[str, Any]:
-        """Return the driver's option `model`: the display unit that the driver must find."""
-        return {"model": self.model}
-
-    def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the options common to all simulated counters, and `model`."""
-        return super().simulation_options(truth) | {"model": self.model}
+    serial: PortSection = PortSection.of(nd)
 
 
 class MitutoyoMux10Section(ReadOutHeadForm):
     """A counter that shows degrees and sends its readings in the form of a Mitutoyo MUX-10."""
 
     facts: ClassVar = mitutoyo_mux10
+    for_driver: ClassVar = ("channel",)
+    for_simulation: ClassVar = ("channel",)
 
     driver: Literal["mitutoyo-mux10"]
     resource: Wire
     channel: Annotated[int, Field(ge=1, le=mitutoyo_mux10.MOST_CHANNELS)] = 1
     serial: PortSection = PortSection.of(mitutoyo_mux10)
-
-    def driver_options(self) -> dict[str, Any]:
-        """Return the driver's option: the channel to which the encoder is connected."""
-        return {"channel": self.channel}
-
-    def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the options common to all simulated counters, and the channel of the encoder."""
-        return super().simulation_options(truth) | {"channel": self.channel}
 
 
 class EncoderLineSection(ReadOutHeadForm, LineForm):
@@ -366,7 +297,7 @@ class EncoderLineSection(ReadOutHeadForm, LineForm):
 
     def driver_options(self) -> dict[str, Any]:
         """Return the options common to instruments with a line of text, and `per_turn`."""
-        return LineForm.driver_options(self) | {"per_turn": self.per_turn}
+        return super().driver_options() | {"per_turn": self.per_turn}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
         """Return the options common to all simulated counters, and the request and form of the reply."""

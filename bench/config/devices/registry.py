@@ -31,7 +31,6 @@ from pydantic import (
     TypeAdapter,
     ValidationInfo,
     create_model,
-    field_validator,
 )
 
 from bench.base.units import SizeRad
@@ -41,7 +40,6 @@ from bench.config.devices.device import (
     Device,
     DeviceSection,
     Role,
-    VoltmeterCertificate,
     WiredForm,
 )
 from bench.config.devices.sections import (
@@ -297,16 +295,6 @@ class UnknownVoltmeter(VoltmeterForm):
     resource: str = ""
     stated_channels: tuple[Channel, ...] = Field((), alias="channels")
     inputs: Any = None
-
-    @field_validator("range")
-    @classmethod
-    def _of_the_meter(cls, range_v: float, info: ValidationInfo) -> float:
-        return range_v
-
-    @field_validator("certificate")
-    @classmethod
-    def _of_its_ranges(cls, certificate: VoltmeterCertificate | None) -> VoltmeterCertificate | None:
-        return certificate
 
     @property
     def channels(self) -> tuple[Channel, ...]:

@@ -31,13 +31,13 @@ from bench.config.devices.device import (
     ChamberCertificate,
     DeviceSection,
     HeadCertificate,
+    PortSection,
     Role,
     Timeout,
     VoltmeterCertificate,
     WiredForm,
     any_resource,
     of_known_ranges,
-    usual_baud_rate,
 )
 from drivers.interfaces import Channel, SupplyLimits, VoltmeterLimits
 
@@ -129,20 +129,16 @@ class VoltmeterTruth(FileModel):
         }
 
 
-class SerialSection(FileModel):
+class SerialSection(PortSection):
     """The serial port settings at a meter's front panel: 7 data bits if there is parity, else 8."""
 
     baud_rate: int = 9600
     parity: Literal["none", "even", "odd"] = "none"
 
-    @property
-    def data_bits(self) -> Literal[7, 8]:
-        """The number of data bits in a character."""
-        return 8 if self.parity == "none" else 7
-
     def settings(self) -> dict[str, Any]:
         """Return the baud rate, parity and number of data bits."""
-        return {"baud_rate": self.baud_rate, "parity": self.parity, "data_bits": self.data_bits}
+        data_bits = 8 if self.parity == "none" else 7
+        return {"baud_rate": self.baud_rate, "parity": self.parity, "data_bits": data_bits}
 
 
 class VoltmeterForm(WiredForm):
@@ -185,9 +181,8 @@ class VoltmeterForm(WiredForm):
     @field_validator("range")
     @classmethod
     def _of_the_meter(cls, range_v: float, info: ValidationInfo) -> float:
-        known = cls.facts.RANGES_V
-        if range_v not in known:
-            listed = ", ".join(f"{r:g} V" for r in known)
+        if hasattr(cls, "facts") and range_v not in cls.facts.RANGES_V:  # an unknown driver has no facts
+            listed = ", ".join(f"{r:g} V" for r in cls.facts.RANGES_V)
             raise ValueError(
                 f"the {info.data.get('driver')} has no range of {range_v:g} V; choose from {listed}"
             )
@@ -196,7 +191,7 @@ class VoltmeterForm(WiredForm):
     @field_validator("certificate")
     @classmethod
     def _of_its_ranges(cls, certificate: VoltmeterCertificate | None) -> VoltmeterCertificate | None:
-        if certificate is not None:
+        if certificate is not None and hasattr(cls, "facts"):
             of_known_ranges(certificate, cls.facts.RANGES_V)
         return certificate
 
@@ -223,12 +218,6 @@ class SerialPortForm(VoltmeterForm):
     """A voltmeter that may have a serial port."""
 
     serial: SerialSection = SerialSection()
-
-    @field_validator("serial")
-    @classmethod
-    def _speed_of_the_meter(cls, serial: SerialSection) -> SerialSection:
-        usual_baud_rate(serial.baud_rate, cls.facts.BAUD_RATES)
-        return serial
 
 
 def written_channels(voltmeter: Any) -> tuple[str, list[Any]] | None:
@@ -317,8 +306,8 @@ class MotorisedHeadForm(HeadForm, WiredForm):
         }
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the simulation's option: the speed of the head, deg/s."""
-        return {"speed_deg_s": math.degrees(self.speed)}
+        """Return the keys for the simulation, and the speed of the head, deg/s."""
+        return super().simulation_options(truth) | {"speed_deg_s": math.degrees(self.speed)}
 
 
 class ReadOutHeadForm(HeadForm, WiredForm):
@@ -373,8 +362,9 @@ class ReadOutHeadForm(HeadForm, WiredForm):
         return {"zero_rad": self.zero, "falling": self.falling}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the options of every simulated counter: zero (deg), sense, and whether it is referenced."""
-        return {"zero_deg": math.degrees(self.zero), "falling": self.falling, "referenced": truth.homed}
+        """Return the keys for the simulation, and the encoder's zero (deg), sense, and whether it is referenced."""
+        own = {"zero_deg": math.degrees(self.zero), "falling": self.falling, "referenced": truth.homed}
+        return super().simulation_options(truth) | own
 
 
 TEMPERATURE_RATE: Final = QuantityKind("a rate of temperature", "4 K/min", "K/s")
@@ -457,8 +447,8 @@ class ControlledChamberForm(ChamberForm, WiredForm):
         return self.minimum, self.maximum, self.band
 
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
-        """Return the simulation's options: the lowest and the highest set point of the controller, °C."""
-        return {"lowest_c": self.minimum, "highest_c": self.maximum}
+        """Return the keys for the simulation, and the lowest and highest set point of the controller, °C."""
+        return super().simulation_options(truth) | {"lowest_c": self.minimum, "highest_c": self.maximum}
 
 
 class LevelTruth(FileModel):
@@ -566,10 +556,5 @@ class WiredSupplyForm(SupplyForm, WiredForm):
         return SupplyLimits.of(self.facts, getattr(self, "model", None))
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the driver's option: the settings that the outputs support."""
-        return {"limits": self.limits}
-
-    def simulation_options(self, truth: SupplyTruth) -> dict[str, Any]:
-        """Return the simulation's option `model`, or none for a driver of one model."""
-        model = getattr(self, "model", None)
-        return {} if model is None else {"model": model}
+        """Return the keys for the driver, and the settings that the outputs support."""
+        return super().driver_options() | {"limits": self.limits}

@@ -100,8 +100,6 @@ _KEYSIGHT_34461A = Device(
 class Keithley2000Port(PortSection):
     """The RS-232 settings at the front panel of a Keithley 2000; `terminator` is its TX TERM."""
 
-    known: ClassVar = keithley.BAUD_RATES
-
     baud_rate: int = PortSection.of(keithley).baud_rate
     terminator: Literal["lf", "cr", "crlf", "lfcr"] = "lf"
 
@@ -218,6 +216,8 @@ class Keysight34970AThermometerSection(ThermometerForm, WiredForm):
     """
 
     facts: ClassVar = multiplexer
+    for_driver: ClassVar = ("channel", "sensor", "interface")
+    for_simulation: ClassVar = for_driver
 
     driver: Literal["keysight-34970a-thermometer"]
     resource: Annotated[str, AfterValidator(any_resource)]
@@ -243,16 +243,12 @@ class Keysight34970AThermometerSection(ThermometerForm, WiredForm):
         sensor = SENSORS[self.sensor]
         return sensor.meter_c + sensor.probe_c + sensor.probe_slope * _ROOM_C
 
-    def driver_options(self) -> dict[str, Any]:
-        """Return the driver's options: the channel, the sensor type and the selected interface."""
-        return self.model_dump(include={"channel", "sensor", "interface"})
-
     def simulation_options(self, truth: ThermometerTruth) -> dict[str, Any]:
-        """Return the simulation's options: channel, sensor type, interface, errors, the model and its cards."""
-        own = {"error_c": truth.error, "noise_c": truth.noise, "air_share": truth.air_share}
-        return {
-            **self.model_dump(include={"channel", "sensor", "interface"}),
-            **own,
+        """Return the keys for the simulation, the errors, the model and its cards."""
+        return super().simulation_options(truth) | {
+            "error_c": truth.error,
+            "noise_c": truth.noise,
+            "air_share": truth.air_share,
             "model": multiplexer.MODELS[self.interface == "lan"],
             "cards": {100 * (self.channel // 100): multiplexer.CARD},
         }

@@ -101,7 +101,7 @@ class _Tree:
             text = "this is not a procedure: 'procedure' and 'steps' are missing"
             raise FileMistakes(path, [FileMistake(0, "", text)])
         self._read(self._root, ProcedureFile, ())
-        self._check_scopes(self._root, part(self._root.data, "steps"), ("steps",), _Scope())
+        self._check_scopes(self._root, part(self._root.data, "steps"), ("steps",), frozenset())
 
     @property
     def sha256(self) -> str:
@@ -167,20 +167,19 @@ class _Tree:
         self.mistakes.append(FileMistake(mistake.line, "", told, str(path)))
         return ""
 
-    def _check_scopes(self, document: Document, steps: Any, place: Place, scope: _Scope) -> None:
-        """Check that every verb is allowed where it occurs; `steps` are as written, valid or not.
+    def _check_scopes(self, document: Document, steps: Any, place: Place, within: frozenset[str]) -> None:
+        """Check that every verb is allowed inside the verbs `within`; `steps` are as written, valid or not.
 
         An included file is checked once for each set of enclosing verbs, so that no mistake is reported twice.
         """
         for entry, verb, body in _entries(steps, place):
-            problem = scope.problem(verb)
-            if problem:
+            if problem := _misplaced(verb, within):
                 self.mistakes.append(self.located(document, document.mistake((*entry, verb), problem)))
-            inner = scope.inside(verb)
+            inner = within | {verb}
             if verb == _INCLUDE and isinstance(body, str):
                 key = _resolved(document.path.parent / body)
-                if key in self.documents and (key, inner.within) not in self._checked:
-                    self._checked.add((key, inner.within))
+                if key in self.documents and (key, inner) not in self._checked:
+                    self._checked.add((key, inner))
                     included = self.documents[key]
                     self._check_scopes(included, part(included.data, "steps"), ("steps",), inner)
             elif steps_inside := part(body, "steps"):
@@ -198,34 +197,24 @@ def _resolved(path: Path) -> Path:
         return path
 
 
-@dataclass(frozen=True)
-class _Scope:
-    """The verbs that enclose a step."""
-
-    within: frozenset[str] = frozenset()
-
-    def inside(self, verb: str) -> _Scope:
-        """Return the scope of the steps inside a verb."""
-        return _Scope(self.within | {verb})
-
-    def problem(self, verb: str) -> str:
-        """Return the reason why a verb is not allowed in this scope; empty if it is allowed."""
-        text = ""
-        match verb:
-            case _ if "input" in self.within:
-                if verb in _NOT_IN_AN_INPUT:
-                    text = f"{_a(verb)} is inside an input, where no signal is connected; move it out"
-            case "installation" if verb in self.within:
-                text = "an installation is inside another; end the first one before it"
-            case "temperatures" if verb in self.within:
-                text = "a list of temperatures is inside another; merge them"
-            case "turn" | "read" if "installation" not in self.within:
-                text = f"a {verb} is outside of an installation; move it into the steps of one"
-            case "read" if "turn" not in self.within:
-                text = "a read is outside of a turn; move it into the turn's steps"
-            case "turn" | "repeat" | "temperatures" | "level" if "turn" in self.within:
-                text = f"{_a(verb)} is inside the steps of a turn; put it around the turn"
-        return text
+def _misplaced(verb: str, within: frozenset[str]) -> str:
+    """Return the reason why a verb is not allowed inside the verbs `within`; empty if it is allowed."""
+    text = ""
+    match verb:
+        case _ if "input" in within:
+            if verb in _NOT_IN_AN_INPUT:
+                text = f"{_a(verb)} is inside an input, where no signal is connected; move it out"
+        case "installation" if verb in within:
+            text = "an installation is inside another; end the first one before it"
+        case "temperatures" if verb in within:
+            text = "a list of temperatures is inside another; merge them"
+        case "turn" | "read" if "installation" not in within:
+            text = f"a {verb} is outside of an installation; move it into the steps of one"
+        case "read" if "turn" not in within:
+            text = "a read is outside of a turn; move it into the turn's steps"
+        case "turn" | "repeat" | "temperatures" | "level" if "turn" in within:
+            text = f"{_a(verb)} is inside the steps of a turn; put it around the turn"
+    return text
 
 
 _NOT_IN_AN_INPUT: Final = frozenset(

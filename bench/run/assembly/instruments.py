@@ -297,10 +297,10 @@ def on_terminals(bench: BenchFile) -> tuple[str, ...]:
         for section in bench.instruments.all()
         if isinstance(section, WiredForm)
         and is_serial(section.resource)
-        and getattr(getattr(section, "serial", None), "data_bits", 8) == 8
+        and (section.port().serial or {}).get("data_bits", 8) == 8
     )
 
 
 def faults_of(bench: BenchFile) -> list[Fault]:
     """Return the simulated faults of the bench file."""
-    return [Fault.parse(fault.to_plain()) for fault in bench.simulation.faults]
+    return [Fault.parse(fault.model_dump(exclude_none=True)) for fault in bench.simulation.faults]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Final, Protocol, runtime_checkable
+from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 from bench.config.devices.device import WiredForm
 from bench.config.devices.sections import ThermometerForm
@@ -159,14 +159,12 @@ IDENTITY: Final = "identity"
 BENCH: Final = "bench"
 
 
-@dataclass(frozen=True)
-class Part:
-    """A part of the session: its condition, the message that announces it to the person, and its checks."""
+class Part(NamedTuple):
+    """A part of the session: its title, the message that announces it to the person, and its checks."""
 
     title: str
     announced: str
     carry_out: Callable[[CommissioningSession], None]
-    applies: Callable[[CommissioningSession], bool] = lambda evening: True
 
 
 def _identities(evening: CommissioningSession) -> None:
@@ -191,58 +189,47 @@ def _report_equal_serials(evening: CommissioningSession) -> None:
         evening.note(Finding(IDENTITY, BENCH, State.OTHER, words, remedy=remedy))
 
 
-PARTS: Final = (
-    Part(
+def parts(evening: CommissioningSession) -> Iterator[Part]:
+    """Yield the parts of a session that the bench needs, in their order."""
+    instruments, stated = evening.instruments, evening.file.instruments
+    yield Part(
         "limits",
         "The program demands values beyond the limits of head, chamber and power supply; their drivers must "
         "refuse them. No wire is open, so nothing can move.",
         devices.check_limits,
-    ),
-    Part(
+    )
+    yield Part(
         "identity and settings",
         "The program opens every instrument, reads its identity, and sets the voltmeters up twice. Nothing "
         "moves.",
         _identities,
-    ),
-    Part("time of a reading", "Each voltmeter takes a reading alone.", meters.check_time),
-    Part("together", "All voltmeters start together, as in a run.", meters.check_together),
-    Part("noise", "The inputs of the voltmeters are shorted and read.", meters.check_noise),
-    Part(
-        "head",
-        "The head makes small moves, each announced; keep an eye on the cables.",
-        devices.check_moves,
-    ),
-    Part(
-        "chamber",
-        "The chamber is read and put into standby.",
-        devices.check_standby,
-        applies=lambda evening: evening.instruments.chamber is not None,
-    ),
-    Part(
-        "power supply",
-        "The program reads its outputs and sets or switches nothing.",
-        devices.check_outputs,
-        applies=lambda evening: evening.instruments.power_supply is not None,
-    ),
-    Part(
-        "level",
-        "The head turns to 0°; you read the level on the platform in two positions, half a turn apart.",
-        devices.check_level,
-        applies=lambda evening: evening.instruments.level is not None,
-    ),
-    Part(
-        "thermometer",
-        "The thermometers are read.",
-        devices.check_thermometer,
-        applies=lambda evening: bool(evening.file.instruments.thermometers),
-    ),
-    Part(
-        "cables",
-        "You pull every cable once and plug it in again; the program must report each loss.",
-        check_cables,
-        applies=lambda evening: any(not section.by_hand for section in evening.file.instruments.all()),
-    ),
-)
+    )
+    yield Part("time of a reading", "Each voltmeter takes a reading alone.", meters.check_time)
+    yield Part("together", "All voltmeters start together, as in a run.", meters.check_together)
+    yield Part("noise", "The inputs of the voltmeters are shorted and read.", meters.check_noise)
+    yield Part(
+        "head", "The head makes small moves, each announced; keep an eye on the cables.", devices.check_moves
+    )
+    if (chamber := instruments.chamber) is not None:
+        check = partial(devices.check_standby, chamber=chamber)
+        yield Part("chamber", "The chamber is read and put into standby.", check)
+    if (supply := instruments.power_supply) is not None:
+        check = partial(devices.check_outputs, supply=supply)
+        yield Part("power supply", "The program reads its outputs and sets or switches nothing.", check)
+    if (level := instruments.level) is not None:
+        yield Part(
+            "level",
+            "The head turns to 0°; you read the level on the platform in two positions, half a turn apart.",
+            partial(devices.check_level, level=level),
+        )
+    if stated.thermometers:
+        yield Part("thermometer", "The thermometers are read.", devices.check_thermometer)
+    if not all(section.by_hand for section in stated.all()):
+        yield Part(
+            "cables",
+            "You pull every cable once and plug it in again; the program must report each loss.",
+            check_cables,
+        )
 
 
 def go_through(evening: CommissioningSession) -> None:
@@ -250,11 +237,11 @@ def go_through(evening: CommissioningSession) -> None:
 
     Raises `SessionEnded` if the person ends the session, and `KeyboardInterrupt`.
     """
-    parts = [part for part in PARTS if part.applies(evening)]
-    for number, part in enumerate(parts, start=1):
+    every = list(parts(evening))
+    for number, part in enumerate(every, start=1):
         try:
             evening.confirm(
-                f"Part {number} of {len(parts)}, {part.title}: {part.announced} Continue?", default="yes"
+                f"Part {number} of {len(every)}, {part.title}: {part.announced} Continue?", default="yes"
             )
             part.carry_out(evening)
         except Skipped as why:

@@ -340,11 +340,8 @@ READ: Final = "temperature"
 STANDBY: Final = "standby"
 
 
-def check_standby(evening: CommissioningSession) -> None:
+def check_standby(evening: CommissioningSession, chamber: ThermalChamber) -> None:
     """Read the chamber and put it into standby."""
-    chamber = evening.instruments.chamber
-    if chamber is None:
-        return
     by_hand = evening.section(chamber.name).by_hand
     evening.carry_out(READ, chamber, partial(_read_temperature, chamber, by_hand))
     evening.carry_out(STANDBY, chamber, partial(_standby, evening, chamber, by_hand))
@@ -379,12 +376,10 @@ METERS: Final = "temperature of the voltmeters"
 ROOM: Final = "temperature of the room"
 
 
-def check_level(evening: CommissioningSession) -> None:
+def check_level(evening: CommissioningSession, level: Level) -> None:
     """Read the level in two positions half a turn apart, to determine its zero and the platform's tilt."""
-    level = evening.instruments.level
-    if level is not None:
-        head = evening.instruments.head
-        evening.carry_out(REVERSED, level, partial(_reversed, evening, level), also=[head])
+    head = evening.instruments.head
+    evening.carry_out(REVERSED, level, partial(_reversed, evening, level), also=[head])
 
 
 def _reversed(evening: CommissioningSession, level: Level) -> Finding:
@@ -435,11 +430,9 @@ def _temperature(place: str, thermometer: Thermometer) -> Finding:
 OUTPUTS: Final = "outputs"
 
 
-def check_outputs(evening: CommissioningSession) -> None:
+def check_outputs(evening: CommissioningSession, supply: PowerSupply) -> None:
     """Read the state of every output of the power supply."""
-    supply = evening.instruments.power_supply
-    if supply is not None:
-        evening.carry_out(OUTPUTS, supply, partial(_read_outputs, supply))
+    evening.carry_out(OUTPUTS, supply, partial(_read_outputs, supply))
 
 
 def _read_outputs(supply: PowerSupply) -> Finding:

@@ -134,7 +134,6 @@ def test_what_the_check_of_a_plan_needs_to_know(tmp_path, shipped_text):
     motorised = load_bench(find_bench("bench-motorised"))
     assert motorised.head_limits_rad == pytest.approx((-5 * degree, 365 * degree))
     assert motorised.head_backoff_rad == pytest.approx(degree)
-    assert motorised.block_limits_c == (-40.0, 60.0)
     assert motorised.most_samples == 10_000
     by_hand = load_bench(find_bench("bench-lan"))
     assert (by_hand.head_limits_rad, by_hand.head_backoff_rad) == (None, 0.0)

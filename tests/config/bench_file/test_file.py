@@ -57,7 +57,7 @@ def test_the_paper_stand_is_the_papers():
     assert stand["voltmeter_error"].u == pytest.approx(1e-4)
     assert stand["mounting_roll"].u == stand["mounting_offset"].u == 0.0
     assert bench.gravity_m_s2 == pytest.approx(9.8105, abs=1e-3)
-    assert bench.verification_limit_g == 3e-4
+    assert bench.verification.limit == 3e-4
     assert bench.voltmeter_range_v == 10.0
     assert bench.unit_under_test.scale_factors.values == (-2.18, -2.14, -2.14)
     assert [meter.name for meter in bench.instruments.voltmeters] == [f"voltmeter.{c}" for c in "xyz"]

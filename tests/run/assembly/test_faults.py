@@ -54,7 +54,7 @@ def test_a_bench_file_takes_the_faults_that_the_simulation_takes(data):
         with pytest.raises(ValidationError):
             FaultSection.model_validate(data)
     else:
-        assert Fault.parse(FaultSection.model_validate(data).to_plain()) == fault
+        assert Fault.parse(FaultSection.model_validate(data).model_dump(exclude_none=True)) == fault
 
 
 @pytest.mark.parametrize(
