@@ -332,14 +332,7 @@ def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
                 [p.delta_g / scale.size for p in points], [2.0 * p.u / scale.size for p in points],
                 fmt=marker, color=colour, markersize=5, capsize=3, linewidth=1.1, label=name,
             )  # fmt: skip
-        several = len({p.pass_number for p in shown.before.points}) > 1
-        axes.set_xticks(
-            range(count),
-            [
-                f"{p.angle_deg:.0f}°" + (f"\npass {p.pass_number}" if several else "")
-                for p in shown.before.points
-            ],
-        )
+        axes.set_xticks(range(count), plots.point_labels(shown.before.points))
         axes.set_xlim(-0.6, count - 0.4)
         axes.margins(y=0.15)
         figure.legend(loc="outside upper center", ncols=2)
