@@ -26,13 +26,14 @@ from bench.base.text import APPROACH
 from bench.calibration import Calibration
 from bench.calibration.budget.propagation import correlation_of
 from bench.calibration.verification import Verification, VerificationPoint
-from bench.diagnosis.show import ModulusPoint
 from bench.model.conditions import Mounting
 from bench.model.geometry import COEFFICIENTS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from bench.diagnosis.show import ModulusPoint
 
 
 # matplotlib warns if it cannot create its settings folder, which does not affect a page
