@@ -16,7 +16,7 @@ from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.estimators import find_estimator
 from bench.calibration.intrinsic import intrinsic_of
-from bench.calibration.result import COVERAGE_FACTOR, Calibration, Triangular
+from bench.calibration.result import COVERAGE_FACTOR, Calibration, Component, Triangular
 from bench.model.geometry import COEFFICIENTS
 from bench.results import parts
 from bench.results.intrinsic import (
@@ -57,17 +57,6 @@ class NoisePriorPart(ResultModel):
     from_: Literal["bench file", "other runs"] = Field(alias="from")
 
 
-class ComponentPart(ResultModel):
-    """A variance component of an error that several readings share."""
-
-    what: str = Field(description="shared item: setting, angle of a setting, visit, pass or drift")
-    channels: str
-    size: float = Field(description="standard deviation of the component")
-    unit: str
-    dof: float
-    p: float = Field(description="p-value of the component, corrected for the number of kinds tested (Holm)")
-
-
 class DriftPart(ResultModel):
     """The drift of the biases during the run, relative to the mean of each bias."""
 
@@ -85,7 +74,7 @@ class NoisePart(parts.ChannelsPart):
     )
     p_equal: Real = Field(description="p-value for equal noise in all channels")
     p_tails: Real = Field(description="p-value for Gaussian noise, by the tails of the residuals")
-    shared: list[ComponentPart]
+    shared: list[Component] = Field(description="variance components of errors that several readings share")
     drift: DriftPart | None
     wander: parts.ChannelsPart | None = Field(
         description="rms wander of each bias about its mean during the run, as found or as the readings "
@@ -201,9 +190,7 @@ class CalibrateResult(ResultModel):
     )
     order: list[str] = Field(description="names of the coefficients in the order of `covariance`")
     covariance: Matrix = Field(description="combined covariance of the coefficients, 12 × 12, in `order`")
-    covariance_readings: Matrix = Field(
-        description="covariance from the readings and the stated errors of the stand"
-    )
+    covariance_readings: parts.CovarianceOfReadings
     covariance_same_meters: Matrix = Field(
         description="covariance without the errors that cancel if the same meters read the block later"
     )
@@ -250,9 +237,7 @@ class CalibrateResult(ResultModel):
     unit_under_test: parts.UnitPart | None
     simulated: bool = Field(description="whether the instruments were simulated")
     meters: list[str] = Field(description="identity and connection of each voltmeter; empty if not recorded")
-    corrections: list[parts.CorrectionPart] = Field(
-        default=[], description="certificates of the instruments; empty if there are none"
-    )
+    corrections: parts.Corrections = Field(default=[])
     record: parts.RecordPart | None = Field(default=None, description="record of the run; absent for a file")
     prior: PriorPart | None = Field(default=None, description="prior from other units; absent if unused")
     certificate: CertificateReadPart | None = Field(

@@ -110,9 +110,7 @@ class CompensateResult(ResultModel):
     coefficients: dict[str, PolynomialPart]
     order: list[tuple[str, int]] = Field(description="coefficient and power, in the order of `covariance`")
     covariance: Matrix
-    covariance_readings: Matrix = Field(
-        description="covariance from the readings and the stated errors of the stand"
-    )
+    covariance_readings: parts.CovarianceOfReadings
     uncertainty_sources: list[parts.UncertaintySourcePart] = Field(
         description="sources of uncertainty that the readings do not show, for the terms at the reference "
         "temperature"
@@ -135,7 +133,7 @@ class CompensateResult(ResultModel):
     verification: list[VerdictAtPart]
     sources: list[str]
     bench: parts.BenchPart
-    corrections: list[parts.CorrectionPart]
+    corrections: parts.Corrections
     simulated: bool
 
 

@@ -16,7 +16,7 @@ from bench.diagnosis.gap import FLOOR
 from bench.diagnosis.result import Verdict
 from bench.diagnosis.show import label
 from bench.results import diagnosis_words as words
-from bench.results.parts import BenchPart, CorrectionPart
+from bench.results.parts import BenchPart, Corrections
 
 
 class ParameterNow(ResultModel):
@@ -75,7 +75,7 @@ class ConfirmResult(ResultModel):
     model: str = Field(description="path of the model file")
     source: str
     bench: BenchPart
-    corrections: list[CorrectionPart]
+    corrections: Corrections
     simulated: bool
     notes: list[str]
 

@@ -36,7 +36,7 @@ from bench.results.diagnosis_parts import (
     mistake_part,
 )
 from bench.results.diagnosis_words import Files
-from bench.results.parts import BenchPart, CorrectionPart, by_channel
+from bench.results.parts import BenchPart, CorrectionPart, Corrections, by_channel
 from bench.results.residuals import ResidualsPart, compared_residuals
 
 if TYPE_CHECKING:
@@ -197,9 +197,7 @@ class DiagnoseResult(FoundResult):
     skipped_rows: list[str]
     report: Path | None = Field(description="path of the page; null if none was written")
     bench: BenchPart | None
-    corrections: list[CorrectionPart] = Field(
-        description="certificates of the instruments and their corrections; may be empty"
-    )
+    corrections: Corrections
     corrected: CopyPart | None = Field(
         description="copy of the readings with the mistakes corrected, from which all members except the "
         "mistakes follow; null if there is none"

@@ -19,7 +19,7 @@ from bench.diagnosis.posterior import KnownTogether
 from bench.diagnosis.residual_model import FormTerm, FreeForm
 from bench.diagnosis.result import Verdict
 from bench.results.diagnosis_words import Files
-from bench.results.parts import BenchPart, ChannelsPart, CorrectionPart
+from bench.results.parts import BenchPart, ChannelsPart, Corrections
 
 VerdictOfCopy = Literal["agrees", "named", "confounded", "unknown"]
 
@@ -214,9 +214,7 @@ class AloneResult(ResultModel):
     source: str
     report: Path | None = Field(description="path of the page; null if none was written")
     bench: BenchPart | None
-    corrections: list[CorrectionPart] = Field(
-        description="certificates of the instruments and their corrections; may be empty"
-    )
+    corrections: Corrections
     simulated: bool
     skipped_rows: list[str]
 

@@ -20,7 +20,7 @@ from bench.calibration.intrinsic import (
     joint_factor,
 )
 from bench.calibration.result import COVERAGE_FACTOR, Calibration
-from bench.results.parts import CoefficientPart, by_name
+from bench.results.parts import CoefficientPart, CovarianceOfReadings, by_name
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,9 +45,7 @@ class IntrinsicPart(ResultModel):
     )
     order: list[str] = Field(description="names of the nine in the order of `covariance`")
     covariance: Matrix = Field(description="combined covariance, 9 × 9, in the units of the values")
-    covariance_readings: Matrix = Field(
-        description="covariance from the readings and the stated errors of the stand"
-    )
+    covariance_readings: CovarianceOfReadings
     held_by_limits: list[str] = Field(
         description="numbers that follow from the limits of the bench file because these readings do not "
         "determine them"

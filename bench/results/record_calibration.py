@@ -15,7 +15,7 @@ from bench.base.tables import print_notes
 from bench.calibration.result import COVERAGE_FACTOR
 from bench.diagnosis.record_calibration import ChannelCalibration, Estimate, RecordCalibration
 from bench.history.stability import Stability
-from bench.results.parts import BenchPart, CorrectionPart, ReadingsPart
+from bench.results.parts import BenchPart, Corrections, ReadingsPart
 from bench.results.record_diagnosis import course_figure
 from bench.results.repeats import RepeatsPart, repeats_part, repeats_told
 from bench.results.stability import allan_figure, averaging_lines
@@ -70,7 +70,7 @@ class RecordCalibrateResult(ResultModel):
     bench: BenchPart
     made_at: str | None
     simulated: bool
-    corrections: list[CorrectionPart]
+    corrections: Corrections
     notes: list[str]
     skipped_rows: list[str]
 

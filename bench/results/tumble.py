@@ -15,7 +15,15 @@ from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.budget.whole import OF_BLOCK
 from bench.calibration.tumble import HOMES, K, TumbleView, parameter_of
-from bench.results.parts import BenchPart, CorrectionPart, ExpandedPart, FitPart, UnitPart, fit_in_words
+from bench.results.parts import (
+    BenchPart,
+    Corrections,
+    CovarianceOfReadings,
+    ExpandedPart,
+    FitPart,
+    UnitPart,
+    fit_in_words,
+)
 
 CLOSE: Final = 0.95
 """Correlation above which two terms are reported as hard to separate."""
@@ -86,9 +94,7 @@ class TumbleResult(ResultModel):
     order: list[str] = Field(description="channel and name of each quantity, in the order of `covariance`")
     combined: bool = Field(description="whether u and `covariance` include every source of the bench")
     covariance: Matrix = Field(description="covariance of all quantities of the three channels")
-    covariance_readings: Matrix = Field(
-        description="covariance from the readings and the stated errors of the stand"
-    )
+    covariance_readings: CovarianceOfReadings
     noise: TumbleNoisePart
     residual: FitPart
     above_1g: AbovePart | None = Field(description="centrifuge points in the fit")
@@ -98,9 +104,7 @@ class TumbleResult(ResultModel):
     made_at: str | None
     unit_under_test: UnitPart | None
     simulated: bool
-    corrections: list[CorrectionPart] = Field(
-        description="certificates of the instruments; empty if there are none"
-    )
+    corrections: Corrections
     notes: list[str] = Field(description="remarks for the reader, and rows that were skipped")
 
 

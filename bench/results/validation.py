@@ -11,6 +11,7 @@ from rich.console import Console
 
 from bench.base.result_model import ResultModel
 from bench.base.tables import table
+from bench.results.registers import RegisterResult
 from bench.results.tables import page
 
 NOT_PROVEN: Final = (
@@ -217,11 +218,9 @@ class RegisteredValidation(ResultModel):
     )
 
 
-class ValidationRegisterResult(ResultModel):
+class ValidationRegisterResult(RegisterResult):
     """The validations of a laboratory (`bench validate --register`), or the one that was just accepted."""
 
-    register_: str = Field(alias="register", description="folder of the register")
-    head: str = Field(description="SHA-256 of the last line, which depends on all lines before it")
     validations: list[RegisteredValidation]
 
     def print_on(self, out: Console) -> None:

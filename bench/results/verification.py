@@ -15,7 +15,7 @@ from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.conformity import NON_BINARY, SIMPLE, DecisionRule, Population, Statement
 from bench.calibration.verification import Verification
-from bench.results.parts import BenchPart, CorrectionPart
+from bench.results.parts import BenchPart, Corrections
 
 
 class PointPart(ResultModel):
@@ -50,8 +50,8 @@ class GlobalRiskPart(ResultModel):
     population: Population = Field(description="stated distribution of Δg over many blocks, g")
 
 
-class VerdictPart(ResultModel):
-    """Δg at the verification points, and the verdict against the limit."""
+class RulePart(ResultModel):
+    """The limit of Δg at the verification points, and the rule of the decision."""
 
     limit_g: float = Field(description="limit of |Δg|, local g")
     rule: Literal["simple acceptance", "guarded", "non-binary"] = Field(description="decision rule")
@@ -64,6 +64,11 @@ class VerdictPart(ResultModel):
         description="probability of false acceptance that sets the guard band of the default rule; null for "
         "other rules"
     )
+
+
+class VerdictPart(RulePart):
+    """Δg at the verification points, and the verdict against the limit."""
+
     passed: bool = Field(description="whether all points were measured and are accepted by the rule")
     statement: Statement = Field(
         description="statement for the worst point; `inconclusive` if U exceeds the limit, `not complete` if "
@@ -95,9 +100,7 @@ class VerifyResult(VerdictPart):
 
     notes: list[str] = Field(description="remarks on the meaning of the statements and on remedies")
     bench: BenchPart
-    corrections: list[CorrectionPart] = Field(
-        description="certificates of the instruments; empty if there are none"
-    )
+    corrections: Corrections
 
 
 class ReportResult(ResultModel):
