@@ -54,10 +54,18 @@ class ResultModel(BaseModel):
     )
 
     @classmethod
-    def from_object(cls, computed: object, **others: Any) -> Self:
-        """Return a model with the members `others`; all other members come from attributes of `computed`."""
-        names = [name for name in cls.model_fields if name not in others and hasattr(computed, name)]
-        return cls(**{name: getattr(computed, name) for name in names}, **others)
+    def from_object(cls, *computed: object, **others: Any) -> Self:
+        """Return a model with the members `others`; all other members come from attributes of `computed`.
+
+        The first object that has an attribute gives it.
+        """
+        found = {
+            name: getattr(one, name)
+            for one in reversed(computed)
+            for name in cls.model_fields
+            if name not in others and hasattr(one, name)
+        }
+        return cls(**found, **others)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the members as a JSON object, without optional members that were not set."""

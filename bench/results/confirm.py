@@ -84,10 +84,8 @@ def _effect_part(now: EffectNow) -> EffectPart:
     applied = now.applied
     return EffectPart.from_object(
         now,
+        applied,
         name=applied.effect.name,
-        either_of=list(applied.either_of),
-        channels=list(applied.channels),
-        installations=list(applied.installations),
         parameters=[
             ParameterNow.from_object(was, channel=was.channel or None, now=here.value, u_now=here.u)
             for was, here in zip(now.found, now.now, strict=True)

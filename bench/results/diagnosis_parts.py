@@ -393,10 +393,9 @@ def _term_part(term: FormTerm) -> TermPart:
     effect = term.effect
     return TermPart.from_object(
         term,
-        name=effect.name,
+        effect,
         stage=effect.stage.value,
         adds_to=effect.adds_to or None,
-        expression=effect.expression,
         constants={
             p.name: ValuePart(value=p.default / p.si_per_unit, unit=p.unit)
             for p in effect.parameters

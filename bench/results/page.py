@@ -1,10 +1,9 @@
-"""The report of a calibration: its content, and the HTML page."""
+"""The report of a calibration as an HTML page."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from bench.base.languages import message
@@ -17,45 +16,38 @@ from bench.results import intrinsic, plots, tables
 from bench.results.verification import advice, global_risk_in_words, headline, risk_in_words, rule_in_words
 
 
-@dataclass(frozen=True)
-class ReportContent:
-    """The complete content of the page; rendering adds neither date nor version.
+def render_report(
+    title: str,
+    calibration: Calibration,
+    verification: Verification | None,
+    *,
+    compared: Calibration | None,
+    provenance: Mapping[str, str],
+    notes: Sequence[str],
+    skipped: Sequence[str],
+    simulated: bool,
+) -> str:
+    """Return the report as one self-contained HTML page; the same content always gives the same text.
 
-    `verification` is None if no verification point was measured. `compared` is a calibration of the same readings
-    by another estimator, such as the closed form; it is ignored if the estimator is the same. `provenance` maps
-    names such as "operator" or "bench file" to text, shown unchanged. `notes` and `skipped` are sentences on the
-    readings. `simulated` puts a banner on the page.
+    `compared` is a calibration of the same readings by another estimator; it is ignored if the estimator is the
+    same. `provenance` maps names such as "operator" to text, which is shown unchanged.
     """
-
-    title: str
-    calibration: Calibration
-    verification: Verification | None = None
-    compared: Calibration | None = None
-    provenance: Mapping[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    skipped: tuple[str, ...] = ()
-    simulated: bool = False
-
-    @property
-    def other(self) -> Calibration | None:
-        """The calibration by another estimator, for comparison; None if there is none."""
-        if self.compared is None or self.compared.estimator == self.calibration.estimator:
-            return None
-        return self.compared
-
-
-def render_report(content: ReportContent) -> str:
-    """Return the report as one self-contained HTML page; the same content always gives the same text."""
-    calibration = content.calibration
+    other = compared if compared is not None and compared.estimator != calibration.estimator else None
     return tables.page(
         "report.html.j2",
-        content=content,
+        title=title,
         calibration=calibration,
+        verification=verification,
+        other=other,
+        provenance=provenance,
+        notes=notes,
+        skipped=skipped,
+        simulated=simulated,
         own=intrinsic_of(calibration),
         scale=scale_for(1.0, calibration.unit),
-        verdict=_verdict(content.verification),
+        verdict=_verdict(verification),
         fit=_fit(calibration.lack_of_fit),
-        measured=_measured(content.provenance),
+        measured=_measured(provenance),
         tables=tables,
         plots=plots,
         intrinsic=intrinsic,
