@@ -131,8 +131,12 @@ class BlockPart(ResultModel):
     p_after: Real = Field(description="p-value with the effects found; null if none was found")
 
 
-class FoundResult(ResultModel):
-    """The findings of a diagnosis."""
+class DiagnoseResult(ResultModel):
+    """A diagnosis: where model and readings disagree, the missing effect, and how far it closes the gap.
+
+    For several sources, the output of `bench diagnose --json` is a list of these; a source that could not be
+    evaluated has a `source-failed` object in its place.
+    """
 
     verdict: Verdict = Field(description="the first that applies of mistake, unknown, confounded and named")
     where: list[ResidualPattern] = Field(description="significant patterns in the residuals, largest first")
@@ -172,15 +176,6 @@ class FoundResult(ResultModel):
         "hash; null if mistakes leave too few readings to fit"
     )
     notes: list[str]
-
-
-class DiagnoseResult(FoundResult):
-    """A diagnosis: where model and readings disagree, the missing effect, and how far it closes the gap.
-
-    For several sources, the output of `bench diagnose --json` is a list of these; a source that could not be
-    evaluated has a `source-failed` object in its place.
-    """
-
     next_measurement: ProposalPart | None = Field(
         description="measurement that would break a tie or show a hidden effect; null if none is proposed"
     )
@@ -212,33 +207,6 @@ class DiagnoseResult(FoundResult):
     )
 
 
-def found_result(found: Diagnosis) -> FoundResult:
-    """Return the part of the result on the findings of a diagnosis."""
-    turned = found.linear.orientation
-    return FoundResult.from_object(
-        found,
-        effects=[*map(mistake_part, found.mistakes.mistakes), *found.effects],
-        hidden=list(found.hidden),
-        hidden_parts={name: list(parts) for name, parts in found.hidden.items() if parts},
-        verification_orientation=None
-        if turned is None
-        else OrientationPart(
-            off_deg=float(np.degrees(turned.off_rad)),
-            axis=turned.axis,
-            contradicts_bench_file=turned.contradicts,
-        ),
-        gap=gap_part(found.gap),
-        noise=NoisePart.from_object(
-            found.noise,
-            dof=found.noise.freedom,
-            channels=by_channel(found.noise_by_channel),
-            kinds=found.noise_kinds,
-            findings=found.findings,
-        ),
-        form=None if found.form is None else form_part(found.form),
-    )
-
-
 def diagnose_result(
     full: FullDiagnosis,
     files: Files,
@@ -246,15 +214,33 @@ def diagnose_result(
     corrections: Sequence[CorrectionPart],
 ) -> DiagnoseResult:
     """Return the result of a diagnosis; `files` are the files that were written."""
-    diagnosis, shown = full.diagnosis, full.shown
-    mistakes, proposal = diagnosis.mistakes, full.next_measurement
+    diagnosis, shown, turned = full.diagnosis, full.shown, full.diagnosis.linear.orientation
+    mistakes, noise = diagnosis.mistakes, diagnosis.noise
     blocks = [_block_part(one) for one in full.blocks]
-    return DiagnoseResult(
-        **dict(found_result(diagnosis)),
+    return DiagnoseResult.from_object(
+        diagnosis,
+        effects=[*map(mistake_part, mistakes.mistakes), *diagnosis.effects],
+        hidden=list(diagnosis.hidden),
+        hidden_parts={name: list(parts) for name, parts in diagnosis.hidden.items() if parts},
+        verification_orientation=turned
+        and OrientationPart(
+            off_deg=float(np.degrees(turned.off_rad)),
+            axis=turned.axis,
+            contradicts_bench_file=turned.contradicts,
+        ),
+        gap=gap_part(diagnosis.gap),
+        noise=NoisePart.from_object(
+            noise,
+            dof=noise.freedom,
+            channels=by_channel(diagnosis.noise_by_channel),
+            kinds=diagnosis.noise_kinds,
+            findings=diagnosis.findings,
+        ),
+        form=diagnosis.form and form_part(diagnosis.form),
         source=full.source,
         simulated=full.simulated,
         skipped_rows=list(full.skipped_rows),
-        next_measurement=proposal,
+        next_measurement=full.next_measurement,
         model=files.model,
         simulation=SimulationsPart(
             before=_simulation_part(shown.before),
