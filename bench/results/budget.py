@@ -74,10 +74,10 @@ class SourcePart(ResultModel):
     common_to: str = Field(description="the readings that share one value of this error")
     group: str
     dof: Real
-    prior: bool = Field(
-        description="true if the size is a plausible value that the bench file does not state; marked with a "
-        "star in the text"
-    )
+    prior: bool
+    """true if the size is a plausible value that the bench file does not state; marked with a star in the
+    text
+    """
     origin: str = Field(description="where the size comes from")
     contribution_u: Twelve
     covariance: Matrix
@@ -142,9 +142,8 @@ class BudgetResult(ResultModel):
     estimator: str
     order: Annotated[list[str], Field(min_length=12, max_length=12)]
     probability: float = Field(description="coverage probability of U")
-    coefficients: dict[str, CoefficientPart] = Field(
-        description="the twelve coefficients by name, as in `order`"
-    )
+    coefficients: dict[str, CoefficientPart]
+    """the twelve coefficients by name, as in `order`"""
     covariance: Matrix
     correlation: Matrix
     per_local_g: CovariancePart = Field(description="true if it excludes the uncertainty of local gravity")

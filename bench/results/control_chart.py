@@ -165,13 +165,10 @@ class ChartResult(ResultModel):
     limits: LimitsPart
     runs: list[ChartedRun] = Field(description="runs after the baseline, oldest first")
     components: ComponentsPart | None
-    drift: dict[str, DriftPart] | None = Field(
-        description="drift per year of the accepted runs beyond the known drift"
-    )
-    baseline_alone_p: list[float] | None = Field(
-        description="for each baseline run, p-value of the hypothesis that it agrees with the other baseline "
-        "runs"
-    )
+    drift: dict[str, DriftPart] | None
+    """drift per year of the accepted runs beyond the known drift"""
+    baseline_alone_p: list[float] | None
+    """for each baseline run, p-value of the hypothesis that it agrees with the other baseline runs"""
     in_control: bool
     last: str | None = Field(description="the run that is judged last")
     notes: list[str]

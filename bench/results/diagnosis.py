@@ -60,11 +60,10 @@ class ProposalPart(ResultModel):
     settles: list[Separation] = Field(description="ties of names that it would resolve")
     shows: list[str] = Field(description="hidden effects that it would show")
     left_out: dict[str, str] = Field(description="procedures that this bench cannot carry out, and why")
-    chances: list[Chance] = Field(
-        default=[],
-        description="for each procedure considered, its duration in hours, and the probability that one name "
-        "of each tie then has a posterior of 0.95",
-    )
+    chances: list[Chance] = Field(default=[])
+    """for each procedure considered, its duration in hours, and the probability that one name of each tie
+    then has a posterior of 0.95
+    """
 
 
 class ModulusPart(ResultModel):
@@ -131,79 +130,99 @@ class BlockPart(ResultModel):
     p_after: Real = Field(description="p-value with the effects found; null if none was found")
 
 
-class DiagnoseResult(ResultModel):
-    """A diagnosis: where model and readings disagree, the missing effect, and how far it closes the gap.
-
-    For several sources, the output of `bench diagnose --json` is a list of these; a source that could not be
-    evaluated has a `source-failed` object in its place.
-    """
+class FoundResult(ResultModel):
+    """The findings of a diagnosis."""
 
     verdict: Verdict = Field(description="the first that applies of mistake, unknown, confounded and named")
     where: list[ResidualPattern] = Field(description="significant patterns in the residuals, largest first")
     effects: list[EffectPart] = Field(description="effects found, in the order of their addition")
     hidden: list[str] = Field(description="effects that these readings cannot show at any size")
     hidden_parts: dict[str, list[str]] = Field(description="parameters that these readings cannot show")
-    absent: dict[str, str] = Field(
-        description="effects that were excluded because this bench cannot have them, and why"
-    )
-    far: list[FarReading] = Field(
-        description="readings 6 u or more from the prediction by the others in the final model, farthest "
-        "first; `p` is the probability that noise alone gives as much in any reading"
-    )
-    unseen_per_turn: list[int] = Field(
-        description="numbers of periods per turn at which an error of the head's angle is the same at all "
-        "angles measured"
-    )
-    verification_orientation: OrientationPart | None = Field(
-        description="orientation of the block at the verification points; null if unknown"
-    )
-    gap: GapPart | None = Field(
-        description="reduced chi-square of readings that were held out of the fit; null if none were held "
-        "out, or if mistakes leave too few readings to fit"
-    )
+    absent: dict[str, str]
+    """effects that were excluded because this bench cannot have them, and why"""
+    far: list[FarReading]
+    """readings 6 u or more from the prediction by the others in the final model, farthest first; `p` is the
+    probability that noise alone gives as much in any reading
+    """
+    unseen_per_turn: list[int]
+    """numbers of periods per turn at which an error of the head's angle is the same at all angles measured"""
+    verification_orientation: OrientationPart | None
+    """orientation of the block at the verification points; null if unknown"""
+    gap: GapPart | None
+    """reduced chi-square of readings that were held out of the fit; null if none were held out, or if
+    mistakes leave too few readings to fit
+    """
     noise: NoisePart | None = Field(description="noise of the readings; null if mistakes leave too few")
     p_left: Real = Field(description="p-value of the final residuals, compared with the scatter of repeats")
-    form: FormPart | None = Field(
-        description="terms that describe the effects without a name, their predictions of held-out readings, "
-        "and the unexplained scatter; null if every effect has a name"
-    )
-    detectable: dict[str, Real] = Field(
-        description="size of each effect that half of all runs would show, in units of its plausible size; "
-        "null if no run shows it"
-    )
-    registered: Registration | None = Field(
-        description="settings fixed before the readings were examined (threshold, grids, levels) and their "
-        "hash; null if mistakes leave too few readings to fit"
-    )
+    form: FormPart | None
+    """terms that describe the effects without a name, their predictions of held-out readings, and the
+    unexplained scatter; null if every effect has a name
+    """
+    detectable: dict[str, Real]
+    """size of each effect that half of all runs would show, in units of its plausible size; null if no run
+    shows it
+    """
+    registered: Registration | None
+    """settings fixed before the readings were examined (threshold, grids, levels) and their hash; null if
+    mistakes leave too few readings to fit
+    """
     notes: list[str]
-    next_measurement: ProposalPart | None = Field(
-        description="measurement that would break a tie or show a hidden effect; null if none is proposed"
-    )
+
+
+class DiagnoseResult(FoundResult):
+    """A diagnosis: where model and readings disagree, the missing effect, and how far it closes the gap.
+
+    For several sources, the output of `bench diagnose --json` is a list of these; a source that could not be
+    evaluated has a `source-failed` object in its place.
+    """
+
+    next_measurement: ProposalPart | None
+    """measurement that would break a tie or show a hidden effect; null if none is proposed"""
     model: Path | None = Field(description="path of the model file; null if none was written")
-    simulation: SimulationsPart | None = Field(
-        description="comparison with simulated readings; null if mistakes leave too few readings to fit"
-    )
+    simulation: SimulationsPart | None
+    """comparison with simulated readings; null if mistakes leave too few readings to fit"""
     coefficients: Coefficients
-    ranking: list[list[RivalPart]] = Field(
-        description="for each effect found, the families that may be present instead, most plausible first"
-    )
+    ranking: list[list[RivalPart]]
+    """for each effect found, the families that may be present instead, most plausible first"""
     source: str
     simulated: bool
     skipped_rows: list[str]
     report: Path | None = Field(description="path of the page; null if none was written")
     bench: BenchPart | None
     corrections: Corrections
-    corrected: CopyPart | None = Field(
-        description="copy of the readings with the mistakes corrected, from which all members except the "
-        "mistakes follow; null if there is none"
-    )
-    residuals: ResidualsPart | None = Field(
-        default=None, description="residuals of each fitted reading; of the first block if there are several"
-    )
-    blocks: list[BlockPart] = Field(
-        default=[],
-        description="each block of readings of several blocks; `coefficients` and `simulation` are those of "
-        "the first",
+    corrected: CopyPart | None
+    """copy of the readings with the mistakes corrected, from which all members except the mistakes follow;
+    null if there is none
+    """
+    residuals: ResidualsPart | None = None
+    """residuals of each fitted reading; of the first block if there are several"""
+    blocks: list[BlockPart] = Field(default=[])
+    """each block of readings of several blocks; `coefficients` and `simulation` are those of the first"""
+
+
+def found_result(found: Diagnosis) -> FoundResult:
+    """Return the part of the result on the findings of a diagnosis."""
+    turned = found.linear.orientation
+    return FoundResult.from_object(
+        found,
+        effects=[*map(mistake_part, found.mistakes.mistakes), *found.effects],
+        hidden=list(found.hidden),
+        hidden_parts={name: list(parts) for name, parts in found.hidden.items() if parts},
+        verification_orientation=turned
+        and OrientationPart(
+            off_deg=float(np.degrees(turned.off_rad)),
+            axis=turned.axis,
+            contradicts_bench_file=turned.contradicts,
+        ),
+        gap=gap_part(found.gap),
+        noise=NoisePart.from_object(
+            found.noise,
+            dof=found.noise.freedom,
+            channels=by_channel(found.noise_by_channel),
+            kinds=found.noise_kinds,
+            findings=found.findings,
+        ),
+        form=found.form and form_part(found.form),
     )
 
 
@@ -214,29 +233,10 @@ def diagnose_result(
     corrections: Sequence[CorrectionPart],
 ) -> DiagnoseResult:
     """Return the result of a diagnosis; `files` are the files that were written."""
-    diagnosis, shown, turned = full.diagnosis, full.shown, full.diagnosis.linear.orientation
-    mistakes, noise = diagnosis.mistakes, diagnosis.noise
+    diagnosis, shown, mistakes = full.diagnosis, full.shown, full.diagnosis.mistakes
     blocks = [_block_part(one) for one in full.blocks]
-    return DiagnoseResult.from_object(
-        diagnosis,
-        effects=[*map(mistake_part, mistakes.mistakes), *diagnosis.effects],
-        hidden=list(diagnosis.hidden),
-        hidden_parts={name: list(parts) for name, parts in diagnosis.hidden.items() if parts},
-        verification_orientation=turned
-        and OrientationPart(
-            off_deg=float(np.degrees(turned.off_rad)),
-            axis=turned.axis,
-            contradicts_bench_file=turned.contradicts,
-        ),
-        gap=gap_part(diagnosis.gap),
-        noise=NoisePart.from_object(
-            noise,
-            dof=noise.freedom,
-            channels=by_channel(diagnosis.noise_by_channel),
-            kinds=diagnosis.noise_kinds,
-            findings=diagnosis.findings,
-        ),
-        form=diagnosis.form and form_part(diagnosis.form),
+    return DiagnoseResult(
+        **dict(found_result(diagnosis)),
         source=full.source,
         simulated=full.simulated,
         skipped_rows=list(full.skipped_rows),

@@ -74,9 +74,8 @@ class CorrectionPart(ResultModel):
     valid_until: str | None
     expired: bool = Field(description="whether the certificate had expired on the day of the readings")
     serial: str | None = Field(description="serial number that the certificate states")
-    serial_answered: str | None = Field(
-        description="serial number that the instrument stated; empty if it states none, null if not recorded"
-    )
+    serial_answered: str | None
+    """serial number that the instrument stated; empty if it states none, null if not recorded"""
     correction: str = Field(description="value that is added to what the instrument shows; empty if none")
     applied: bool = Field(description="whether the readings were corrected by the certificate")
     why_not: str = Field(description="why the readings were not corrected; empty if they were")

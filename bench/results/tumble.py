@@ -36,29 +36,27 @@ class QuantityPart(ExpandedPart):
     """
 
     u_readings: float = Field(description="part of u from the readings and the stated errors of the stand")
-    contains: dict[str, float] = Field(
-        description="terms that cannot be separated from this one, with their shares; the estimate is the sum "
-        "(for K1, shares are relative)"
-    )
+    contains: dict[str, float]
+    """terms that cannot be separated from this one, with their shares; the estimate is the sum (for K1,
+    shares are relative)
+    """
 
 
 class AxisPart(ResultModel):
     """The accelerometer of one channel."""
 
-    quantities: dict[str, QuantityPart] = Field(
-        description="K0 (bias), K1 (scale factor), the two misalignment angles with the sign of the paper, "
-        "and the requested nonlinear terms that are determined"
-    )
+    quantities: dict[str, QuantityPart]
+    """K0 (bias), K1 (scale factor), the two misalignment angles with the sign of the paper, and the requested
+    nonlinear terms that are determined
+    """
     rank: int = Field(description="number of `terms` that the orientations determine")
     terms: list[str] = Field(description="requested terms, linear ones first")
-    not_separable: dict[str, dict[str, float]] = Field(
-        description="terms that are not estimated, and the change of the others if such a term is 1; empty if "
-        "no reading shows it"
-    )
-    left_out: dict[str, dict[str, float]] = Field(
-        description="terms of the standard's model that are not fitted, and the change of the others if such "
-        "a term is 1"
-    )
+    not_separable: dict[str, dict[str, float]]
+    """terms that are not estimated, and the change of the others if such a term is 1; empty if no reading
+    shows it
+    """
+    left_out: dict[str, dict[str, float]]
+    """terms of the standard's model that are not fitted, and the change of the others if such a term is 1"""
 
 
 class TumbleNoisePart(ResultModel):

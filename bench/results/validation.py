@@ -103,9 +103,8 @@ class ValidationResult(ResultModel):
     checks: list[ValidationCheck]
     against: AgainstPart | None
     not_proven: list[str]
-    accepted_before: str = Field(
-        description="number of the accepted validation with which this one was compared"
-    )
+    accepted_before: str
+    """number of the accepted validation with which this one was compared"""
     files: list[str] = Field([], description="files that were written")
 
     @property
@@ -213,9 +212,8 @@ class RegisteredValidation(ResultModel):
     bench: str
     bench_sha256: str
     result_sha256: str = Field(description="SHA-256 of the stored result")
-    holds: bool = Field(
-        description="whether it is the latest for its program and bench file and was not withdrawn"
-    )
+    holds: bool
+    """whether it is the latest for its program and bench file and was not withdrawn"""
 
 
 class ValidationRegisterResult(RegisterResult):

@@ -34,12 +34,10 @@ class PointPart(ResultModel):
     accepted_up_to: float = Field(description="largest |Δg| that the rule accepts here, g")
     passed: bool = Field(description="whether the rule accepts the point")
     statement: Statement
-    p_false_accept: float | None = Field(
-        description="probability that the true error is outside the limit; null if the point is not accepted"
-    )
-    p_false_reject: float | None = Field(
-        description="probability that the true error is within the limit; null if the point is not rejected"
-    )
+    p_false_accept: float | None
+    """probability that the true error is outside the limit; null if the point is not accepted"""
+    p_false_reject: float | None
+    """probability that the true error is within the limit; null if the point is not rejected"""
 
 
 class GlobalRiskPart(ResultModel):
@@ -55,37 +53,32 @@ class RulePart(ResultModel):
 
     limit_g: float = Field(description="limit of |Δg|, local g")
     rule: Literal["simple acceptance", "guarded", "non-binary"] = Field(description="decision rule")
-    guard_band: float = Field(
-        description="guard band as a multiple of U; if `false_acceptance` is given, the value for a normal "
-        "distribution (`accepted_up_to` is exact); simple acceptance does not subtract it from "
-        "the limit"
-    )
-    false_acceptance: float | None = Field(
-        description="probability of false acceptance that sets the guard band of the default rule; null for "
-        "other rules"
-    )
+    guard_band: float
+    """guard band as a multiple of U; if `false_acceptance` is given, the value for a normal distribution
+    (`accepted_up_to` is exact); simple acceptance does not subtract it from the limit
+    """
+    false_acceptance: float | None
+    """probability of false acceptance that sets the guard band of the default rule; null for other rules"""
 
 
 class VerdictPart(RulePart):
     """Δg at the verification points, and the verdict against the limit."""
 
     passed: bool = Field(description="whether all points were measured and are accepted by the rule")
-    statement: Statement = Field(
-        description="statement for the worst point; `inconclusive` if U exceeds the limit, `not complete` if "
-        "points are missing, `does not fit` if the readings contradict the coefficients"
-    )
+    statement: Statement
+    """statement for the worst point; `inconclusive` if U exceeds the limit, `not complete` if points are
+    missing, `does not fit` if the readings contradict the coefficients
+    """
     missing: int = Field(description="planned points that were not measured")
     U: float = Field(description="largest expanded uncertainty of the points, g")
     tur: Real = Field(description="smallest test uncertainty ratio, limit over U")
-    p_false_accept: float | None = Field(
-        description="probability that the true error of at least one point is outside the limit; null if not "
-        "accepted, except for a conditional pass, on which the customer decides"
-    )
+    p_false_accept: float | None
+    """probability that the true error of at least one point is outside the limit; null if not accepted,
+    except for a conditional pass, on which the customer decides
+    """
     p_false_accept_worst: float | None = Field(description="the same for the point at which it is largest")
-    p_false_reject: float | None = Field(
-        description="probability that the true errors of all points are within the limit; null if no point is "
-        "rejected"
-    )
+    p_false_reject: float | None
+    """probability that the true errors of all points are within the limit; null if no point is rejected"""
     global_risk: GlobalRiskPart | None = Field(description="global risks; null without a stated population")
     points: list[PointPart]
     covariance: Matrix = Field(description="covariance of Δg at the points in their order, g²")
