@@ -51,9 +51,8 @@ class RecordDiagnoseResult(AloneResult):
     """A diagnosis of a record at a known input (rows R alone)."""
 
     effects: list[EffectPart]
-    rivals: list[Rival] = Field(
-        description="comparison of the shapes that an effect of the meter's temperature can have"
-    )
+    rivals: list[Rival]
+    """comparison of the shapes that an effect of the meter's temperature can have"""
     channels: list[ChannelPart]
     noise: RecordNoisePart
     far: list[str] = Field(description="means with unexplained jumps of 6 u or more")
