@@ -30,7 +30,7 @@ from bench.diagnosis.record_diagnosis import RecordDiagnosis, diagnose_record
 from bench.diagnosis.record_model import MOVE, courses_of, forms_of, make_record, shape_of
 from bench.diagnosis.record_search import RecordWork
 from bench.diagnosis.result import Diagnosis, EffectValue
-from bench.diagnosis.single_run_search import in_the_noise_of
+from bench.diagnosis.search import in_the_noise_of
 from bench.model import AppliedEffect, ForwardModel
 from bench.model.effects.base import InPart, Parameter
 from bench.readings.table import Readings

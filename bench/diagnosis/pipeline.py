@@ -25,7 +25,7 @@ from bench.diagnosis.gap import Gap, measure_gap, near_ratios
 from bench.diagnosis.levels import BY_CHANCE, LISTED, LISTED_IN_SENTENCE, MOSTLY
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.mistakes.search import Mistake, MistakesLeaveTooLittle
-from bench.diagnosis.multi_run_system import find_mistakes_in_each, search_runs, with_blocks
+from bench.diagnosis.multi_run_system import find_mistakes_in_each, with_blocks
 from bench.diagnosis.naming import FamilyOdds, FoundEffect, Naming, Scored, name, same_signature
 from bench.diagnosis.next_measurement import Proposal, propose
 from bench.diagnosis.noise_grid import RATIOS, digit_of
@@ -59,8 +59,8 @@ from bench.diagnosis.result import (
     at_reference,
     register,
 )
+from bench.diagnosis.search import Prepared, SearchTask, find_effects
 from bench.diagnosis.show import ModelComparison, contradicted, show
-from bench.diagnosis.single_run_search import Prepared, SearchTask, search_run
 from bench.diagnosis.visibility import detectable, hidden, smallest
 from bench.diagnosis.where import far_readings, find_places, looking_like, order_of
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
@@ -96,8 +96,7 @@ def diagnose(
         stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
         thresholds = cache or ThresholdCache(None)
         task = SearchTask(model, stand, setting_rad, digit, thresholds, absent)
-        find = search_runs if mistakes.corrected.run.any() else search_run
-        prepared, naming = find(task, mistakes.corrected)
+        prepared, naming = find_effects(task, mistakes.corrected)
     except CalibrationError as error:
         if not mistakes.mistakes:
             raise
