@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -51,31 +51,12 @@ class JointSystem(LinearSystem):
 
     parts: tuple[LinearSystem, ...]
 
-    @property
-    def g_per_signal(self) -> Floats:
-        """Factors (N,) that convert each row from the unit of the signal to g.
-
-        They follow from the scale factors of the row's own block, as in `LinearSystem.g_per_signal`.
-        """
-        return self._of_each_block(lambda part: part.g_per_signal)
-
-    def _of_each_block(self, of: Callable[[LinearSystem], Floats]) -> Floats:
-        """Return the property `of` for each row, from the system of its own block, shape (N,)."""
+    def by_block(self) -> Iterator[tuple[Block, Mask]]:
+        """Yield each accelerometer block, as first guessed, with the mask (N,) of its rows."""
         assert self.readings.block is not None  # noqa: S101 - it is a system of several
-        block = self.readings.block[self.rows.reading]
-        size = np.empty(len(self))
+        of_row = self.readings.block[self.rows.reading]
         for number, part in zip(np.unique(self.readings.block), self.parts, strict=True):
-            mine = block == number
-            rows = Rows(self.rows.reading[mine], self.rows.channel[mine])
-            size[mine] = of(replace(part, readings=self.readings, rows=rows, response=self.response[mine]))
-        return size
-
-    @property
-    def relative_of_channel(self) -> Floats:
-        """Each row's relative noise (N,) due to its channel or, for a modulus, to the channels of its
-        block.
-        """
-        return self._of_each_block(lambda part: replace(part, by_channel=self.by_channel).relative_of_channel)
+            yield part.block, of_row == number
 
     @cached_property
     def conditions(self) -> Conditions:
