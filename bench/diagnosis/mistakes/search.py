@@ -30,18 +30,6 @@ from bench.readings.table import Readings
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """The misfit of all readings before and after a mistake is corrected.
-
-    The misfit is the root mean square of the deviations from model and data sheet, in units of the noise; noise
-    alone gives 1.
-    """
-
-    before: float
-    after: float
-
-
-@dataclass(frozen=True)
 class Mistake:
     """A mistake in the record, where it is, and how the copy corrects it.
 
@@ -50,7 +38,8 @@ class Mistake:
     mountings written as `str(Mounting)`; empty means the whole run. `words` is a sentence. `p` is the
     p-value, corrected for all suppositions tried. `cannot_tell_from` are the names of mistakes and effects
     that explain these readings equally well; "other_mounting" means that the block was mounted in another
-    orientation.
+    orientation. `misfit_before` and `misfit_after` its correction are root mean squares of the deviations of all
+    readings from model and data sheet, in units of the noise; noise alone gives 1.
     """
 
     name: str
@@ -61,7 +50,8 @@ class Mistake:
     words: str
     p: float
     cannot_tell_from: tuple[str, ...]
-    evidence: Evidence = Evidence(np.nan, np.nan)
+    misfit_before: float = np.nan
+    misfit_after: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -121,7 +111,7 @@ def find_mistakes(
             break
         found += [mistake for mistake, _ in wrong]
         copies += [copy for _, copy in wrong]
-    return MistakeSearch(search.with_evidence(found, copies), copies[-1])
+    return MistakeSearch(search.with_misfits(found, copies), copies[-1])
 
 
 @dataclass(frozen=True)
@@ -196,8 +186,8 @@ class _Search:
 
         return table, TermSearch(problem, table.signal, floor, fit)
 
-    def with_evidence(self, found: Sequence[Mistake], copies: Sequence[Readings]) -> tuple[Mistake, ...]:
-        """Return the mistakes, each with the misfit before and after its correction (`Evidence`).
+    def with_misfits(self, found: Sequence[Mistake], copies: Sequence[Readings]) -> tuple[Mistake, ...]:
+        """Return the mistakes, each with the misfit before and after its correction.
 
         A mistake at the verification points changes no misfit of the oriented readings, and gets none.
         `copies` has the record first, then the copy after each correction.
@@ -212,7 +202,7 @@ class _Search:
             sheet = float(np.sum(self.gross.fit(oriented, oriented.every).sheet))
             sizes.append(float(np.sqrt((terms.table.chi2(seen) + sheet) / oriented.signal.size)))
         return tuple(
-            replace(mistake, evidence=Evidence(before, after)) if before != after else mistake
+            replace(mistake, misfit_before=before, misfit_after=after) if before != after else mistake
             for mistake, before, after in zip(found, sizes[:-1], sizes[1:], strict=True)
         )
 
