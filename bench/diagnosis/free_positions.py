@@ -40,7 +40,7 @@ from bench.diagnosis.free_records import (
     place_of,
 )
 from bench.diagnosis.gap import measure_gap
-from bench.diagnosis.levels import BY_CHANCE, FOLDS, HARDLY_EVER, LEAST_FREEDOM, LISTED
+from bench.diagnosis.levels import BY_CHANCE, FAR, FOLDS, HARDLY_EVER, LEAST_FREEDOM, LISTED
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.naming import Naming, name
 from bench.diagnosis.noise_grid import NoiseGrid, make_noise_grid
@@ -217,9 +217,6 @@ def _add_unnamed(rows: FreeRows, collector: Collector, unit: float) -> None:
 
 # --- noise and outliers -------------------------------------------------------------------------------
 
-FAR: Final = 12.0
-"""Least distance of an outlier, in standard deviations: large, because real sensors have heavy tails."""
-
 
 def _prepared(linear: FreeSystem) -> tuple[NoiseGrid, Candidates]:
     """Return the noise grid and the candidate effects.
@@ -262,7 +259,7 @@ def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
 
     The origins (k, 2) are, for each of the k outliers, the index of its table and its row there. Step by step,
     the position with the largest residual is compared with its prediction from all other positions, and with
-    their scatter.
+    their scatter. An outlier is twice as far off as a far reading of a run, as real sensors have heavy tails.
     """
     apart: list[str] = []
     origin: list[Ints] = []
@@ -274,7 +271,7 @@ def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
         without = np.maximum(left @ left - left**2 / free, 1e-300) / freedom
         t = np.abs(left) / np.sqrt(free * without)
         row = int(np.argmax(t))
-        if t[row] < FAR or 2.0 * float(stats.t.sf(t[row], freedom)) * len(rows) > HARDLY_EVER:
+        if t[row] < 2.0 * FAR or 2.0 * float(stats.t.sf(t[row], freedom)) * len(rows) > HARDLY_EVER:
             break
         table, at = rows.tables[rows.sensor[row]], int(np.sum(rows.sensor[:row] == rows.sensor[row]))
         apart.append(
