@@ -79,13 +79,12 @@ class Gap:
 
     `named` are the names of the effects that the search of all readings found. `undetermined` are the labels of
     the sets that could not be held out, because the remaining readings do not determine the coefficients. `noise`
-    is the noise with which chi-square is computed; `freedom`, the degrees of freedom of this noise.
+    is the noise with which chi-square is computed.
     """
 
     folds: tuple[Fold, ...]
     noise: NoiseSize
     unit: str
-    freedom: int
     named: tuple[str, ...] = ()
     undetermined: tuple[str, ...] = ()
 
@@ -118,7 +117,9 @@ class Gap:
 
         NaN if nothing was held out.
         """
-        return float(special.fdtrc(self.count, self.freedom, self.after)) if self.count else float("nan")
+        return (
+            float(special.fdtrc(self.count, self.noise.freedom, self.after)) if self.count else float("nan")
+        )
 
     def _rms(self, of: Callable[[Fold], Floats]) -> float:
         return rms(np.concatenate([np.zeros(0), *map(of, self.folds)]))
@@ -285,7 +286,7 @@ def measure_gap(
     folds = tuple(hold(label, held) for label, held in tracked(able, HELD_OUT))
     undetermined = tuple(label for label, _ in parts if label not in dict(able))
     families = tuple(one.variant.family for one in naming.found)
-    return Gap(folds, noise, linear.readings.unit, noise.freedom, families, undetermined)
+    return Gap(folds, noise, linear.readings.unit, families, undetermined)
 
 
 def _tell(

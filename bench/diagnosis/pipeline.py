@@ -89,24 +89,25 @@ def diagnose(
     only the corrected copy does not.
     """
     mistakes = find_mistakes_in_each(readings, model, stand_u, nominal_scale_factors)
-    setting_rad, digit = stand_u.get("setting_error", 0.0), digit_of(readings)
+    digit = digit_of(readings)
     try:
         mistakes = replace(mistakes, corrected=with_blocks(mistakes.corrected, model))
         absent = there.absent(mistakes.corrected)
         stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
         thresholds = cache or ThresholdCache(None)
-        task = SearchTask(model, stand, setting_rad, digit, thresholds, absent)
+        task = SearchTask(model, stand, stand_u.get("setting_error", 0.0), digit, thresholds, absent)
         prepared, naming = find_effects(task, mistakes.corrected)
     except CalibrationError as error:
         if not mistakes.mistakes:
             raise
         raise MistakesLeaveTooLittle(mistakes, str(error)) from error
-    estimated, gap = _held_out(prepared, naming, setting_rad)
-    weak = _unconfirmed(prepared, naming, gap)
+    estimated = _estimated(prepared, naming)
+    weak = _unconfirmed(prepared, naming, estimated.gap)
     if weak:
         others = [one for one in naming.found if one not in weak]
         naming = name(prepared.whitened, prepared.data, prepared.limit, 0, others)
-        estimated, gap = _held_out(prepared, naming, setting_rad)
+        estimated = _estimated(prepared, naming)
+    gap = estimated.gap
     registered = register(prepared.linear, prepared.limit)
     linear, noise = prepared.linear, estimated.noise
     kinds = tuple(noise_kinds(linear, noise, digit, prepared.chosen))
@@ -118,16 +119,14 @@ def diagnose(
         effects = (*effects, _apart(far[0].p, "; ".join(one.words for one in far[:LISTED_IN_SENTENCE])))
     if gap.shrinks is False:  # unconfirmed effects must not explain a reading that is far off
         far = far_readings(prepared.linear, columns[:, :0], estimated.noise)
-    form = _form(prepared, naming, estimated, gap, setting_rad)
-    verdict = verdict_of(effects, findings, gap)
+    form = _form(prepared, naming, estimated)
     whitened, repeats = prepared.whitened, prepared.repeats
     ratio = RATIOS.index(near_ratios(linear, estimated.noise)[1])
     sizes = detectable(whitened, prepared.limit, ratio)
     unseen = hidden(whitened, prepared.limit, ratio, sizes)
     elsewhere = {applied.effect.name for applied in model.effects} | absent.keys()
     return Diagnosis(
-        verdict="mistake" if mistakes.mistakes else verdict,
-        of_copy=verdict,
+        of_copy=verdict_of(effects, findings, gap),
         form=form,
         far=far,
         where=find_places(linear, whitened.grid, ratio, repeats.sigma, 3 * repeats.freedom),
@@ -173,15 +172,6 @@ def _left_out(weak: Sequence[FoundEffect]) -> Iterator[str]:
         )
 
 
-def _held_out(prepared: Prepared, naming: Naming, setting_rad: float) -> tuple[_Estimated, Gap]:
-    """Return the joint estimate with the finds, and the gap on readings held out."""
-    estimated = _estimated(prepared, naming)
-    gap = measure_gap(
-        prepared.linear, prepared.whitened, naming, estimated.noise, prepared.limit, setting_rad
-    )
-    return estimated, gap
-
-
 def _unconfirmed(prepared: Prepared, naming: Naming, gap: Gap) -> list[FoundEffect]:
     """Return weak finds that held-out readings do not confirm, if there is a stronger find as well.
 
@@ -205,7 +195,8 @@ class _Estimated:
 
     `noise` is the noise about the model with the effects. `sized` are the estimates with the effects in the
     shapes found; `fitted`, those that also allow parts of other shapes. `in_part` are these parts, then the
-    starting states of mountings. `left_open` are the members of `in_part` that go into a model file.
+    starting states of mountings. `left_open` are the members of `in_part` that go into a model file. `gap` is
+    the prediction of held-out readings.
     """
 
     effects: tuple[NamedEffect, ...]
@@ -214,10 +205,11 @@ class _Estimated:
     fitted: Posterior
     in_part: tuple[AppliedEffect, ...]
     left_open: tuple[AppliedEffect, ...]
+    gap: Gap
 
 
 def _estimated(prepared: Prepared, naming: Naming) -> _Estimated:
-    """Estimate the named effects together with the coefficients."""
+    """Estimate the named effects together with the coefficients, and predict held-out readings with them."""
     linear, candidates, whitened, data = (
         prepared.linear, prepared.candidates, prepared.whitened, prepared.data,
     )  # fmt: skip
@@ -229,12 +221,11 @@ def _estimated(prepared: Prepared, naming: Naming) -> _Estimated:
     effects = effects_of(candidates, naming, sized, prepared.limit, linear)
     kept = left_open(linear, candidates, naming, others, fitted, noise)
     starts = starting_states(linear, candidates, naming, sized, kept)
-    return _Estimated(effects, noise, sized, fitted, (*in_part, *starts), (*kept, *starts))
+    gap = measure_gap(linear, whitened, naming, noise, prepared.limit, prepared.setting_rad)
+    return _Estimated(effects, noise, sized, fitted, (*in_part, *starts), (*kept, *starts), gap)
 
 
-def _form(
-    prepared: Prepared, naming: Naming, estimated: _Estimated, gap: Gap, setting_rad: float
-) -> FreeForm | None:
+def _form(prepared: Prepared, naming: Naming, estimated: _Estimated) -> FreeForm | None:
     """Return the formulas of unnamed finds, or of an unnamed find tied with a name; None if names suffice.
 
     A find without a formula is described by the terms of the dictionary that explain it.
@@ -247,7 +238,7 @@ def _form(
     if len(named) == len(naming.found) and not tied:
         return None
     if not patterns and not tied:
-        return describe(linear, candidates, naming, estimated.noise, gap, prepared.repeats)
+        return describe(linear, candidates, naming, estimated.noise, estimated.gap, prepared.repeats)
     if linear.readings.run.any() and patterns:
         whitened = Whitened.of(whitened.grid, with_terms(candidates, linear), few_known=True)
         data = whitened.reduce(linear.response[:, None])
@@ -257,7 +248,7 @@ def _form(
     search = partial(name, begun=begun, among=among)
     found = search(whitened, data, prepared.limit)
     noise = noise_size(whitened, data, found.columns)
-    form_gap = measure_gap(linear, whitened, found, noise, prepared.limit, setting_rad, search)
+    form_gap = measure_gap(linear, whitened, found, noise, prepared.limit, prepared.setting_rad, search)
     instead = () if patterns else tuple(one.variant.family for one in tied)
     return describe(linear, candidates, found, noise, form_gap, prepared.repeats, instead)
 
@@ -526,7 +517,7 @@ def diagnose_fully(
     diagnosis = diagnose(readings, model, stand_u, sheet_of_unit, cache, there)
     if known:
         mistakes = replace(diagnosis.mistakes, mistakes=(*known, *diagnosis.mistakes.mistakes))
-        diagnosis = replace(diagnosis, mistakes=mistakes, verdict="mistake")
+        diagnosis = replace(diagnosis, mistakes=mistakes)
     model = diagnosis.linear.model
     blocks = tuple(_shown(diagnosis, model, stand_u, g_m_s2))
     shown = blocks[0]

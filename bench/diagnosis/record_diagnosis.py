@@ -11,21 +11,20 @@ from scipy import linalg, special
 from bench.base.arrays import CHANNELS, rms
 from bench.diagnosis.candidates import SLOW_IN_TIME, Variant
 from bench.diagnosis.evidence import Threshold
-from bench.diagnosis.gap import Gap
 from bench.diagnosis.levels import BY_CHANCE, FAR
 from bench.diagnosis.naming import FoundEffect
 from bench.diagnosis.pipeline import verdict_of
 from bench.diagnosis.record_folds import Rival, measure_record_gap, why_unconfirmed
 from bench.diagnosis.record_model import FOLLOWS, Noise, Record, make_courses, make_record
 from bench.diagnosis.record_search import ChannelFit, RecordWork
-from bench.diagnosis.result import UNNAMED_WORDS, NamedEffect, Verdict
+from bench.diagnosis.result import UNNAMED_WORDS, Findings, NamedEffect
 from bench.diagnosis.where import ResidualPattern
 from bench.model.effects import AppliedEffect
 from bench.readings.table import REFERENCE, Readings
 
 
 @dataclass(frozen=True)
-class RecordDiagnosis:
+class RecordDiagnosis(Findings):
     """The result of the diagnosis of a record at a known input.
 
     `where` describes, for each channel, the residuals after zero and drift are subtracted. `fits` has the
@@ -39,17 +38,12 @@ class RecordDiagnosis:
 
     source: str
     record: Record
-    verdict: Verdict
-    where: tuple[ResidualPattern, ...]
-    effects: tuple[NamedEffect, ...]
     fits: tuple[ChannelFit, ...]
-    gap: Gap
     rivals: tuple[Rival, ...]
     far: tuple[str, ...]
     threshold: float
     noises: tuple[Noise, ...]
     hidden: tuple[str, ...]
-    notes: tuple[str, ...]
 
     @property
     def white_v(self) -> float:
@@ -65,19 +59,9 @@ class RecordDiagnosis:
         return self.white_v * float(np.sqrt(self.noises[0].ratio))
 
     @property
-    def of_copy(self) -> Verdict:
-        """The same as `verdict`: records are not searched for mistakes."""
-        return self.verdict
-
-    @property
     def models(self) -> tuple[tuple[AppliedEffect, ...], ...]:
         """The effects found, for a model file: a tuple whose only entry is the tuple of these effects."""
         return (self.applied,)
-
-    @property
-    def applied(self) -> tuple[AppliedEffect, ...]:
-        """The effects of the catalogue that were found, with their values."""
-        return tuple(applied for effect in self.effects for applied in effect.applied)
 
 
 def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -> RecordDiagnosis:
@@ -101,7 +85,7 @@ def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -
     return RecordDiagnosis(
         source=readings.source,
         record=work.record,
-        verdict=verdict_of(named, () if named else far, gap),
+        of_copy=verdict_of(named, () if named else far, gap),
         where=tuple(_places(work.record)),
         effects=named,
         fits=tuple(work.fits(courses, noises)),

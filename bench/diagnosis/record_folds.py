@@ -56,7 +56,7 @@ def measure_record_gap(work: RecordWork, finds: Sequence[FoundEffect]) -> tuple[
             before, after = (_predicted(work, others, trials, rows, noises) for trials in ((), shapes))
             folds.append(Fold(label, {family: before.chi2 - after.chi2}, before, after))
     size = NoiseSize(noises[0].white / len(work.parts) ** 0.5, 0.0, len(work.record) - 2)
-    gap = Gap(tuple(folds), size, "V", size.freedom, tuple(one.variant.family for one in finds))
+    gap = Gap(tuple(folds), size, "V", tuple(one.variant.family for one in finds))
     return gap, tuple(_rivals(work, finds, noises))
 
 

@@ -44,9 +44,10 @@ class Prepared:
     """Readings prepared for the search: linear system, whitened candidates, and threshold.
 
     `repeats` is the noise from repeats; `data`, the scalar products of the residuals with the columns of the
-    candidates; `limit`, the threshold. `bend` (N,) is the nonlinear part of the effects found, which is
-    already subtracted from the response. `log_odds` is ln of the prior odds of the noise hypotheses accepted,
-    minus the cost of their parameters. `chosen` maps the kind of each of these hypotheses to its words.
+    candidates; `limit`, the threshold. `setting_rad` is the setting error that the bench file states. `bend` (N,)
+    is the nonlinear part of the effects found, already subtracted from the response. `log_odds` is ln of the
+    prior odds of the noise hypotheses accepted, minus the cost of their parameters. `chosen` maps the kind of
+    each of these hypotheses to its words.
     """
 
     linear: LinearSystem
@@ -54,6 +55,7 @@ class Prepared:
     whitened: Whitened
     data: Data
     limit: Threshold
+    setting_rad: float
     bend: Floats
     log_odds: float = 0.0
     chosen: Mapping[str, str] = field(default_factory=dict)
@@ -217,7 +219,7 @@ def _prepared(
     limit = limit or task.cache.threshold(linear, whitened, task.setting_rad)
     limit = limit.at(TOGETHER) if several else limit
     data = whitened.reduce(linear.response[:, None])
-    return Prepared(linear, repeats, whitened, data, limit, np.zeros(len(linear)))
+    return Prepared(linear, repeats, whitened, data, limit, task.setting_rad, np.zeros(len(linear)))
 
 
 # --- one run: linearised again about what was found ---------------------------------------------------

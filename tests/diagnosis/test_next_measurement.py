@@ -16,6 +16,7 @@ from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
 from bench.diagnosis import diagnose
 from bench.diagnosis.linear import make_linear
+from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.next_measurement import MENU, answers, following, planned_readings, propose
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.visibility import EffectPart, ReadingDesign, forms_everywhere
@@ -263,8 +264,10 @@ def test_a_tie_with_what_has_no_name_is_nothing_that_a_procedure_settles(driftin
 
 def test_where_nothing_on_the_menu_helps_nothing_is_proposed(drifting):
     assert propose(drifting, BENCH, [find_procedure("paper"), find_procedure("turn-12")]) is None
-    for verdict in ("mistake", "unknown"):
-        assert propose(replace(drifting, verdict=verdict), BENCH) is None
+    outlier = Mistake("outlier", ("x",), (), 1, 1, "", 0.0, ())
+    mistaken = replace(drifting, mistakes=replace(drifting.mistakes, mistakes=(outlier,)))
+    for diagnosis in (mistaken, replace(drifting, of_copy="unknown")):
+        assert propose(diagnosis, BENCH) is None
 
 
 @pytest.mark.slow
