@@ -207,10 +207,10 @@ def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     return sizes
 
 
-def orders_in_words(orders: Sequence[int], listed: int = 4) -> str:
-    """Return orders of harmonics per turn, of which at most `listed` are shown: "6, 10, 14, 18, …"."""
-    shown = ", ".join(str(order) for order in orders[:listed])
-    return f"{shown}, …" if len(orders) > listed else shown
+def orders_in_words(orders: Sequence[int]) -> str:
+    """Return the first orders of harmonics per turn: "6, 10, 14, 18, …"."""
+    shown = ", ".join(str(order) for order in orders[:LISTED_IN_SENTENCE])
+    return f"{shown}, …" if len(orders) > LISTED_IN_SENTENCE else shown
 
 
 UNCONFIRMED: Final = message("Found, but not confirmed")
