@@ -116,7 +116,8 @@ def diagnose(
     columns = prepared.candidates.columns[:, list(naming.columns)]
     far = far_readings(prepared.linear, columns, estimated.noise)
     if any(one.p < BY_CHANCE for one in far) and all(e.in_catalogue for e in effects):
-        effects = (*effects, _apart(far[0].p, "; ".join(one.words for one in far[:LISTED_IN_SENTENCE])))
+        words = "; ".join(one.words for one in far[:LISTED_IN_SENTENCE])
+        effects = (*effects, NamedEffect.unnamed("single_reading", far[0].p, words))
     if gap.shrinks is False:  # unconfirmed effects must not explain a reading that is far off
         far = far_readings(prepared.linear, columns[:, :0], estimated.noise)
     form = _form(prepared, naming, estimated)
@@ -155,21 +156,16 @@ def diagnose(
             *mistakes.corrected.notes,
             *(finding.words for finding in findings),
             *(kind.words for kind in kinds),
-            *_left_out(weak),
+            *(
+                f"left out: {one.variant.family} (ln odds {one.total:.1f}); held-out readings do not confirm it"
+                for one in weak
+            ),
             *assumed(linear),
             *at_reference(e.applied[0].effect for e in effects if e.applied),
             *common_volts(naming, estimated.sized, linear),
             *same_signature(naming),
         ),
     )
-
-
-def _left_out(weak: Sequence[FoundEffect]) -> Iterator[str]:
-    """Yield a sentence for each find that was left out, as held-out readings do not confirm it."""
-    for one in weak:
-        yield (
-            f"left out: {one.variant.family} (ln odds {one.total:.1f}); held-out readings do not confirm it"
-        )
 
 
 def _unconfirmed(prepared: Prepared, naming: Naming, gap: Gap) -> list[FoundEffect]:
@@ -265,10 +261,6 @@ def verdict_of(effects: Sequence[NamedEffect], findings: Sequence[NoiseFinding |
     if any(e.cannot_tell_from for e in effects) or (effects and not gap.shrinks):
         return "confounded"
     return "named" if effects else "agrees"
-
-
-def _apart(p: float, words: str) -> NamedEffect:
-    return NamedEffect("single_reading", (), (), (), (), (), p, p, None, words)
 
 
 def effects_of(

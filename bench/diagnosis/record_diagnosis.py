@@ -142,9 +142,8 @@ def _far(work: RecordWork, courses: Sequence[Variant], noises: Sequence[Noise]) 
 
 def _unnamed(find: FoundEffect, why: str, limit: Threshold) -> NamedEffect:
     """Return an unnamed effect to report in place of a find that held-out readings do not confirm."""
-    p = limit.p(find.total)
     words = f"{UNNAMED_WORDS[SLOW_IN_TIME]}: {find.variant.family} would explain it, but {why}"
-    return NamedEffect(SLOW_IN_TIME, (), (), (), (), (), p, p, None, words, odds=find.odds)
+    return NamedEffect.unnamed(SLOW_IN_TIME, limit.p(find.total), words, find.odds)
 
 
 # --- excursions held out in turn ------------------------------------------------------------------------

@@ -168,6 +168,11 @@ class NamedEffect:
     aliases: tuple[int, ...] = ()
     odds: tuple[FamilyOdds, ...] = ()
 
+    @classmethod
+    def unnamed(cls, name: str, p: float, words: str, odds: tuple[FamilyOdds, ...] = ()) -> NamedEffect:
+        """Return an unnamed pattern without parameters, which `words` describe."""
+        return cls(name, (), (), (), (), (), p, p, None, words, odds=odds)
+
     @property
     def in_catalogue(self) -> bool:
         """Whether the effect has a name in the catalogue."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -105,7 +106,7 @@ def find_mistakes(
     found: list[Mistake] = []
     copies = [readings]
     for _ in range(STEPS):
-        steps = (search.unit, search.map, search.verification, search.terms)
+        steps = (search.unit, search.map, partial(search.map, verification=True), search.terms)
         wrong = next(filter(None, (step(copies[-1]) for step in steps)), [])
         if not wrong:
             break
@@ -142,20 +143,16 @@ class _Search:
         p = self.gross.p_of_copy(readings, copy, log_scaling, 3 * parts * np.log(len(PREFIXES)))
         return [(_unit_mistake(unit, p), copy)]
 
-    def map(self, readings: Readings) -> list[tuple[Mistake, Readings]]:
-        """Return the most probable other meaning of the record with the corrected copy; empty if there is none."""
-        gross = self.gross.find(readings)
-        if gross is None:
-            return []
-        return [(_gross_mistake(gross), gross.supposition.correct(readings, OrientedRows.of(readings)))]
+    def map(self, readings: Readings, *, verification: bool = False) -> list[tuple[Mistake, Readings]]:
+        """Return the likeliest other meaning of the record with the corrected copy; empty if there is none.
 
-    def verification(self, readings: Readings) -> list[tuple[Mistake, Readings]]:
-        """Return a wrong wiring at the verification points with the corrected copy; empty if there is none."""
-        gross = self.gross.find_at_verification(readings)
+        With `verification`, it is a wrong wiring at the verification points.
+        """
+        gross = (self.gross.find_at_verification if verification else self.gross.find)(readings)
         if gross is None:
             return []
-        points = OrientedRows.of(readings, verification=True)
-        return [(_gross_mistake(gross), gross.supposition.correct(readings, points))]
+        table = OrientedRows.of(readings, verification=verification)
+        return [(_gross_mistake(gross), gross.supposition.correct(readings, table))]
 
     def terms(self, readings: Readings) -> list[tuple[Mistake, Readings]]:
         """Return the passes and single readings that are wrong, each with a corrected copy.
