@@ -20,7 +20,8 @@ from bench.base.arrays import CHANNELS, Floats, rms
 from bench.calibration import CalibrationError
 from bench.calibration.design import EffectUnknown, make_problem
 from bench.diagnosis.evidence import KNOWN_SIZE, ThresholdCache
-from bench.diagnosis.free_records import FreeDiagnosis
+from bench.diagnosis.free_positions import diagnose_free
+from bench.diagnosis.free_records import FreeDiagnosis, make_system
 from bench.diagnosis.gap import part_closed
 from bench.diagnosis.levels import BY_CHANCE, MOSTLY, OFTEN
 from bench.diagnosis.linear import LinearSystem, make_linear
@@ -126,6 +127,16 @@ def confirm(
     as_found = partial(in_the_noise_of, diagnosis.linear)
     without = as_found(make_linear(corrected, replace(model, effects=()), stand))
     return compared(diagnosis, without, as_found(make_linear(corrected, model, stand)))
+
+
+def confirm_free(tables: Sequence[Readings], model: ForwardModel) -> Confirmation:
+    """Compare free positions with a model that has effects, and diagnose them for further effects.
+
+    Raises `CalibrationError` if the positions do not determine the coefficients, or could not show any of the
+    effects.
+    """
+    diagnosis = diagnose_free(tables, None, model)
+    return compared(diagnosis, make_system(replace(diagnosis.rows, effects=())), diagnosis.linear)
 
 
 def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Confirmation:

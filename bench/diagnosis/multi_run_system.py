@@ -323,7 +323,7 @@ def _add_unnamed(collector: Collector, unit: float) -> None:
     """Add the unnamed families: patterns common to all runs, and zeros or scale factors that differ by run."""
     rows, readings = collector.linear.rows, collector.linear.readings
     add_free_patterns(collector, unit, _visit(readings))
-    phase = _phase(readings)[rows.reading]
+    phase = elapsed_part(readings.conditions().elapsed_s, readings.run)[rows.reading]
     for channel in range(3):
         mine = (collector.linear.setting >= 0) & (rows.channel == channel)
         waves = [unit * mine * np.cos(np.pi * k * phase) for k in range(1, FASTEST + 1)]
@@ -355,20 +355,13 @@ def _add_by_run(collector: Collector, run: Ints, unit: float) -> None:
 
 def _visit(readings: Readings) -> Ints:
     """Return the number of the visit (series) of each reading within its run, counted from 1."""
-    run = readings.run
-    visit = np.empty(len(readings), dtype=np.int64)
-    for number in np.unique(run):
-        mine = run == number
-        visit[mine] = readings.series[mine] - readings.series[mine].min() + 1
-    return visit
+    series, run = readings.series, readings.run
+    return np.asarray(series + 1 - [series[run == number].min() for number in run])
 
 
-def _phase(readings: Readings) -> Floats:
-    """Return, for each reading, the fraction of its run that had elapsed, 0 to 1."""
-    elapsed = readings.conditions().elapsed_s
-    run = readings.run
-    phase = np.zeros(len(readings))
-    for number in np.unique(run):
-        mine = run == number
-        phase[mine] = (elapsed[mine] - elapsed[mine].min()) / max(float(np.ptp(elapsed[mine])), 1e-300)
-    return phase
+def elapsed_part(time_s: Floats, run: Ints) -> Floats:
+    """Return the fraction of its run, 0 to 1, that had elapsed at each time (n,); `run` (n,) numbers the runs."""
+    part = np.zeros(len(run))
+    for mine in (run == number for number in np.unique(run)):
+        part[mine] = (time_s[mine] - time_s[mine].min()) / max(float(np.ptp(time_s[mine])), 1e-300)
+    return part
