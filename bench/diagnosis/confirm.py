@@ -123,10 +123,9 @@ def confirm(
     """
     diagnosis = diagnose(readings, model, stand_u, nominal_scale_factors, cache)
     corrected = diagnosis.mistakes.corrected
-    stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
     as_found = partial(in_the_noise_of, diagnosis.linear)
-    without = as_found(make_linear(corrected, replace(model, effects=()), stand))
-    return compared(diagnosis, without, as_found(make_linear(corrected, model, stand)))
+    without = as_found(make_linear(corrected, replace(model, effects=()), stand_u))
+    return compared(diagnosis, without, as_found(make_linear(corrected, model, stand_u)))
 
 
 def confirm_free(tables: Sequence[Readings], model: ForwardModel) -> Confirmation:

@@ -93,9 +93,7 @@ def diagnose(
     try:
         mistakes = replace(mistakes, corrected=with_blocks(mistakes.corrected, model))
         absent = there.absent(mistakes.corrected)
-        stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
-        thresholds = cache or ThresholdCache(None)
-        task = SearchTask(model, stand, stand_u.get("setting_error", 0.0), digit, thresholds, absent)
+        task = SearchTask(model, stand_u, digit, cache or ThresholdCache(None), absent)
         prepared, naming = find_effects(task, mistakes.corrected)
     except CalibrationError as error:
         if not mistakes.mistakes:

@@ -148,21 +148,24 @@ def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSyste
 class SearchTask:
     """What every search needs besides the readings.
 
-    `stand` has the standard uncertainties of the stand angles (`STAND_ANGLES`) by name, rad; `setting_rad` is the
-    standard uncertainty of a setting of the head. `resolution` is the step of the last digit of the signals.
-    Effects named in `absent` are not searched.
+    `stand_u` has the standard uncertainties, rad, of the stand angles (`STAND_ANGLES`) and of the "setting_error".
+    `resolution` is the step of the last digit of the signals. Effects named in `absent` are not searched.
     """
 
     model: ForwardModel
-    stand: Mapping[str, float]
-    setting_rad: float
+    stand_u: Mapping[str, float]
     resolution: float
     cache: ThresholdCache
     absent: Collection[str] = ()
 
+    @property
+    def setting_rad(self) -> float:
+        """The standard uncertainty of a setting of the head that the bench file states, rad."""
+        return self.stand_u.get("setting_error", 0.0)
+
     def linear(self, readings: Readings) -> LinearSystem:
         """Return the linear system of readings, with the rounding error that repeats share."""
-        linear = make_system(readings, self.model, self.stand)
+        linear = make_system(readings, self.model, self.stand_u)
         return with_rounding(linear, self.resolution, self.repeats(linear).sigma)
 
     def repeats(self, linear: LinearSystem, most: float = np.inf) -> Repeats:
@@ -398,7 +401,7 @@ def _runs(task: SearchTask, linear: LinearSystem, sigma_of_all: float) -> Iterat
     for number in np.unique(readings.run):
         table = replace(readings.select(readings.run == number), block=None)
         rows: Mask = of_row == number
-        alone = make_linear(table, linear.model, task.stand)
+        alone = make_linear(table, linear.model, task.stand_u)
         by_row, by_place = (None if size is None else size[rows] for size in (linear.by_row, linear.by_place))
         alone = replace(alone, by_channel=linear.by_channel, by_row=by_row, by_place=by_place)
         sigma = sigma_of_all * (1.0 if linear.by_run is None else float(linear.by_run.sizes[number]))

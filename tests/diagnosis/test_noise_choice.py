@@ -100,7 +100,8 @@ def test_noise_that_is_alike_has_no_place(made):
 
 
 def chosen(readings):
-    prepared, naming = find_effects(SearchTask(MODEL, STAND_U, SETTING_U_RAD, 0.0, OneThreshold()), readings)
+    stated = STAND_U | {"setting_error": SETTING_U_RAD}
+    prepared, naming = find_effects(SearchTask(MODEL, stated, 0.0, OneThreshold()), readings)
     kinds = set(prepared.chosen)
     return kinds, naming
 
