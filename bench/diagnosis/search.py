@@ -165,7 +165,8 @@ class SearchTask:
 
     def linear(self, readings: Readings) -> LinearSystem:
         """Return the linear system of readings, with the rounding error that repeats share."""
-        linear = make_system(readings, self.model, self.stand_u)
+        make = make_system if readings.run.any() else make_linear
+        linear = make(readings, self.model, self.stand_u)
         return with_rounding(linear, self.resolution, self.repeats(linear).sigma)
 
     def repeats(self, linear: LinearSystem, most: float = np.inf) -> Repeats:
