@@ -19,8 +19,7 @@ from bench.base.computing import tracked
 from bench.base.languages import message
 from bench.diagnosis.candidates import Candidates, replace_columns
 from bench.diagnosis.evidence import Data, Threshold, Whitened
-from bench.diagnosis.levels import BY_CHANCE as BY_CHANCE  # noqa: PLC0414 - also taken from here
-from bench.diagnosis.levels import INSEPARABLE, LEAST_FREEDOM, MOSTLY, OFTEN
+from bench.diagnosis.levels import BY_CHANCE, INSEPARABLE, LEAST_FREEDOM, MOSTLY, OFTEN
 from bench.diagnosis.linear import MODULUS, LinearSystem, Rows
 from bench.diagnosis.naming import ALIAS, Naming, name
 from bench.diagnosis.noise_grid import RATIOS, coupled, make_noise_grid, make_whitener

@@ -62,7 +62,7 @@ from bench.diagnosis.result import (
 from bench.diagnosis.search import Prepared, SearchTask, find_effects
 from bench.diagnosis.show import ModelComparison, contradicted, show
 from bench.diagnosis.visibility import detectable, hidden, smallest
-from bench.diagnosis.where import far_readings, find_places, looking_like, order_of
+from bench.diagnosis.where import FarReading, far_readings, find_places, looking_like, order_of
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import Readings
@@ -99,34 +99,18 @@ def diagnose(
         if not mistakes.mistakes:
             raise
         raise MistakesLeaveTooLittle(mistakes, str(error)) from error
-    estimated = _estimated(prepared, naming)
-    weak = _unconfirmed(prepared, naming, estimated.gap)
-    if weak:
-        others = [one for one in naming.found if one not in weak]
-        naming = name(prepared.whitened, prepared.data, prepared.limit, 0, others)
-        estimated = _estimated(prepared, naming)
-    gap = estimated.gap
-    registered = register(prepared.linear, prepared.limit)
-    linear, noise = prepared.linear, estimated.noise
+    estimated, weak = _confirmed(prepared, naming)
+    linear, whitened, noise, naming = prepared.linear, prepared.whitened, estimated.noise, estimated.naming
     kinds = tuple(noise_kinds(linear, noise, digit, prepared.chosen))
     findings = noise_findings(noise, readings, stand_u, linear.typical_slope, digit, linear.by_run)
-    effects = estimated.effects
-    columns = prepared.candidates.columns[:, list(naming.columns)]
-    far = far_readings(prepared.linear, columns, estimated.noise)
-    if any(one.p < BY_CHANCE for one in far) and all(e.in_catalogue for e in effects):
-        words = "; ".join(one.words for one in far[:LISTED_IN_SENTENCE])
-        effects = (*effects, NamedEffect.unnamed("single_reading", far[0].p, words))
-    if gap.shrinks is False:  # unconfirmed effects must not explain a reading that is far off
-        far = far_readings(prepared.linear, columns[:, :0], estimated.noise)
-    form = _form(prepared, naming, estimated)
-    whitened, repeats = prepared.whitened, prepared.repeats
-    ratio = RATIOS.index(near_ratios(linear, estimated.noise)[1])
+    effects, far = _with_far(prepared, estimated)
+    ratio, repeats = RATIOS.index(near_ratios(linear, noise)[1]), prepared.repeats
     sizes = detectable(whitened, prepared.limit, ratio)
     unseen = hidden(whitened, prepared.limit, ratio, sizes)
     elsewhere = {applied.effect.name for applied in model.effects} | absent.keys()
     return Diagnosis(
-        of_copy=verdict_of(effects, findings, gap),
-        form=form,
+        of_copy=verdict_of(effects, findings, estimated.gap),
+        form=_form(prepared, estimated),
         far=far,
         where=find_places(linear, whitened.grid, ratio, repeats.sigma, 3 * repeats.freedom),
         mistakes=mistakes,
@@ -136,16 +120,16 @@ def diagnose(
         unseen_per_turn=looking_like(linear.moved.angle_rad, 0),
         detectable={family: size for family, size in sizes.items() if family not in absent},
         smallest=smallest(whitened, prepared.limit, ratio),
-        gap=gap,
-        registered=registered,
+        gap=estimated.gap,
+        registered=register(linear, prepared.limit),
         linear=linear,
         candidates=prepared.candidates,
         naming=naming,
         fitted=estimated.fitted,
         in_part=estimated.in_part,
         left_open=estimated.left_open,
-        noise=estimated.noise,
-        p_left=UnexplainedScatter.of(estimated.noise, repeats).p,
+        noise=noise,
+        p_left=UnexplainedScatter.of(noise, repeats).p,
         whitened=whitened,
         data=prepared.data,
         findings=findings,
@@ -166,21 +150,46 @@ def diagnose(
     )
 
 
-def _unconfirmed(prepared: Prepared, naming: Naming, gap: Gap) -> list[FoundEffect]:
-    """Return weak finds that held-out readings do not confirm, if there is a stronger find as well.
+def _confirmed(prepared: Prepared, naming: Naming) -> tuple[_Estimated, list[FoundEffect]]:
+    """Return the joint estimate without the weak finds that held-out readings do not confirm, and these finds.
 
-    A find whose odds are far beyond the threshold needs no confirmation by held-out readings.
+    They are left out only beside a stronger find. A find whose odds are far beyond the threshold needs no
+    confirmation by held-out readings.
     """
-    if gap.shrinks is not False or len(naming.found) < 2:
-        return []
+    estimated = _estimated(prepared, naming)
+    if estimated.gap.shrinks is not False or len(naming.found) < 2:
+        return estimated, []
     strongest = max(naming.found, key=lambda one: one.size)
-    return [
+    weak = [
         one
         for one in naming.found
         if one is not strongest
-        and one.variant.family in gap.unconfirmed
+        and one.variant.family in estimated.gap.unconfirmed
         and one.total < prepared.limit.value - np.log(BY_CHANCE)
     ]
+    if weak:
+        others = [one for one in naming.found if one not in weak]
+        naming = name(prepared.whitened, prepared.data, prepared.limit, 0, others)
+        estimated = _estimated(prepared, naming)
+    return estimated, weak
+
+
+def _with_far(
+    prepared: Prepared, estimated: _Estimated
+) -> tuple[tuple[NamedEffect, ...], tuple[FarReading, ...]]:
+    """Return the effects, an unnamed one for far readings among them, and the far readings.
+
+    Effects that held-out readings do not confirm must not explain a reading that is far off.
+    """
+    effects, linear = estimated.effects, prepared.linear
+    columns = prepared.candidates.columns[:, list(estimated.naming.columns)]
+    far = far_readings(linear, columns, estimated.noise)
+    if any(one.p < BY_CHANCE for one in far) and all(e.in_catalogue for e in effects):
+        words = "; ".join(one.words for one in far[:LISTED_IN_SENTENCE])
+        effects = (*effects, NamedEffect.unnamed("single_reading", far[0].p, words))
+    if estimated.gap.shrinks is False:
+        far = far_readings(linear, columns[:, :0], estimated.noise)
+    return effects, far
 
 
 @dataclass(frozen=True)
@@ -193,6 +202,7 @@ class _Estimated:
     the prediction of held-out readings.
     """
 
+    naming: Naming
     effects: tuple[NamedEffect, ...]
     noise: NoiseSize
     sized: Posterior
@@ -216,16 +226,16 @@ def _estimated(prepared: Prepared, naming: Naming) -> _Estimated:
     kept = left_open(linear, candidates, naming, others, fitted, noise)
     starts = starting_states(linear, candidates, naming, sized, kept)
     gap = measure_gap(linear, whitened, naming, noise, prepared.limit, prepared.setting_rad)
-    return _Estimated(effects, noise, sized, fitted, (*in_part, *starts), (*kept, *starts), gap)
+    return _Estimated(naming, effects, noise, sized, fitted, (*in_part, *starts), (*kept, *starts), gap)
 
 
-def _form(prepared: Prepared, naming: Naming, estimated: _Estimated) -> FreeForm | None:
+def _form(prepared: Prepared, estimated: _Estimated) -> FreeForm | None:
     """Return the formulas of unnamed finds, or of an unnamed find tied with a name; None if names suffice.
 
     A find without a formula is described by the terms of the dictionary that explain it.
     """
     linear, whitened, data = prepared.linear, prepared.whitened, prepared.data
-    candidates = whitened.candidates
+    candidates, naming = whitened.candidates, estimated.naming
     named = [one for one in naming.found if one.variant.named]
     patterns = [one for one in naming.found if not one.variant.named and one.variant.term is None]
     tied = [one for one in named if any(is_form(candidates, f) for f in one.ties)]
