@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from pydantic import Field
@@ -20,7 +20,7 @@ from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.next_measurement import Chance, Separation
 from bench.diagnosis.pipeline import FullDiagnosis, MistakesAlone, Rival
 from bench.diagnosis.residual_model import UNNAMED_FORM
-from bench.diagnosis.result import Registration, Verdict
+from bench.diagnosis.result import Findings, Registration, Verdict
 from bench.diagnosis.show import SEED, CoefficientChange, ModelComparison, Simulation
 from bench.diagnosis.where import FarReading, ResidualPattern
 from bench.model import CATALOGUE
@@ -38,9 +38,6 @@ from bench.results.diagnosis_parts import (
 from bench.results.diagnosis_words import Files
 from bench.results.parts import BenchPart, CorrectionPart, Corrections, by_channel
 from bench.results.residuals import ResidualsPart, compared_residuals
-
-if TYPE_CHECKING:
-    from bench.results.diagnosis_words import AnyDiagnosis
 
 
 class OrientationPart(ResultModel):
@@ -542,7 +539,7 @@ def _limits_of_sight(full: FullDiagnosis, out: Console) -> None:
         out.print(listed)
 
 
-def print_files(diagnosis: AnyDiagnosis, files: Files, out: Console) -> None:
+def print_files(diagnosis: Findings, files: Files, out: Console) -> None:
     """Print the files that were written and, if there is no model file, the reason."""
     report = () if files.report is None else (files.report,)
     told = {"corrected copy of the readings": files.copies, "model": files.models, "report": report}

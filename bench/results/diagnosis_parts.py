@@ -286,12 +286,7 @@ def mistake_part(mistake: Mistake) -> EffectPart:
     """Return the part of the result on a mistake."""
     return EffectPart.from_object(
         mistake,
-        parameters=MistakePlace(
-            pass_number=mistake.pass_number,
-            point=mistake.point,
-            misfit_before=mistake.evidence.before,
-            misfit_after=mistake.evidence.after,
-        ),
+        parameters=MistakePlace.from_object(mistake),
         p_all_looks=mistake.p,
     )
 

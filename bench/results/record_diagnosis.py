@@ -14,8 +14,7 @@ from bench.base.result_model import ResultModel
 from bench.base.tables import print_notes
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.levels import LISTED_IN_SENTENCE
-from bench.diagnosis.record_diagnosis import RecordDiagnosis
-from bench.diagnosis.record_folds import Rival
+from bench.diagnosis.record_diagnosis import RecordDiagnosis, Rival
 from bench.results import diagnosis_words as words
 from bench.results.diagnosis import print_effect, print_files
 from bench.results.diagnosis_page import render_alone
