@@ -13,7 +13,8 @@ from bench.calibration.intrinsic import joint_factor
 from bench.certificate import proof
 from bench.certificate.content import Before, uncertified
 from bench.certificate.dcc.document import document_of
-from bench.certificate.dcc.nodes import NAMESPACES, broken_rules
+from bench.certificate.dcc.nodes import NAMESPACES
+from bench.certificate.dcc.rules import broken_rules
 from bench.certificate.gather import missing
 from bench.certificate.proof import Writer
 from bench.config.devices.device import Certificate as Held
