@@ -193,7 +193,7 @@ def revoke(request: RevokeCertificate) -> None:
     with opened(laboratory.register_folder) as register:
         holds(register, request.number)
         told = {"reason": request.reason}
-        register.revoke(Entry(REVOKED, request.number, issued_at(utc_now()), person.name, told))
+        register.append(Entry(REVOKED, request.number, issued_at(utc_now()), person.name, told))
 
 
 def holds(register: Register, number: str) -> NumberStatus:

@@ -274,7 +274,7 @@ def changed(folder, forms):
 def revoked(folder, forms):
     file = issued(folder / "register", forms)
     with opened(folder / "register") as register:
-        register.revoke(Entry(REVOKED, NUMBER, NOW.isoformat(), "A", {"reason": "wrong unit"}))
+        register.append(Entry(REVOKED, NUMBER, NOW.isoformat(), "A", {"reason": "wrong unit"}))
     return file, folder / "register"
 
 

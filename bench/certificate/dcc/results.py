@@ -133,10 +133,7 @@ def _condition(texts: Sequence[Texts], one: Condition, status: str) -> Node:
     unit = SI_UNITS[one.unit]
     shown = [real(end, unit, one.u) for end in dict.fromkeys((one.low, one.high))]
     ends = ["value"] if len(shown) == 1 else ["minimum", "maximum"]
-    quantities = [
-        node("dcc:quantity", node("dcc:name", plain(end)), quantity, refType=f"bench_{end}")
-        for end, quantity in zip(ends, shown, strict=True)
-    ]
+    quantities = [_quantity(end, quantity, plain(end)) for end, quantity in zip(ends, shown, strict=True)]
     return node(
         "dcc:influenceCondition",
         node("dcc:name", *said(texts, one.key, rail=one.about)),
@@ -211,9 +208,9 @@ def _listed(values: Values, certificate: Certificate) -> Node:
 
 def _freedom(members: Sequence[Value]) -> Node | None:
     """Return the list of the finite degrees of freedom; None if all are infinite."""
-    if not any(math.isfinite(one.dof) for one in members):
-        return None
     finite = [(one.name, one.dof) for one in members if math.isfinite(one.dof)]
+    if not finite:
+        return None
     listed = real_list([dof for _, dof in finite], [nodes.ONE], [f"nu_{name}" for name, _ in finite])
     return node(
         "dcc:metaData",
@@ -243,7 +240,7 @@ def _checked(texts: Sequence[Texts], verification: Verification) -> Node:
     statements = " ".join(_CONFORMITY[one] for one in stated(verification)[1])
     return node(
         "dcc:list",
-        _quantity(plain("angle"), real_list([p.angle_deg for p in points], [nodes.DEGREE]), "angle"),
+        _quantity("angle", real_list([p.angle_deg for p in points], [nodes.DEGREE]), plain("angle")),
         node(
             "dcc:quantity",
             node("dcc:name", *said(texts, "delta_g")),
@@ -251,14 +248,13 @@ def _checked(texts: Sequence[Texts], verification: Verification) -> Node:
             node("dcc:measurementMetaData", node("dcc:metaData", node("dcc:conformityXMLList", statements))),
             refType="bench_delta_g",
         ),
-        _quantity(said(texts, "limit"), real(verification.limit_g, nodes.ONE), "limit"),
-        *(_quantity(said(texts, key), real(p, nodes.ONE), key) for key, p in risks.items() if p is not None),
+        _quantity("limit", real(verification.limit_g, nodes.ONE), *said(texts, "limit")),
+        *(_quantity(key, real(p, nodes.ONE), *said(texts, key)) for key, p in risks.items() if p is not None),
     )
 
 
-def _quantity(name: Node | Sequence[Node], quantity: Node, ref: str) -> Node:
-    words = tuple(name) if isinstance(name, tuple) else (name,)
-    return node("dcc:quantity", node("dcc:name", *words), quantity, refType=f"bench_{ref}")
+def _quantity(ref: str, quantity: Node, *name: Node) -> Node:
+    return node("dcc:quantity", node("dcc:name", *name), quantity, refType=f"bench_{ref}")
 
 
 def _conformity(texts: Sequence[Texts], verification: Verification) -> Node:
@@ -304,9 +300,9 @@ def _table(texts: Sequence[Texts], readings: Readings) -> Node:
     return node(
         "dcc:list",
         node("dcc:name", *said(texts, "readings")),
-        _quantity(plain("installation"), labels, "installation"),
+        _quantity("installation", labels, plain("installation")),
         *(
-            _quantity(plain(name), real_list(values.tolist(), [of]), name)
+            _quantity(name, real_list(values.tolist(), [of]), plain(name))
             for name, (values, of) in columns.items()
             if not np.isnan(values).all()
         ),
