@@ -151,6 +151,11 @@ class RegisterSays(ResultModel):
         return self.state == "issued"
 
     @property
+    def vouches(self) -> bool:
+        """Whether the register that the user named contains the certificate; anybody can write one beside it."""
+        return self.named and self.known
+
+    @property
     def words(self) -> str:
         """The state in the register, as text that is appended to the verdict; "" for a valid certificate."""
         if self.holds:
@@ -181,6 +186,17 @@ class VerifyResult(ResultModel):
     """what the register states about the certificate; null without a register"""
     not_signed: list[str]
     not_proved: list[str]
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the certificate is intact, the signer trusted and the number valid, as far as each was checked.
+
+        An unsigned certificate is accepted only if a register that the user named contains it.
+        """
+        standing = self.register_
+        holds = standing is None or standing.holds
+        vouched = self.unsigned is None or (standing is not None and standing.vouches)
+        return self.intact and holds and vouched and not self.why_not_trusted
 
     def print_on(self, out: Console) -> None:
         """Print the verdict; for a certificate that is not intact, only the reasons."""

@@ -18,11 +18,10 @@ from bench.panel.launching import (
     Wishes,
     WishFolder,
     arguments_of,
-    choices,
-    chosen_bench,
     start,
     wait_until,
 )
+from bench.panel.own_files import choices, chosen_bench
 from bench.panel.pages.start import FORM, form_field
 from bench.panel.shared import Panel
 from bench.run.events import MANIFEST

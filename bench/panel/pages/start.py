@@ -22,19 +22,22 @@ from bench.panel.access import Person, Refusal, Role
 from bench.panel.folder import RunsFolder
 from bench.panel.holding import change, read_holding
 from bench.panel.launching import (
-    OF_RUN,
     WISH,
     TrialResult,
     WantedRun,
     WishFolder,
-    choices,
-    chosen_bench,
-    chosen_procedure,
     name_of,
     start,
     start_run,
 )
-from bench.panel.own_files import offered_procedures, own_files
+from bench.panel.own_files import (
+    OF_RUN,
+    choices,
+    chosen_bench,
+    chosen_procedure,
+    offered_procedures,
+    own_files,
+)
 from bench.panel.shared import Panel, acting, operator, page, panel_of
 from bench.run.events import MANIFEST, RecordError
 from bench.run.sentences import duration
