@@ -23,6 +23,7 @@ from bench.calibration.conformity import (
     probability_one_outside,
     probability_worst_outside,
 )
+from bench.calibration.orientation import StatedOrientation
 from bench.calibration.result import CalibrationError
 from bench.model.geometry import Block, modulus_slopes
 from bench.readings.table import Readings
@@ -109,7 +110,8 @@ class Verification:
     `missing` counts points that were planned or recorded but could not be judged; if one is missing, nothing is
     accepted, since equation (10) applies to every point. `covariance` (n, n) is the covariance of delta g at the
     points; `contributions` are the parts of this covariance by name. `population` is the prior distribution of
-    delta g, over many blocks. Unless `fits`, the coefficients contradict their own readings.
+    delta g, over many blocks. Unless `fits`, the coefficients contradict their own readings. `contradiction` is a
+    sentence on readings that contradict the orientation stated for installation V, empty if none does.
     """
 
     limit_g: float
@@ -120,6 +122,7 @@ class Verification:
     population: Population | None = None
     contributions: Mapping[str, Floats] = field(default_factory=dict)
     fits: bool = True
+    contradiction: str = ""
 
     @property
     def rule(self) -> str:
@@ -186,9 +189,9 @@ class Verification:
     def to_pass(self) -> LimitToPass | None:
         """The limit, or the u, with which the verification would pass, all else equal.
 
-        None if the verification passes, lacks points, or is of a model that does not fit.
+        None if the verification passes, lacks points, or is of a model or an orientation that does not fit.
         """
-        if self.passed or self.missing or not self.fits:
+        if self.passed or self.missing or not self.fits or self.contradiction:
             return None
         u, sizes = np.array([point.u for point in self.points]), np.abs(self._errors)
         known = MeasuredValues.of(u, self.population)
@@ -225,6 +228,7 @@ def verify(
     joint: Mapping[str, Floats] | None = None,
     population: Population | None = None,
     fits: bool = True,
+    stated: StatedOrientation | None = None,
 ) -> Verification:
     """Return the verdict of the paper's check (9)-(10) on the verification rows of a table.
 
@@ -234,8 +238,9 @@ def verify(
     replaces both: parts by name, (n, n) each, of the covariance of |a| at the points, in the gravity of the
     coefficients. The setting error of the head has no effect, because the modulus
     does not depend on it. `rule` is one of `RULES`, a `DecisionRule`, or None for the default. Unless `fits`, the
-    coefficients contradict their own readings, and no point is accepted. Raises `CalibrationError` if there is no
-    verification row, K is singular or the rule is unknown.
+    coefficients contradict their own readings, and no point is accepted; neither is a point whose readings
+    contradict the orientation `stated` for it. Raises `CalibrationError` if there is no verification row, K is
+    singular or the rule is unknown.
     """
     rows = readings.verification()
     if len(rows) == 0:
@@ -265,8 +270,12 @@ def verify(
     outside = known.outside(errors, limit_g)
     accepted_up_to = decision.acceptance_limit(limit_g, known)
     statements = decision.statements(errors, limit_g, known)
-    if not fits:
-        statements = [one if one is Statement.FAIL else Statement.MISFIT for one in statements]
+    wrong = None if stated is None else stated.contradiction(rows, block)
+    misfits = np.full(len(rows), not fits) if wrong is None or not fits else wrong.points
+    statements = [
+        Statement.MISFIT if misfit and one is not Statement.FAIL else one
+        for one, misfit in zip(statements, misfits, strict=True)
+    ]
     points = tuple(
         VerificationPoint(
             angle_deg=float(np.degrees(rows.angle_rad[i])),
@@ -289,8 +298,9 @@ def verify(
         for i in range(len(rows))
     )
     return Verification(
-        limit_g, points, together, readings.verification_missing, decision, population, joint, fits
-    )
+        limit_g, points, together, readings.verification_missing, decision, population, joint, fits,
+        "" if wrong is None else wrong.sentence,
+    )  # fmt: skip
 
 
 def by_rule(statement: Statement, rule: str, *, passed: bool) -> Statement:

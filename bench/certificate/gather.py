@@ -156,8 +156,11 @@ def found_by(
     if len(source.readings.verification()):
         verdict = verification_of(result.source, result, asked, agreed)
     last = run.history.events.last
-    # only the global risks: the other notes of a verdict advise the operator and do not belong on a certificate
-    of_all = () if verdict is None else global_risk_in_words(verdict.verification)
+    # the other notes of a verdict advise the operator and do not belong on a certificate
+    of_all: tuple[str, ...] = ()
+    if verdict is not None:
+        of_all = tuple(filter(None, [verdict.verification.contradiction]))
+        of_all += global_risk_in_words(verdict.verification)
     record, begun, unit = _record(run), _begun(source), source.bench.unit_under_test
     return RunFindings(
         record=record,

@@ -67,7 +67,7 @@ class VerdictPart(RulePart):
     passed: bool = Field(description="whether all points were measured and are accepted by the rule")
     statement: Statement
     """statement for the worst point; `inconclusive` if U exceeds the limit, `not complete` if points are
-    missing, `does not fit` if the readings contradict the coefficients
+    missing, `does not fit` if the readings contradict the coefficients or the orientation stated for V
     """
     missing: int = Field(description="planned points that were not measured")
     U: float = Field(description="largest expanded uncertainty of the points, g")
@@ -292,7 +292,7 @@ def advice(result: Verification) -> tuple[str, ...]:
                 "measure what is missing, as nothing is accepted without it"
             )
         )
-    return (*found, *_to_pass(result))
+    return (*filter(None, [result.contradiction]), *found, *_to_pass(result))
 
 
 def _to_pass(result: Verification) -> Iterator[str]:

@@ -13,6 +13,7 @@ from bench.base.computing import quiet, versions
 from bench.base.files import read_given, read_regular, to_text, write_whole
 from bench.base.yaml_files import load_validated
 from bench.calibration import CalibrationError
+from bench.calibration.conformity import Statement
 from bench.config.shipped import CONFIG, PROCEDURES, shipped_folder
 from bench.readings.csv import format_csv, read_csv
 from bench.results.calibration import fit_in_a_line
@@ -237,7 +238,9 @@ def _next(found: Conclusion) -> Iterator[str]:
     verification = found.verification
     if found.calibration is None:
         yield f"next: bench show {name}"
-    elif not found.calibration.accepted or (verification is not None and verification.statement == "fail"):
+    elif not found.calibration.accepted or (
+        verification is not None and verification.statement in (Statement.MISFIT, Statement.FAIL)
+    ):
         yield f"next: bench diagnose {name}"
     elif verification is not None and not verification.passed:
         yield f"next: {again.replace('bench run', 'bench budget', 1)}, which shows what makes U large"

@@ -18,6 +18,7 @@ from bench.calibration.budget.sources import hidden_sources
 from bench.calibration.budget.whole import delta_g_contributions, delta_g_elsewhere
 from bench.calibration.conformity import SIMPLE, DecisionRule, Population
 from bench.calibration.noise import ONE_TEMPERATURE_K, drifted
+from bench.calibration.orientation import StatedOrientation
 from bench.calibration.verification import Verification
 from bench.calibration.verification import verify as check
 from bench.config.bench_file.file import BenchFile
@@ -280,6 +281,9 @@ def judged(
         joint=joint,
         population=judgement.population,
         fits=taken.fits,
+        stated=StatedOrientation.of(
+            source.model, {**source.stand_u, **source.assumed_u}, taken.block, taken.covariance
+        ),
     )
     return VerificationResult(source, verdict, warnings, said, None if own is None else own.lack_of_fit)
 
