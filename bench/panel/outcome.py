@@ -92,13 +92,13 @@ def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool) -> Ou
 
 
 def _misfit(found: Results) -> str:
-    """Return why to diagnose a run: readings and model do not fit, or the block did not pass; "" if neither."""
+    """Return why to diagnose a run: readings and model do not fit, or the block failed; "" if neither."""
     fit = found.calibration.fit if found.calibration is not None else ""
     if fit == DOES_NOT_FIT:
         return message("The model does not fit the readings. The diagnosis looks for the missing effect.")
     if fit == LACK_OF_FIT:
         return message("A lack of fit is shown at 1 %. The diagnosis looks for the missing effect.")
-    if found.verdict is not None and not found.verdict.passed:
+    if found.verdict is not None and found.verdict.state == "failed":
         return message("The block did not pass. The diagnosis looks for the cause.")
     return ""
 

@@ -133,6 +133,7 @@ def snapshot(
     latest = seen.latest
     return {
         **about.told,
+        "operator": seen.progress.operators(about.told["operator"]),
         "events": seen.events,
         "last_time": None if latest is None else latest.time,
         "now": now.isoformat(),

@@ -142,6 +142,7 @@ class ShowResult(RunPart):
         summary["command to resume"] = self.to_go_on
         labelled = {**summary, **{_LABELS.get(name, name): value for name, value in run.manifest.items()}}
         labelled["created"] = civil_minute(self.created)
+        labelled["operator"] = run.history.progress.operators(labelled.get("operator"))
         for label, value in labelled.items():
             if value not in ("", None):
                 out.print(f"{label.replace('_', ' ')}: {_text(value)}")

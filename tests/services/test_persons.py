@@ -10,6 +10,7 @@ from bench.certificate.laboratory import load_laboratory
 from bench.panel.access import STATE, Access, Role
 from bench.run.events import RecordError
 from bench.run.folder import Run
+from bench.services.bench_selection import origin_of_run
 from bench.services.chain import LINES
 from bench.services.errors import Refused
 from bench.services.persons import FOLDER, KEY, TOKEN, persons, persons_of
@@ -168,6 +169,10 @@ def test_who_resumes_a_run_is_in_its_record(bench, laboratory, monkeypatch, name
     (event,) = (one for one in history.events if one.type == "run_resumed")
     assert (event.data.get("by"), history.problems) == (by, ())
     assert {"by", "role", "where"}.isdisjoint(event.data) == (by is None)
+    began = Run(Path("runs/one")).manifest["operator"]
+    operators = ", ".join(filter(None, dict.fromkeys([began, by])))
+    assert origin_of_run(Run(Path("runs/one"))).origin.operator == operators
+    assert (f"operator: {operators}" in printed(bench("show", "one"))) == bool(operators)
 
 
 def test_the_command_lists_and_changes(bench, laboratory):
