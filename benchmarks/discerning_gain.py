@@ -12,6 +12,7 @@ import re
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import subspace_angles
 
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.load import load_procedure
@@ -148,6 +149,10 @@ class Trial:
             f"{s.alone_right / max(s.alone, 1):.3f}",
         )  # fmt: skip
 
+    def cosine(self, one: Form, other: Form) -> float:
+        """Return the cosine of the smallest angle between two forms (1: indistinguishable)."""
+        return float(np.cos(subspace_angles(self.design.seen(one), self.design.seen(other)).min()))
+
     def _noise(self, rng: np.random.Generator) -> np.ndarray:
         linear = self.linear
         setting = self.setting_rad * rng.standard_normal(int(linear.setting.max()) + 1)
@@ -165,7 +170,7 @@ def main() -> None:
     )  # fmt: skip
     scored = ((name, *trials[name].row(given.draws, given.seed)) for name in PROCEDURES)
     ties = (
-        (tie, *(f"{trials[p].design.cosine(*map(form_of, forms)):.3f}" for p in FOR_TIES))
+        (tie, *(f"{trials[p].cosine(*map(form_of, forms)):.3f}" for p in FOR_TIES))
         for tie, forms in TIES.items()
     )
     for line in (*markdown(heads, scored), "", *markdown(("tie", *FOR_TIES), ties)):

@@ -326,7 +326,7 @@ RECORDS: Final = (
     edit("chain of a register not checked", "register", "certificates", "bench.services.chain:Chain._take",
          "previous != self.head or", "False or"),
     edit("revocation not written", "certificate", "certificates", "bench.certificate.life:revoke",
-         "register.revoke(", "str("),
+         "register.append(", "str("),
     edit("revocation written and not heeded", "certificate", "certificates",
          "bench.certificate.register:Register._note", "standing.entry, REVOKED", "standing.entry, ISSUED"),
 )  # fmt: skip

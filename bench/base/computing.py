@@ -85,13 +85,9 @@ def uncollected() -> Iterator[None]:
 PACKAGES: Final = ("triaxial-bench", "numpy", "scipy", "pyvisa", "pyvisa-py", "pyserial")
 
 
+@cache
 def versions() -> dict[str, str]:
     """Return the versions of Python and of the packages on which results depend, by name."""
-    return dict(_versions())
-
-
-@cache
-def _versions() -> dict[str, str]:
     import platform
     from importlib import metadata
 

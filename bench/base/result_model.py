@@ -9,7 +9,8 @@
 
     Line(slope=1.0, u=math.nan).to_dict()        # {"slope": 1.0, "u": None}
 
-An optional member has a default, and is left out of the JSON unless set. `from_object` makes a model from the
+A description that does not fit the line of its member is the text below it; the schema shows both alike. An
+optional member has a default, and is left out of the JSON unless set. `from_object` makes a model from the
 attributes of a computed object, nested models included:
 
     Line.from_object(fitted, u=fitted.u_slope)            # fitted.slope, fitted.notes
@@ -17,10 +18,15 @@ attributes of a computed object, nested models included:
 
 from __future__ import annotations
 
+import ast
+import inspect
 import math
+import textwrap
+from itertools import pairwise
 from typing import Annotated, Any, Final, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict
+from pydantic import BaseModel, BeforeValidator, ConfigDict, GetJsonSchemaHandler
+from pydantic_core import CoreSchema
 
 DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
@@ -41,6 +47,17 @@ Matrix = Annotated[list[list[float]], BeforeValidator(_listed)]
 """A list of rows of numbers, given as lists or an array."""
 
 
+def _texts_below(model: type) -> dict[str, str]:
+    """Return the text below each member in the source of a model."""
+    (source,) = ast.parse(textwrap.dedent(inspect.getsource(model))).body
+    found = {}
+    for member, below in pairwise(source.body if isinstance(source, ast.ClassDef) else ()):
+        match member, below:
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                found[name] = " ".join(text.split())
+    return found
+
+
 class ResultModel(BaseModel):
     """Base class of results and their parts: frozen; it rejects unknown members, NaN and infinity."""
 
@@ -54,10 +71,27 @@ class ResultModel(BaseModel):
     )
 
     @classmethod
-    def from_object(cls, computed: object, **others: Any) -> Self:
-        """Return a model with the members `others`; all other members come from attributes of `computed`."""
-        names = [name for name in cls.model_fields if name not in others and hasattr(computed, name)]
-        return cls(**{name: getattr(computed, name) for name in names}, **others)
+    def from_object(cls, *computed: object, **others: Any) -> Self:
+        """Return a model with the members `others`; all other members come from attributes of `computed`.
+
+        The first object that has an attribute gives it.
+        """
+        found = {
+            name: getattr(one, name)
+            for one in reversed(computed)
+            for name in cls.model_fields
+            if name not in others and hasattr(one, name)
+        }
+        return cls(**found, **others)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        schema = handler(core)
+        properties = handler.resolve_ref_schema(schema)["properties"]
+        for kind in cls.__mro__[: cls.__mro__.index(ResultModel)]:
+            for name, text in _texts_below(kind).items():
+                properties[cls.model_fields[name].alias or name]["description"] = text
+        return schema
 
     def to_dict(self) -> dict[str, Any]:
         """Return the members as a JSON object, without optional members that were not set."""

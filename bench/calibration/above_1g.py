@@ -15,7 +15,7 @@ from bench.calibration.gls import Fit
 from bench.calibration.result import CalibrationError
 from bench.model.conditions import Conditions
 from bench.model.geometry import Block
-from bench.readings.centrifuge import CentrifugePoints
+from bench.readings.csv import CentrifugePoints
 
 ROUNDS: Final = 8
 ROUNDING: Final = 1e-14

@@ -29,8 +29,8 @@ from bench.model.effects import CATALOGUE, Parameter, Seen
 from bench.model.effects.base import AppliedEffect
 from bench.model.forward import ForwardModel
 from bench.model.geometry import COEFFICIENTS, HIDDEN, STAND_ANGLES, Block
-from bench.readings.centrifuge import CentrifugePoints
 from bench.readings.corrected import VOLTS
+from bench.readings.csv import CentrifugePoints
 from bench.readings.table import Readings
 
 LINEAR: Final = ("K1", "Ki_j", "Ki_k", "K0")

@@ -343,11 +343,6 @@ class Certificate:
         return ("statement_item", *affected, "statement_reproduction")
 
     @property
-    def valid_instruments(self) -> bool:
-        """Whether voltmeters and head have valid certificates of their own; see `uncertified`."""
-        return not uncertified(self.found)
-
-    @property
     def attachments(self) -> tuple[Attached, ...]:
         """The attached files: the result, the readings, the seal of the record."""
         found = self.found

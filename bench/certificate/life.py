@@ -24,7 +24,7 @@ from bench.services.requests.shared import runs_folder
 from drivers.clock import utc_now
 
 if TYPE_CHECKING:
-    from bench.certificate.dcc.nodes import Schemas
+    from bench.certificate.dcc.rules import Schemas
     from bench.certificate.signatory import Signatory
 
 
@@ -68,7 +68,7 @@ def desk_of(request: Issuing, passphrase: Callable[[], bytes]) -> Desk:
         raise Refused(f"a certificate needs {', '.join(lacking)}; a draft (--draft) needs none of them")
     schemas = signatory = None
     if request.schema is not None:
-        from bench.certificate.dcc.nodes import read_schemas
+        from bench.certificate.dcc.rules import read_schemas
 
         schemas = read_schemas(request.schema)
     if request.key is not None:
@@ -193,7 +193,7 @@ def revoke(request: RevokeCertificate) -> None:
     with opened(laboratory.register_folder) as register:
         holds(register, request.number)
         told = {"reason": request.reason}
-        register.revoke(Entry(REVOKED, request.number, issued_at(utc_now()), person.name, told))
+        register.append(Entry(REVOKED, request.number, issued_at(utc_now()), person.name, told))
 
 
 def holds(register: Register, number: str) -> NumberStatus:
@@ -257,7 +257,7 @@ def _write(
 def bodies_of(certificate: Certificate, schemas: Schemas | None = None) -> Bodies:
     """Return the unsigned forms of a numbered certificate. Raises `Refused` if the XML breaks rules or schemas."""
     from bench.certificate.dcc.document import document_of
-    from bench.certificate.dcc.nodes import broken_rules
+    from bench.certificate.dcc.rules import broken_rules
 
     xml = document_of(certificate)
     wrong = [*broken_rules(xml), *(schemas.mistakes(xml) if schemas is not None else ())]

@@ -123,7 +123,7 @@ def _front(certificate: Certificate, write: Writer) -> list[Block]:
         told = {**vars(issue.before), "kind": write.say(issue.before.kind)}
         blocks.append(write.words("replaces", **told))
     return [*blocks, write.heading("results"), write.words("answer_text", k=f"{certificate.k:.3g}"),
-            _matrix(certificate, write), *proof.verdict(certificate, write)]  # fmt: skip
+            _matrix(certificate, write), *proof.verdict_of(found, write)]  # fmt: skip
 
 
 def _days(certificate: Certificate) -> str:

@@ -151,16 +151,6 @@ def correlation_rows(values: Values) -> list[list[Cell]]:
     return rows
 
 
-def code(text: str) -> Cell:
-    """Return the cell for a hash, an address or a file name, set in a monospaced font."""
-    return {"code": text}
-
-
-def broken(digest: str) -> list[Cell]:
-    """Return a hash divided into table cells, one for each line."""
-    return [code(digest[at : at + _CODE_LENGTH]) for at in range(0, len(digest), _CODE_LENGTH)]
-
-
 def span(low: float, high: float, u: float | None, unit: str) -> str:
     """Return a range in words, such as "22.8 … 23.1 °C ± 0.2 °C (k = 2)"; without u, the range alone."""
     ends = [rounded(one, 2.0 * u) if u else fixed(one, 2) for one in (low, high)]
@@ -346,11 +336,6 @@ def _size(u: float, unit: str) -> str:
 # --- conformity ---------------------------------------------------------------------------------------
 
 
-def verdict(certificate: Certificate, write: Writer) -> list[Block]:
-    """Return the blocks of the statement of conformity on the first page."""
-    return verdict_of(certificate.found, write)
-
-
 def verdict_of(found: RunFindings, write: Writer) -> list[Block]:
     """Return the blocks of the statement of conformity, made from a run's results."""
     result = found.verification
@@ -429,9 +414,10 @@ def _record(certificate: Certificate, write: Writer, attached: list[tuple[str, s
     sealed = write.words("seal_text", sealed=record.sealed) if record.sealed else write.words("no_seal")
     signed = "unsigned" if certificate.unsigned else "signed_itself"
     head: list[Cell] = [write.say(key) for key in ("file", "description", "digest")]
-    rows: list[list[Cell]] = [
-        [code(name), contents, {"lines": broken(digest)}] for name, contents, digest in attached
-    ]
+    rows: list[list[Cell]] = []
+    for name, contents, digest in attached:  # name and hash are set in a monospaced font
+        parts = [{"code": digest[at : at + _CODE_LENGTH]} for at in range(0, len(digest), _CODE_LENGTH)]
+        rows.append([{"code": name}, contents, {"lines": parts}])
     return [
         write.heading("record"),
         write.words("record_text", run=record.run, events=record.events, head=record.head),

@@ -61,10 +61,6 @@ class Register(Chain):
         self.append(Entry(entry.kind, entry.number, entry.time, entry.by, {**entry.data, "files": sha}))
         self._put_in_place(self.standings[entry.number].entry)
 
-    def revoke(self, entry: Entry) -> None:
-        """Append the line that revokes a certificate. Raises `OSError`."""
-        self.append(entry)
-
     def file(self, name: str) -> bytes:
         """Return the content of an issued file. Raises `Refused` if the file is unknown, missing or changed."""
         number = name.rsplit(".", 1)[0]

@@ -20,7 +20,7 @@ from bench.base.files import read_given, read_regular
 from bench.calibration import CalibrationError
 from bench.calibration.conformity import SIMPLE, DecisionRule
 from bench.certificate.content import RunFindings
-from bench.certificate.dcc.results import ShownValues, shown_of
+from bench.certificate.dcc.reading import ShownValues, shown_of
 from bench.certificate.gather import found_by
 from bench.certificate.page import DCC, RELATIONS, faults_of
 from bench.certificate.register import LINES, Register
@@ -64,83 +64,44 @@ UNKNOWN: Final = (
 
 
 @dataclass
-class Verdict:
-    """The findings on a certificate.
+class Findings:
+    """What the steps of a verification found, in their order.
 
-    `wrong` lists the reasons why the certificate is not intact, `agreed` the comparisons that succeeded.
-    `not_signed` lists what the signature does not cover, `not_proved` what the verification cannot show.
-    `why_not_trusted` is None without a trust file and "" for a trusted signer. `shown` are the values in the
-    certificate, even if it is `unsigned`. `standing` is the status in the register, None if no register is
-    available. `issued` is false for a file that cannot be an issued certificate.
+    `signatures` begins with that of the verified file; `unsigned` says that the certificate has none. The lists of
+    sentences are those of `VerifyResult`.
     """
 
-    file: str
+    signatures: list[SignedPdf | SignedXml] = field(default_factory=list)
+    unsigned: bool = False
     wrong: list[str] = field(default_factory=list)
     agreed: list[str] = field(default_factory=list)
     not_signed: list[str] = field(default_factory=list)
     not_proved: list[str] = field(default_factory=list)
-    signer: str = ""
-    fingerprint: str = ""
-    signed_at: str = ""
-    why_not_trusted: str | None = None
-    shown: ShownValues | None = None
-    unsigned: bool = False
-    issued: bool = True
-    standing: RegisterSays | None = None
 
-    @property
-    def intact(self) -> bool:
-        """Whether the verification found nothing wrong."""
-        return not self.wrong
+    def why_not_trusted(self, trusted: Sequence[Certificate] | None) -> str | None:
+        """Return why a signer is not in `trusted`, "" if all are; None if there is nothing to judge."""
+        if trusted is not None and self.unsigned:
+            return "nobody signed it"
+        if trusted is None or not self.signatures:
+            return None
+        reasons = (why_not_trusted(one.chain, one.signed_at, trusted) for one in self.signatures)
+        return next(filter(None, reasons), "")
 
-    @property
-    def accepted(self) -> bool:
-        """Whether the certificate is intact, the signer trusted and the number valid, as far as each was checked.
-
-        An unsigned certificate is accepted only if a register that the user named contains it. A register found in
-        the file's folder is not enough, because anybody can write one.
-        """
-        holds = self.standing is None or self.standing.holds
-        vouched = not self.unsigned or self._by_register
-        return self.intact and holds and vouched and not self.why_not_trusted
-
-    @property
-    def _by_register(self) -> bool:
-        """Whether the register that the user named contains this certificate."""
-        return self.standing is not None and self.standing.named and self.standing.known
-
-    @property
-    def headline(self) -> str:
-        """The verdict in one line."""
-        if not self.intact:
-            return "CHANGED" if self.issued else "NO CERTIFICATE"
-        if self.unsigned:
-            of_signer = "not signed" + (", unchanged since it was issued" if self._by_register else "")
-        elif self.why_not_trusted is None:
-            of_signer = "intact, signer unknown"
-        else:
-            trusted = not self.why_not_trusted
-            of_signer = f"intact, signed by {self.signer}" if trusted else "intact, signer not trusted"
-        return of_signer if self.standing is None else of_signer + self.standing.words
-
-    def result(self) -> VerifyResult:
-        """Return the result of `bench certificate verify`, with the certificate's values only if it is intact."""
-        says = self.shown.says if self.shown is not None and self.intact else None
-        return VerifyResult.from_object(
-            self,
-            verdict=self.headline,
-            trusted=None if self.why_not_trusted is None else not self.why_not_trusted,
-            signer=SignerPart(
-                name=self.signer, certificate_sha256=self.fingerprint, signed_at=self.signed_at
-            ),
-            signed=None if self.unsigned else says,
-            unsigned=says if self.unsigned else None,
-            register_=self.standing,
+    def signer(self) -> SignerPart:
+        """Return the signer of the verified file; all members are empty if nobody signed it."""
+        if not self.signatures:
+            return SignerPart(name="", certificate_sha256="", signed_at="")
+        first = self.signatures[0]
+        own = first.chain[0]
+        return SignerPart(
+            name=name_of(own), certificate_sha256=fingerprint_of(own), signed_at=first.signed_at.isoformat()
         )
 
 
-def verify_certificate(file: Path, trust: Path | None, runs: Path, register: Path | None = None) -> Verdict:
-    """Verify a certificate (PDF or XML), and its other form in the same folder; return the findings.
+def verify_certificate(
+    file: Path, trust: Path | None, runs: Path, register: Path | None = None
+) -> VerifyResult:
+    """Verify a certificate (PDF or XML), and its other form in the same folder.
 
     `trust` contains the certificates (PEM) of trusted signers or authorities. `register` is the folder of the
     laboratory's register; if it is None, a register in the folder of `file` is used. Raises `Refused` for a file
@@ -148,40 +109,76 @@ def verify_certificate(file: Path, trust: Path | None, runs: Path, register: Pat
     """
     trusted = None if trust is None else certificates_in(trust)
     content = _content(file)
-    verdict = Verdict(str(file))
+    found = Findings()
+    shown = standing = None
+    failure = "CHANGED"
     try:
-        if content.lstrip()[:1] == b"<":
-            _verify_xml(verdict, content, trusted)
-            beside, other = file.with_suffix(".pdf"), "PDF"
-            if beside.is_file() and verdict.intact:
-                _verify_pdf_beside(verdict, _content(beside), content, beside.name)
-        else:
-            attached = _verify_pdf(verdict, content, trusted)
-            beside, other = file.with_suffix(".xml"), "XML"
-            if beside.is_file() and verdict.intact:
-                _same_xml(verdict, attached[DCC], _content(beside), beside.name)
-        if not beside.is_file() and other == "PDF":
-            verdict.not_proved.append(
-                f"that there is a {other} with the same content: {beside.name} is not beside it"
-            )
+        shown = _verify_forms(found, file, content)
     except NotIntact as error:
-        verdict.wrong.append(f"{error}; {ORIGINAL}")
-        verdict.issued = not isinstance(error, NoCertificate)
-    if verdict.shown is not None and verdict.intact:
-        against_register(verdict, verdict.shown.says.number, file, content, register)
-    if verdict.shown is not None and verdict.intact:
-        against_record(verdict, verdict.shown, runs)
-    if verdict.unsigned:
-        verdict.why_not_trusted = None if trust is None else "nobody signed it"
-    elif verdict.why_not_trusted is None:
-        verdict.not_proved.insert(0, UNKNOWN)
-    verdict.not_proved += () if verdict.unsigned else NOT_PROVED
-    verdict.not_proved.append(NOT_MEASURED)
-    if verdict.intact and verdict.unsigned and not (verdict.standing and verdict.standing.named):
-        verdict.not_proved.append(UNSIGNED)
-    elif verdict.intact and verdict.standing is None:
-        verdict.not_proved.append(REGISTER_NOT_HERE)
-    return verdict
+        found.wrong.append(f"{error}; {ORIGINAL}")
+        failure = "NO CERTIFICATE" if isinstance(error, NoCertificate) else failure
+    if shown is not None:
+        standing = against_register(found, shown.says.number, file, content, register)
+        if not found.wrong:
+            against_record(found, shown, runs)
+    intact, named = not found.wrong, standing is not None and standing.named
+    distrust, signer = found.why_not_trusted(trusted), found.signer()
+    if not found.unsigned:
+        found.not_proved[:0] = [UNKNOWN] if distrust is None else []
+        found.not_proved += NOT_PROVED
+    found.not_proved.append(NOT_MEASURED)
+    if intact and found.unsigned and not named:
+        found.not_proved.append(UNSIGNED)
+    elif intact and standing is None:
+        found.not_proved.append(REGISTER_NOT_HERE)
+    says = shown.says if shown is not None and intact else None
+    return VerifyResult.from_object(
+        found,
+        file=str(file),
+        verdict=_headline(found.unsigned, distrust, signer.name, standing) if intact else failure,
+        intact=intact,
+        trusted=None if distrust is None else not distrust,
+        why_not_trusted=distrust,
+        signer=signer,
+        signed=None if found.unsigned else says,
+        unsigned=says if found.unsigned else None,
+        register_=standing,
+    )
+
+
+def _headline(unsigned: bool, distrust: str | None, signer: str, standing: RegisterSays | None) -> str:
+    """Return the verdict on an intact certificate in one line."""
+    if unsigned:
+        issued = standing is not None and standing.vouches
+        words = "not signed" + (", unchanged since it was issued" if issued else "")
+    elif distrust is None:
+        words = "intact, signer unknown"
+    else:
+        words = "intact, signer not trusted" if distrust else f"intact, signed by {signer}"
+    return words if standing is None else words + standing.words
+
+
+def _verify_forms(found: Findings, file: Path, content: bytes) -> ShownValues:
+    """Verify the form in `file` and, if it is in the same folder, the other form; return the values."""
+    if content.lstrip()[:1] == b"<":
+        shown, _ = _verify_xml(found, content)
+        beside = file.with_suffix(".pdf")
+        if beside.is_file():
+            try:
+                _, attached = _verify_pdf(Findings(), _content(beside))
+            except NotIntact as error:
+                raise NotIntact(f"{beside.name} beside it: {error}") from error
+            _same_xml(found, attached[DCC], content, beside.name)
+        else:
+            found.not_proved.append(
+                f"that there is a PDF with the same content: {beside.name} is not beside it"
+            )
+        return shown
+    shown, attached = _verify_pdf(found, content)
+    beside = file.with_suffix(".xml")
+    if beside.is_file():
+        _same_xml(found, attached[DCC], _content(beside), beside.name)
+    return shown
 
 
 def _content(file: Path) -> bytes:
@@ -192,25 +189,23 @@ def _content(file: Path) -> bytes:
 # --- the two forms ------------------------------------------------------------------------------------
 
 
-def _verify_xml(verdict: Verdict, document: bytes, trusted: Sequence[Certificate] | None) -> SignedXml | None:
-    """Verify an XML, recording signer and values in `verdict`; return its signed content, None if unsigned."""
+def _verify_xml(found: Findings, document: bytes) -> tuple[ShownValues, SignedXml | None]:
+    """Verify an XML; return its values and its signature, None if it is unsigned. Raises `NotIntact`."""
     signed, content = _signed_or_not(document)
-    if signed is not None:
-        _name_signer(verdict, signed, trusted)
-    verdict.unsigned = signed is None
+    found.signatures += [] if signed is None else [signed]
+    found.unsigned = signed is None
     shown = shown_of(content)
-    if verdict.unsigned is shown.says_signed:
+    if found.unsigned is shown.says_signed:
         raise NotIntact(
             "it claims a signature but has none"
-            if verdict.unsigned
+            if found.unsigned
             else "it claims to be unsigned but has a signature"
         )
     _agree_on_numbers(shown)
-    verdict.shown = shown
-    verdict.agreed.append("the coefficients of the digital certificate are those of its result")
+    found.agreed.append("the coefficients of the digital certificate are those of its result")
     if signed is not None and signed.comments:
-        verdict.not_signed.append(f"{signed.comments} comments in the XML, which are unsigned and not shown")
-    return signed
+        found.not_signed.append(f"{signed.comments} comments in the XML, which are unsigned and not shown")
+    return shown, signed
 
 
 def _signed_or_not(document: bytes) -> tuple[SignedXml | None, bytes]:
@@ -222,11 +217,12 @@ def _signed_or_not(document: bytes) -> tuple[SignedXml | None, bytes]:
     return signed, signed.content
 
 
-def _verify_pdf(verdict: Verdict, file: bytes, trusted: Sequence[Certificate] | None) -> dict[str, bytes]:
+def _verify_pdf(found: Findings, file: bytes) -> tuple[ShownValues, dict[str, bytes]]:
+    """Verify a PDF; return its values and its attached files by name. Raises `NotIntact`."""
     signed: SignedPdf | None = None
     with contextlib.suppress(Unsigned):
         signed = check_pdf(file)
-        _name_signer(verdict, signed, trusted)
+        found.signatures.append(signed)
     if faults := faults_of(file):
         raise NotIntact(f"it is not PDF/A-3b, as certificates are: {'; '.join(faults)}")
     attached, title = _attached(file)
@@ -237,18 +233,24 @@ def _verify_pdf(verdict: Verdict, file: bytes, trusted: Sequence[Certificate] | 
             f"attached are {', '.join(sorted(attached))}, and a certificate has {', '.join(sorted(RELATIONS))}"
         )
     try:
-        digital = _verify_xml(verdict, attached[DCC], trusted)
+        shown, digital = _verify_xml(found, attached[DCC])
     except NotIntact as error:
         raise NotIntact(f"the attached {DCC}: {error}") from error
     if signed is not None and digital is not None:
-        verdict.signed_at = signed.signed_at.isoformat()
         _agree_on_signer(signed, digital)
     elif signed is not None or digital is not None:
         signer, other = ("the PDF", "the XML in it") if signed is not None else ("the XML in it", "the PDF")
         raise NotIntact(f"{signer} is signed, but not {other}")
-    assert verdict.shown is not None  # noqa: S101 - what was verified is shown
-    _agree(verdict, verdict.shown, attached, title)
-    return attached
+    number = shown.says.number
+    if not number or not title.endswith(f" {number}"):
+        raise NotIntact(f"the PDF is of '{title}', its XML of certificate {number}")
+    for name, content in shown.files.items():
+        if attached.get(name) != content:
+            raise NotIntact(f"the {name} in the XML differs from the one in the PDF")
+    common = "number, result and seal" if found.unsigned else "signer, number, result and seal"
+    found.agreed.append(f"PDF and XML have {common} in common")
+    found.not_proved.append(PAGES_NOT_READ)
+    return shown, attached
 
 
 def _agree_on_signer(paper: SignedPdf, digital: SignedXml) -> None:
@@ -261,30 +263,7 @@ def _agree_on_signer(paper: SignedPdf, digital: SignedXml) -> None:
         raise NotIntact("its XML states a later signature than the PDF")
 
 
-def _agree(verdict: Verdict, shown: ShownValues, attached: dict[str, bytes], title: str) -> None:
-    """Raise `NotIntact` unless PDF and XML have the same certificate number and the same attached files."""
-    number = shown.says.number
-    if not number or not title.endswith(f" {number}"):
-        raise NotIntact(f"the PDF is of '{title}', its XML of certificate {number}")
-    for name, content in shown.files.items():
-        if attached.get(name) != content:
-            raise NotIntact(f"the {name} in the XML differs from the one in the PDF")
-    signer = "" if verdict.unsigned else "signer, "
-    verdict.agreed.append(f"PDF and XML have {signer}number, result and seal in common")
-    verdict.not_proved.append(PAGES_NOT_READ)
-
-
-def _verify_pdf_beside(verdict: Verdict, file: bytes, document: bytes, name: str) -> None:
-    """Verify the PDF beside an XML, and compare both. Raises `NotIntact` if it is not intact or differs."""
-    apart = Verdict(name)
-    try:
-        attached = _verify_pdf(apart, file, None)
-    except NotIntact as error:
-        raise NotIntact(f"{name} beside it: {error}") from error
-    _same_xml(verdict, attached[DCC], document, name)
-
-
-def _same_xml(verdict: Verdict, attached: bytes, document: bytes, name: str) -> None:
+def _same_xml(found: Findings, attached: bytes, document: bytes, name: str) -> None:
     """Raise `NotIntact` unless the XML inside the PDF and the separate XML have the same content and signer."""
     try:
         forms = [_signed_or_not(one) for one in (attached, document)]
@@ -293,7 +272,7 @@ def _same_xml(verdict: Verdict, attached: bytes, document: bytes, name: str) -> 
     signers = {None if signed is None else fingerprint_of(signed.chain[0]) for signed, _ in forms}
     if len({content for _, content in forms}) > 1 or len(signers) > 1:
         raise NotIntact(f"{name} beside it differs from the one in it")
-    verdict.agreed.append(f"{name} beside it has the same content")
+    found.agreed.append(f"{name} beside it has the same content")
 
 
 def _attached(file: bytes) -> tuple[dict[str, bytes], str]:
@@ -308,15 +287,6 @@ def _attached(file: bytes) -> tuple[dict[str, bytes], str]:
         raise NotIntact("its attached files cannot be read") from error
 
 
-def _name_signer(
-    verdict: Verdict, signed: SignedPdf | SignedXml, trusted: Sequence[Certificate] | None
-) -> None:
-    verdict.signer, verdict.fingerprint = name_of(signed.chain[0]), fingerprint_of(signed.chain[0])
-    verdict.signed_at = signed.signed_at.isoformat()
-    if trusted is not None and not verdict.why_not_trusted:
-        verdict.why_not_trusted = why_not_trusted(signed.chain, signed.signed_at, trusted)
-
-
 # --- numbers ------------------------------------------------------------------------------------------
 
 
@@ -327,13 +297,14 @@ def _agree_on_numbers(shown: ShownValues) -> None:
         raise NotIntact("the digital certificate lacks its coefficients or the result that states them")
     try:
         result = json.loads(shown.files["result.json"])
-        covariance = tuple(tuple(float(one) for one in row) for row in result["covariance"])
+        covariance = np.array(result["covariance"], dtype=np.float64)
         stated = {name: result["coefficients"][name] for name in result["order"]}
         values = {name: float(one["value"]) for name, one in stated.items()}
         u = {name: float(one["u"]) for name, one in stated.items()}
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise NotIntact("the result in the digital certificate cannot be read") from error
-    if values != {name: one.value for name, one in coefficients.items()} or covariance != shown.covariance:
+    listed = {name: one.value for name, one in coefficients.items()}
+    if values != listed or not np.array_equal(covariance, shown.covariance):
         raise NotIntact("the coefficients of the digital certificate differ from its result")
     if not all(math.isclose(one.U, one.k * u[name], rel_tol=1e-12) for name, one in coefficients.items()):
         raise NotIntact("U of a coefficient differs from k times its u")
@@ -342,7 +313,7 @@ def _agree_on_numbers(shown: ShownValues) -> None:
 # --- the record of its run, and the register ------------------------------------------------------------
 
 
-def against_record(verdict: Verdict, shown: ShownValues, runs: Path) -> None:
+def against_record(found: Findings, shown: ShownValues, runs: Path) -> None:
     """Compare a certificate with the record of its run, if `runs` contains it.
 
     A run of the same name with other inputs (`run.json`) is a different record. In the same record, the chain
@@ -355,38 +326,38 @@ def against_record(verdict: Verdict, shown: ShownValues, runs: Path) -> None:
         run = _recorded(seal, runs)
         differences = None if run is None else seal.differences(run)
     except (KeyError, ValueError, TypeError, AttributeError, RecursionError, binascii.Error):
-        verdict.wrong.append(
+        found.wrong.append(
             "the seal in the digital certificate cannot be read; ask the laboratory for the original"
         )
         return
     except (RecordError, OSError):
         differences = None
     if differences is None:
-        verdict.not_proved.append(RECORD_NOT_HERE)
+        found.not_proved.append(RECORD_NOT_HERE)
         return
     if differences:
-        verdict.wrong.append(f"{folder}: {'; '.join(differences)}")
+        found.wrong.append(f"{folder}: {'; '.join(differences)}")
         return
     try:
         k = next(iter(shown.says.coefficients.values())).k
-        found = found_by(seal.run, runs, k, _asked(shown))
+        again = found_by(seal.run, runs, k, _asked(shown))
     except (Refused, RecordError, CalibrationError) as error:
-        verdict.wrong.append(f"{folder}: the record gives no result ({error})")
+        found.wrong.append(f"{folder}: the record gives no result ({error})")
         return
     told = f"the record in {folder} is unchanged"
-    if found.result_json.encode() == shown.files["result.json"]:
-        verdict.agreed.append(f"{told} and gives the same result to the last digit")
-    elif _as_good_as(found, shown):
-        verdict.agreed.append(
+    if again.result_json.encode() == shown.files["result.json"]:
+        found.agreed.append(f"{told} and gives the same result to the last digit")
+    elif _as_good_as(again, shown):
+        found.agreed.append(
             f"{told} and gives the same result within {_SAME:g} u, within rounding of another computer"
         )
     elif shown.release != metadata.version("triaxial-bench"):
-        verdict.agreed.append(told)
-        verdict.not_proved.append(
+        found.agreed.append(told)
+        found.not_proved.append(
             f"that the record gives these results: release {shown.release} evaluated it, not this one"
         )
     else:
-        verdict.wrong.append(
+        found.wrong.append(
             f"{folder}: the record gives another result than the certificate; ask the laboratory why"
         )
 
@@ -421,7 +392,7 @@ def _as_good_as(found: RunFindings, shown: ShownValues) -> bool:
     u = np.array([one.u for one in own.values])
     theirs = shown.says.coefficients.values()
     off = np.abs([one.value - other.value for one, other in zip(own.values, theirs, strict=True)])
-    apart = np.abs(own.covariance - np.array(shown.covariance))
+    apart = np.abs(own.covariance - shown.covariance)
     same = bool(np.all(off <= _SAME * u) and np.all(apart <= _SAME * np.outer(u, u)))
     verdicts = [
         json.loads(text).get("verification") for text in (found.result_json, shown.files["result.json"])
@@ -433,32 +404,35 @@ def _as_good_as(found: RunFindings, shown: ShownValues) -> bool:
     return same and told[0] == told[1]
 
 
-def against_register(verdict: Verdict, number: str, file: Path, content: bytes, folder: Path | None) -> None:
-    """Compare the content of a certificate file with the entry for its number in a register.
+def against_register(
+    found: Findings, number: str, file: Path, content: bytes, folder: Path | None
+) -> RegisterSays | None:
+    """Compare the content of a certificate file with the entry for its number in a register; return its state.
 
     `folder` is the register's folder; None means a register in the folder of `file`, if it has the number.
-    Raises `Refused` for a register that is damaged or cannot be read.
+    Return None if no register says anything. Raises `Refused` for a register that is damaged or cannot be read.
     """
     place = file.absolute().parent if folder is None else folder
     if not (place / LINES).is_file():
         if folder is None:
-            return
+            return None
         raise Refused(f"{place}: no register there ({LINES}); check the laboratory file")
     register = Register(place)
     register.read_lines()
     known = register.standings.get(number)
     if known is None and folder is None:
-        return
+        return None
     state, by = ("unknown", "") if known is None else (known.state, known.by)
-    verdict.standing = RegisterSays.model_validate(
+    standing = RegisterSays.model_validate(
         {"folder": str(place), "named": folder is not None, "state": state, "by": by}
     )
     if known is None:
-        return
+        return standing
     name = f"{number}.{'xml' if content.lstrip()[:1] == b'<' else 'pdf'}"
     if known.entry.files.get(name) == hashlib.sha256(content).hexdigest():
-        verdict.agreed.append(f"the register in {place} has the SHA-256 of this file for {name}")
+        found.agreed.append(f"the register in {place} has the SHA-256 of this file for {name}")
     else:
-        verdict.wrong.append(
+        found.wrong.append(
             f"the register has another SHA-256 for {name}: this is not the issued file; ask for that file"
         )
+    return standing

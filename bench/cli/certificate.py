@@ -127,11 +127,10 @@ def verify(request: VerifyCertificate, json: JsonOption = None) -> int:
     from bench.certificate.verify import verify_certificate
 
     register = None if request.laboratory is None else load_laboratory(request.laboratory).register_folder
-    verdict = verify_certificate(request.file, request.trust, runs_folder(request.runs), register)
-    result = verdict.result()
+    result = verify_certificate(request.file, request.trust, runs_folder(request.runs), register)
     printing.write_json([result.to_dict()], json)
     result.print_on(printing.console(json=json))
-    return 0 if verdict.accepted else 1
+    return 0 if result.accepted else 1
 
 
 @command("bench certificate read 2026-0007.xml --out coefficients.json", to=GROUP)

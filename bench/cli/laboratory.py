@@ -26,7 +26,7 @@ def failures(request: Failures, json: JsonOption = None) -> int:
 
     Failed and stopped runs, refused answers, repeated readings and alarms are collected from the records.
     """
-    from bench.results.failures import render_failures
+    from bench.results.registers import render_failures
     from bench.validation.failures import failures as collect
 
     result = collect(request)

@@ -20,7 +20,8 @@ from bench.base.arrays import CHANNELS, Floats, rms
 from bench.calibration import CalibrationError
 from bench.calibration.design import EffectUnknown, make_problem
 from bench.diagnosis.evidence import KNOWN_SIZE, ThresholdCache
-from bench.diagnosis.free_records import FreeDiagnosis
+from bench.diagnosis.free_positions import diagnose_free
+from bench.diagnosis.free_records import FreeDiagnosis, make_system
 from bench.diagnosis.gap import part_closed
 from bench.diagnosis.levels import BY_CHANCE, MOSTLY, OFTEN
 from bench.diagnosis.linear import LinearSystem, make_linear
@@ -30,7 +31,7 @@ from bench.diagnosis.record_diagnosis import RecordDiagnosis, diagnose_record
 from bench.diagnosis.record_model import MOVE, courses_of, forms_of, make_record, shape_of
 from bench.diagnosis.record_search import RecordWork
 from bench.diagnosis.result import Diagnosis, EffectValue
-from bench.diagnosis.single_run_search import in_the_noise_of
+from bench.diagnosis.search import in_the_noise_of
 from bench.model import AppliedEffect, ForwardModel
 from bench.model.effects.base import InPart, Parameter
 from bench.readings.table import Readings
@@ -122,10 +123,19 @@ def confirm(
     """
     diagnosis = diagnose(readings, model, stand_u, nominal_scale_factors, cache)
     corrected = diagnosis.mistakes.corrected
-    stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
     as_found = partial(in_the_noise_of, diagnosis.linear)
-    without = as_found(make_linear(corrected, replace(model, effects=()), stand))
-    return compared(diagnosis, without, as_found(make_linear(corrected, model, stand)))
+    without = as_found(make_linear(corrected, replace(model, effects=()), stand_u))
+    return compared(diagnosis, without, as_found(make_linear(corrected, model, stand_u)))
+
+
+def confirm_free(tables: Sequence[Readings], model: ForwardModel) -> Confirmation:
+    """Compare free positions with a model that has effects, and diagnose them for further effects.
+
+    Raises `CalibrationError` if the positions do not determine the coefficients, or could not show any of the
+    effects.
+    """
+    diagnosis = diagnose_free(tables, None, model)
+    return compared(diagnosis, make_system(replace(diagnosis.rows, effects=())), diagnosis.linear)
 
 
 def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Confirmation:

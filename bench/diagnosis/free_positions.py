@@ -1,4 +1,4 @@
-"""The diagnosis of free positions alone, its gap on held-out positions, and the confirmation of a model."""
+"""The diagnosis of free positions alone, and its gap on held-out positions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ from bench.diagnosis.candidates import (
     Variant,
     make_candidates,
 )
-from bench.diagnosis.confirm import Confirmation, compared
 from bench.diagnosis.evidence import NULLS, SEED, Search, Threshold, Whitened, fit_tail, total_evidence
 from bench.diagnosis.free_records import (
     SCALES,
@@ -40,8 +39,9 @@ from bench.diagnosis.free_records import (
     place_of,
 )
 from bench.diagnosis.gap import measure_gap
-from bench.diagnosis.levels import BY_CHANCE, FOLDS, HARDLY_EVER, LEAST_FREEDOM, LISTED
+from bench.diagnosis.levels import BY_CHANCE, FAR, FOLDS, HARDLY_EVER, LEAST_FREEDOM, LISTED
 from bench.diagnosis.linear import LinearSystem
+from bench.diagnosis.multi_run_system import elapsed_part
 from bench.diagnosis.naming import Naming, name
 from bench.diagnosis.noise_grid import NoiseGrid, make_noise_grid
 from bench.diagnosis.pipeline import effects_of, verdict_of
@@ -205,20 +205,18 @@ def _add_unnamed(rows: FreeRows, collector: Collector, unit: float) -> None:
                 Variant(family, columns, channels, where=where) for columns, where in forms if columns
             ]
     time = np.concatenate([table.conditions().elapsed_s for table in rows.tables])
+    phase = elapsed_part(time, rows.record)
+    waves = [
+        (rows.record == record) * np.cos(np.pi * k * phase)
+        for record in records
+        for k in range(1, FASTEST // 2 + 1)
+    ]
     for channel in range(3):
         zero = unit * np.sum([rows.change(ZEROS, sensor, channel) for sensor in range(rows.sensors)], axis=0)
-        waves = []
-        for record in records:
-            mine = rows.record == record
-            phase = (time - time[mine].min()) / max(float(np.ptp(time[mine])), 1e-300)
-            waves += [zero * mine * np.cos(np.pi * k * phase) for k in range(1, FASTEST // 2 + 1)]
-        collector.add_free(SLOW_IN_TIME, (channel,), waves)
+        collector.add_free(SLOW_IN_TIME, (channel,), [zero * wave for wave in waves])
 
 
 # --- noise and outliers -------------------------------------------------------------------------------
-
-FAR: Final = 12.0
-"""Least distance of an outlier, in standard deviations: large, because real sensors have heavy tails."""
 
 
 def _prepared(linear: FreeSystem) -> tuple[NoiseGrid, Candidates]:
@@ -262,7 +260,7 @@ def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
 
     The origins (k, 2) are, for each of the k outliers, the index of its table and its row there. Step by step,
     the position with the largest residual is compared with its prediction from all other positions, and with
-    their scatter.
+    their scatter. An outlier is twice as far off as a far reading of a run, as real sensors have heavy tails.
     """
     apart: list[str] = []
     origin: list[Ints] = []
@@ -274,7 +272,7 @@ def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
         without = np.maximum(left @ left - left**2 / free, 1e-300) / freedom
         t = np.abs(left) / np.sqrt(free * without)
         row = int(np.argmax(t))
-        if t[row] < FAR or 2.0 * float(stats.t.sf(t[row], freedom)) * len(rows) > HARDLY_EVER:
+        if t[row] < 2.0 * FAR or 2.0 * float(stats.t.sf(t[row], freedom)) * len(rows) > HARDLY_EVER:
             break
         table, at = rows.tables[rows.sensor[row]], int(np.sum(rows.sensor[:row] == rows.sensor[row]))
         apart.append(
@@ -299,13 +297,3 @@ def stated(rows: FreeRows) -> float:
         scale = np.abs(np.diag(block.K))
         sizes.append(np.mean((table.signal_sd / scale) ** 2, axis=1) / np.maximum(table.samples, 1))
     return float(np.sqrt(np.mean(np.concatenate(sizes))))
-
-
-def confirm_free(tables: Sequence[Readings], model: ForwardModel) -> Confirmation:
-    """Compare free positions with a model that has effects, and diagnose them for further effects.
-
-    Raises `CalibrationError` if the positions do not determine the coefficients, or could not show any of the
-    effects.
-    """
-    diagnosis = diagnose_free(tables, None, model)
-    return compared(diagnosis, make_system(replace(diagnosis.rows, effects=())), diagnosis.linear)

@@ -15,14 +15,13 @@ from bench.calibration.design import UPPER, make_problem
 from bench.calibration.free import first_guess_free
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.candidates import Candidates
-from bench.diagnosis.gap import Gap
 from bench.diagnosis.levels import MOSTLY, STEPS
 from bench.diagnosis.linear import MODULUS, LinearSystem, Rows, View, own_column
+from bench.diagnosis.mistakes.gross import ERRORS_G
 from bench.diagnosis.multi_run_system import OTHER_BLOCK
 from bench.diagnosis.naming import Naming
 from bench.diagnosis.posterior import NoiseSize
-from bench.diagnosis.result import NamedEffect, Verdict
-from bench.diagnosis.where import ResidualPattern
+from bench.diagnosis.result import Findings
 from bench.model import AppliedEffect, Block
 from bench.model.effects import CATALOGUE, Subsystem
 from bench.model.forward import ForwardModel
@@ -38,11 +37,6 @@ ANOTHER: Final = 2.0
 The unit is the largest change of one block between runs (`OTHER_BLOCK`).
 
 In nine records of each of four real sensors, records of one sensor differ by at most 1.0, of two by at least 2.2.
-"""
-AT_REST_G: Final = 0.1
-"""Largest root mean square of |a| - 1 g, after the fit, of positions at rest.
-
-Errors of sensors cause a tenth of this.
 """
 OWN: Final = len(UPPER)
 ZEROS: Final = (6, 7, 8)
@@ -212,7 +206,7 @@ def fit_sensor(signal: Floats) -> Block:
         vector[UPPER] += step
         block = Block.from_vector(vector)
     off = float(np.sqrt(np.mean((np.linalg.norm(block.specific_force(signal), axis=1) - 1.0) ** 2)))
-    if not off < AT_REST_G:
+    if not off < max(ERRORS_G):  # errors of sensors cause a tenth of this
         raise CalibrationError(
             f"{len(signal)} free positions are {off:.2g} g off |a| = 1 g even with the coefficients that fit them "
             "best (root mean square), as no readings at rest are; leave out those in motion, or of another sensor"
@@ -436,14 +430,14 @@ class FreeFit:
 
 
 @dataclass(frozen=True)
-class FreeDiagnosis:
+class FreeDiagnosis(Findings):
     """The result of the diagnosis of free positions.
 
     `noise` is the estimated noise of |a| at a position, g, when the model has all effects found. `stated_g` is
     the noise expected from the scatter of the samples, NaN if the tables do not state it. `apart` has a sentence
-    for each of the k positions left out; `left_out` (k, 2) has the table and the row of each. `of_copy` is the
-    verdict on the remaining positions. `before` is the fit with the given model; `after`, the fit with the
-    effects found as well. `between` describes the changes between records, None if unknown.
+    for each of the k positions left out; `left_out` (k, 2) has the table and the row of each. `before` is the fit
+    with the given model; `after`, the fit with the effects found as well. `between` describes the changes between
+    records, None if unknown.
     """
 
     source: str
@@ -452,32 +446,22 @@ class FreeDiagnosis:
     naming: Naming
     apart: tuple[str, ...]
     left_out: Ints
-    of_copy: Verdict
-    effects: tuple[NamedEffect, ...]
-    gap: Gap
     noise: NoiseSize
     stated_g: float
     threshold: float
     before: FreeFit
     after: FreeFit
     between: BetweenRecords | None
-    where: tuple[ResidualPattern, ...]
-    notes: tuple[str, ...] = ()
+
+    @property
+    def mistaken(self) -> bool:
+        """Whether any position was left out."""
+        return bool(self.apart)
 
     @property
     def rows(self) -> FreeRows:
         """The positions that remain after outliers are left out."""
         return self.linear.positions
-
-    @property
-    def verdict(self) -> Verdict:
-        """The verdict: "mistake" if any position was left out, otherwise the verdict on all positions.
-
-        "agrees": nothing was found. "named": effects of the catalogue were found. "confounded": other effects
-        explain the same, or held-out positions do not confirm what was found. "unknown": what was found is
-        not in the catalogue.
-        """
-        return "mistake" if self.apart else self.of_copy
 
     @property
     def records(self) -> int:
@@ -490,10 +474,9 @@ class FreeDiagnosis:
 
         There is only one tuple, for all sensors, if no effect is limited to certain sensors.
         """
-        applied = [a for one in self.effects for a in one.applied]
-        sensors = self.rows.sensors if any(a.installations for a in applied) else 1
+        sensors = self.rows.sensors if any(a.installations for a in self.applied) else 1
         return tuple(
-            tuple(replace(a, installations=()) for a in applied if a.installations in ((), (label,)))
+            tuple(replace(a, installations=()) for a in self.applied if a.installations in ((), (label,)))
             for label in (f"sensor {number + 1}" for number in range(sensors))
         )
 

@@ -19,8 +19,7 @@ from bench.base.computing import tracked
 from bench.base.languages import message
 from bench.diagnosis.candidates import Candidates, replace_columns
 from bench.diagnosis.evidence import Data, Threshold, Whitened
-from bench.diagnosis.levels import BY_CHANCE as BY_CHANCE  # noqa: PLC0414 - also taken from here
-from bench.diagnosis.levels import INSEPARABLE, LEAST_FREEDOM, MOSTLY, OFTEN
+from bench.diagnosis.levels import BY_CHANCE, INSEPARABLE, LEAST_FREEDOM, MOSTLY, OFTEN
 from bench.diagnosis.linear import MODULUS, LinearSystem, Rows
 from bench.diagnosis.naming import ALIAS, Naming, name
 from bench.diagnosis.noise_grid import RATIOS, coupled, make_noise_grid, make_whitener
@@ -79,13 +78,12 @@ class Gap:
 
     `named` are the names of the effects that the search of all readings found. `undetermined` are the labels of
     the sets that could not be held out, because the remaining readings do not determine the coefficients. `noise`
-    is the noise with which chi-square is computed; `freedom`, the degrees of freedom of this noise.
+    is the noise with which chi-square is computed.
     """
 
     folds: tuple[Fold, ...]
     noise: NoiseSize
     unit: str
-    freedom: int
     named: tuple[str, ...] = ()
     undetermined: tuple[str, ...] = ()
 
@@ -118,7 +116,9 @@ class Gap:
 
         NaN if nothing was held out.
         """
-        return float(special.fdtrc(self.count, self.freedom, self.after)) if self.count else float("nan")
+        return (
+            float(special.fdtrc(self.count, self.noise.freedom, self.after)) if self.count else float("nan")
+        )
 
     def _rms(self, of: Callable[[Fold], Floats]) -> float:
         return rms(np.concatenate([np.zeros(0), *map(of, self.folds)]))
@@ -285,7 +285,7 @@ def measure_gap(
     folds = tuple(hold(label, held) for label, held in tracked(able, HELD_OUT))
     undetermined = tuple(label for label, _ in parts if label not in dict(able))
     families = tuple(one.variant.family for one in naming.found)
-    return Gap(folds, noise, linear.readings.unit, noise.freedom, families, undetermined)
+    return Gap(folds, noise, linear.readings.unit, families, undetermined)
 
 
 def _tell(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
@@ -224,9 +224,7 @@ class LinearSystem:
         if np.all(self.by_channel == 1.0):
             return np.ones(len(self))
         size = self.by_channel[np.minimum(self.rows.channel, 2)].copy()
-        modulus = self.rows.channel == MODULUS
-        if modulus.any():
-            by_signal = _modulus(self.block, self.readings.signal[self.rows.reading[modulus]])[1]
+        for modulus, (_, by_signal, _) in self._moduli():
             size[modulus] = np.linalg.norm(by_signal * self.by_channel, axis=1)
         return size
 
@@ -237,10 +235,22 @@ class LinearSystem:
         For the signal of a channel it is 1 over the absolute scale factor, for a modulus the length of the
         gradient of |a| with respect to the signals.
         """
-        of_channel = 1.0 / np.abs(np.diag(self.block.K))[np.minimum(self.rows.channel, 2)]
-        modulus = self.rows.channel == MODULUS
-        of_channel[modulus] = 1.0 / _modulus(self.block, self.readings.signal[self.rows.reading[modulus]])[2]
-        return of_channel
+        size = np.empty(len(self))
+        for block, mine in self.by_block():
+            size[mine] = 1.0 / np.abs(np.diag(block.K))[np.minimum(self.rows.channel[mine], 2)]
+        for modulus, (_, _, length) in self._moduli():
+            size[modulus] = 1.0 / length
+        return size
+
+    def by_block(self) -> Iterator[tuple[Block, Mask]]:
+        """Yield each accelerometer block, as first guessed, with the mask (N,) of its rows."""
+        yield self.block, np.ones(len(self), dtype=bool)
+
+    def _moduli(self) -> Iterator[tuple[Mask, tuple[Floats, Floats, Floats]]]:
+        """Yield, for each block, the mask (N,) of its rows of moduli, with the result of `_modulus` for them."""
+        for block, mine in self.by_block():
+            modulus = mine & (self.rows.channel == MODULUS)
+            yield modulus, _modulus(block, self.readings.signal[self.rows.reading[modulus]])
 
     @property
     def conditions(self) -> Conditions:

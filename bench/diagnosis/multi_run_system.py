@@ -1,8 +1,8 @@
-"""Several runs as one linear system with its candidates, and the search for effects of all or single runs."""
+"""Several runs as one linear system with its candidates, and the mistakes in each run."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -11,7 +11,6 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from bench.base.arrays import Floats, Ints, Mask
-from bench.base.computing import tracked
 from bench.calibration.calibrate import first_guess
 from bench.calibration.design import make_problem
 from bench.calibration.result import CalibrationError
@@ -27,19 +26,10 @@ from bench.diagnosis.candidates import (
     add_free_patterns,
     make_candidates,
 )
-from bench.diagnosis.evidence import FALSE_ALARMS, Data, Threshold, Whitened
-from bench.diagnosis.levels import BY_CHANCE, FEW, HARDLY_EVER
+from bench.diagnosis.levels import HARDLY_EVER
 from bench.diagnosis.linear import LinearSystem, Rows, make_linear
 from bench.diagnosis.mistakes.search import Mistake, MistakeSearch, find_mistakes
-from bench.diagnosis.naming import FoundEffect, Naming, Scored, name
-from bench.diagnosis.noise_grid import (
-    NoiseGrid,
-    grid_with_rounding,
-    with_rounding,
-)
-from bench.diagnosis.posterior import noise_size, posterior
 from bench.diagnosis.residual_dictionary import FASTEST
-from bench.diagnosis.single_run_search import Prepared, SearchTask, choose_noise
 from bench.model.conditions import Conditions, Mounting
 from bench.model.effects import AppliedEffect, Effect, Stage
 from bench.model.effects.base import Subsystem
@@ -61,31 +51,12 @@ class JointSystem(LinearSystem):
 
     parts: tuple[LinearSystem, ...]
 
-    @property
-    def g_per_signal(self) -> Floats:
-        """Factors (N,) that convert each row from the unit of the signal to g.
-
-        They follow from the scale factors of the row's own block, as in `LinearSystem.g_per_signal`.
-        """
-        return self._of_each_block(lambda part: part.g_per_signal)
-
-    def _of_each_block(self, of: Callable[[LinearSystem], Floats]) -> Floats:
-        """Return the property `of` for each row, from the system of its own block, shape (N,)."""
+    def by_block(self) -> Iterator[tuple[Block, Mask]]:
+        """Yield each accelerometer block, as first guessed, with the mask (N,) of its rows."""
         assert self.readings.block is not None  # noqa: S101 - it is a system of several
-        block = self.readings.block[self.rows.reading]
-        size = np.empty(len(self))
+        of_row = self.readings.block[self.rows.reading]
         for number, part in zip(np.unique(self.readings.block), self.parts, strict=True):
-            mine = block == number
-            rows = Rows(self.rows.reading[mine], self.rows.channel[mine])
-            size[mine] = of(replace(part, readings=self.readings, rows=rows, response=self.response[mine]))
-        return size
-
-    @property
-    def relative_of_channel(self) -> Floats:
-        """Each row's relative noise (N,) due to its channel or, for a modulus, to the channels of its
-        block.
-        """
-        return self._of_each_block(lambda part: replace(part, by_channel=self.by_channel).relative_of_channel)
+            yield part.block, of_row == number
 
     @cached_property
     def conditions(self) -> Conditions:
@@ -352,7 +323,7 @@ def _add_unnamed(collector: Collector, unit: float) -> None:
     """Add the unnamed families: patterns common to all runs, and zeros or scale factors that differ by run."""
     rows, readings = collector.linear.rows, collector.linear.readings
     add_free_patterns(collector, unit, _visit(readings))
-    phase = _phase(readings)[rows.reading]
+    phase = elapsed_part(readings.conditions().elapsed_s, readings.run)[rows.reading]
     for channel in range(3):
         mine = (collector.linear.setting >= 0) & (rows.channel == channel)
         waves = [unit * mine * np.cos(np.pi * k * phase) for k in range(1, FASTEST + 1)]
@@ -384,199 +355,13 @@ def _add_by_run(collector: Collector, run: Ints, unit: float) -> None:
 
 def _visit(readings: Readings) -> Ints:
     """Return the number of the visit (series) of each reading within its run, counted from 1."""
-    run = readings.run
-    visit = np.empty(len(readings), dtype=np.int64)
-    for number in np.unique(run):
-        mine = run == number
-        visit[mine] = readings.series[mine] - readings.series[mine].min() + 1
-    return visit
+    series, run = readings.series, readings.run
+    return np.asarray(series + 1 - [series[run == number].min() for number in run])
 
 
-def _phase(readings: Readings) -> Floats:
-    """Return, for each reading, the fraction of its run that had elapsed, 0 to 1."""
-    elapsed = readings.conditions().elapsed_s
-    run = readings.run
-    phase = np.zeros(len(readings))
-    for number in np.unique(run):
-        mine = run == number
-        phase[mine] = (elapsed[mine] - elapsed[mine].min()) / max(float(np.ptp(elapsed[mine])), 1e-300)
-    return phase
-
-
-# --- what one of several runs has alone: looked for in each, beside what was found in all of them together ----
-
-
-ALONE: Final = FALSE_ALARMS / 3
-"""Probability of a false alarm in the searches of single runs, all together: most effects are in all runs."""
-TOGETHER: Final = FALSE_ALARMS - ALONE
-"""Probability of a false alarm in the joint search."""
-
-
-@dataclass(frozen=True)
-class _Run:
-    """A single run with its own system, candidates and noise grid; `rows` (N,) masks it in the joint one."""
-
-    rows: Mask
-    linear: LinearSystem
-    candidates: Candidates
-    grid: NoiseGrid
-
-    def whitened(self) -> Whitened:
-        """Return the whitened candidates; products are computed on demand, as few runs need them."""
-        return Whitened.of(self.grid, self.candidates, few_known=True)
-
-
-def search_runs(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]:
-    """Return readings of several runs prepared for the search, and the effects found in all or single runs.
-
-    Arguments and errors are those of `search_run`.
-    """
-
-    def again(prepared: Prepared, linear: LinearSystem, most: float) -> tuple[Prepared, Naming]:
-        return _prepared(task, linear, prepared.limit, most)
-
-    whole = make_system(readings, task.model, task.stand)
-    whole = with_rounding(whole, task.resolution, task.repeats(whole).sigma)
-    return choose_noise(*_prepared(task, whole), again)
-
-
-def _prepared(
-    task: SearchTask, linear: LinearSystem, limit: Threshold | None = None, most: float = np.inf
-) -> tuple[Prepared, Naming]:
-    """Prepare and search all runs together, and each run alone."""
-    repeats = task.repeats(linear, most)
-    whitened = Whitened.of(
-        grid_with_rounding(linear, repeats.sigma, task.setting_rad, task.resolution),
-        candidates_of(linear, repeats.sigma, task.absent),
-    )
-    limit = limit or task.cache.threshold(linear, whitened, task.setting_rad).at(TOGETHER)
-    whitened, naming = _name_in_all_and_each(task, linear, whitened, limit, repeats.sigma)
-    data = whitened.reduce(linear.response[:, None])
-    bend = np.zeros(len(linear))
-    return Prepared(linear, repeats, whitened.candidates, whitened, data, limit, bend), naming
-
-
-def _name_in_all_and_each(
-    task: SearchTask, linear: LinearSystem, whitened: Whitened, limit: Threshold, sigma: float
-) -> tuple[Whitened, Naming]:
-    """Return the finds in all runs and in single runs, with the whitened candidates that contain them.
-
-    Effects of a few single runs are searched first, as they could be mistaken for common effects. With them
-    in the model, common effects are searched, and then further effects of single runs.
-    """
-    response = linear.response[:, None]
-    data = whitened.reduce(response)
-    many = len(np.unique(linear.readings.run))
-    runs = list(tracked(_runs(task, linear, sigma), "runs, each by itself", many))
-    of_one = task.cache.threshold(runs[0].linear, runs[0].whitened(), task.setting_rad).at(ALONE / many)
-    at_first = _look_in_each(whitened.candidates, runs, np.zeros(len(linear)), of_one)
-    grown, alone = at_first
-    if alone and len({one.variant.mounts for one in alone}) <= max(1, FEW * many):
-        whitened.forget()
-        whitened = Whitened.of(whitened.grid, grown)
-        data = whitened.reduce(response)
-    else:
-        alone = ()
-    naming = name(whitened, data, limit, begun=alone)
-    if naming.found:
-        in_all = _common(linear, whitened, data, naming)
-        grown, more = _look_in_each(whitened.candidates, runs, in_all, of_one)
-    else:  # without common finds, the first result remains valid
-        grown, more = at_first
-    if not alone and not more:
-        return whitened, naming
-    whitened = Whitened.of(whitened.grid, grown) if more else whitened
-    data = whitened.reduce(response)
-    begun = [*alone, *more]
-    for _ in range(len(begun)):
-        naming = name(whitened, data, limit, begun=begun)
-        kept = [one for one in begun if _stays(whitened, data, naming, one)]
-        if len(kept) == len(begun):
-            break
-        begun = kept
-    else:
-        naming = name(whitened, data, limit, begun=begun)
-    return whitened, naming
-
-
-def _stays(whitened: Whitened, data: Data, naming: Naming, one: FoundEffect) -> bool:
-    """Return whether a single-run find stays: it is likely given all other finds, or `naming` no longer has
-    its form.
-    """
-    if one.variant not in [found.variant for found in naming.found]:
-        return True
-    others = [i for found in naming.found if found.variant != one.variant for i in found.variant.columns]
-    scores = Scored.beside(whitened, data, others).scores
-    return float(scores.variants[whitened.candidates.variants.index(one.variant), 0]) > -float(
-        np.log(BY_CHANCE)
-    )
-
-
-def _common(linear: LinearSystem, whitened: Whitened, data: Data, naming: Naming) -> Floats:
-    """Return the fitted signal of all finds in the rows of all runs, shape (N,)."""
-    columns = whitened.candidates.columns[:, list(naming.columns)]
-    fitted = posterior(linear, columns, noise_size(whitened, data, naming.columns))
-    return columns @ fitted.amplitudes
-
-
-def _look_in_each(
-    candidates: Candidates, runs: Sequence[_Run], in_all: Floats, limit: Threshold
-) -> tuple[Candidates, tuple[FoundEffect, ...]]:
-    """Return the candidates with the single-run finds added, and these finds.
-
-    `in_all` (N,) is the signal of the finds common to all runs. The threshold computed for the first run serves
-    for all runs, with a share of the probability of a false alarm for each. Coefficients are free in every run,
-    so that a different zero or scale factor is no find here.
-    """
-    found: list[FoundEffect] = []
-    for run in runs:
-        whitened = run.whitened()
-        response = run.linear.response - in_all[run.rows]
-        for one in name(whitened, whitened.reduce(response[:, None]), limit).found:
-            candidates, embedded = _embedded(candidates, one, run)
-            found.append(embedded)
-        whitened.forget()
-    return candidates, tuple(found)
-
-
-def _runs(task: SearchTask, linear: LinearSystem, sigma_of_all: float) -> Iterator[_Run]:
-    readings = linear.readings
-    of_row = readings.run[linear.rows.reading]
-    for number in np.unique(readings.run):
-        table = replace(readings.select(readings.run == number), block=None)
-        rows: Mask = of_row == number
-        alone = make_linear(table, linear.model, task.stand)
-        by_row, by_place = (None if size is None else size[rows] for size in (linear.by_row, linear.by_place))
-        alone = replace(alone, by_channel=linear.by_channel, by_row=by_row, by_place=by_place)
-        sigma = sigma_of_all * (1.0 if linear.by_run is None else float(linear.by_run.sizes[number]))
-        alone = with_rounding(alone, task.resolution, sigma)
-        grid = grid_with_rounding(alone, sigma, task.setting_rad, task.resolution)
-        yield _Run(rows, alone, make_candidates(alone, sigma, absent=task.absent), grid)
-
-
-def _embedded(candidates: Candidates, one: FoundEffect, run: _Run) -> tuple[Candidates, FoundEffect]:
-    """Return the candidates, with a single-run find added, and the find; its columns are 0 in other runs."""
-    labels, own = _labels_of_runs(run.linear.readings), run.candidates
-    chosen = list(one.variant.columns)
-    first = candidates.columns.shape[1]
-    columns = np.zeros((len(candidates.columns), len(chosen)))
-    columns[run.rows] = own.columns[:, chosen]
-    kinds = tuple(
-        Column(kind.parameter, kind.channel, kind.mounts or labels) for kind in (own.kinds[i] for i in chosen)
-    )
-    variant = replace(
-        one.variant,
-        columns=tuple(range(first, first + len(chosen))),
-        mounts=one.variant.mounts or labels,
-    )
-    grown = Candidates(
-        np.column_stack([candidates.columns, columns]),
-        (*candidates.kinds, *kinds),
-        np.concatenate([candidates.scale, own.scale[chosen]]),
-        (*candidates.variants, variant),
-    )
-    return grown, replace(one, variant=variant)
-
-
-def _labels_of_runs(run: Readings) -> tuple[str, ...]:
-    return tuple(str(mount) for mount in run.conditions().mounts)
+def elapsed_part(time_s: Floats, run: Ints) -> Floats:
+    """Return the fraction of its run, 0 to 1, that had elapsed at each time (n,); `run` (n,) numbers the runs."""
+    part = np.zeros(len(run))
+    for mine in (run == number for number in np.unique(run)):
+        part[mine] = (time_s[mine] - time_s[mine].min()) / max(float(np.ptp(time_s[mine])), 1e-300)
+    return part

@@ -30,7 +30,7 @@ from bench.diagnosis.visibility import ReadingDesign, form_of, forms_everywhere,
 from bench.model.conditions import Conditions
 from bench.model.effects import CATALOGUE
 from bench.model.forward import ForwardModel
-from bench.model.geometry import STAND_ANGLES, Block
+from bench.model.geometry import Block
 from bench.readings.table import (
     REFERENCE,
     REFERENCE_V,
@@ -284,9 +284,7 @@ class _Bill:
         self._model = replace(
             linear.model, installations={**bench.installation_models(), **linear.model.installations}
         )
-        self._stand_u = {
-            name: spread.u for name, spread in bench.stand_distributions().items() if name in STAND_ANGLES
-        }
+        self._stand_u = {name: spread.u for name, spread in bench.stand_distributions().items()}
         self._forms = [form_of(diagnosis.candidates, f.variant) for f in diagnosis.naming.found]
         self._mounts = [str(mount) for mount in linear.moved.mounts]
         self.left_out: dict[str, str] = {}

@@ -421,7 +421,8 @@ def cells_of(linear: LinearSystem) -> Ints:
 
     Repeats are settings of the same mounting at the same angle, rounded to 5 deg.
     """
-    cells = np.column_stack([_mounts_and_angles(linear)[0], np.round(_mounts_and_angles(linear)[1] / 5.0)])
+    mount, angle = _mounts_and_angles(linear)
+    cells = np.column_stack([mount, np.round(angle / 5.0)])
     return np.unique(cells, axis=0, return_inverse=True)[1].ravel()
 
 

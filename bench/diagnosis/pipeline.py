@@ -25,7 +25,7 @@ from bench.diagnosis.gap import Gap, measure_gap, near_ratios
 from bench.diagnosis.levels import BY_CHANCE, LISTED, LISTED_IN_SENTENCE, MOSTLY
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.mistakes.search import Mistake, MistakesLeaveTooLittle
-from bench.diagnosis.multi_run_system import find_mistakes_in_each, search_runs, with_blocks
+from bench.diagnosis.multi_run_system import find_mistakes_in_each, with_blocks
 from bench.diagnosis.naming import FamilyOdds, FoundEffect, Naming, Scored, name, same_signature
 from bench.diagnosis.next_measurement import Proposal, propose
 from bench.diagnosis.noise_grid import RATIOS, digit_of
@@ -59,10 +59,10 @@ from bench.diagnosis.result import (
     at_reference,
     register,
 )
+from bench.diagnosis.search import Prepared, SearchTask, find_effects
 from bench.diagnosis.show import ModelComparison, contradicted, show
-from bench.diagnosis.single_run_search import Prepared, SearchTask, search_run
 from bench.diagnosis.visibility import detectable, hidden, smallest
-from bench.diagnosis.where import far_readings, find_places, looking_like, order_of
+from bench.diagnosis.where import FarReading, far_readings, find_places, looking_like, order_of
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import Readings
@@ -89,47 +89,28 @@ def diagnose(
     only the corrected copy does not.
     """
     mistakes = find_mistakes_in_each(readings, model, stand_u, nominal_scale_factors)
-    setting_rad, digit = stand_u.get("setting_error", 0.0), digit_of(readings)
+    digit = digit_of(readings)
     try:
         mistakes = replace(mistakes, corrected=with_blocks(mistakes.corrected, model))
         absent = there.absent(mistakes.corrected)
-        stand = {key: value for key, value in stand_u.items() if key != "setting_error"}
-        thresholds = cache or ThresholdCache(None)
-        task = SearchTask(model, stand, setting_rad, digit, thresholds, absent)
-        find = search_runs if mistakes.corrected.run.any() else search_run
-        prepared, naming = find(task, mistakes.corrected)
+        task = SearchTask(model, stand_u, digit, cache or ThresholdCache(None), absent)
+        prepared, naming = find_effects(task, mistakes.corrected)
     except CalibrationError as error:
         if not mistakes.mistakes:
             raise
         raise MistakesLeaveTooLittle(mistakes, str(error)) from error
-    estimated, gap = _held_out(prepared, naming, setting_rad)
-    weak = _unconfirmed(prepared, naming, gap)
-    if weak:
-        others = [one for one in naming.found if one not in weak]
-        naming = name(prepared.whitened, prepared.data, prepared.limit, 0, others)
-        estimated, gap = _held_out(prepared, naming, setting_rad)
-    registered = register(prepared.linear, prepared.limit)
-    linear, noise = prepared.linear, estimated.noise
+    estimated, weak = _confirmed(prepared, naming)
+    linear, whitened, noise, naming = prepared.linear, prepared.whitened, estimated.noise, estimated.naming
     kinds = tuple(noise_kinds(linear, noise, digit, prepared.chosen))
     findings = noise_findings(noise, readings, stand_u, linear.typical_slope, digit, linear.by_run)
-    effects = estimated.effects
-    columns = prepared.candidates.columns[:, list(naming.columns)]
-    far = far_readings(prepared.linear, columns, estimated.noise)
-    if any(one.p < BY_CHANCE for one in far) and all(e.in_catalogue for e in effects):
-        effects = (*effects, _apart(far[0].p, "; ".join(one.words for one in far[:LISTED_IN_SENTENCE])))
-    if gap.shrinks is False:  # unconfirmed effects must not explain a reading that is far off
-        far = far_readings(prepared.linear, columns[:, :0], estimated.noise)
-    form = _form(prepared, naming, estimated, gap, setting_rad)
-    verdict = verdict_of(effects, findings, gap)
-    whitened, repeats = prepared.whitened, prepared.repeats
-    ratio = RATIOS.index(near_ratios(linear, estimated.noise)[1])
+    effects, far = _with_far(prepared, estimated)
+    ratio, repeats = RATIOS.index(near_ratios(linear, noise)[1]), prepared.repeats
     sizes = detectable(whitened, prepared.limit, ratio)
     unseen = hidden(whitened, prepared.limit, ratio, sizes)
     elsewhere = {applied.effect.name for applied in model.effects} | absent.keys()
     return Diagnosis(
-        verdict="mistake" if mistakes.mistakes else verdict,
-        of_copy=verdict,
-        form=form,
+        of_copy=verdict_of(effects, findings, estimated.gap),
+        form=_form(prepared, estimated),
         far=far,
         where=find_places(linear, whitened.grid, ratio, repeats.sigma, 3 * repeats.freedom),
         mistakes=mistakes,
@@ -139,16 +120,16 @@ def diagnose(
         unseen_per_turn=looking_like(linear.moved.angle_rad, 0),
         detectable={family: size for family, size in sizes.items() if family not in absent},
         smallest=smallest(whitened, prepared.limit, ratio),
-        gap=gap,
-        registered=registered,
+        gap=estimated.gap,
+        registered=register(linear, prepared.limit),
         linear=linear,
         candidates=prepared.candidates,
         naming=naming,
         fitted=estimated.fitted,
         in_part=estimated.in_part,
         left_open=estimated.left_open,
-        noise=estimated.noise,
-        p_left=UnexplainedScatter.of(estimated.noise, repeats).p,
+        noise=noise,
+        p_left=UnexplainedScatter.of(noise, repeats).p,
         whitened=whitened,
         data=prepared.data,
         findings=findings,
@@ -157,7 +138,10 @@ def diagnose(
             *mistakes.corrected.notes,
             *(finding.words for finding in findings),
             *(kind.words for kind in kinds),
-            *_left_out(weak),
+            *(
+                f"left out: {one.variant.family} (ln odds {one.total:.1f}); held-out readings do not confirm it"
+                for one in weak
+            ),
             *assumed(linear),
             *at_reference(e.applied[0].effect for e in effects if e.applied),
             *common_volts(naming, estimated.sized, linear),
@@ -166,38 +150,46 @@ def diagnose(
     )
 
 
-def _left_out(weak: Sequence[FoundEffect]) -> Iterator[str]:
-    """Yield a sentence for each find that was left out, as held-out readings do not confirm it."""
-    for one in weak:
-        yield (
-            f"left out: {one.variant.family} (ln odds {one.total:.1f}); held-out readings do not confirm it"
-        )
+def _confirmed(prepared: Prepared, naming: Naming) -> tuple[_Estimated, list[FoundEffect]]:
+    """Return the joint estimate without the weak finds that held-out readings do not confirm, and these finds.
 
-
-def _held_out(prepared: Prepared, naming: Naming, setting_rad: float) -> tuple[_Estimated, Gap]:
-    """Return the joint estimate with the finds, and the gap on readings held out."""
-    estimated = _estimated(prepared, naming)
-    gap = measure_gap(
-        prepared.linear, prepared.whitened, naming, estimated.noise, prepared.limit, setting_rad
-    )
-    return estimated, gap
-
-
-def _unconfirmed(prepared: Prepared, naming: Naming, gap: Gap) -> list[FoundEffect]:
-    """Return weak finds that held-out readings do not confirm, if there is a stronger find as well.
-
-    A find whose odds are far beyond the threshold needs no confirmation by held-out readings.
+    They are left out only beside a stronger find. A find whose odds are far beyond the threshold needs no
+    confirmation by held-out readings.
     """
-    if gap.shrinks is not False or len(naming.found) < 2:
-        return []
+    estimated = _estimated(prepared, naming)
+    if estimated.gap.shrinks is not False or len(naming.found) < 2:
+        return estimated, []
     strongest = max(naming.found, key=lambda one: one.size)
-    return [
+    weak = [
         one
         for one in naming.found
         if one is not strongest
-        and one.variant.family in gap.unconfirmed
+        and one.variant.family in estimated.gap.unconfirmed
         and one.total < prepared.limit.value - np.log(BY_CHANCE)
     ]
+    if weak:
+        others = [one for one in naming.found if one not in weak]
+        naming = name(prepared.whitened, prepared.data, prepared.limit, 0, others)
+        estimated = _estimated(prepared, naming)
+    return estimated, weak
+
+
+def _with_far(
+    prepared: Prepared, estimated: _Estimated
+) -> tuple[tuple[NamedEffect, ...], tuple[FarReading, ...]]:
+    """Return the effects, an unnamed one for far readings among them, and the far readings.
+
+    Effects that held-out readings do not confirm must not explain a reading that is far off.
+    """
+    effects, linear = estimated.effects, prepared.linear
+    columns = prepared.candidates.columns[:, list(estimated.naming.columns)]
+    far = far_readings(linear, columns, estimated.noise)
+    if any(one.p < BY_CHANCE for one in far) and all(e.in_catalogue for e in effects):
+        words = "; ".join(one.words for one in far[:LISTED_IN_SENTENCE])
+        effects = (*effects, NamedEffect.unnamed("single_reading", far[0].p, words))
+    if estimated.gap.shrinks is False:
+        far = far_readings(linear, columns[:, :0], estimated.noise)
+    return effects, far
 
 
 @dataclass(frozen=True)
@@ -206,19 +198,22 @@ class _Estimated:
 
     `noise` is the noise about the model with the effects. `sized` are the estimates with the effects in the
     shapes found; `fitted`, those that also allow parts of other shapes. `in_part` are these parts, then the
-    starting states of mountings. `left_open` are the members of `in_part` that go into a model file.
+    starting states of mountings. `left_open` are the members of `in_part` that go into a model file. `gap` is
+    the prediction of held-out readings.
     """
 
+    naming: Naming
     effects: tuple[NamedEffect, ...]
     noise: NoiseSize
     sized: Posterior
     fitted: Posterior
     in_part: tuple[AppliedEffect, ...]
     left_open: tuple[AppliedEffect, ...]
+    gap: Gap
 
 
 def _estimated(prepared: Prepared, naming: Naming) -> _Estimated:
-    """Estimate the named effects together with the coefficients."""
+    """Estimate the named effects together with the coefficients, and predict held-out readings with them."""
     linear, candidates, whitened, data = (
         prepared.linear, prepared.candidates, prepared.whitened, prepared.data,
     )  # fmt: skip
@@ -230,25 +225,24 @@ def _estimated(prepared: Prepared, naming: Naming) -> _Estimated:
     effects = effects_of(candidates, naming, sized, prepared.limit, linear)
     kept = left_open(linear, candidates, naming, others, fitted, noise)
     starts = starting_states(linear, candidates, naming, sized, kept)
-    return _Estimated(effects, noise, sized, fitted, (*in_part, *starts), (*kept, *starts))
+    gap = measure_gap(linear, whitened, naming, noise, prepared.limit, prepared.setting_rad)
+    return _Estimated(naming, effects, noise, sized, fitted, (*in_part, *starts), (*kept, *starts), gap)
 
 
-def _form(
-    prepared: Prepared, naming: Naming, estimated: _Estimated, gap: Gap, setting_rad: float
-) -> FreeForm | None:
+def _form(prepared: Prepared, estimated: _Estimated) -> FreeForm | None:
     """Return the formulas of unnamed finds, or of an unnamed find tied with a name; None if names suffice.
 
     A find without a formula is described by the terms of the dictionary that explain it.
     """
     linear, whitened, data = prepared.linear, prepared.whitened, prepared.data
-    candidates = whitened.candidates
+    candidates, naming = whitened.candidates, estimated.naming
     named = [one for one in naming.found if one.variant.named]
     patterns = [one for one in naming.found if not one.variant.named and one.variant.term is None]
     tied = [one for one in named if any(is_form(candidates, f) for f in one.ties)]
     if len(named) == len(naming.found) and not tied:
         return None
     if not patterns and not tied:
-        return describe(linear, candidates, naming, estimated.noise, gap, prepared.repeats)
+        return describe(linear, candidates, naming, estimated.noise, estimated.gap, prepared.repeats)
     if linear.readings.run.any() and patterns:
         whitened = Whitened.of(whitened.grid, with_terms(candidates, linear), few_known=True)
         data = whitened.reduce(linear.response[:, None])
@@ -258,7 +252,7 @@ def _form(
     search = partial(name, begun=begun, among=among)
     found = search(whitened, data, prepared.limit)
     noise = noise_size(whitened, data, found.columns)
-    form_gap = measure_gap(linear, whitened, found, noise, prepared.limit, setting_rad, search)
+    form_gap = measure_gap(linear, whitened, found, noise, prepared.limit, prepared.setting_rad, search)
     instead = () if patterns else tuple(one.variant.family for one in tied)
     return describe(linear, candidates, found, noise, form_gap, prepared.repeats, instead)
 
@@ -275,10 +269,6 @@ def verdict_of(effects: Sequence[NamedEffect], findings: Sequence[NoiseFinding |
     if any(e.cannot_tell_from for e in effects) or (effects and not gap.shrinks):
         return "confounded"
     return "named" if effects else "agrees"
-
-
-def _apart(p: float, words: str) -> NamedEffect:
-    return NamedEffect("single_reading", (), (), (), (), (), p, p, None, words)
 
 
 def effects_of(
@@ -527,7 +517,7 @@ def diagnose_fully(
     diagnosis = diagnose(readings, model, stand_u, sheet_of_unit, cache, there)
     if known:
         mistakes = replace(diagnosis.mistakes, mistakes=(*known, *diagnosis.mistakes.mistakes))
-        diagnosis = replace(diagnosis, mistakes=mistakes, verdict="mistake")
+        diagnosis = replace(diagnosis, mistakes=mistakes)
     model = diagnosis.linear.model
     blocks = tuple(_shown(diagnosis, model, stand_u, g_m_s2))
     shown = blocks[0]

@@ -4,28 +4,42 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
 
 import numpy as np
 from scipy import linalg, special
 
-from bench.base.arrays import CHANNELS, rms
+from bench.base.arrays import CHANNELS, Floats, Mask, least_squares, rms
 from bench.diagnosis.candidates import SLOW_IN_TIME, Variant
 from bench.diagnosis.evidence import Threshold
-from bench.diagnosis.gap import Gap
-from bench.diagnosis.levels import BY_CHANCE, FAR
+from bench.diagnosis.gap import Fold, Gap, HeldOut
+from bench.diagnosis.levels import BY_CHANCE, FAR, FOLDS
 from bench.diagnosis.naming import FoundEffect
 from bench.diagnosis.pipeline import verdict_of
-from bench.diagnosis.record_folds import Rival, measure_record_gap, why_unconfirmed
-from bench.diagnosis.record_model import FOLLOWS, Noise, Record, make_courses, make_record
+from bench.diagnosis.posterior import NoiseSize
+from bench.diagnosis.record_model import FOLLOWS, MOVE, Noise, Record, make_courses, make_record, solved
 from bench.diagnosis.record_search import ChannelFit, RecordWork
-from bench.diagnosis.result import UNNAMED_WORDS, NamedEffect, Verdict
+from bench.diagnosis.result import UNNAMED_WORDS, Findings, NamedEffect
 from bench.diagnosis.where import ResidualPattern
 from bench.model.effects import AppliedEffect
 from bench.readings.table import REFERENCE, Readings
 
 
 @dataclass(frozen=True)
-class RecordDiagnosis:
+class Rival:
+    """A kind of response (at once, lag, hysteresis), and how well it predicts held-out excursions.
+
+    `held_out_rms_v` (V) and `chi2` are the RMS and the chi-square of measured minus predicted.
+    """
+
+    what: str
+    held_out_rms_v: float
+    chi2: float
+
+
+@dataclass(frozen=True)
+class RecordDiagnosis(Findings):
     """The result of the diagnosis of a record at a known input.
 
     `where` describes, for each channel, the residuals after zero and drift are subtracted. `fits` has the
@@ -39,17 +53,12 @@ class RecordDiagnosis:
 
     source: str
     record: Record
-    verdict: Verdict
-    where: tuple[ResidualPattern, ...]
-    effects: tuple[NamedEffect, ...]
     fits: tuple[ChannelFit, ...]
-    gap: Gap
     rivals: tuple[Rival, ...]
     far: tuple[str, ...]
     threshold: float
     noises: tuple[Noise, ...]
     hidden: tuple[str, ...]
-    notes: tuple[str, ...]
 
     @property
     def white_v(self) -> float:
@@ -65,19 +74,9 @@ class RecordDiagnosis:
         return self.white_v * float(np.sqrt(self.noises[0].ratio))
 
     @property
-    def of_copy(self) -> Verdict:
-        """The same as `verdict`: records are not searched for mistakes."""
-        return self.verdict
-
-    @property
     def models(self) -> tuple[tuple[AppliedEffect, ...], ...]:
         """The effects found, for a model file: a tuple whose only entry is the tuple of these effects."""
         return (self.applied,)
-
-    @property
-    def applied(self) -> tuple[AppliedEffect, ...]:
-        """The effects of the catalogue that were found, with their values."""
-        return tuple(applied for effect in self.effects for applied in effect.applied)
 
 
 def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -> RecordDiagnosis:
@@ -101,7 +100,7 @@ def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -
     return RecordDiagnosis(
         source=readings.source,
         record=work.record,
-        verdict=verdict_of(named, () if named else far, gap),
+        of_copy=verdict_of(named, () if named else far, gap),
         where=tuple(_places(work.record)),
         effects=named,
         fits=tuple(work.fits(courses, noises)),
@@ -143,6 +142,142 @@ def _far(work: RecordWork, courses: Sequence[Variant], noises: Sequence[Noise]) 
 
 def _unnamed(find: FoundEffect, why: str, limit: Threshold) -> NamedEffect:
     """Return an unnamed effect to report in place of a find that held-out readings do not confirm."""
-    p = limit.p(find.total)
     words = f"{UNNAMED_WORDS[SLOW_IN_TIME]}: {find.variant.family} would explain it, but {why}"
-    return NamedEffect(SLOW_IN_TIME, (), (), (), (), (), p, p, None, words, odds=find.odds)
+    return NamedEffect.unnamed(SLOW_IN_TIME, limit.p(find.total), words, find.odds)
+
+
+# --- excursions held out in turn ------------------------------------------------------------------------
+
+PLATEAU: Final = 0.15
+"""Largest difference within one level, as a fraction of the range of the quantity that an effect follows.
+
+In an excursion, the quantity differs from its rest level by more than this.
+"""
+
+
+def measure_record_gap(work: RecordWork, finds: Sequence[FoundEffect]) -> tuple[Gap, tuple[Rival, ...]]:
+    """Return how well each excursion is predicted from the rest, and the comparison of kinds of response.
+
+    `finds` are the effects found in the whole record; they are estimated again without each excursion.
+    """
+    noises = work.noises([one.variant for one in finds])
+    folds: list[Fold] = []
+    for number, course in enumerate(one.variant for one in finds):
+        family = course.family
+        masks = list(_excursions(work, course))
+        others = [one.variant for i, one in enumerate(finds) if i != number]
+        # a jump keeps its time, as a gap hides it
+        shapes = [course] if family == MOVE else work.shapes_of(family)
+        for label, rows in masks if len(masks) > 1 else ():
+            before, after = (_predicted(work, others, trials, rows, noises) for trials in ((), shapes))
+            folds.append(Fold(label, {family: before.chi2 - after.chi2}, before, after))
+    size = NoiseSize(noises[0].white / len(work.parts) ** 0.5, 0.0, len(work.record) - 2)
+    gap = Gap(tuple(folds), size, "V", tuple(one.variant.family for one in finds))
+    return gap, tuple(_rivals(work, finds, noises))
+
+
+def why_unconfirmed(gap: Gap) -> dict[str, str]:
+    """Return the names of the effects that held-out excursions do not confirm, each with the reason."""
+    gains = {name: [fold.gains[name] for fold in gap.folds if name in fold.gains] for name in gap.unconfirmed}
+    return {
+        name: f"held-out readings do not confirm it (chi-square falls by {sum(each):.1f} in total)"
+        if each
+        else "there is one excursion of what it follows; a second one, at another time, would confirm it"
+        for name, each in gains.items()
+    }
+
+
+def _excursions(work: RecordWork, course: Variant) -> Iterator[tuple[str, Mask]]:
+    """Yield the sets of means to hold out in turn: a label and a mask each.
+
+    They are excursions of the quantity that the `course` follows. For a course in time they are two halves,
+    made of alternate blocks of means.
+    """
+    record, conditions = work.record, work.record.conditions
+    match FOLLOWS[course.family]:
+        case "meter":
+            driver = conditions.meter_warmth_k
+        case "rail":
+            driver = conditions.above_nominal_v[:, round(dict(course.shape)["rail"]) - 1]
+        case _:
+            turn = np.arange(len(record)) // FOLDS % 2
+            for number, which in enumerate(("first", "next")):
+                yield f"every other {FOLDS} means, from the {which}", turn == number
+            return
+    from_rest = driver - _rest(driver)
+    side = np.where(np.abs(from_rest) > PLATEAU * np.ptp(driver), np.sign(from_rest), 0.0)
+    turns = np.flatnonzero(np.diff(side)) + 1
+    bounds: list[int] = [0, *turns.tolist(), len(side)]
+    for start, end in pairwise(bounds):
+        if side[start] and end - start >= FOLDS:
+            rows = np.zeros(len(side), dtype=bool)
+            rows[start:end] = True
+            word = "high" if side[start] > 0 else "low"
+            yield f"{word} from {record.time_h[start]:.1f} to {record.time_h[end - 1]:.1f} h", rows
+
+
+def _rest(driver: Floats) -> float:
+    """Return the level from which excursions count: the most frequent one, or the median if none is frequent."""
+    ordered = np.sort(driver)
+    last = np.searchsorted(ordered, ordered + PLATEAU * np.ptp(driver), side="right")
+    inside = last - np.arange(len(ordered))
+    start = int(np.argmax(inside))
+    common = inside[start] >= 2 * PLATEAU * len(ordered)
+    return float(np.median(ordered[start : last[start]] if common else driver))
+
+
+def _predicted(
+    work: RecordWork,
+    others: Sequence[Variant],
+    shapes: Sequence[Variant],
+    rows: Mask,
+    noises: Sequence[Noise],
+) -> HeldOut:
+    """Predict the held-out `rows` with the one of `shapes`, if any, that the other rows make most probable.
+
+    A straight line in the rows is subtracted from the errors, as slow noise sets the level after an excursion.
+    The chi-square of the prediction is the chi-square of all rows minus that of the other rows, and includes all
+    uncertainties.
+    """
+    rest = np.flatnonzero(~rows)
+    lower = [linalg.cholesky(noise.covariance[np.ix_(rest, rest)], lower=True) for noise in noises]
+
+    def fitted(courses: Sequence[Variant]) -> list[tuple[Floats, Floats, float]]:
+        white = [
+            linalg.solve_triangular(half, work.design(courses, k)[rest], lower=True)
+            for k, half in enumerate(lower)
+        ]
+        return [solved(one[:, :-1], one[:, -1]) for one in white]
+
+    trials = [[*others, shape] for shape in shapes] or [list(others)]
+    fits = [fitted(courses) for courses in trials]
+    best = int(np.argmin([sum(one[2] for one in parts) for parts in fits]))
+    chi2, error = 0.0, np.empty((int(rows.sum()), len(work.parts)))
+    for k, (mean, _, of_rest) in enumerate(fits[best]):
+        design = work.design(trials[best], k)[rows]
+        error[:, k] = design[:, -1] - design[:, :-1] @ mean
+        chi2 += work.fitted(k, trials[best], noises[k])[2] - of_rest
+    error_v = error @ work.helmert * work.record.scale[rows, None]
+    beside = least_squares(work.record.trend[rows], error_v)[1].ravel()
+    return HeldOut(beside, beside, np.full_like(beside, np.nan), chi2)
+
+
+def _rivals(work: RecordWork, finds: Sequence[FoundEffect], noises: Sequence[Noise]) -> Iterator[Rival]:
+    """Yield how well each kind of response predicts excursions, for the first find that follows the meter's
+    temperature.
+    """
+    thermal = next((one for one in finds if FOLLOWS[one.variant.family] == "meter"), None)
+    masks = [] if thermal is None else list(_excursions(work, thermal.variant))
+    if thermal is None or len(masks) < 2:
+        return
+    others = [one.variant for one in finds if one is not thermal]
+    family = work.shapes_of(thermal.variant.family)
+    kinds = {
+        "at once": [c for c in family if not c.shape],
+        "lag": [c for c in family if "lag" in dict(c.shape)],
+        "hysteresis": [c for c in family if "width" in dict(c.shape)],
+    }
+    for what, shapes in kinds.items():
+        if shapes:
+            held = [_predicted(work, others, shapes, rows, noises) for _, rows in masks]
+            yield Rival(what, rms(np.concatenate([one.error for one in held])), sum(one.chi2 for one in held))

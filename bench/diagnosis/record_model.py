@@ -203,20 +203,17 @@ def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Fl
     return means, spread, used
 
 
-SMOOTHED: Final = 41
-"""Number of means over which the size of the noise is smoothed: odd, and a seventh of a full record (`BINS`)."""
-
-
 def _relative(spread: Floats) -> Floats:
     """Return the relative size (n,) of the noise from the scatter (n, c) of the readings in each mean.
 
     If the largest size is less than `LARGER` times the smallest, the noise counts as uniform. Sizes beyond a
-    factor of `LARGER` squared from their median are set to that limit.
+    factor of `LARGER` squared from their median are set to that limit. The size is smoothed over a seventh of a
+    full record.
     """
     middle = np.median(spread, axis=0)
     if np.any(middle == 0.0):
         return np.ones(len(spread))
-    size = ndimage.median_filter(np.mean(spread / middle, axis=1), SMOOTHED, mode="reflect")
+    size = ndimage.median_filter(np.mean(spread / middle, axis=1), 2 * (BINS // 15) + 1, mode="reflect")
     size = np.clip(size / np.median(size), LARGER**-2, LARGER**2)
     return np.ones(len(size)) if size.max() < LARGER * size.min() else np.asarray(size)
 

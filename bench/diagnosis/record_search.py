@@ -12,8 +12,8 @@ from scipy import linalg, special
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.diagnosis.candidates import Candidates, Variant
-from bench.diagnosis.evidence import SEED, Scores, Threshold, fit_tail
-from bench.diagnosis.levels import INSEPARABLE, OFTEN
+from bench.diagnosis.evidence import NULLS, SEED, Scores, Threshold, fit_tail
+from bench.diagnosis.levels import INSEPARABLE, OFTEN, STEPS
 from bench.diagnosis.naming import MOST_EFFECTS, FoundEffect, Naming, holding, ranked_odds
 from bench.diagnosis.open_parts import Shape
 from bench.diagnosis.pipeline import effects_of
@@ -22,14 +22,8 @@ from bench.diagnosis.record_model import MOVE, Noise, NoiseTrials, Record, cours
 from bench.diagnosis.result import NamedEffect
 from bench.model.effects import CATALOGUE
 
-NULLS: Final = 200
-"""Number of data sets simulated for a threshold: fewer than for runs, as each is scored with more noises."""
-
-
 FINE: Final = 41
 """Number of values of a shape parameter over which its effect is averaged, all in the likely range."""
-ZOOMS: Final = 8
-"""Largest number of times that these values are drawn closer together, each time up to 20-fold."""
 FAINT: Final = 9.0
 """A value is likely if ln of its likelihood is less than this below the maximum: within 4.2 normal u."""
 
@@ -187,10 +181,11 @@ class RecordWork:
     def search(self) -> tuple[list[FoundEffect], Threshold]:
         """Return the effects found, the strongest first, and the threshold of the search.
 
-        The threshold is simulated from the noise of this very record.
+        The threshold is simulated from the noise of this very record, with fewer data sets than for runs, as
+        each is scored with every kind of slow noise.
         """
         rng = np.random.default_rng(SEED)
-        nulls = [noise.drawn(rng, NULLS) for noise in self.noises([])]
+        nulls = [noise.drawn(rng, NULLS // len(self.trials.slow)) for noise in self.noises([])]
         limit = fit_tail(special.logsumexp(self.log_odds([], nulls)[1], axis=0))
         finds: list[FoundEffect] = []
         while len(finds) < MOST_EFFECTS:
@@ -285,7 +280,7 @@ class RecordWork:
         course, places = courses[number], np.arange(len(tried))
         ((name, _),) = course.shape
         low, high = 0.0, float(places[-1])
-        for _ in range(ZOOMS):
+        for _ in range(STEPS):  # each draws the values up to 20 times closer together
             fine = np.interp(np.linspace(low, high, FINE), places, tried)
             shapes = [(CATALOGUE[course.family], ((name, value),)) for value in fine.tolist()]
             made = courses_of(self.record, shapes)

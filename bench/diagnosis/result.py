@@ -168,6 +168,11 @@ class NamedEffect:
     aliases: tuple[int, ...] = ()
     odds: tuple[FamilyOdds, ...] = ()
 
+    @classmethod
+    def unnamed(cls, name: str, p: float, words: str, odds: tuple[FamilyOdds, ...] = ()) -> NamedEffect:
+        """Return an unnamed pattern without parameters, which `words` describe."""
+        return cls(name, (), (), (), (), (), p, p, None, words, odds=odds)
+
     @property
     def in_catalogue(self) -> bool:
         """Whether the effect has a name in the catalogue."""
@@ -185,13 +190,41 @@ class NamedEffect:
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Findings:
+    """What every diagnosis finds, of readings in known orientations, of free positions, or of a record.
+
+    `of_copy` is the verdict on the readings, or on a corrected copy of readings with mistakes. `where` are the
+    patterns of the residuals; `gap`, the prediction of held-out readings without and with the effects.
+    """
+
+    of_copy: Verdict
+    effects: tuple[NamedEffect, ...]
+    where: tuple[ResidualPattern, ...]
+    gap: Gap
+    notes: tuple[str, ...]
+
+    @property
+    def mistaken(self) -> bool:
+        """Whether the readings have mistakes, which were corrected in a copy."""
+        return False
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict: "mistake" if there are mistakes, otherwise `of_copy`."""
+        return "mistake" if self.mistaken else self.of_copy
+
+    @property
+    def applied(self) -> tuple[AppliedEffect, ...]:
+        """The effects of the catalogue that were found, with their values, to be added to the model."""
+        return tuple(applied for effect in self.effects for applied in effect.applied)
+
+
+@dataclass(frozen=True)
+class Diagnosis(Findings):
     """The complete result of the diagnosis of one set of readings.
 
-    `verdict` is "mistake" if there are mistakes; `of_copy` is then the verdict on the corrected copy, and
-    otherwise equal to `verdict`. `far` are readings far from the model; `where` are the patterns of the
-    residuals. `p_left` is the p-value of the lack-of-fit test, which compares the noise about the model with all
-    effects found with the noise of repeats.
+    `far` are readings far from the model. `p_left` is the p-value of the lack-of-fit test, which compares the
+    noise about the model with all effects found with the noise of repeats.
 
     `hidden` maps each effect that these readings could not show, at least in part, to the parts that they do not
     show; an empty tuple means the whole effect. `absent` maps each effect that the bench cannot have to the
@@ -207,18 +240,13 @@ class Diagnosis:
     and `noise`.
     """
 
-    verdict: Verdict
-    of_copy: Verdict
     far: tuple[FarReading, ...]
-    where: tuple[ResidualPattern, ...]
     mistakes: MistakeSearch
-    effects: tuple[NamedEffect, ...]
     hidden: Mapping[str, tuple[str, ...]]
     absent: Mapping[str, str]
     unseen_per_turn: tuple[int, ...]
     detectable: Mapping[str, float]
     smallest: Mapping[str, tuple[Smallest, ...]]
-    gap: Gap
     registered: Registration
     linear: LinearSystem
     candidates: Candidates
@@ -233,16 +261,16 @@ class Diagnosis:
     form: FreeForm | None = None
     findings: tuple[NoiseFinding, ...] = ()
     noise_kinds: tuple[NoiseKind, ...] = ()
-    notes: tuple[str, ...] = ()
+
+    @property
+    def mistaken(self) -> bool:
+        """Whether the readings have mistakes, which were corrected in a copy."""
+        return bool(self.mistakes.mistakes)
 
     @property
     def applied(self) -> tuple[AppliedEffect, ...]:
-        """The effects found that can be added to the model, with their values.
-
-        They are those of the catalogue, and the terms that describe unnamed effects.
-        """
-        of_form = self.form.applied if self.form is not None else ()
-        return (*(a for e in self.effects for a in e.applied), *of_form)
+        """The effects found that can be added to the model: of the catalogue, and terms of unnamed effects."""
+        return (*super().applied, *(() if self.form is None else self.form.applied))
 
     @property
     def noise_by_channel(self) -> Floats:

@@ -12,7 +12,7 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.diagnosis.candidates import ROUND, Candidates, Variant, plausible_columns
 from bench.diagnosis.evidence import KNOWN_SIZE, Search, Threshold, Whitened
-from bench.diagnosis.levels import BEYOND_BELIEF, INSEPARABLE, NEGLIGIBLE
+from bench.diagnosis.levels import BEYOND_BELIEF, NEGLIGIBLE
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.noise_grid import make_whitener
 from bench.diagnosis.posterior import NoiseSize
@@ -263,18 +263,3 @@ class ReadingDesign:
         out.
         """
         return max((float(np.linalg.norm(self.seen(form), 2)) for form in forms), default=0.0)
-
-    def cosine(self, one: Form, other: Form) -> float:
-        """Return the cosine of the smallest angle between the columns of two forms (1: indistinguishable).
-
-        Free unknowns are projected out; the result is 0 if nothing is left of one form.
-        """
-        first, second = _basis(self.seen(one)), _basis(self.seen(other))
-        if not (first.shape[1] and second.shape[1]):
-            return 0.0
-        return min(1.0, float(np.linalg.norm(first.T @ second, 2)))
-
-
-def _basis(columns: Floats) -> Floats:
-    u, size, _ = np.linalg.svd(columns, full_matrices=False)
-    return u[:, size > INSEPARABLE * max(1.0, size[0])]

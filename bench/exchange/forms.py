@@ -17,11 +17,10 @@ from bench.base.files import to_text
 from bench.base.numbers import fixed, places
 from bench.base.tables import table
 from bench.base.text import comment, double, visible
-from bench.calibration.result import INVERSE, Derived
+from bench.calibration.result import INVERSE
 from bench.exchange.autopilots import ARDUPILOT, PX4, kalibr_notes, kalibr_yaml
 from bench.exchange.checks import TOLERANCE, c_self_test, judged, own_test, picture
 from bench.exchange.result import CONVENTION, NINE, BlockResult, ReportedNumber
-from bench.model.geometry import COEFFICIENTS
 
 if TYPE_CHECKING:
     from openpyxl import Workbook
@@ -44,12 +43,11 @@ def csv_text(result: BlockResult) -> str:
     told(*result.head(), "U = K a + U0; a = N (U - U0)", CONVENTION, NINE, *picture(result.unit))
     told(*own_test("FILE.csv", _CSV_TEST))
     writer.writerow(["name", "value", "u", "U", "unit"])
-    inverse = result.inverse_rows[:9]
-    for row in (*result.coefficient_rows, *inverse, *result.misalignment_rows, *result.intrinsic_rows):
+    alone = result.inverse.rows[:9]
+    for row in (*result.coefficients.rows, *alone, *result.misalignments.rows, *result.intrinsic.rows):
         writer.writerow([row.name, repr(row.value), repr(row.u), repr(row.U), row.unit])
-    own = Derived(COEFFICIENTS, result.block.vector, result.covariance)
     for of, title in (
-        (own, "covariance of the coefficients"),
+        (result.coefficients, "covariance of the coefficients"),
         (result.inverse, "covariance of N and U0"),
         (result.misalignments, "covariance of the misalignment angles, rad^2"),
         (result.intrinsic, "covariance of the nine, in their units"),
@@ -85,7 +83,7 @@ def c_header(result: BlockResult) -> str:
             f"a = N (U - U0): a in local g, U in {result.unit}.",
             *picture(result.unit),
             "coefficients_self_test() returns 0 when this file is as it was written.",
-            "U of the coefficients: " + ", ".join(f"{row.name} {row.U:.2g}" for row in result.inverse_rows),
+            "U of the coefficients: " + ", ".join(f"{row.name} {row.U:.2g}" for row in numbers.rows),
         ]
     )
     tested = c_self_test(
@@ -171,18 +169,18 @@ def workbook(result: BlockResult) -> bytes:
     )
     _write(about, [["signs" if not k else "", line] for k, line in enumerate(picture(result.unit))])
     about.column_dimensions["A"].width, about.column_dimensions["B"].width = 18, 110
-    _numbers(book.create_sheet("coefficients"), result.coefficient_rows)
-    _numbers(book.create_sheet("inverse"), result.inverse_rows)
-    _numbers(book.create_sheet("misalignments"), result.misalignment_rows)
-    _numbers(book.create_sheet("intrinsic"), result.intrinsic_rows)
-    for title, names, covariance in (
-        ("covariance K U0", COEFFICIENTS, result.covariance),
-        ("covariance N U0", result.inverse.names, result.inverse.covariance),
-        ("covariance alpha", result.misalignments.names, result.misalignments.covariance),
-        ("covariance intrinsic", result.intrinsic.names, result.intrinsic.covariance),
-    ):
-        rows = [[name, *row] for name, row in zip(names, covariance.tolist(), strict=True)]
-        _write(book.create_sheet(title), [["", *names], *rows])
+    tables = {
+        "coefficients": ("K U0", result.coefficients),
+        "inverse": ("N U0", result.inverse),
+        "misalignments": ("alpha", result.misalignments),
+        "intrinsic": ("intrinsic", result.intrinsic),
+    }
+    for title, (_, numbers) in tables.items():
+        cells = [[row.name, row.value, row.u, row.U, row.unit] for row in numbers.rows]
+        _write(book.create_sheet(title), [["name", "value", "u", "U", "unit"], *cells])
+    for of, numbers in tables.values():
+        rows = [[name, *row] for name, row in zip(numbers.names, numbers.covariance.tolist(), strict=True)]
+        _write(book.create_sheet(f"covariance {of}"), [["", *numbers.names], *rows])
     _conversion(book.create_sheet("a from U"), result)
     _checks(book.create_sheet("check"), result)
     return _saved(book, simulated=result.simulated)
@@ -208,10 +206,6 @@ def _saved(book: Workbook, *, simulated: bool) -> bytes:
     out = io.BytesIO()
     book.save(out)
     return out.getvalue()
-
-
-def _numbers(sheet: Worksheet, rows: Iterable[ReportedNumber]) -> None:
-    _write(sheet, [["name", "value", "u", "U", "unit"], *([r.name, r.value, r.u, r.U, r.unit] for r in rows)])
 
 
 def _write(sheet: Worksheet, rows: Sequence[Sequence[Any]]) -> None:
@@ -287,11 +281,11 @@ def print_coefficients(result: BlockResult, on: Console) -> None:
     for line in result.head():
         on.print(line, style="bold" if line.startswith("SIMULATED") else None)
     on.print("a = N (U - U0), a the specific force in g of the place")
-    on.print(_table(result.inverse_rows, result.k))
+    on.print(_table(result.inverse.rows, result.k))
     on.print("misalignment angles of the input axes, K_ij = (-1)^n K_ii alpha_ji, n = 2 where j follows i")
-    on.print(_table(result.misalignment_rows, result.k, 1.0 / ARCSEC, "arcsec"))
+    on.print(_table(result.misalignments.rows, result.k, 1.0 / ARCSEC, "arcsec"))
     on.print(NINE)
-    on.print(_table(result.intrinsic_rows, result.k))
+    on.print(_table(result.intrinsic.rows, result.k))
 
 
 def _table(rows: Iterable[ReportedNumber], k: float, times: float = 1.0, unit: str = "") -> Table:

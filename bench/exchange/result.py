@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
@@ -34,6 +34,18 @@ class ReportedNumber:
     u: float
     U: float
     unit: str
+
+
+@dataclass(frozen=True)
+class ReportedNumbers(Derived):
+    """Numbers with their covariance (n, n), and a row for each."""
+
+    rows: tuple[ReportedNumber, ...] = ()
+
+    def part(self, **said: str) -> dict[str, Any]:
+        """Return the members of a `DerivedPart`, and those in `said`."""
+        values = {row.name: row for row in self.rows}
+        return {**said, "values": values, "order": self.names, "covariance": self.covariance}
 
 
 class RowPart(ResultModel):
@@ -181,52 +193,38 @@ class BlockResult:
         return readings is not None and not np.array_equal(readings, self.covariance)
 
     @cached_property
-    def inverse(self) -> Derived:
-        """N and U0 of a = N (U - U0), with their covariance."""
-        return inverse(self.block, self.covariance)
-
-    @cached_property
-    def misalignments(self) -> Derived:
-        """The six angles (rad) of the input axes."""
-        return misalignments(self.block, self.covariance)
-
-    @cached_property
-    def intrinsic(self) -> Derived:
-        """The nine intrinsic numbers, which do not depend on the mounting."""
-        return intrinsic(self.block, self.covariance)
-
-    @property
-    def coefficient_rows(self) -> list[ReportedNumber]:
-        """The rows of the twelve coefficients."""
+    def coefficients(self) -> ReportedNumbers:
+        """The twelve coefficients."""
         own = Derived(COEFFICIENTS, self.block.vector, self.covariance)
-        return self._rows(own, lambda name: self.unit if name.startswith("U0") else f"{self.unit}/g")
+        return self._reported(own, lambda name: self.unit if name.startswith("U0") else f"{self.unit}/g")
 
-    @property
-    def inverse_rows(self) -> list[ReportedNumber]:
-        """The rows of N and U0."""
-        return self._rows(
-            self.inverse, lambda name: self.unit if name.startswith("U0") else self.inverse_unit
-        )
-
-    @property
-    def misalignment_rows(self) -> list[ReportedNumber]:
-        """The rows of the six angles of the input axes."""
-        return self._rows(self.misalignments, lambda _: "rad")
-
-    @property
-    def intrinsic_rows(self) -> list[ReportedNumber]:
-        """The rows of the nine intrinsic numbers."""
-        return self._rows(self.intrinsic, lambda name: intrinsic_unit(name, self.unit))
+    @cached_property
+    def inverse(self) -> ReportedNumbers:
+        """N and U0 of a = N (U - U0)."""
+        numbers = inverse(self.block, self.covariance)
+        return self._reported(numbers, lambda n: self.unit if n.startswith("U0") else self.inverse_unit)
 
     @property
     def inverse_unit(self) -> str:
         """The unit of N."""
         return "g/(m/s^2)" if self.unit == "m/s^2" else f"g/{self.unit}"
 
-    def _rows(self, derived: Derived, unit_of: Any) -> list[ReportedNumber]:
+    @cached_property
+    def misalignments(self) -> ReportedNumbers:
+        """The six angles (rad) of the input axes."""
+        return self._reported(misalignments(self.block, self.covariance), lambda _: "rad")
+
+    @cached_property
+    def intrinsic(self) -> ReportedNumbers:
+        """The nine intrinsic numbers, which do not depend on the mounting."""
+        numbers = intrinsic(self.block, self.covariance)
+        return self._reported(numbers, lambda name: intrinsic_unit(name, self.unit))
+
+    def _reported(self, of: Derived, unit_of: Callable[[str], str]) -> ReportedNumbers:
         stated = self.expanded or {}
-        sizes = zip(derived.names, derived.values.tolist(), u_of(derived.covariance).tolist(), strict=True)
-        return [ReportedNumber(n, value, u, stated.get(n, self.k * u), unit_of(n)) for n, value, u in sizes]
+        sizes = zip(of.names, of.values.tolist(), u_of(of.covariance).tolist(), strict=True)
+        rows = [ReportedNumber(n, value, u, stated.get(n, self.k * u), unit_of(n)) for n, value, u in sizes]
+        return ReportedNumbers(of.names, of.values, of.covariance, of.jacobian, tuple(rows))
 
     @property
     def block_name(self) -> str:
@@ -270,10 +268,10 @@ class BlockResult:
             unit_under_test={"type": self.block_type, "serial": self.serial} if self.block_name else None,
             made_at=self.made_at or None,
             bench=self.bench or None,
-            coefficients={row.name: row for row in self.coefficient_rows},
+            coefficients={row.name: row for row in self.coefficients.rows},
             order=list(COEFFICIENTS),
-            inverse=_derived(self.inverse, self.inverse_rows, model="a = N (U - U0), a in g"),
-            misalignments=_derived(self.misalignments, self.misalignment_rows, convention=CONVENTION),
+            inverse=self.inverse.part(model="a = N (U - U0), a in g"),
+            misalignments=self.misalignments.part(convention=CONVENTION),
             temperature=self.facts().get("temperature"),
             check=CheckPart(
                 signs=picture(self.unit),
@@ -282,10 +280,5 @@ class BlockResult:
                 corrected=self.check[1],
                 python=[*_JSON_TEST, judged()],
             ),
-            intrinsic=_derived(self.intrinsic, self.intrinsic_rows, definition=NINE),
+            intrinsic=self.intrinsic.part(definition=NINE),
         ).to_dict()
-
-
-def _derived(derived: Derived, rows: list[ReportedNumber], **said: str) -> dict[str, Any]:
-    values = {row.name: row for row in rows}
-    return {**said, "values": values, "order": derived.names, "covariance": derived.covariance}

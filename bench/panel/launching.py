@@ -1,8 +1,7 @@
-"""Processes that the panel starts: check, dry run, run, resuming, diagnosis; the files that a run may use."""
+"""Processes that the panel starts: check, dry run, run, resuming, diagnosis."""
 
 from __future__ import annotations
 
-import os
 import re
 import secrets
 import shutil
@@ -21,7 +20,6 @@ from bench.base.languages import message
 from bench.base.requests import fields_of
 from bench.base.text import visible
 from bench.base.yaml_files import FileMistakes
-from bench.config.shipped import CONFIG, PROCEDURES, shipped_folder
 from bench.panel.access import Refusal, is_held, private_folder
 from bench.panel.folder import RunsFolder
 from bench.run.events import EVENTS, RecordError, sha256
@@ -339,76 +337,6 @@ def _output(run: Run) -> Path:
 
 def _runs(run: Run) -> Path:
     return run.folder.parent.absolute()
-
-
-MARKS: Final = {
-    PROCEDURES: re.compile(rb"^procedure\s*:", re.MULTILINE),
-    CONFIG: re.compile(rb"^instruments\s*:", re.MULTILINE),
-}
-"""Patterns that identify a file in the working folder as a procedure or a bench file."""
-
-NEXT: Final = "diagnose-next.yaml"
-"""The procedure that the diagnosis of a run proposes, in the run's folder."""
-OF_RUN: Final = "next:"
-BEGINNING: Final = 65_536
-
-
-def choices(kind: str, working: Path | None = None) -> dict[str, Path]:
-    """Return the files of a kind (`PROCEDURES`, `CONFIG`) by name; own files replace shipped ones."""
-    here = working or Path()
-    found = {file.stem: file for file in _yaml(shipped_folder(kind))}
-    found |= {file.stem: file for file in _yaml(here / kind)}
-    found |= {file.name: file for file in _yaml(here) if MARKS[kind].search(_beginning(file))}
-    named = os.environ.get("BENCH_FILE", "")
-    if kind == CONFIG and named and Path(named).is_file():
-        found[named] = Path(named)
-    return dict(sorted(found.items()))
-
-
-def chosen_procedure(name: str, runs: RunsFolder) -> Path:
-    """Return the procedure of this name; `next:RUN` is the one that a diagnosis proposes. Raises `Refusal`."""
-    if name.startswith(OF_RUN):
-        run = runs.run(name.removeprefix(OF_RUN))
-        file = run.folder / NEXT
-        if file.is_symlink() or not file.is_file():
-            raise Refusal(
-                404, message(f"{run.name}: its diagnosis proposes no measurement; choose a procedure")
-            )
-        return file
-    return _chosen(PROCEDURES, name, "procedure")
-
-
-def chosen_bench(name: str, runs: RunsFolder) -> Path:
-    """Return the bench file with this name or, for `next:RUN`, the bench file of this run. Raises `Refusal`."""
-    if name.startswith(OF_RUN):
-        run = runs.run(name.removeprefix(OF_RUN))
-        original = Path(str(run.manifest.get("bench", "")))
-        if original in choices(CONFIG).values() or original.name in choices(CONFIG):
-            return original
-        raise Refusal(404, message(f"{run.name}: its bench file is no longer here; choose one"))
-    return _chosen(CONFIG, name, message("bench file"))
-
-
-def _chosen(kind: str, name: str, called: str) -> Path:
-    found = choices(kind).get(name)
-    if found is None:
-        raise Refusal(400, message(f"there is no {called} of that name; choose from the list"))
-    return found
-
-
-def _yaml(folder: Path) -> list[Path]:
-    try:
-        return sorted(file for file in folder.iterdir() if file.suffix == ".yaml" and file.is_file())
-    except OSError:
-        return []
-
-
-def _beginning(file: Path) -> bytes:
-    try:
-        with open_regular(file) as stream:
-            return stream.read(BEGINNING)
-    except OSError:
-        return b""
 
 
 # --- the process that checks and tries a wish: python -m bench.panel.launching FOLDER ------------------

@@ -8,7 +8,15 @@ from typing import Final
 from bench.base.languages import message
 from bench.base.numbers import probability, rounded, uncertainty
 from bench.panel.folder import RunsFolder
-from bench.panel.results import CALIBRATE, Results, VerdictTold, is_plain, results_of
+from bench.panel.results import (
+    CALIBRATE,
+    DOES_NOT_FIT,
+    LACK_OF_FIT,
+    Results,
+    VerdictTold,
+    is_plain,
+    results_of,
+)
 from bench.run.events import RecordError
 from bench.run.folder import Run
 
@@ -85,8 +93,11 @@ def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool) -> Ou
 
 def _misfit(found: Results) -> str:
     """Return why to diagnose a run: readings and model do not fit, or the block did not pass; "" if neither."""
-    if found.calibration is not None and not found.calibration.fits:
+    fit = found.calibration.fit if found.calibration is not None else ""
+    if fit == DOES_NOT_FIT:
         return message("The model does not fit the readings. The diagnosis looks for the missing effect.")
+    if fit == LACK_OF_FIT:
+        return message("A lack of fit is shown at 1 %. The diagnosis looks for the missing effect.")
     if found.verdict is not None and not found.verdict.passed:
         return message("The block did not pass. The diagnosis looks for the cause.")
     return ""

@@ -1,26 +1,25 @@
-"""Bench files and procedures of the working folder: listed, offered, written if nobody else changed them."""
+"""Bench files and procedures to choose from: listed, offered, chosen, written if nobody else changed them."""
 
 from __future__ import annotations
 
-import difflib
 import math
+import os
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
 from filelock import FileLock
 
-from bench.base.files import MEGABYTE, read_regular, write_whole
+from bench.base.files import MEGABYTE, open_regular, read_regular, write_whole
 from bench.base.languages import message
 from bench.base.yaml_files import FileMistakes
 from bench.config.procedure.load import load_procedure
 from bench.config.procedure.plan import Mount, Read, Turn
 from bench.config.shipped import CONFIG, PROCEDURES, shipped_folder
 from bench.panel.access import Refusal, private_folder
-from bench.panel.bench_fields import Placed
-from bench.panel.launching import choices
+from bench.panel.folder import RunsFolder
 from bench.run.events import sha256
 from bench.run.sentences import duration
 
@@ -39,35 +38,74 @@ class FileText:
     sha256: str = ""
 
 
-@dataclass
-class EditedFile:
-    """A file being edited in the panel: the file as it was read (`base`), and the messages of the page.
+MARKS: Final = {
+    PROCEDURES: re.compile(rb"^procedure\s*:", re.MULTILINE),
+    CONFIG: re.compile(rb"^instruments\s*:", re.MULTILINE),
+}
+"""Patterns that identify a file in the working folder as a procedure or a bench file."""
 
-    `name` is the name of the file; `start` names the file from which a new file was copied, else empty.
-    """
+NEXT: Final = "diagnose-next.yaml"
+"""The procedure that the diagnosis of a run proposes, in the run's folder."""
+OF_RUN: Final = "next:"
+BEGINNING: Final = 65_536
 
-    name: str
-    start: str
-    base: FileText
-    placed: Placed = field(default_factory=Placed)
-    note: str = ""
-    refusal: str = ""
-    difference: str = ""
 
-    def target(self, kind: str) -> Path | None:
-        """Return the path to write; None for an unusable new name, which is noted as a mistake at its field."""
-        try:
-            return new_path(kind, self.name) if self.start else self.base.path
-        except Refusal as refusal:
-            self.placed.at.setdefault("new_name", []).append(refusal.text)
-            return None
+def choices(kind: str, working: Path | None = None) -> dict[str, Path]:
+    """Return the files of a kind (`PROCEDURES`, `CONFIG`) by name; own files replace shipped ones."""
+    here = working or Path()
+    found = {file.stem: file for file in _yaml(shipped_folder(kind))}
+    found |= {file.stem: file for file in _yaml(here / kind)}
+    found |= {file.name: file for file in _yaml(here) if MARKS[kind].search(_beginning(file))}
+    named = os.environ.get("BENCH_FILE", "")
+    if kind == CONFIG and named and Path(named).is_file():
+        found[named] = Path(named)
+    return dict(sorted(found.items()))
 
-    def write(self, path: Path, text: str, expected_sha256: str, state: Path, refusal: str) -> bool:
-        """Write the file as `write_file` does; if it has changed on disk, note the difference and the `refusal`."""
-        if expected_sha256 == self.base.sha256 and write_file(path, text, expected_sha256, state):
-            return True
-        self.difference, self.refusal = difference(read_file(path).text, text, path.name), refusal
-        return False
+
+def chosen_procedure(name: str, runs: RunsFolder) -> Path:
+    """Return the procedure of this name; `next:RUN` is the one that a diagnosis proposes. Raises `Refusal`."""
+    if name.startswith(OF_RUN):
+        run = runs.run(name.removeprefix(OF_RUN))
+        file = run.folder / NEXT
+        if file.is_symlink() or not file.is_file():
+            raise Refusal(
+                404, message(f"{run.name}: its diagnosis proposes no measurement; choose a procedure")
+            )
+        return file
+    return _chosen(PROCEDURES, name, "procedure")
+
+
+def chosen_bench(name: str, runs: RunsFolder) -> Path:
+    """Return the bench file with this name or, for `next:RUN`, the bench file of this run. Raises `Refusal`."""
+    if name.startswith(OF_RUN):
+        run = runs.run(name.removeprefix(OF_RUN))
+        original = Path(str(run.manifest.get("bench", "")))
+        if original in choices(CONFIG).values() or original.name in choices(CONFIG):
+            return original
+        raise Refusal(404, message(f"{run.name}: its bench file is no longer here; choose one"))
+    return _chosen(CONFIG, name, message("bench file"))
+
+
+def _chosen(kind: str, name: str, called: str) -> Path:
+    found = choices(kind).get(name)
+    if found is None:
+        raise Refusal(400, message(f"there is no {called} of that name; choose from the list"))
+    return found
+
+
+def _yaml(folder: Path) -> list[Path]:
+    try:
+        return sorted(file for file in folder.iterdir() if file.suffix == ".yaml" and file.is_file())
+    except OSError:
+        return []
+
+
+def _beginning(file: Path) -> bytes:
+    try:
+        with open_regular(file) as stream:
+            return stream.read(BEGINNING)
+    except OSError:
+        return b""
 
 
 def own_files(kind: str) -> dict[str, Path]:
@@ -133,19 +171,6 @@ def read_file(path: Path) -> FileText:
         ) from error
     except UnicodeDecodeError as error:
         raise Refusal(409, message(f"{path}: is not UTF-8 text; save it as UTF-8")) from error
-
-
-def difference(before: str, after: str, name: str) -> str:
-    """Return the lines in which two texts differ: "-" before lines of `before`, "+" before lines of `after`."""
-    lines = difflib.unified_diff(
-        before.splitlines(),
-        after.splitlines(),
-        message(f"{name} as it is"),
-        message(f"{name} as written here"),
-        lineterm="",
-        n=1,
-    )
-    return "\n".join(lines)
 
 
 def write_file(path: Path, text: str, expected_sha256: str, state: Path) -> bool:

@@ -12,6 +12,7 @@ from typing import Any, Final, TypeVar
 from bench.base.files import from_text
 from bench.base.languages import message
 from bench.base.numbers import rounded, scale_for, uncertainty
+from bench.calibration.result import LACK_OF_FIT_P, NOT_ACCEPTED_P
 from bench.panel.access import Refusal
 from bench.panel.folder import read_page
 from bench.run.folder import Run, statement_in
@@ -40,9 +41,12 @@ _STATES: Final = {
 }
 _MARKS: Final = {"passed": "✓", "failed": "✗"}
 
-MISFIT: Final = 0.01
-"""Significance level of the lack of fit."""
-NO_MISFIT: Final = message("no lack of fit is shown at 1 %")
+FITS, LACK_OF_FIT, DOES_NOT_FIT = (
+    message("no lack of fit shown at 1 %"),
+    message("lack of fit shown at 1 %"),
+    message("the model does not fit the readings"),
+)
+"""What the test for lack of fit says of a calibration: nothing, u is widened, the coefficients are not accepted."""
 
 Told = TypeVar("Told")
 
@@ -101,7 +105,6 @@ class CalibrationTold:
     hidden: tuple[str, ...]
     fit: str
     notes: tuple[str, ...]
-    fits: bool
 
 
 @dataclass(frozen=True)
@@ -233,7 +236,7 @@ def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
             for key, called, of in (("gain", "gain", "V/V"), ("offset_v", "offset", "V"))
             if one[key] is not None
         ]
-        return CalibrationTold(tuple(rows), hidden, "", notes, fits=True)
+        return CalibrationTold(tuple(rows), hidden, "", notes)
     rows = []
     for name in map(str, told["order"]):
         one = told["coefficients"][name]
@@ -248,9 +251,10 @@ def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
         )
     residual = told.get("residual") or {}
     p = residual.get("p")
-    fits = p is None or float(p) >= MISFIT
-    fit = message("the model does not fit the readings") if not fits else "" if p is None else NO_MISFIT
-    return CalibrationTold(tuple(rows), hidden, fit, notes, fits)
+    fit = "" if p is None else FITS if float(p) >= LACK_OF_FIT_P else LACK_OF_FIT
+    if not told.get("fits", p is None or float(p) >= NOT_ACCEPTED_P):
+        fit = DOES_NOT_FIT
+    return CalibrationTold(tuple(rows), hidden, fit, notes)
 
 
 def _value_and_uncertainty(of: Mapping[str, Any]) -> tuple[str, str]:

@@ -148,29 +148,25 @@ def with_levels(readings: Readings, seen: Sequence[LevelReading]) -> Readings:
     }
     if not found:
         return readings
-    drifts = [of.drift for of in found.values() if of.drift is not None]
+    drifts = [drift for _, drift in found.values() if drift]
     columns: dict[str, list[str]] = {name: [] for name in (*ANGLES, *(DRIFTS if drifts else ()))}
     for place in zip(readings.series.tolist(), readings.installation.tolist(), strict=True):
         known = found.get(place)
         for k, name in enumerate(ANGLES):
-            columns[name].append("" if known is None else f"{(*known.alpha, *known.u)[k]:.4f}")
+            columns[name].append("" if known is None else f"{known[0][k]:.4f}")
         for k, name in enumerate(DRIFTS if drifts else ()):
             columns[name].append(f"{math.sqrt(sum(drift[k] ** 2 for drift in drifts) / len(drifts)):.5f}")
     cells = {name: np.array(column, dtype=np.str_) for name, column in columns.items()}
     return replace(readings, extra={**readings.extra, **cells})
 
 
-@dataclass(frozen=True)
-class _MountingLevel:
-    """The tilt at the middle time of a mounting: α1 and α2 with their u, arcsec, and rms rates, arcsec/h."""
+def _mounting_level(
+    seen: Sequence[LevelReading], mounting: tuple[int, str]
+) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+    """Return the platform's tilt at the middle time of a mounting; None if it was not levelled before.
 
-    alpha: tuple[float, float]
-    u: tuple[float, float]
-    drift: tuple[float, float] | None = None
-
-
-def _mounting_level(seen: Sequence[LevelReading], mounting: tuple[int, str]) -> _MountingLevel | None:
-    """Return the platform's tilt during a mounting from level readings; None if it was not levelled before."""
+    The first tuple has α1, α2, u(α1) and u(α2), arcsec; the second their rms rates, arcsec/h, empty if unknown.
+    """
     own = [s for s in seen if s.mounting == mounting]
     last = max((k for k, s in enumerate(own) if s.levelled), default=None)
     if last is None:
@@ -178,14 +174,14 @@ def _mounting_level(seen: Sequence[LevelReading], mounting: tuple[int, str]) -> 
     first, again = own[last], own[-1]
     hours = (again.time_s - first.time_s) / HOUR
     if again is first or hours <= 0.0:
-        return _MountingLevel(first.alpha_arcsec, first.u_arcsec)
+        return (*first.alpha_arcsec, *first.u_arcsec), ()
     along, across = (
         _middle_and_rate(
             (first.alpha_arcsec[k], again.alpha_arcsec[k]), (first.u_arcsec[k], again.u_arcsec[k]), hours
         )
         for k in (0, 1)
     )
-    return _MountingLevel((along[0], across[0]), (along[1], across[1]), (along[2], across[2]))
+    return (along[0], across[0], along[1], across[1]), (along[2], across[2])
 
 
 def _middle_and_rate(

@@ -1,4 +1,4 @@
-"""Read and write readings files: CSV (RFC 4180, UTF-8, dot as decimal sign) to a table of readings and back."""
+"""Readings files: CSV (RFC 4180, UTF-8, dot as decimal sign) to a table of readings and back; points above 1 g."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import csv
 import io
 import math
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -74,15 +74,6 @@ class ReadingsError(ValueError):
     """A readings file that cannot be used; the message lists the mistakes, one per line."""
 
 
-@dataclass
-class _Columns:
-    """The table under construction, one list per column."""
-
-    values: dict[str, list[float]] = field(default_factory=dict)
-    installation: list[str] = field(default_factory=list)
-    extra: dict[str, list[str]] = field(default_factory=dict)
-
-
 def read_csv(
     path: Path, installations: Collection[str], *, skip_bad_rows: bool = False, content: bytes | None = None
 ) -> Readings:
@@ -140,7 +131,8 @@ def _read(
     known = {*REQUIRED, *OPTIONAL, *AS_TEXT, *signals, *(f"u{axis}_sd_{suffix}" for axis in "xyz")}
     labels = {*installations, VERIFICATION, FREE, SHORTED, REFERENCE}
 
-    columns = _Columns()
+    rows: list[dict[str, float]] = []
+    kept: list[dict[str, str]] = []
     bad: list[str] = []
     verification_missing = 0
     seen: dict[tuple[float, str, float, float], int] = {}
@@ -160,22 +152,39 @@ def _read(
             verification_missing += VERIFICATION in (cell.strip() for cell in cells)
             continue
         seen[key] = line
-        columns.installation.append(key[1])
-        for name, value in row.items():
-            columns.values.setdefault(name, []).append(value)
-        for name, cell in zip(header, cells, strict=True):
-            if name not in known or name in AS_TEXT:
-                columns.extra.setdefault(name, []).append(cell)
+        rows.append(row)
+        kept.append(dict(zip(header, cells, strict=True)))
 
-    if bad and not (skip_bad_rows and columns.installation):
+    if bad and not (skip_bad_rows and rows):
         raise ReadingsError(_listing(bad))
-    if not columns.installation:
+    if not rows:
         raise ReadingsError(f"{path}: no readings; expected a header line and a row for each reading")
     unknown = ", ".join(name for name in header if name not in known and not is_of_a_rail(name))
     notes = (message(f"columns kept but not used: {unknown}"),) if unknown else ()
-    table = _assemble(str(path), UNITS[suffix], signals, columns, notes, tuple(bad))
+    value: dict[str, Any] = {
+        name: np.array([row[name] for row in rows], dtype=np.float64) for name in rows[0]
+    }
+    table = make_readings(
+        [label for _, label, _, _ in seen],
+        value["pass"],
+        value["point"],
+        np.radians(value["angle_deg"]),
+        np.stack([value[name] for name in signals], axis=1),
+        source=str(path),
+        unit=UNITS[suffix],
+        target_rad=np.radians(value["target_deg"]),
+        signal_sd=np.stack([value[_sd(name)] for name in signals], axis=1),
+        **{name: value[name] for name in ("series", "direction", "time_s", "temperature_c", "samples")},
+    )
     doubts = doubtful(table, list(seen.values()))
-    return replace(table, notes=(*notes, *doubts), verification_missing=verification_missing)
+    texts = [name for name in header if name not in known or name in AS_TEXT]
+    return replace(
+        table,
+        extra={name: np.array([cells[name] for cells in kept], dtype=np.str_) for name in texts},
+        notes=(*notes, *doubts),
+        skipped=tuple(bad),
+        verification_missing=verification_missing,
+    )
 
 
 def _completed(
@@ -319,12 +328,14 @@ def _row(
     for name in filter(is_of_a_rail, header):
         number(text, name, "a voltage or a current of a rail in V or A", optional=True)
     for name in signals:
-        row[name], sd = (
-            number(text, name, "a number with a dot as decimal sign", optional=name in unused),
-            name[:2] + "_sd" + name[2:],
-        )
-        row[sd] = number(text, sd, "a standard deviation, 0 or more", optional=True, least=0.0)
+        row[name] = number(text, name, "a number with a dot as decimal sign", optional=name in unused)
+        row[_sd(name)] = number(text, _sd(name), "a standard deviation, 0 or more", optional=True, least=0.0)
     return row
+
+
+def _sd(signal: str) -> str:
+    """Return the column of the standard deviation of a signal: "ux_sd_v" for "ux_v"."""
+    return f"{signal[:2]}_sd{signal[2:]}"
 
 
 def _listing(bad: list[str]) -> str:
@@ -333,35 +344,6 @@ def _listing(bad: list[str]) -> str:
         lines.append(f"… and {len(bad) - LISTED_AT_ONCE} more bad rows ({len(bad)} in all)")
     lines.append("nothing was used; correct the rows, or skip them with --skip-bad-rows")
     return "\n".join(lines)
-
-
-def _assemble(
-    source: str,
-    unit: str,
-    signals: list[str],
-    columns: _Columns,
-    notes: tuple[str, ...],
-    bad: tuple[str, ...],
-) -> Readings:
-    values = {name: np.array(column, dtype=np.float64) for name, column in columns.values.items()}
-    table = make_readings(
-        columns.installation,
-        values["pass"],
-        values["point"],
-        np.radians(values["angle_deg"]),
-        np.stack([values[name] for name in signals], axis=1),
-        source=source,
-        unit=unit,
-        series=values["series"],
-        target_rad=np.radians(values["target_deg"]),
-        direction=values["direction"],
-        time_s=values["time_s"],
-        temperature_c=values["temperature_c"],
-        signal_sd=np.stack([values[name[:2] + "_sd" + name[2:]] for name in signals], axis=1),
-        samples=values["samples"],
-    )
-    extra = {name: np.array(cells, dtype=np.str_) for name, cells in columns.extra.items()}
-    return replace(table, extra=extra, notes=notes, skipped=bad)
 
 
 def write_csv(readings: Readings, path: Path) -> None:
@@ -450,3 +432,57 @@ def _scatter(readings: Readings, lines: Sequence[int]) -> list[str]:
                 f"exceeds the spread of all its readings, {span:.3g} {readings.unit}: check its unit"
             )
     return told
+
+
+# --- points above 1 g, from a centrifuge -------------------------------------------------------------
+
+FORCES: Final = ("ax_ms2", "ay_ms2", "az_ms2")
+UNCERTAIN: Final = ("u_ms2", "u_relative")
+SIGNALS: Final = ("ux_v", "uy_v", "uz_v")
+EXAMPLE: Final = ",".join((*FORCES, *UNCERTAIN, *SIGNALS))
+
+
+@dataclass(frozen=True)
+class CentrifugePoints:
+    """Signals (n, 3), V, at specific forces (n, 3) on the block's axes, m/s^2; NaN where no signal was read.
+
+    Only the magnitudes of the forces are uncertain. Their u has two parts: `u_ms2` (n,), m/s², is independent
+    between points; the fraction `u_relative` (n,) comes from an error common to all points, such as the radius.
+    """
+
+    source: str
+    force_ms2: Floats
+    u_ms2: Floats
+    u_relative: Floats
+    signal: Floats
+
+
+def read_centrifuge(path: Path) -> CentrifugePoints:
+    """Return the points above 1 g in a CSV file with the columns of `EXAMPLE`; cells of signals not read are empty.
+
+    Raises `ReadingsError` for missing columns, rows without a signal, and cells that are not numbers.
+    """
+    header, body = split_table(path, EXAMPLE)
+    names = (*FORCES, *UNCERTAIN, *SIGNALS)
+    missing = [name for name in names if name not in header]
+    if missing:
+        raise ReadingsError(f"{path}, line 1: the header lacks {', '.join(missing)}; points have {EXAMPLE}")
+    rows, bad = [], []
+    for line, cells in body:
+        text = dict(zip(header, cells, strict=False))
+        try:
+            row = [number(text, name, "a force in m/s²") for name in FORCES]
+            row += [number(text, name, "a standard uncertainty", least=0.0) for name in UNCERTAIN]
+            row += [number(text, name, "a signal in V", optional=True) for name in SIGNALS]
+        except BadCell as wrong:
+            bad.append(f"{path}, line {line}, column {wrong.column}: {wrong}")
+            continue
+        if np.all(np.isnan(row[5:])):
+            bad.append(f"{path}, line {line}: no signal; give one or more of {', '.join(SIGNALS)}")
+        rows.append(row)
+    if bad or not rows:
+        raise ReadingsError(
+            "\n".join(bad[:LISTED_AT_ONCE]) or f"{path}: has no points; add rows of {EXAMPLE}"
+        )
+    table = np.array(rows)
+    return CentrifugePoints(str(path), table[:, :3], table[:, 3], table[:, 4], table[:, 5:])

@@ -99,11 +99,11 @@ class Reading:
 
     def to_json(self) -> dict[str, Any]:
         """Return the reading as a JSON object for an event of the record."""
-        own = {_KEYS.get(name, name): value for name, value in asdict(self).items()}
+        values = asdict(self)
         return {
-            name: value
-            for name, value in own.items()
-            if name not in _WHERE_KNOWN or value not in ("", None, {})
+            key: values[name]
+            for name, key in _RECORDED
+            if name not in _WHERE_KNOWN or values[name] not in ("", None, {})
         }
 
     @classmethod
@@ -112,15 +112,15 @@ class Reading:
 
         Raises `KeyError`, `TypeError`, `ValueError` if the object is not a reading.
         """
-        given: dict[str, Any] = {}
-        for name, key in _RECORDED:
-            if key in row:
-                value = row[key]
-                given[name] = tuple(value) if type(value) is list else value
+        given: dict[str, Any] = {
+            name: tuple(row[key]) if type(row[key]) is list else row[key]
+            for name, key in _RECORDED
+            if key in row
+        }
         found = given.get("outlier", _NONE)
         given["outlier"] = _NONE if found == _NONE else tuple(one and Outlier(**one) for one in found)
-        if _RAILS in given:
-            given[_RAILS] = {str(name): Rail.from_json(rail) for name, rail in given[_RAILS].items()}
+        if "rails" in given:
+            given["rails"] = {str(name): Rail.from_json(rail) for name, rail in given["rails"].items()}
         reading = cls(**given)
         reading._check()
         return reading
@@ -130,26 +130,18 @@ class Reading:
         if not len(self.mean) == len(self.sd) == len(CHANNELS):
             raise ValueError("give a reading three channels")
         for count in (self.series, self.pass_number, self.point, self.samples_taken):
-            if type(count) is not int or not 0 <= count < _LARGEST:
+            if type(count) is not int or not 0 <= count < 2**31:
                 raise ValueError("give series, pass, point and samples of a reading as whole numbers")
         if self.direction not in (0, 1, -1):
             raise ValueError("state a direction of 1, -1 or 0")
         for text in (self.installation, self.unit, self.scan_order, self.temperature_source):
             if type(text) is not str:
                 raise ValueError("give every text of a reading")
-        may_be = (
-            self.angle_deg,
-            self.target_deg,
-            self.time_s,
-            self.temperature_c,
-            self.reference_v,
-            self.chamber_c,
-            self.meter_temperature_c,
-            self.room_c,
-            *self.sd,
-        )
-        for number in (*self.mean, self.direction, *may_be):
-            if number is not None and (type(number) not in _NUMBERS or not isfinite(number)):
+        for number in (
+            *self.mean, *self.sd, self.direction, self.angle_deg, self.target_deg, self.time_s, self.temperature_c,
+            self.reference_v, self.chamber_c, self.meter_temperature_c, self.room_c,
+        ):  # fmt: skip
+            if number is not None and (type(number) not in (int, float) or not isfinite(number)):
                 raise ValueError("give every number of a reading")
         if None in self.mean:
             raise ValueError("give a reading the mean of each channel")
@@ -158,17 +150,8 @@ class Reading:
 _WHERE_KNOWN: Final = ("rails", "temperature_source", "chamber_c", METER_C, ROOM_C)
 """Fields that are omitted from the record if empty, because most benches lack the instrument that fills them."""
 
-_KEYS: Final = {"pass_number": "pass"}
-"""Fields with a different name in the record."""
-
-_LARGEST: Final = 2**31
-
-_RAILS: Final = "rails"
-
-_RECORDED: Final = tuple((of.name, _KEYS.get(of.name, of.name)) for of in fields(Reading))
+_RECORDED: Final = tuple((of.name, of.name.removesuffix("_number")) for of in fields(Reading))
 """Each field of a reading with its name in the record."""
-
-_NUMBERS: Final = frozenset({int, float})
 
 
 def readings_of(taken: Sequence[Reading], source: str, power: Sequence[tuple[float, str]] = ()) -> Readings:

@@ -5,7 +5,7 @@ A live run, a recorded run, a file of manual measurements and a simulation all g
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final
 
@@ -284,8 +284,9 @@ def _starts(parts: Sequence[JoinedPart]) -> tuple[list[JoinedPart], list[float],
     """Return the tables in order of time, the times of their first readings, s, and whether these times are
     measured.
     """
-    lasts = {id(part): float(np.max(clock_s) - clock_s[0]) for part, clock_s in _clocks(parts)}
-    known = [p.began_s + _first_s(p.readings) for p in parts if p.began_s is not None]
+    clocks = [(part, _clock_s(part.readings)) for part in parts]
+    lasts = {id(part): float(np.max(clock_s) - clock_s[0]) for part, clock_s in clocks}
+    known = [p.began_s + float(np.nan_to_num(p.readings.time_s[0])) for p in parts if p.began_s is not None]
     if len(known) == len(parts):
         order = np.argsort(known, kind="stable")
         ordered = [parts[i] for i in order]
@@ -297,14 +298,6 @@ def _starts(parts: Sequence[JoinedPart]) -> tuple[list[JoinedPart], list[float],
     for part in parts[:-1]:
         starts.append(starts[-1] + lasts[id(part)] + BETWEEN_S)
     return list(parts), starts, False
-
-
-def _clocks(parts: Sequence[JoinedPart]) -> Iterator[tuple[JoinedPart, Floats]]:
-    return ((part, _clock_s(part.readings)) for part in parts)
-
-
-def _first_s(table: Readings) -> float:
-    return float(table.time_s[0]) if np.isfinite(table.time_s[0]) else 0.0
 
 
 def is_record(table: Readings) -> bool:

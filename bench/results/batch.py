@@ -148,16 +148,14 @@ class BatchResult(ResultModel):
     runs: RunsPart
     verdicts: VerdictsPart
     names: Counted | None = Field(description="changes in the names of effects; only for `diagnose`")
-    fit: Counted | None = Field(
-        description="changes in whether the model fits the readings (p of the lack-of-fit test of 0.01 or "
-        "more)"
-    )
+    fit: Counted | None
+    """changes in whether the model fits the readings (p of the lack-of-fit test of 0.01 or more)"""
     change_in_u: ChangeInU | None
     u_ratio: RatioPart | None = Field(description="new u divided by stored u, over all coefficients and runs")
-    different: list[DifferentVerdict | DifferentNames] = Field(
-        description="the first 1000 runs whose verdict differs (for `diagnose`, whose verdict or names "
-        "differ); verdicts.csv lists all"
-    )
+    different: list[DifferentVerdict | DifferentNames]
+    """the first 1000 runs whose verdict differs (for `diagnose`, whose verdict or names differ); verdicts.csv
+    lists all
+    """
     failed: list[FailedRun] = Field(description="the first 1000 runs without a result; failed.csv lists all")
     measured_with: list[MeasuredWith]
     files: list[str] = Field(description="tables written to the batch's folder")

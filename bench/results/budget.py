@@ -26,7 +26,7 @@ from bench.results import tables
 from bench.results.parts import BenchPart, by_coefficient, by_name
 from bench.results.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, drawn, svg_figure, symbol
 from bench.results.tables import Row, page
-from bench.results.verification import rule_in_words
+from bench.results.verification import RulePart, rule_in_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,10 +74,10 @@ class SourcePart(ResultModel):
     common_to: str = Field(description="the readings that share one value of this error")
     group: str
     dof: Real
-    prior: bool = Field(
-        description="true if the size is a plausible value that the bench file does not state; marked with a "
-        "star in the text"
-    )
+    prior: bool
+    """true if the size is a plausible value that the bench file does not state; marked with a star in the
+    text
+    """
     origin: str = Field(description="where the size comes from")
     contribution_u: Twelve
     covariance: Matrix
@@ -92,19 +92,9 @@ class AccelerationPart(ResultModel):
     magnitudes: list[AtMagnitude]
 
 
-class VerificationPart(ResultModel):
+class VerificationPart(RulePart):
     """The uncertainty of Δg at each verification point, and whether that is small enough for a decision."""
 
-    limit_g: float
-    rule: str
-    guard_band: float = Field(
-        description="guard band of the rule as a multiple of U; if `false_acceptance` is given, the value for "
-        "a normal distribution (`accepted_up_to` is exact)"
-    )
-    false_acceptance: float | None = Field(
-        description="probability of false acceptance that sets the guard band of the default rule; null for "
-        "other rules"
-    )
     capable: bool | None = Field(description="whether the bench can verify every point; null without points")
     points: list[DeltaG]
 
@@ -152,9 +142,8 @@ class BudgetResult(ResultModel):
     estimator: str
     order: Annotated[list[str], Field(min_length=12, max_length=12)]
     probability: float = Field(description="coverage probability of U")
-    coefficients: dict[str, CoefficientPart] = Field(
-        description="the twelve coefficients by name, as in `order`"
-    )
+    coefficients: dict[str, CoefficientPart]
+    """the twelve coefficients by name, as in `order`"""
     covariance: Matrix
     correlation: Matrix
     per_local_g: CovariancePart = Field(description="true if it excludes the uncertainty of local gravity")

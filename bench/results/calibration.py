@@ -16,7 +16,7 @@ from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.estimators import find_estimator
 from bench.calibration.intrinsic import intrinsic_of
-from bench.calibration.result import COVERAGE_FACTOR, Calibration, Triangular
+from bench.calibration.result import COVERAGE_FACTOR, Calibration, Component, Triangular
 from bench.model.geometry import COEFFICIENTS
 from bench.results import parts
 from bench.results.intrinsic import (
@@ -48,24 +48,12 @@ class NoisePriorPart(ResultModel):
 
     reading_v: float = Field(description="stated standard deviation of a reading, unit of the signal")
     setting_arcsec: float
-    dof: float = Field(
-        description="degrees of freedom of the scaled inverse chi-square distribution of each variance"
-    )
+    dof: float
+    """degrees of freedom of the scaled inverse chi-square distribution of each variance"""
     readings_dof: float = Field(description="degrees of freedom of the residuals")
     ratio: Real = Field(description="scatter of the readings divided by the stated noise; null if unknown")
     p: Real = Field(description="two-sided p-value of the ratio if the stated noise is true; null if unknown")
     from_: Literal["bench file", "other runs"] = Field(alias="from")
-
-
-class ComponentPart(ResultModel):
-    """A variance component of an error that several readings share."""
-
-    what: str = Field(description="shared item: setting, angle of a setting, visit, pass or drift")
-    channels: str
-    size: float = Field(description="standard deviation of the component")
-    unit: str
-    dof: float
-    p: float = Field(description="p-value of the component, corrected for the number of kinds tested (Holm)")
 
 
 class DriftPart(ResultModel):
@@ -79,28 +67,25 @@ class DriftPart(ResultModel):
 class NoisePart(parts.ChannelsPart):
     """Standard deviations of noise: of a single reading, by channel, and shared by several readings."""
 
-    reading_v: float = Field(
-        description="standard deviation of a reading, unit of the signal: root mean square of the three "
-        "channels"
-    )
+    reading_v: float
+    """standard deviation of a reading, unit of the signal: root mean square of the three channels"""
     p_equal: Real = Field(description="p-value for equal noise in all channels")
     p_tails: Real = Field(description="p-value for Gaussian noise, by the tails of the residuals")
-    shared: list[ComponentPart]
+    shared: list[Component] = Field(description="variance components of errors that several readings share")
     drift: DriftPart | None
-    wander: parts.ChannelsPart | None = Field(
-        description="rms wander of each bias about its mean during the run, as found or as the readings "
-        "permit; null if it was not estimated"
-    )
+    wander: parts.ChannelsPart | None
+    """rms wander of each bias about its mean during the run, as found or as the readings permit; null if it
+    was not estimated
+    """
     setting_arcsec: float = Field(description="standard deviation of a setting of the head, arcsec")
-    setting_limits_arcsec: list[Real] | None = Field(
-        description="95 % limits of the standard deviation of a setting, arcsec"
-    )
+    setting_limits_arcsec: list[Real] | None
+    """95 % limits of the standard deviation of a setting, arcsec"""
     dof: Real = Field(description="degrees of freedom of the estimate; null if the noise was given")
     source: str = Field(description="where the values come from")
-    prior: NoisePriorPart | None = Field(
-        description="the stated noise that was combined with the scatter of the readings; null if the "
-        "readings alone determine the noise"
-    )
+    prior: NoisePriorPart | None
+    """the stated noise that was combined with the scatter of the readings; null if the readings alone
+    determine the noise
+    """
 
 
 class OutlierPart(ResultModel):
@@ -170,10 +155,8 @@ class PriorPart(ResultModel):
     used: bool = Field(description="false if the prior contradicts the readings and was ignored")
     chi2: float = Field(description="chi-square of the twelve differences between readings and prior")
     p: float = Field(description="p-value of this chi-square")
-    pull: dict[str, float] = Field(
-        description="for each coefficient, value from the readings minus prior, divided by the u of the "
-        "difference"
-    )
+    pull: dict[str, float]
+    """for each coefficient, value from the readings minus prior, divided by the u of the difference"""
     u_without: dict[str, float] = Field(description="for each coefficient, its u without the prior")
 
 
@@ -188,48 +171,34 @@ class CalibrateResult(ResultModel):
     unit: str = Field(description="unit of the signals")
     g_m_s2: float = Field(description="local gravity, m/s²")
     per: str = Field(description="unit of acceleration of the coefficients: local g")
-    coefficients: dict[str, parts.CoefficientPart] = Field(
-        description="the twelve coefficients `Kxx`, `Kxy`, … `Kzz`, `U0x`, `U0y`, `U0z`, in unit/g and unit"
-    )
+    coefficients: dict[str, parts.CoefficientPart]
+    """the twelve coefficients `Kxx`, `Kxy`, … `Kzz`, `U0x`, `U0y`, `U0z`, in unit/g and unit"""
     coefficients_per_ms2: PerMs2Part
-    intrinsic: IntrinsicPart | None = Field(
-        default=None,
-        description="the nine numbers that do not depend on the mounting; null if a channel is dead",
-    )
-    joint: dict[str, JointPart] = Field(
-        default={}, description="coverage factors for all `twelve` and all `nine` numbers jointly"
-    )
+    intrinsic: IntrinsicPart | None = None
+    """the nine numbers that do not depend on the mounting; null if a channel is dead"""
+    joint: dict[str, JointPart] = Field(default={})
+    """coverage factors for all `twelve` and all `nine` numbers jointly"""
     order: list[str] = Field(description="names of the coefficients in the order of `covariance`")
     covariance: Matrix = Field(description="combined covariance of the coefficients, 12 × 12, in `order`")
-    covariance_readings: Matrix = Field(
-        description="covariance from the readings and the stated errors of the stand"
-    )
-    covariance_same_meters: Matrix = Field(
-        description="covariance without the errors that cancel if the same meters read the block later"
-    )
-    block_terms: Matrix = Field(
-        description="change of the coefficients by one standard uncertainty of each of the block's K2 and K3, "
-        "a row for each; the same in every calibration of the block"
-    )
-    gravity_u: float = Field(
-        description="relative standard uncertainty of local gravity; included only in `coefficients_per_ms2`"
-    )
-    sources: list[parts.UncertaintySourcePart] = Field(
-        description="sources of uncertainty that no reading shows"
-    )
-    stand: dict[str, parts.EstimatePart] = Field(
-        description="angles of the stand estimated from the readings, by name and installation"
-    )
-    effects: dict[str, parts.EstimatePart] = Field(
-        description="estimated parameters of the effects of the model file; absent without a model file"
-    )
-    temperature_effects: list[str] = Field(
-        default=[],
-        description="effects of the model that remove the influence of temperature from the coefficients",
-    )
-    not_observable: list[str] = Field(
-        description="assumptions that these readings cannot test, and the error if they are wrong"
-    )
+    covariance_readings: parts.CovarianceOfReadings
+    covariance_same_meters: Matrix
+    """covariance without the errors that cancel if the same meters read the block later"""
+    block_terms: Matrix
+    """change of the coefficients by one standard uncertainty of each of the block's K2 and K3, a row for
+    each; the same in every calibration of the block
+    """
+    gravity_u: float
+    """relative standard uncertainty of local gravity; included only in `coefficients_per_ms2`"""
+    sources: list[parts.UncertaintySourcePart]
+    """sources of uncertainty that no reading shows"""
+    stand: dict[str, parts.EstimatePart]
+    """angles of the stand estimated from the readings, by name and installation"""
+    effects: dict[str, parts.EstimatePart]
+    """estimated parameters of the effects of the model file; absent without a model file"""
+    temperature_effects: list[str] = Field(default=[])
+    """effects of the model that remove the influence of temperature from the coefficients"""
+    not_observable: list[str]
+    """assumptions that these readings cannot test, and the error if they are wrong"""
     residual: WidenedFitPart
     fits: bool = Field(default=True, description="false if the readings contradict the model")
     noise: NoisePart
@@ -240,25 +209,19 @@ class CalibrateResult(ResultModel):
     free_positions: FreePositionsPart | None
     triangular: TriangularPart | None
     source: str = Field(description="run or readings file")
-    bench: parts.BenchPart | None = Field(
-        default=None, description="bench file used; null for a result read from a certificate"
-    )
+    bench: parts.BenchPart | None = None
+    """bench file used; null for a result read from a certificate"""
     made_at: str | None = Field(description="time of the readings (ISO 8601), if known")
-    temperature_c: Real = Field(
-        default=None, description="mean temperature of the block in the fitted readings, °C; null if unknown"
-    )
+    temperature_c: Real = None
+    """mean temperature of the block in the fitted readings, °C; null if unknown"""
     unit_under_test: parts.UnitPart | None
     simulated: bool = Field(description="whether the instruments were simulated")
     meters: list[str] = Field(description="identity and connection of each voltmeter; empty if not recorded")
-    corrections: list[parts.CorrectionPart] = Field(
-        default=[], description="certificates of the instruments; empty if there are none"
-    )
+    corrections: parts.Corrections = Field(default=[])
     record: parts.RecordPart | None = Field(default=None, description="record of the run; absent for a file")
     prior: PriorPart | None = Field(default=None, description="prior from other units; absent if unused")
-    certificate: CertificateReadPart | None = Field(
-        default=None,
-        description="certificate from which the coefficients were read; absent for a calibration",
-    )
+    certificate: CertificateReadPart | None = None
+    """certificate from which the coefficients were read; absent for a calibration"""
     notes: list[str]
     skipped_rows: list[str] = Field(description="invalid rows that were skipped, each with the reason")
 
@@ -443,4 +406,6 @@ def fit_in_a_line(found: Calibration) -> str:
     """Return a line that states whether the model fits the readings, with the numbers of the test."""
     how = "; u is widened for this misfit" if found.shared else ""
     how = f"; u is {found.birge:.2g} times that of the noise" if found.birge > 1 else how
-    return parts.fit_in_words(found.lack_of_fit, f"THE MODEL DOES NOT FIT the readings{how}")
+    accepted = found.lack_of_fit.accepted()
+    said = "shown at 1 %" if accepted else "THE MODEL DOES NOT FIT the readings"
+    return parts.fit_in_words(found.lack_of_fit, f"{said}{how}")

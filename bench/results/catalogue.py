@@ -88,21 +88,17 @@ class DuePart(ResultModel):
     """The date on which a unit is due for calibration, and the reason."""
 
     due: str = Field(description="date on which the next calibration is due")
-    basis: Literal["drift", "interval"] = Field(
-        description="`drift`, or `interval` if the history is too short to determine the drift"
-    )
+    basis: Literal["drift", "interval"]
+    """`drift`, or `interval` if the history is too short to determine the drift"""
     why: str = Field(description="reason for the date, a sentence")
     last: str = Field(description="date of the last calibration")
     calibrations: int = Field(description="number of calibrations from which the date was found")
     limit_g: float = Field(description="permitted error, local g, for 1 g in any direction")
-    error_at_last_g: float | None = Field(
-        description="expected expanded error (k = 2) at the last calibration, g; null if the date follows "
-        "from the interval"
-    )
-    error_when_due_g: float | None = Field(
-        description="expected expanded error (k = 2) on the due date, g; null if the date follows from the "
-        "interval"
-    )
+    error_at_last_g: float | None
+    """expected expanded error (k = 2) at the last calibration, g; null if the date follows from the interval
+    """
+    error_when_due_g: float | None
+    """expected expanded error (k = 2) on the due date, g; null if the date follows from the interval"""
     simulated: bool = Field(description="whether the calibrations are of simulated runs")
 
 
@@ -126,11 +122,8 @@ class DueResult(ResultModel):
     query: list[str] = Field(description="the words of the question")
     units: list[UnitDue]
     not_known: dict[str, str] = Field(description="units without a known due date, with the reason")
-    instruments: list[InstrumentDue] = Field(
-        [],
-        description="instruments whose certificate expired, expires within 30 days, or expires before the "
-        "requested date",
-    )
+    instruments: list[InstrumentDue] = Field([])
+    """instruments whose certificate expired, expires within 30 days, or expires before the requested date"""
 
     def print_on(self, out: Console) -> None:
         """Print the units that are due first, and why other units have no date."""
@@ -175,10 +168,8 @@ class UnitResult(ResultModel):
     """The calibrations, runs and due date of one unit in the catalogue."""
 
     unit: str = Field(description="type and serial number")
-    simulated: bool = Field(
-        description="true if the compared calibrations are of simulated runs, which is so only if the unit "
-        "has no others"
-    )
+    simulated: bool
+    """true if the compared calibrations are of simulated runs, which is so only if the unit has no others"""
     due: DuePart | None = Field(description="when the next calibration is due; null if no date is known")
     why_not_due: str = Field(description="why no date is known; empty if one is known")
     calibrations: list[UnitCalibration] = Field(description="compared calibrations, oldest first")

@@ -55,10 +55,8 @@ class RegisteredCertificate(ResultModel):
     state: State
     by: str = Field(description="number of the replacement, or the reason for revocation")
     files: dict[str, str] = Field(description="SHA-256 of each file, by name")
-    made_again: bool = Field(
-        default=False,
-        description="whether unsigned files, generated again, are identical; with --again",
-    )
+    made_again: bool = False
+    """whether unsigned files, generated again, are identical; with --again"""
 
 
 class RegisterResult(ResultModel):
@@ -153,6 +151,11 @@ class RegisterSays(ResultModel):
         return self.state == "issued"
 
     @property
+    def vouches(self) -> bool:
+        """Whether the register that the user named contains the certificate; anybody can write one beside it."""
+        return self.named and self.known
+
+    @property
     def words(self) -> str:
         """The state in the register, as text that is appended to the verdict; "" for a valid certificate."""
         if self.holds:
@@ -164,30 +167,36 @@ class VerifyResult(ResultModel):
     """The result of verifying a certificate."""
 
     file: str
-    verdict: str = Field(
-        description="verdict in one line, such as `intact, signer unknown` (without a trust file), `not "
-        "signed`, `CHANGED` or `NO CERTIFICATE`, and then what the register states"
-    )
+    verdict: str
+    """verdict in one line, such as `intact, signer unknown` (without a trust file), `not signed`, `CHANGED`
+    or `NO CERTIFICATE`, and then what the register states
+    """
     intact: bool
-    trusted: bool | None = Field(
-        description="whether the trust file contains the signer; null without a trust file"
-    )
+    trusted: bool | None
+    """whether the trust file contains the signer; null without a trust file"""
     why_not_trusted: str | None = Field(description="why the signer is not trusted; empty if trusted")
     wrong: list[str] = Field(description="why the certificate is not intact; empty if it is")
     agreed: list[str] = Field(description="values that were compared and agree")
     signer: SignerPart
-    signed: CertificateSays | None = Field(
-        description="signed content; null if the certificate is not intact or not signed"
-    )
-    unsigned: CertificateSays | None = Field(
-        description="content of an unsigned certificate; null if it is not intact or is signed"
-    )
-    register_: RegisterSays | None = Field(
-        alias="register",
-        description="what the register states about the certificate; null without a register",
-    )
+    signed: CertificateSays | None
+    """signed content; null if the certificate is not intact or not signed"""
+    unsigned: CertificateSays | None
+    """content of an unsigned certificate; null if it is not intact or is signed"""
+    register_: RegisterSays | None = Field(alias="register")
+    """what the register states about the certificate; null without a register"""
     not_signed: list[str]
     not_proved: list[str]
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the certificate is intact, the signer trusted and the number valid, as far as each was checked.
+
+        An unsigned certificate is accepted only if a register that the user named contains it.
+        """
+        standing = self.register_
+        holds = standing is None or standing.holds
+        vouched = self.unsigned is None or (standing is not None and standing.vouches)
+        return self.intact and holds and vouched and not self.why_not_trusted
 
     def print_on(self, out: Console) -> None:
         """Print the verdict; for a certificate that is not intact, only the reasons."""

@@ -86,16 +86,13 @@ class CheckResult(ResultModel):
     operator_actions: int
     expected_s: float = Field(description="expected duration, s")
     expected_by_kind_s: dict[str, float]
-    expected_by_installation_s: dict[str, float] = Field(
-        description="expected duration by installation, s; the empty name stands for the time before the "
-        "first mounting"
-    )
+    expected_by_installation_s: dict[str, float]
+    """expected duration by installation, s; the empty name stands for the time before the first mounting"""
     longest_s: float = Field(description="duration with every repetition that failures permit, s")
     disk: DiskPart
     largest_signal_v: float
-    not_determined: list[OpenCoefficients] = Field(
-        description="for each temperature, the coefficients that the readings do not determine"
-    )
+    not_determined: list[OpenCoefficients]
+    """for each temperature, the coefficients that the readings do not determine"""
     observability: ObservabilityPart | None
     problems: list[str] = Field(description="contradictions between procedure and bench")
     dry_run_refuses: list[str] = Field(description="prompts without a default answer, which stop a dry run")

@@ -60,10 +60,9 @@ class ChangesPart(CalibrationOfBlock):
     """The changes of all coefficients from the first calibration to a later one."""
 
     intrinsic: NineChangesPart
-    coefficients: dict[str, ChangePart] = Field(
-        description="change of each of the twelve, to which a turn of the block contributes; empty for free "
-        "positions alone"
-    )
+    coefficients: dict[str, ChangePart]
+    """change of each of the twelve, to which a turn of the block contributes; empty for free positions alone
+    """
     chi2: Real
     dof: int
     p: Real = Field(description="p-value of all twelve changes together")

@@ -62,9 +62,8 @@ class PlateauPart(ResultModel):
     temperature_c: float
     branch: Literal[-1, 0, 1] = Field(description="1 if the temperature rose, -1 if it fell, 0 if neither")
     readings: int
-    coefficients: dict[str, parts.ValuePart] | None = Field(
-        description="coefficients at this temperature; null if its readings alone do not determine them"
-    )
+    coefficients: dict[str, parts.ValuePart] | None
+    """coefficients at this temperature; null if its readings alone do not determine them"""
 
 
 class ThermalNoisePart(ResultModel):
@@ -110,32 +109,25 @@ class CompensateResult(ResultModel):
     coefficients: dict[str, PolynomialPart]
     order: list[tuple[str, int]] = Field(description="coefficient and power, in the order of `covariance`")
     covariance: Matrix
-    covariance_readings: Matrix = Field(
-        description="covariance from the readings and the stated errors of the stand"
-    )
-    uncertainty_sources: list[parts.UncertaintySourcePart] = Field(
-        description="sources of uncertainty that the readings do not show, for the terms at the reference "
-        "temperature"
-    )
+    covariance_readings: parts.CovarianceOfReadings
+    uncertainty_sources: list[parts.UncertaintySourcePart]
+    """sources of uncertainty that the readings do not show, for the terms at the reference temperature"""
     hysteresis: HysteresisPart | None
     plateaus: list[PlateauPart]
     noise: ThermalNoisePart
     lack_of_fit: parts.FitPart
-    curve: parts.FitPart | None = Field(
-        description="test of the polynomials against separate fits by temperature"
-    )
+    curve: parts.FitPart | None
+    """test of the polynomials against separate fits by temperature"""
     readings: parts.ReadingsPart
     notes: list[str]
     table: TablePart
-    check: Matrix = Field(
-        description="check vectors: temperature, °C, three signals, and the three accelerations that the "
-        "table gives, g"
-    )
+    check: Matrix
+    """check vectors: temperature, °C, three signals, and the three accelerations that the table gives, g"""
     python: list[str] = Field(description="three lines of Python that test the file named as their argument")
     verification: list[VerdictAtPart]
     sources: list[str]
     bench: parts.BenchPart
-    corrections: list[parts.CorrectionPart]
+    corrections: parts.Corrections
     simulated: bool
 
 

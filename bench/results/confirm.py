@@ -16,7 +16,7 @@ from bench.diagnosis.gap import FLOOR
 from bench.diagnosis.result import Verdict
 from bench.diagnosis.show import label
 from bench.results import diagnosis_words as words
-from bench.results.parts import BenchPart, CorrectionPart
+from bench.results.parts import BenchPart, Corrections
 
 
 class ParameterNow(ResultModel):
@@ -35,9 +35,8 @@ class EffectPart(ResultModel):
     """An effect of the model, tested on the new readings."""
 
     name: str
-    either_of: list[str] = Field(
-        description="names between which the diagnosis did not decide; the model has the first"
-    )
+    either_of: list[str]
+    """names between which the diagnosis did not decide; the model has the first"""
     channels: list[str]
     installations: list[str]
     verdict: Word | None = Field(description="verdict on it; null if the new readings cannot show it")
@@ -49,10 +48,10 @@ class EffectPart(ResultModel):
 class ConfirmResult(ResultModel):
     """A model tested on new readings: the gap with and without the model, and the verdict on each effect."""
 
-    closed: Real = Field(
-        description="part of the gap that the model closes: (before - after)/(before - floor); null if "
-        "`before` is not above the floor"
-    )
+    closed: Real
+    """part of the gap that the model closes: (before - after)/(before - floor); null if `before` is not above
+    the floor
+    """
     before: Real = Field(description="reduced chi-square of the new readings without the model's effects")
     after: Real = Field(description="reduced chi-square with the model's effects as they are")
     floor: float = Field(description="expected reduced chi-square if no effect is missing")
@@ -60,22 +59,19 @@ class ConfirmResult(ResultModel):
     before_rms_ug: Real = Field(description="rms of measured minus predicted without the model's effects, µg")
     after_rms_ug: Real = Field(description="rms of measured minus predicted with the model's effects, µg")
     expected_rms_ug: Real = Field(description="root mean square expected from noise alone, µg")
-    before_rms_v: Real = Field(
-        default=None,
-        description="root mean square without the model's effects, V; for a record at a known input",
-    )
+    before_rms_v: Real = None
+    """root mean square without the model's effects, V; for a record at a known input"""
     after_rms_v: Real = None
-    verdict: Word = Field(
-        description="`confirmed` if every effect that the readings can show is unchanged (p_same of 0.01 or "
-        "more) and half of the gap closes; `gone` if no effect is present (p_none of 0.01 or "
-        "more)"
-    )
+    verdict: Word
+    """`confirmed` if every effect that the readings can show is unchanged (p_same of 0.01 or more) and half
+    of the gap closes; `gone` if no effect is present (p_none of 0.01 or more)
+    """
     effects: list[EffectPart]
     left: Verdict = Field(description="verdict of a diagnosis of the new readings with the model")
     model: str = Field(description="path of the model file")
     source: str
     bench: BenchPart
-    corrections: list[CorrectionPart]
+    corrections: Corrections
     simulated: bool
     notes: list[str]
 
@@ -84,10 +80,8 @@ def _effect_part(now: EffectNow) -> EffectPart:
     applied = now.applied
     return EffectPart.from_object(
         now,
+        applied,
         name=applied.effect.name,
-        either_of=list(applied.either_of),
-        channels=list(applied.channels),
-        installations=list(applied.installations),
         parameters=[
             ParameterNow.from_object(was, channel=was.channel or None, now=here.value, u_now=here.u)
             for was, here in zip(now.found, now.now, strict=True)

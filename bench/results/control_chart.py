@@ -165,13 +165,10 @@ class ChartResult(ResultModel):
     limits: LimitsPart
     runs: list[ChartedRun] = Field(description="runs after the baseline, oldest first")
     components: ComponentsPart | None
-    drift: dict[str, DriftPart] | None = Field(
-        description="drift per year of the accepted runs beyond the known drift"
-    )
-    baseline_alone_p: list[float] | None = Field(
-        description="for each baseline run, p-value of the hypothesis that it agrees with the other baseline "
-        "runs"
-    )
+    drift: dict[str, DriftPart] | None
+    """drift per year of the accepted runs beyond the known drift"""
+    baseline_alone_p: list[float] | None
+    """for each baseline run, p-value of the hypothesis that it agrees with the other baseline runs"""
     in_control: bool
     last: str | None = Field(description="the run that is judged last")
     notes: list[str]
@@ -425,19 +422,12 @@ def render_chart(found: CheckBlockChart) -> str:
         word=word,
         last=last,
         basis=BASIS_IN_WORDS[chart.design.basis],
-        factor=f"{float(np.sqrt(chart.centre.scale)):.2f}",
         figures=figures,
+        result=result,
         runs=_runs(result),
-        coefficients=_coefficients(
-            result.intrinsic.runs[last.run].values, result.intrinsic.limits, found.unit
-        )
-        if last
-        else [],
-        twelve=_coefficients(result.runs[-1].coefficients, result.limits, found.unit) if last else [],
+        numbers=partial(_coefficients, signal=found.unit),
         components=_plotted_components(found),
         drift=_drift(result),
-        singles=(f"{chart.limit_single:.2f}", f"{chart.limit_single_ewma:.2f}"),
-        limits=(f"{chart.limit_t2:.1f}", f"{chart.limit_ewma:.1f}"),
     )
 
 

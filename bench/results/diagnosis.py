@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from pydantic import Field
@@ -20,7 +20,7 @@ from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.next_measurement import Chance, Separation
 from bench.diagnosis.pipeline import FullDiagnosis, MistakesAlone, Rival
 from bench.diagnosis.residual_model import UNNAMED_FORM
-from bench.diagnosis.result import Registration, Verdict
+from bench.diagnosis.result import Findings, Registration, Verdict
 from bench.diagnosis.show import SEED, CoefficientChange, ModelComparison, Simulation
 from bench.diagnosis.where import FarReading, ResidualPattern
 from bench.model import CATALOGUE
@@ -36,11 +36,8 @@ from bench.results.diagnosis_parts import (
     mistake_part,
 )
 from bench.results.diagnosis_words import Files
-from bench.results.parts import BenchPart, CorrectionPart, by_channel
+from bench.results.parts import BenchPart, CorrectionPart, Corrections, by_channel
 from bench.results.residuals import ResidualsPart, compared_residuals
-
-if TYPE_CHECKING:
-    from bench.results.diagnosis_words import AnyDiagnosis
 
 
 class OrientationPart(ResultModel):
@@ -60,11 +57,10 @@ class ProposalPart(ResultModel):
     settles: list[Separation] = Field(description="ties of names that it would resolve")
     shows: list[str] = Field(description="hidden effects that it would show")
     left_out: dict[str, str] = Field(description="procedures that this bench cannot carry out, and why")
-    chances: list[Chance] = Field(
-        default=[],
-        description="for each procedure considered, its duration in hours, and the probability that one name "
-        "of each tie then has a posterior of 0.95",
-    )
+    chances: list[Chance] = Field(default=[])
+    """for each procedure considered, its duration in hours, and the probability that one name of each tie
+    then has a posterior of 0.95
+    """
 
 
 class ModulusPart(ResultModel):
@@ -139,38 +135,34 @@ class FoundResult(ResultModel):
     effects: list[EffectPart] = Field(description="effects found, in the order of their addition")
     hidden: list[str] = Field(description="effects that these readings cannot show at any size")
     hidden_parts: dict[str, list[str]] = Field(description="parameters that these readings cannot show")
-    absent: dict[str, str] = Field(
-        description="effects that were excluded because this bench cannot have them, and why"
-    )
-    far: list[FarReading] = Field(
-        description="readings 6 u or more from the prediction by the others in the final model, farthest "
-        "first; `p` is the probability that noise alone gives as much in any reading"
-    )
-    unseen_per_turn: list[int] = Field(
-        description="numbers of periods per turn at which an error of the head's angle is the same at all "
-        "angles measured"
-    )
-    verification_orientation: OrientationPart | None = Field(
-        description="orientation of the block at the verification points; null if unknown"
-    )
-    gap: GapPart | None = Field(
-        description="reduced chi-square of readings that were held out of the fit; null if none were held "
-        "out, or if mistakes leave too few readings to fit"
-    )
+    absent: dict[str, str]
+    """effects that were excluded because this bench cannot have them, and why"""
+    far: list[FarReading]
+    """readings 6 u or more from the prediction by the others in the final model, farthest first; `p` is the
+    probability that noise alone gives as much in any reading
+    """
+    unseen_per_turn: list[int]
+    """numbers of periods per turn at which an error of the head's angle is the same at all angles measured"""
+    verification_orientation: OrientationPart | None
+    """orientation of the block at the verification points; null if unknown"""
+    gap: GapPart | None
+    """reduced chi-square of readings that were held out of the fit; null if none were held out, or if
+    mistakes leave too few readings to fit
+    """
     noise: NoisePart | None = Field(description="noise of the readings; null if mistakes leave too few")
     p_left: Real = Field(description="p-value of the final residuals, compared with the scatter of repeats")
-    form: FormPart | None = Field(
-        description="terms that describe the effects without a name, their predictions of held-out readings, "
-        "and the unexplained scatter; null if every effect has a name"
-    )
-    detectable: dict[str, Real] = Field(
-        description="size of each effect that half of all runs would show, in units of its plausible size; "
-        "null if no run shows it"
-    )
-    registered: Registration | None = Field(
-        description="settings fixed before the readings were examined (threshold, grids, levels) and their "
-        "hash; null if mistakes leave too few readings to fit"
-    )
+    form: FormPart | None
+    """terms that describe the effects without a name, their predictions of held-out readings, and the
+    unexplained scatter; null if every effect has a name
+    """
+    detectable: dict[str, Real]
+    """size of each effect that half of all runs would show, in units of its plausible size; null if no run
+    shows it
+    """
+    registered: Registration | None
+    """settings fixed before the readings were examined (threshold, grids, levels) and their hash; null if
+    mistakes leave too few readings to fit
+    """
     notes: list[str]
 
 
@@ -181,37 +173,28 @@ class DiagnoseResult(FoundResult):
     evaluated has a `source-failed` object in its place.
     """
 
-    next_measurement: ProposalPart | None = Field(
-        description="measurement that would break a tie or show a hidden effect; null if none is proposed"
-    )
+    next_measurement: ProposalPart | None
+    """measurement that would break a tie or show a hidden effect; null if none is proposed"""
     model: Path | None = Field(description="path of the model file; null if none was written")
-    simulation: SimulationsPart | None = Field(
-        description="comparison with simulated readings; null if mistakes leave too few readings to fit"
-    )
+    simulation: SimulationsPart | None
+    """comparison with simulated readings; null if mistakes leave too few readings to fit"""
     coefficients: Coefficients
-    ranking: list[list[RivalPart]] = Field(
-        description="for each effect found, the families that may be present instead, most plausible first"
-    )
+    ranking: list[list[RivalPart]]
+    """for each effect found, the families that may be present instead, most plausible first"""
     source: str
     simulated: bool
     skipped_rows: list[str]
     report: Path | None = Field(description="path of the page; null if none was written")
     bench: BenchPart | None
-    corrections: list[CorrectionPart] = Field(
-        description="certificates of the instruments and their corrections; may be empty"
-    )
-    corrected: CopyPart | None = Field(
-        description="copy of the readings with the mistakes corrected, from which all members except the "
-        "mistakes follow; null if there is none"
-    )
-    residuals: ResidualsPart | None = Field(
-        default=None, description="residuals of each fitted reading; of the first block if there are several"
-    )
-    blocks: list[BlockPart] = Field(
-        default=[],
-        description="each block of readings of several blocks; `coefficients` and `simulation` are those of "
-        "the first",
-    )
+    corrections: Corrections
+    corrected: CopyPart | None
+    """copy of the readings with the mistakes corrected, from which all members except the mistakes follow;
+    null if there is none
+    """
+    residuals: ResidualsPart | None = None
+    """residuals of each fitted reading; of the first block if there are several"""
+    blocks: list[BlockPart] = Field(default=[])
+    """each block of readings of several blocks; `coefficients` and `simulation` are those of the first"""
 
 
 def found_result(found: Diagnosis) -> FoundResult:
@@ -222,9 +205,8 @@ def found_result(found: Diagnosis) -> FoundResult:
         effects=[*map(mistake_part, found.mistakes.mistakes), *found.effects],
         hidden=list(found.hidden),
         hidden_parts={name: list(parts) for name, parts in found.hidden.items() if parts},
-        verification_orientation=None
-        if turned is None
-        else OrientationPart(
+        verification_orientation=turned
+        and OrientationPart(
             off_deg=float(np.degrees(turned.off_rad)),
             axis=turned.axis,
             contradicts_bench_file=turned.contradicts,
@@ -237,7 +219,7 @@ def found_result(found: Diagnosis) -> FoundResult:
             kinds=found.noise_kinds,
             findings=found.findings,
         ),
-        form=None if found.form is None else form_part(found.form),
+        form=found.form and form_part(found.form),
     )
 
 
@@ -248,15 +230,14 @@ def diagnose_result(
     corrections: Sequence[CorrectionPart],
 ) -> DiagnoseResult:
     """Return the result of a diagnosis; `files` are the files that were written."""
-    diagnosis, shown = full.diagnosis, full.shown
-    mistakes, proposal = diagnosis.mistakes, full.next_measurement
+    diagnosis, shown, mistakes = full.diagnosis, full.shown, full.diagnosis.mistakes
     blocks = [_block_part(one) for one in full.blocks]
     return DiagnoseResult(
         **dict(found_result(diagnosis)),
         source=full.source,
         simulated=full.simulated,
         skipped_rows=list(full.skipped_rows),
-        next_measurement=proposal,
+        next_measurement=full.next_measurement,
         model=files.model,
         simulation=SimulationsPart(
             before=_simulation_part(shown.before),
@@ -558,7 +539,7 @@ def _limits_of_sight(full: FullDiagnosis, out: Console) -> None:
         out.print(listed)
 
 
-def print_files(diagnosis: AnyDiagnosis, files: Files, out: Console) -> None:
+def print_files(diagnosis: Findings, files: Files, out: Console) -> None:
     """Print the files that were written and, if there is no model file, the reason."""
     report = () if files.report is None else (files.report,)
     told = {"corrected copy of the readings": files.copies, "model": files.models, "report": report}

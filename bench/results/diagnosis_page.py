@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -22,7 +23,7 @@ from bench.base.numbers import (
     typeset,
 )
 from bench.calibration.result import Calibration
-from bench.diagnosis import Diagnosis, NamedEffect
+from bench.diagnosis import Diagnosis
 from bench.diagnosis.gap import UNDETERMINED, Gap
 from bench.diagnosis.pipeline import FullDiagnosis, Rival
 from bench.diagnosis.show import SEED, CoefficientChange, ModelComparison, ModulusPoint
@@ -56,7 +57,6 @@ def render_diagnosis(
 ) -> str:
     """Return the HTML page, always the same for the same content; `limit_g` is the limit of |Δg|."""
     diagnosis, shown = full.diagnosis, full.shown
-    unit = shown.before.calibration.unit
     return page(
         "diagnosis.html.j2",
         title=title,
@@ -69,33 +69,18 @@ def render_diagnosis(
         state=STATES.get(diagnosis.verdict, "failed"),
         words=words,
         quantity=quantity,
-        verdict=words.what_in_words(diagnosis),
-        gap=words.gap_of_verdict(diagnosis),
-        to_do=list(words.what_to_do(full, files)),
         overlays=_overlays(shown),
         places=[_place(place) for place in diagnosis.where],
-        effects=[(e, full.rivals_of(i), _ranking(full, i, e)) for i, e in enumerate(diagnosis.effects)],
-        form=list(words.form_in_words(diagnosis)),
+        ranking_bars=ranking_bars,
         held_out=held_out_rows(diagnosis.gap),
         gap_bars=gap_bars(diagnosis.gap) if diagnosis.effects and diagnosis.gap.folds else None,
-        coefficients=coefficient_rows(shown.coefficients, unit),
-        blocks=[
-            (
-                number,
-                words.mountings_of(one),
-                words.p_in_column(one.last.test.p, 2),
-                coefficient_rows(one.coefficients, unit),
-            )
-            for number, one in enumerate(full.blocks, start=1)
-        ],
+        coefficient_rows=partial(coefficient_rows, unit=shown.before.calibration.unit),
         tests=_tests(shown),
-        joined=list(words.joined_in_words(shown)),
-        less_certain=words.less_certain(shown.coefficients) if shown.after else [],
         residuals=_residuals(shown),
         in_time=in_time(shown),
         modulus=modulus_at_points(shown, limit_g) if shown.before.points else None,
         apart=_apart(diagnosis),
-        hidden=[CATALOGUE[name] for name in diagnosis.hidden],
+        catalogue=CATALOGUE,
         smallest=[
             Row(name, size.replace(" ", "\N{NO-BREAK SPACE}"), CATALOGUE[name].sentence)
             for name, size in words.smallest_found(diagnosis)
@@ -134,11 +119,6 @@ def _place(place: ResidualPattern) -> Row:
     installation = message("whole run") if place.installation == "all" else place.installation
     size = quantity(place.size, place.unit)
     return Row(where, installation, place.pattern, size, typeset(words.p_in_column(place.p)))
-
-
-def _ranking(full: FullDiagnosis, number: int, effect: NamedEffect) -> str | None:
-    rivals = full.rivals_of(number)
-    return ranking_bars(rivals, effect.name, number) if rivals else None
 
 
 def held_out_rows(gap: Gap) -> list[Row]:
@@ -352,14 +332,7 @@ def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
                 [p.delta_g / scale.size for p in points], [2.0 * p.u / scale.size for p in points],
                 fmt=marker, color=colour, markersize=5, capsize=3, linewidth=1.1, label=name,
             )  # fmt: skip
-        several = len({p.pass_number for p in shown.before.points}) > 1
-        axes.set_xticks(
-            range(count),
-            [
-                f"{p.angle_deg:.0f}°" + (f"\npass {p.pass_number}" if several else "")
-                for p in shown.before.points
-            ],
-        )
+        axes.set_xticks(range(count), plots.point_labels(shown.before.points))
         axes.set_xlim(-0.6, count - 0.4)
         axes.margins(y=0.15)
         figure.legend(loc="outside upper center", ncols=2)

@@ -19,7 +19,7 @@ from bench.diagnosis.posterior import KnownTogether
 from bench.diagnosis.residual_model import FormTerm, FreeForm
 from bench.diagnosis.result import Verdict
 from bench.results.diagnosis_words import Files
-from bench.results.parts import BenchPart, ChannelsPart, CorrectionPart
+from bench.results.parts import BenchPart, ChannelsPart, Corrections
 
 VerdictOfCopy = Literal["agrees", "named", "confounded", "unknown"]
 
@@ -67,49 +67,34 @@ class FoundPart(ResultModel):
     name: str = Field(description="name in the catalogue, or the kind of mistake or unnamed pattern")
     channels: list[str]
     cannot_tell_from: list[str] = Field(description="other effects that explain the readings equally well")
-    parameters: MistakePlace | Parameters = Field(
-        description="values with `u` and `unit` by parameter and channel; for a mistake, its place and the "
-        "misfit with and without it"
-    )
+    parameters: MistakePlace | Parameters
+    """values with `u` and `unit` by parameter and channel; for a mistake, its place and the misfit with and
+    without it
+    """
     p: Real = Field(description="p-value of this effect alone")
-    p_all_looks: Real = Field(
-        description="p-value corrected for everything that was examined; 2.2e-308 stands for smaller values "
-        "of a mistake"
-    )
-    rho: Real = Field(
-        default=None,
-        description="size divided by its u; for several parameters, root of their chi-square",
-    )
-    probability: Real = Field(
-        default=None, description="posterior probability of the name; null for a mistake"
-    )
+    p_all_looks: Real
+    """p-value corrected for everything that was examined; 2.2e-308 stands for smaller values of a mistake"""
+    rho: Real = None
+    """size divided by its u; for several parameters, root of their chi-square"""
+    probability: Real = None
+    """posterior probability of the name; null for a mistake"""
     words: str = Field(description="the finding as a sentence")
-    odds: list[FamilyOdds] = Field(
-        default=[],
-        description="possible names of the effect, most probable first; `unnamed_form` is any pattern without "
-        "a name",
-    )
+    odds: list[FamilyOdds] = Field(default=[])
+    """possible names of the effect, most probable first; `unnamed_form` is any pattern without a name"""
 
 
 class EffectPart(FoundPart):
     """An effect or a mistake that was found."""
 
     installations: list[str] = Field(description="installations that show the effect; empty if all do")
-    plainer_than: list[str] = Field(
-        default=[], description="more general families of the same subsystem that contain this one"
-    )
-    together: list[KnownTogether] = Field(
-        default=[],
-        description="sums or differences of parameters that are better known than the values",
-    )
-    shape_held: bool = Field(
-        default=False,
-        description="whether each u of the parameters applies to the shape of the effect as found",
-    )
-    aliases: list[int] = Field(
-        default=[],
-        description="other numbers of periods per turn that give the same errors at the angles measured",
-    )
+    plainer_than: list[str] = Field(default=[])
+    """more general families of the same subsystem that contain this one"""
+    together: list[KnownTogether] = Field(default=[])
+    """sums or differences of parameters that are better known than the values"""
+    shape_held: bool = False
+    """whether each u of the parameters applies to the shape of the effect as found"""
+    aliases: list[int] = Field(default=[])
+    """other numbers of periods per turn that give the same errors at the angles measured"""
 
 
 class FormFoldPart(ResultModel):
@@ -134,15 +119,14 @@ class FoldPart(FormFoldPart):
 class FormGapPart(ResultModel):
     """The reduced chi-square of readings that were held out of both search and fit."""
 
-    before: Real = Field(
-        description="reduced chi-square with the given model; null if nothing was held out (see `reason`)"
-    )
+    before: Real
+    """reduced chi-square with the given model; null if nothing was held out (see `reason`)"""
     after: Real = Field(description="reduced chi-square with the effects found")
     floor: float = Field(description="expected reduced chi-square if no effect is missing")
-    closed: Real = Field(
-        description="part of the gap that is closed: (before - after)/(before - floor); null if `before` is "
-        "not above the floor"
-    )
+    closed: Real
+    """part of the gap that is closed: (before - after)/(before - floor); null if `before` is not above the
+    floor
+    """
     before_rms: Real = Field(description="rms of measured minus predicted with the given model, in `unit`")
     after_rms: Real
     unit: str
@@ -152,20 +136,17 @@ class FormGapPart(ResultModel):
 class GapPart(FormGapPart):
     """The reduced chi-square of readings held out of the fit; do these readings confirm the effects found?"""
 
-    shrinks: bool | None = Field(
-        description="whether the gap shrinks by the rule in `registered`, which a name requires; null if "
-        "nothing was found or nothing was held out"
-    )
+    shrinks: bool | None
+    """whether the gap shrinks by the rule in `registered`, which a name requires; null if nothing was found
+    or nothing was held out
+    """
     reason: str | None = Field(description="why held-out readings do not confirm effects; null if they do")
     p_after: Real = Field(description="p-value of `after`")
-    before_rms_ug: Real = Field(
-        description="rms of measured minus predicted with the given model, µg by the scale factors"
-    )
+    before_rms_ug: Real
+    """rms of measured minus predicted with the given model, µg by the scale factors"""
     after_rms_ug: Real
-    expected_rms_ug: Real = Field(
-        description="expected `after_rms_ug` if no effect is missing, from noise and the uncertainty of the "
-        "prediction"
-    )
+    expected_rms_ug: Real
+    """expected `after_rms_ug` if no effect is missing, from noise and the uncertainty of the prediction"""
     noise_rms: float = Field(description="standard deviation of a reading, in `unit`")
     held_out: list[FoldPart]
 
@@ -175,9 +156,8 @@ class CopyPart(ResultModel):
 
     readings: Path | None = Field(description="readings file of the copy; null if it was not written")
     used: int = Field(description="number of readings in the copy")
-    verdict: VerdictOfCopy | None = Field(
-        description="verdict of the search on the copy; null if it has too few readings to fit"
-    )
+    verdict: VerdictOfCopy | None
+    """verdict of the search on the copy; null if it has too few readings to fit"""
     rests_on: list[str] = Field(description="mistakes that are corrected in the copy")
 
 
@@ -196,27 +176,22 @@ class AloneResult(ResultModel):
     """The members of a diagnosis of readings that are all free positions, or a record at a known input."""
 
     verdict: Verdict
-    where: list[PlacePart] = Field(
-        description="places where readings and model differ; for free positions, largest first"
-    )
+    where: list[PlacePart]
+    """places where readings and model differ; for free positions, largest first"""
     next_measurement: None
     hidden: list[str] = Field(description="effects that these readings cannot show at any size")
-    gap: GapPart = Field(
-        description="reduced chi-square of readings held out in turn: every fifth position (rms in g), or the "
-        "excursions of a record (rms in V)"
-    )
-    model: Path | None = Field(
-        description="path of the model file, the first if several sensors have one each; null if none was "
-        "written"
-    )
+    gap: GapPart
+    """reduced chi-square of readings held out in turn: every fifth position (rms in g), or the excursions of
+    a record (rms in V)
+    """
+    model: Path | None
+    """path of the model file, the first if several sensors have one each; null if none was written"""
     threshold: float = Field(description="ln of the odds above which an effect counts as found")
     notes: list[str]
     source: str
     report: Path | None = Field(description="path of the page; null if none was written")
     bench: BenchPart | None
-    corrections: list[CorrectionPart] = Field(
-        description="certificates of the instruments and their corrections; may be empty"
-    )
+    corrections: Corrections
     simulated: bool
     skipped_rows: list[str]
 
@@ -238,9 +213,8 @@ class FindingPart(ResultModel):
     factor: float = Field(description="`found` divided by `stated`, above 2")
     p: float
     source: str = Field(description="what states the noise: the scatter of the readings or the bench file")
-    series: list[int] = Field(
-        default=[], description="runs (by series number) with this noise, if runs have noise of their own"
-    )
+    series: list[int] = Field(default=[])
+    """runs (by series number) with this noise, if runs have noise of their own"""
     words: str
 
 
@@ -250,15 +224,12 @@ class NoisePart(ResultModel):
     reading: float = Field(description="standard deviation of a reading, unit of the signal")
     setting_arcsec: float
     dof: int
-    channels: ChannelsPart = Field(
-        description="standard deviation of a reading of each channel; `reading` is their root mean square"
-    )
-    kinds: list[NoiseKind] = Field(
-        description="deviations from normal noise of equal size in all channels; the search allows for them"
-    )
-    findings: list[FindingPart] = Field(
-        description="noise larger than stated; if there is any, the verdict is unknown"
-    )
+    channels: ChannelsPart
+    """standard deviation of a reading of each channel; `reading` is their root mean square"""
+    kinds: list[NoiseKind]
+    """deviations from normal noise of equal size in all channels; the search allows for them"""
+    findings: list[FindingPart]
+    """noise larger than stated; if there is any, the verdict is unknown"""
 
 
 class SizePart(ResultModel):
@@ -315,12 +286,7 @@ def mistake_part(mistake: Mistake) -> EffectPart:
     """Return the part of the result on a mistake."""
     return EffectPart.from_object(
         mistake,
-        parameters=MistakePlace(
-            pass_number=mistake.pass_number,
-            point=mistake.point,
-            misfit_before=mistake.evidence.before,
-            misfit_after=mistake.evidence.after,
-        ),
+        parameters=MistakePlace.from_object(mistake),
         p_all_looks=mistake.p,
     )
 
@@ -395,10 +361,9 @@ def _term_part(term: FormTerm) -> TermPart:
     effect = term.effect
     return TermPart.from_object(
         term,
-        name=effect.name,
+        effect,
         stage=effect.stage.value,
         adds_to=effect.adds_to or None,
-        expression=effect.expression,
         constants={
             p.name: ValuePart(value=p.default / p.si_per_unit, unit=p.unit)
             for p in effect.parameters

@@ -18,7 +18,7 @@ from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.next_measurement import Proposal
 from bench.diagnosis.pipeline import FullDiagnosis, Rival, values_of
 from bench.diagnosis.residual_model import FormTerm, FreeForm, UnexplainedScatter
-from bench.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, NamedEffect
+from bench.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, Findings, NamedEffect
 from bench.diagnosis.show import CoefficientChange, ModelComparison, label
 from bench.diagnosis.where import ResidualPattern
 from bench.model.effects import CATALOGUE
@@ -26,8 +26,6 @@ from bench.model.effects import CATALOGUE
 if TYPE_CHECKING:
     from bench.diagnosis.free_records import FreeDiagnosis
     from bench.diagnosis.record_diagnosis import RecordDiagnosis
-
-    AnyDiagnosis = Diagnosis | FreeDiagnosis | RecordDiagnosis
 
 
 @dataclass(frozen=True)
@@ -209,10 +207,10 @@ def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     return sizes
 
 
-def orders_in_words(orders: Sequence[int], listed: int = 4) -> str:
-    """Return orders of harmonics per turn, of which at most `listed` are shown: "6, 10, 14, 18, …"."""
-    shown = ", ".join(str(order) for order in orders[:listed])
-    return f"{shown}, …" if len(orders) > listed else shown
+def orders_in_words(orders: Sequence[int]) -> str:
+    """Return the first orders of harmonics per turn: "6, 10, 14, 18, …"."""
+    shown = ", ".join(str(order) for order in orders[:LISTED_IN_SENTENCE])
+    return f"{shown}, …" if len(orders) > LISTED_IN_SENTENCE else shown
 
 
 UNCONFIRMED: Final = message("Found, but not confirmed")
@@ -228,7 +226,7 @@ LEAD: Final[Mapping[str, str]] = {
 """The words for each verdict."""
 
 
-def lead(diagnosis: AnyDiagnosis) -> str:
+def lead(diagnosis: Findings) -> str:
     """Return the verdict in a few words."""
     tied = any(effect.cannot_tell_from for effect in diagnosis.effects)
     return LEAD[diagnosis.verdict] if diagnosis.verdict != "confounded" or tied else UNCONFIRMED
@@ -317,7 +315,7 @@ def _percent(probability: float) -> str:
     return "> 99 %" if probability > 0.995 else f"{100 * probability:.0f} %"
 
 
-def gap_of_verdict(diagnosis: AnyDiagnosis) -> str:
+def gap_of_verdict(diagnosis: Findings) -> str:
     """Return how far the gap closes, or why held-out readings do not confirm the findings; may be ""."""
     gap = diagnosis.gap
     return gap.reason if diagnosis.of_copy == "confounded" and gap.reason else gap_in_words(gap)
@@ -387,7 +385,7 @@ def named_in_words(effect: NamedEffect) -> str:
     return f"{effect_title(effect)} ({odds})" if odds else effect_title(effect)
 
 
-def found_in_words(diagnosis: AnyDiagnosis, nothing: str) -> str:
+def found_in_words(diagnosis: Findings, nothing: str) -> str:
     """Return the findings in free positions or in a record as a sentence; `nothing` if there are none."""
     effects = diagnosis.effects
     return "; ".join(named_in_words(e) if e.in_catalogue else e.words for e in effects) or nothing
@@ -424,7 +422,7 @@ def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
     return ""
 
 
-def why_no_model(diagnosis: AnyDiagnosis) -> str:
+def why_no_model(diagnosis: Findings) -> str:
     """Return the reason to state after "no model file is written"."""
     if diagnosis.gap.shrinks is False:
         return message("because the gap on held-out readings does not shrink: the model would be no better")

@@ -63,10 +63,8 @@ class SizePart(LimitedPart):
     """A standard deviation between blocks, benches or calibrations, in the unit of the coefficient."""
 
     u: Real = Field(description="standard uncertainty of the value; null if the value is zero")
-    p_all_looks: Real = Field(
-        default=None,
-        description="p-value corrected for the number of coefficients; absent for units",
-    )
+    p_all_looks: Real = None
+    """p-value corrected for the number of coefficients; absent for units"""
     shown: bool = Field(default=False, description="whether `p_all_looks` is below 5 %; absent for units")
 
 
@@ -76,10 +74,8 @@ class AllotmentPart(ResultModel):
     chi2: float
     dof: int
     p: float
-    by_chance: bool = Field(
-        description="whether the units were assigned to benches at random; if not, benches are compared only "
-        "within units"
-    )
+    by_chance: bool
+    """whether the units were assigned to benches at random; if not, benches are compared only within units"""
 
 
 class RepeatsPart(ResultModel):
@@ -94,17 +90,13 @@ class SizesPart(ResultModel):
 
     unit: SizePart = Field(description="standard deviation between units of a type")
     bench: SizePart = Field(description="standard deviation between benches")
-    excess: SizePart = Field(
-        description="scatter of the calibrations beyond their stated u, including the drift of units"
-    )
+    excess: SizePart
+    """scatter of the calibrations beyond their stated u, including the drift of units"""
     stated_u_rms: float = Field(description="rms of stated u without errors that repeat with the same meters")
-    stated_of_meters_rms: float = Field(
-        description="rms of the stated u of the meters, which is part of the difference between benches"
-    )
-    shares_of_variance: dict[str, float] = Field(
-        description="parts of the variance of one calibration about the mean of its type: unit, bench, "
-        "excess, stated"
-    )
+    stated_of_meters_rms: float
+    """rms of the stated u of the meters, which is part of the difference between benches"""
+    shares_of_variance: dict[str, float]
+    """parts of the variance of one calibration about the mean of its type: unit, bench, excess, stated"""
     allotment: AllotmentPart
     scatter_of_repeats: RepeatsPart
 
@@ -125,14 +117,11 @@ class EffectsResult(FleetResult):
     benches: int
     types: int
     units_on_several_benches: int
-    connected: list[list[str]] = Field(
-        description="sets of benches linked by common units; effects are relative to the mean of a set"
-    )
+    connected: list[list[str]]
+    """sets of benches linked by common units; effects are relative to the mean of a set"""
     coefficients: dict[str, SizesPart] = Field(description="standard deviations for each coefficient")
-    benches_effects: dict[str, dict[str, EffectOfBench] | None] = Field(
-        description="effect of each bench on each coefficient; null for a bench that shares no unit with "
-        "another"
-    )
+    benches_effects: dict[str, dict[str, EffectOfBench] | None]
+    """effect of each bench on each coefficient; null for a bench that shares no unit with another"""
     benches_apart: list[bench_or_block.OutlyingEffect] = Field(description="benches with significant effects")
     units_apart: list[bench_or_block.OutlyingEffect] = Field(description="units with significant effects")
     answer: str = Field(description="conclusion in a sentence")
@@ -269,13 +258,10 @@ class RatePart(ResultModel):
     u: float
     p_all_looks: Real = Field(description="p-value of the rate, corrected for the number of coefficients")
     shown: bool = Field(description="whether `p_all_looks` is below 5 %")
-    between_calibrations: LimitedPart = Field(
-        description="standard deviation beyond the stated u, by restricted likelihood; 0 if not significant"
-    )
-    random_walk: LimitedPart = Field(
-        description="standard deviation of the random walk over a year, by restricted likelihood; 0 if not "
-        "significant"
-    )
+    between_calibrations: LimitedPart
+    """standard deviation beyond the stated u, by restricted likelihood; 0 if not significant"""
+    random_walk: LimitedPart
+    """standard deviation of the random walk over a year, by restricted likelihood; 0 if not significant"""
 
 
 class ForetoldPoint(ResultModel):
@@ -293,9 +279,8 @@ class DriftResult(FleetResult):
     per_g_m_s2: float = Field(description="gravity to which the scale factors refer, m/s²")
     first: str = Field(description="date of the first calibration")
     last: str = Field(description="date of the last calibration")
-    intrinsic_per_year: dict[str, RatePart] = Field(
-        description="rates of the nine numbers that do not depend on the mounting, by name"
-    )
+    intrinsic_per_year: dict[str, RatePart]
+    """rates of the nine numbers that do not depend on the mounting, by name"""
     p: float = Field(description="p-value for no drift of any of the nine (Bonferroni), which decides")
     drifts: bool = Field(description="whether `p` is below 5 %")
     per_year: dict[str, RatePart] = Field(description="rates of the twelve coefficients, by name")

@@ -56,16 +56,13 @@ class FreeDiagnoseResult(AloneResult):
 
     effects: list[FoundPart]
     noise: FreeNoise
-    between_records: BetweenRecordsPart | None = Field(
-        description="variation of the zeros between records, each fitted separately; null for one record"
-    )
+    between_records: BetweenRecordsPart | None
+    """variation of the zeros between records, each fitted separately; null for one record"""
     sensors: int
     records: int
     models: list[Path] = Field(description="paths of the model files, one for each sensor")
-    corrected: FreeCopyPart | None = Field(
-        description="readings without the outlying positions, from which all other members follow; null if "
-        "there are none"
-    )
+    corrected: FreeCopyPart | None
+    """readings without the outlying positions, from which all other members follow; null if there are none"""
 
 
 def result_of(found: FreeDiagnosis, files: Files = NO_FILES, **made_from: Any) -> FreeDiagnoseResult:

@@ -69,15 +69,12 @@ class KitResult(ResultModel):
     consensus: dict[str, ValuePart] = Field(description="consensus values of all laboratories (Mandel-Paule)")
     dark: dict[str, float] = Field(description="dark uncertainty of all laboratories (standard deviation)")
     laboratories: list[LaboratoryPart]
-    transport_p: float | None = Field(
-        description="p-value of the hypothesis that the block was the same at each stop at the pilot; null "
-        "without a return"
-    )
+    transport_p: float | None
+    """p-value of the hypothesis that the block was the same at each stop at the pilot; null without a return
+    """
     drifts: list[DriftPart] = Field(description="changes of the block, in the order of its route")
-    transport: dict[str, float] = Field(
-        description="standard deviation of the block's state between stops beyond u, which u of each "
-        "difference includes"
-    )
+    transport: dict[str, float]
+    """standard deviation of the block's state between stops beyond u, which u of each difference includes"""
     off: list[str]
     accepted: bool = Field(description="whether no laboratory deviates and the block did not change")
     notes: list[str]

@@ -20,7 +20,7 @@ from bench.calibration.intrinsic import (
     joint_factor,
 )
 from bench.calibration.result import COVERAGE_FACTOR, Calibration
-from bench.results.parts import CoefficientPart, by_name
+from bench.results.parts import CoefficientPart, CovarianceOfReadings, by_name
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,18 +40,13 @@ class IntrinsicPart(ResultModel):
     S_i = ‖row i of K‖, cos θ_ij = row_i·row_j/(S_i S_j), b_i = U0_i/S_i.
     """
 
-    values: dict[str, IntrinsicValuePart] = Field(
-        description="`Sx`, `Sy`, `Sz`, `theta_xy`, `theta_xz`, `theta_yz`, `bx`, `by`, `bz`"
-    )
+    values: dict[str, IntrinsicValuePart]
+    """`Sx`, `Sy`, `Sz`, `theta_xy`, `theta_xz`, `theta_yz`, `bx`, `by`, `bz`"""
     order: list[str] = Field(description="names of the nine in the order of `covariance`")
     covariance: Matrix = Field(description="combined covariance, 9 × 9, in the units of the values")
-    covariance_readings: Matrix = Field(
-        description="covariance from the readings and the stated errors of the stand"
-    )
-    held_by_limits: list[str] = Field(
-        description="numbers that follow from the limits of the bench file because these readings do not "
-        "determine them"
-    )
+    covariance_readings: CovarianceOfReadings
+    held_by_limits: list[str]
+    """numbers that follow from the limits of the bench file because these readings do not determine them"""
     mounting: str = Field(description="what the mounting can change, a sentence")
 
 

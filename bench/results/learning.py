@@ -60,12 +60,10 @@ class ContrastsPart(ResultModel):
 
     value: Vector = Field(description="value of each meter relative to the mean of its group")
     covariance: Matrix
-    dof: list[Real] = Field(
-        description="degrees of freedom of the difference from the first meter of the group; null: infinite"
-    )
-    between_runs: float = Field(
-        description="standard deviation that a block adds between runs beyond the stated one, as used"
-    )
+    dof: list[Real]
+    """degrees of freedom of the difference from the first meter of the group; null: infinite"""
+    between_runs: float
+    """standard deviation that a block adds between runs beyond the stated one, as used"""
 
 
 class MetersPart(ResultModel):
@@ -82,18 +80,15 @@ class LearnResult(ResultModel):
     """The errors of stand, noise and voltmeters that the runs of one bench have in common."""
 
     bench: BenchPart
-    learned_for: str = Field(
-        description="hash of stand, head, installations and meters of the bench file to which the result "
-        "applies"
-    )
+    learned_for: str
+    """hash of stand, head, installations and meters of the bench file to which the result applies"""
     made: str = Field(description="date of the result")
     expires: str = Field(description="last date on which the result is used")
     simulated: bool
     records: list[RecordPart] = Field(description="runs from which the sizes were estimated")
     runs: list[str]
-    contradicting: list[ContradictionPart] = Field(
-        description="runs that contradict the others, largest deviation first"
-    )
+    contradicting: list[ContradictionPart]
+    """runs that contradict the others, largest deviation first"""
     sizes: dict[str, SizePart]
     means: MeansPart
     variances: VariancesPart

@@ -35,10 +35,8 @@ class MonitoredRun(ResultModel):
 class MonitorResult(ResultModel):
     """A series of monitors: the first `baseline` runs set the limits; the later runs are judged."""
 
-    order: list[str] = Field(
-        description="names of the values: bx (g) and Sx (V/g) for each axis that was turned; theta_xz (deg) "
-        "for two axes"
-    )
+    order: list[str]
+    """names of the values: bx (g) and Sx (V/g) for each axis that was turned; theta_xz (deg) for two axes"""
     baseline: int
     limit_t2: float
     runs: list[MonitoredRun]

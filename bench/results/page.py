@@ -1,10 +1,9 @@
-"""The report of a calibration: its content, and the HTML page."""
+"""The report of a calibration as an HTML page."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from bench.base.languages import message
@@ -13,71 +12,46 @@ from bench.calibration.conformity import Statement
 from bench.calibration.intrinsic import intrinsic_of
 from bench.calibration.result import Calibration, LackOfFit
 from bench.calibration.verification import Verification
-from bench.results import plots, tables
-from bench.results.intrinsic import ellipses, joint_in_words, shown_rows
-from bench.results.tables import page
+from bench.results import intrinsic, plots, tables
 from bench.results.verification import advice, global_risk_in_words, headline, risk_in_words, rule_in_words
 
 
-@dataclass(frozen=True)
-class ReportContent:
-    """The complete content of the page; rendering adds neither date nor version.
+def render_report(
+    title: str,
+    calibration: Calibration,
+    verification: Verification | None,
+    *,
+    compared: Calibration | None,
+    provenance: Mapping[str, str],
+    notes: Sequence[str],
+    skipped: Sequence[str],
+    simulated: bool,
+) -> str:
+    """Return the report as one self-contained HTML page; the same content always gives the same text.
 
-    `verification` is None if no verification point was measured. `compared` is a calibration of the same readings
-    by another estimator, such as the closed form; it is ignored if the estimator is the same. `provenance` maps
-    names such as "operator" or "bench file" to text, shown unchanged. `notes` and `skipped` are sentences on the
-    readings. `simulated` puts a banner on the page.
+    `compared` is a calibration of the same readings by another estimator; it is ignored if the estimator is the
+    same. `provenance` maps names such as "operator" to text, which is shown unchanged.
     """
-
-    title: str
-    calibration: Calibration
-    verification: Verification | None = None
-    compared: Calibration | None = None
-    provenance: Mapping[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    skipped: tuple[str, ...] = ()
-    simulated: bool = False
-
-    @property
-    def other(self) -> Calibration | None:
-        """The calibration by another estimator, for comparison; None if there is none."""
-        if self.compared is None or self.compared.estimator == self.calibration.estimator:
-            return None
-        return self.compared
-
-
-def render_report(content: ReportContent) -> str:
-    """Return the report as one self-contained HTML page; the same content always gives the same text."""
-    calibration, other = content.calibration, content.other
-    return page(
+    other = compared if compared is not None and compared.estimator != calibration.estimator else None
+    return tables.page(
         "report.html.j2",
-        content=content,
+        title=title,
         calibration=calibration,
-        verdict=_verdict(content.verification),
+        verification=verification,
+        other=other,
+        provenance=provenance,
+        notes=notes,
+        skipped=skipped,
+        simulated=simulated,
+        own=intrinsic_of(calibration),
+        scale=scale_for(1.0, calibration.unit),
+        verdict=_verdict(verification),
         fit=_fit(calibration.lack_of_fit),
-        coefficients=_coefficients(calibration),
-        nine=_nine(calibration),
-        stand=tables.stand(calibration),
-        effects=tables.effects(calibration),
-        noise=tables.noise(calibration),
-        sources=tables.sources(calibration),
-        measured=_measured(content.provenance),
-        verification=_verification(content.verification),
-        comparison=_comparison(calibration, other) if other else None,
-        residuals=_residuals(calibration),
-        readings=dict(zip(("unit", "rows"), tables.readings(calibration), strict=True)),
-        free=tables.free(calibration),
-        outliers=tables.outliers(calibration),
+        measured=_measured(provenance),
+        tables=tables,
+        plots=plots,
+        intrinsic=intrinsic,
     )
-
-
-def _residuals(calibration: Calibration) -> dict[str, str] | None:
-    if not len(calibration.fitted):
-        return None
-    return {
-        "by_angle": plots.residuals_by_angle(calibration),
-        "in_order": plots.residuals_in_order(calibration),
-    }
 
 
 STATES: Final = {
@@ -139,10 +113,12 @@ def _fit(fit: LackOfFit) -> dict[str, str]:
         )
     else:
         state, short = "misfits", message("the model does not fit the readings")
+        if fit.accepted():
+            short = message("lack of fit shown at 1 %")
         sentence = message(
-            "The model does not fit: its residuals exceed the scatter of the repeats; chance alone would "
-            f"leave as much in {_percent(fit.p)} of calibrations. The misfit has widened u"
-            "; the residuals show where it acts."
+            "A lack of fit is shown: the residuals exceed the scatter of the repeats; chance alone would leave "
+            f"as much in {_percent(fit.p)} of calibrations. The misfit has widened u; the residuals show where "
+            "it acts."
         )
     return {"state": state, "figures": figures, "short": short, "sentence": sentence}
 
@@ -171,46 +147,3 @@ def _percent(p: float) -> str:
     if p < 1e-3:
         return message("less than 0.1 %")
     return f"{100.0 * p:.0f} %" if p >= 0.1 else f"{100.0 * p:.2g} %"
-
-
-def _coefficients(calibration: Calibration) -> dict[str, Any]:
-    base = scale_for(1.0, calibration.unit)
-    return {
-        "matrix": tables.matrix(calibration),
-        "unit": base.unit,
-        "per_g": base.per_g,
-        "groups": tables.coefficient_groups(calibration),
-        "strongest": tables.strongest_correlations(calibration),
-        "figure": plots.correlations(calibration),
-        "g": f"{calibration.g_m_s2:.7g}",
-    }
-
-
-def _nine(calibration: Calibration) -> dict[str, Any] | None:
-    own = intrinsic_of(calibration)
-    if own is None:
-        return None
-    return {
-        "rows": [tables.Row(tables.symbol(name), *cells) for name, *cells in shown_rows(own)],
-        "mounting": own.mounting,
-        "joint": joint_in_words(calibration, own),
-        "figure": ellipses(own),
-    }
-
-
-def _verification(verification: Verification | None) -> dict[str, Any] | None:
-    if verification is None:
-        return None
-    return {
-        "rows": tables.verification(verification),
-        "unit": scale_for(verification.limit_g, "g").unit,
-        "figure": plots.verification_points(verification),
-    }
-
-
-def _comparison(calibration: Calibration, other: Calibration) -> dict[str, Any]:
-    return {
-        "names": (calibration.estimator, other.estimator),
-        "rows": tables.comparison(calibration, other),
-        "figure": plots.compared_coefficients(calibration, other),
-    }

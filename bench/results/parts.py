@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from functools import partial
-from typing import Any, Final, TypeVar
+from typing import Annotated, Any, Final, TypeVar
 
 from pydantic import Field
 
 from bench.base.arrays import CHANNELS, Floats, u_of
-from bench.base.result_model import Real, ResultModel
+from bench.base.result_model import Matrix, Real, ResultModel
 from bench.calibration.result import LackOfFit, SourceOfError
 from bench.model.geometry import COEFFICIENTS
 
@@ -74,12 +74,17 @@ class CorrectionPart(ResultModel):
     valid_until: str | None
     expired: bool = Field(description="whether the certificate had expired on the day of the readings")
     serial: str | None = Field(description="serial number that the certificate states")
-    serial_answered: str | None = Field(
-        description="serial number that the instrument stated; empty if it states none, null if not recorded"
-    )
+    serial_answered: str | None
+    """serial number that the instrument stated; empty if it states none, null if not recorded"""
     correction: str = Field(description="value that is added to what the instrument shows; empty if none")
     applied: bool = Field(description="whether the readings were corrected by the certificate")
     why_not: str = Field(description="why the readings were not corrected; empty if they were")
+
+
+Corrections = Annotated[
+    list[CorrectionPart],
+    Field(description="certificates of the instruments and their corrections; empty if there are none"),
+]
 
 
 class UnitPart(ResultModel):
@@ -158,6 +163,11 @@ class ChannelsPart(ResultModel):
     x: float
     y: float
     z: float
+
+
+CovarianceOfReadings = Annotated[
+    Matrix, Field(description="covariance from the readings and the stated errors of the stand")
+]
 
 
 class UncertaintySourcePart(ResultModel):

@@ -54,11 +54,11 @@ class LimitPart(ResultModel):
         source = found.source
         return cls.from_object(
             source,
+            source.distribution,
             verdict=found.verdict,
             u=None if found.stated is None else found.u,
             limit=found.stated,
             distribution=source.distribution.shape,
-            k=source.distribution.k,
             u_now=source.u,
             **part,
         )
@@ -240,8 +240,7 @@ def plan_points_result(
         points=[
             PointPart.from_object(
                 s,
-                installation=s.mount.installation,
-                series=s.mount.series,
+                s.mount,
                 angle_deg=round(math.degrees(s.angle_rad), 9),
                 direction=1 if s.direction > 0 else -1,
             )

@@ -12,6 +12,7 @@ import logging
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
@@ -24,13 +25,15 @@ from bench.base.numbers import MINUS, Scale, scale_for
 from bench.base.text import APPROACH
 from bench.calibration import Calibration
 from bench.calibration.budget.propagation import correlation_of
-from bench.calibration.verification import Verification
+from bench.calibration.verification import Verification, VerificationPoint
 from bench.model.conditions import Mounting
 from bench.model.geometry import COEFFICIENTS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from bench.diagnosis.show import ModulusPoint
 
 
 # matplotlib warns if it cannot create its settings folder, which does not affect a page
@@ -191,7 +194,7 @@ def verification_points(verification: Verification) -> str:
         reach = max(limit, *((abs(p.delta_g) + p.U) / scale.size for p in points))
         axes.set_ylim(-1.2 * reach, 1.2 * reach)
         axes.set_xlim(-0.6, len(points) - 0.4)
-        axes.set_xticks(range(len(points)), _verification_labels(verification))
+        axes.set_xticks(range(len(points)), point_labels(points))
         axes.tick_params(axis="x", labelrotation=90 if len(points) > 16 else 0)
         axes.grid(visible=False, axis="x")
         figure.legend(loc="outside upper center", ncols=2)
@@ -372,11 +375,11 @@ def mark_changes(grid: Any, calibration: Calibration, along: Floats, word: str =
         )  # fmt: skip
 
 
-def _verification_labels(verification: Verification) -> list[str]:
-    several = len({p.pass_number for p in verification.points}) > 1
+def point_labels(points: Sequence[VerificationPoint] | Sequence[ModulusPoint]) -> list[str]:
+    """Return a label for each verification point: its angle and, if there are several passes, its pass."""
+    several = len({p.pass_number for p in points}) > 1
     return [
-        f"{p.angle_deg:.0f}°" + ("\n" + message(f"pass {p.pass_number}") if several else "")
-        for p in verification.points
+        f"{p.angle_deg:.0f}°" + ("\n" + message(f"pass {p.pass_number}") if several else "") for p in points
     ]
 
 
@@ -410,7 +413,7 @@ def translate_texts(figure: Figure) -> None:
         elif type(formatter) is ScalarFormatter:
             formatter.set_useOffset(False)
             formatter.set_axis(axis)
-            axis.set_major_formatter(FuncFormatter(_Local(formatter)))
+            axis.set_major_formatter(FuncFormatter(partial(_local_label, formatter)))
 
 
 def by_line(text: str) -> str:
@@ -418,15 +421,10 @@ def by_line(text: str) -> str:
     return "\n".join(map(translated, text.split("\n")))
 
 
-class _Local:
-    """A tick formatter: the labels of another formatter, with the decimal sign of the language."""
-
-    def __init__(self, formatter: Any) -> None:
-        self._formatter = formatter
-
-    def __call__(self, value: float, position: int | None = None) -> str:
-        self._formatter.set_locs(self._formatter.axis.get_majorticklocs())
-        return translated(str(self._formatter(value, position)))
+def _local_label(formatter: Any, value: float, position: int | None = None) -> str:
+    """Return the label that `formatter` gives to a tick, with the decimal sign of the language."""
+    formatter.set_locs(formatter.axis.get_majorticklocs())
+    return translated(str(formatter(value, position)))
 
 
 def svg_file(name: str, inches: tuple[float, float], draw: Callable[[Figure], None]) -> str:

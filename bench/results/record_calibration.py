@@ -15,7 +15,7 @@ from bench.base.tables import print_notes
 from bench.calibration.result import COVERAGE_FACTOR
 from bench.diagnosis.record_calibration import ChannelCalibration, Estimate, RecordCalibration
 from bench.history.stability import Stability
-from bench.results.parts import BenchPart, CorrectionPart, ReadingsPart
+from bench.results.parts import BenchPart, Corrections, ReadingsPart
 from bench.results.record_diagnosis import course_figure
 from bench.results.repeats import RepeatsPart, repeats_part, repeats_told
 from bench.results.stability import allan_figure, averaging_lines
@@ -43,9 +43,8 @@ class RecordChannelPart(ResultModel):
     gain: ValuePart | None = Field(description="gain, V/V; null if the reference stays at 0 V")
     offset_v: ValuePart | None = Field(description="offset, V; null if the reference has a single level")
     covariance_v: float = Field(description="covariance of gain and offset, V")
-    drift_v_h: ValuePart = Field(
-        description="drift of the offset, V/h; gain and offset apply to the middle of the record"
-    )
+    drift_v_h: ValuePart
+    """drift of the offset, V/h; gain and offset apply to the middle of the record"""
     white_v: float = Field(description="white noise of a mean of the record, standard deviation, V")
     slow_v: float = Field(description="slow noise of a mean of the record, root mean square, V")
     residual_rms_v: float
@@ -60,9 +59,8 @@ class RecordCalibrateResult(ResultModel):
     level_v: float = Field(description="mean of the reference voltage, V")
     not_observable: list[str]
     does_not_apply: list[str] = Field(description="members that only results of a block have")
-    repeats: RepeatsPart | None = Field(
-        description="parts of the record, each calibrated separately; null if the record is too short"
-    )
+    repeats: RepeatsPart | None
+    """parts of the record, each calibrated separately; null if the record is too short"""
     means: int = Field(description="number of means into which the readings were averaged")
     readings: ReadingsPart
     model: str
@@ -70,7 +68,7 @@ class RecordCalibrateResult(ResultModel):
     bench: BenchPart
     made_at: str | None
     simulated: bool
-    corrections: list[CorrectionPart]
+    corrections: Corrections
     notes: list[str]
     skipped_rows: list[str]
 

@@ -14,8 +14,7 @@ from bench.base.result_model import ResultModel
 from bench.base.tables import print_notes
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.levels import LISTED_IN_SENTENCE
-from bench.diagnosis.record_diagnosis import RecordDiagnosis
-from bench.diagnosis.record_folds import Rival
+from bench.diagnosis.record_diagnosis import RecordDiagnosis, Rival
 from bench.results import diagnosis_words as words
 from bench.results.diagnosis import print_effect, print_files
 from bench.results.diagnosis_page import render_alone
@@ -51,9 +50,8 @@ class RecordDiagnoseResult(AloneResult):
     """A diagnosis of a record at a known input (rows R alone)."""
 
     effects: list[EffectPart]
-    rivals: list[Rival] = Field(
-        description="comparison of the shapes that an effect of the meter's temperature can have"
-    )
+    rivals: list[Rival]
+    """comparison of the shapes that an effect of the meter's temperature can have"""
     channels: list[ChannelPart]
     noise: RecordNoisePart
     far: list[str] = Field(description="means with unexplained jumps of 6 u or more")

@@ -55,15 +55,15 @@ class RunPart(ResultModel):
     name: str
     created: str = Field(description="civil time at which the run was created")
     instruments: str = Field(description="`simulated` or `real`; `-` if unknown")
-    state: str = Field(
-        description="ready, running, paused, finished, failed, interrupted, aborted, imported or damaged; not "
-        "begun or unfinished if no program carries the run out"
-    )
+    state: str
+    """ready, running, paused, finished, failed, interrupted, aborted, imported or damaged; not begun or
+    unfinished if no program carries the run out
+    """
     readings: int
-    verdict: str | None = Field(
-        description="verdict at the run's own verification points: passed, conditional pass, conditional "
-        "fail, failed, inconclusive, not complete or does not fit; null if there is none"
-    )
+    verdict: str | None
+    """verdict at the run's own verification points: passed, conditional pass, conditional fail, failed,
+    inconclusive, not complete or does not fit; null if there is none
+    """
     to_go_on: str = Field(description="command that resumes the run; empty if nothing is left to do")
 
 
@@ -219,12 +219,10 @@ class ReadingPart(ResultModel):
     time_s: float
     temperature_c: float | None
     temperature_source: str = Field("", description="thermometer at the block; empty if there is none")
-    chamber_c: float | None = Field(
-        None, description="temperature of the air in the chamber, °C, if `temperature_c` is that of the block"
-    )
-    meter_temperature_c: float | None = Field(
-        None, description="temperature of the voltmeters, °C, if measured"
-    )
+    chamber_c: float | None = None
+    """temperature of the air in the chamber, °C, if `temperature_c` is that of the block"""
+    meter_temperature_c: float | None = None
+    """temperature of the voltmeters, °C, if measured"""
     room_c: float | None = Field(None, description="temperature of the room, °C, if measured")
     unit: str
     mean: list[float] = Three
@@ -268,21 +266,18 @@ class EventLine(ResultModel):
     attempt: int = 1
     reading: ReadingPart | None = None
     instruments: dict[str, str] = Field({}, description="identities of the instruments; in run_started")
-    serials: dict[str, str] = Field(
-        {},
-        description="serial numbers that the instruments stated; in run_started of a real run, and of a dry "
-        "run if the bench file has certificates",
-    )
+    serials: dict[str, str] = Field({})
+    """serial numbers that the instruments stated; in run_started of a real run, and of a dry run if the bench
+    file has certificates
+    """
     id: str = Field("", description="number of the question; in asked and answered")
-    kind: Literal["confirm", "choose", "number", "angle"] = Field(
-        "confirm", description="kind of answer that the question requires; in asked"
-    )
+    kind: Literal["confirm", "choose", "number", "angle"] = "confirm"
+    """kind of answer that the question requires; in asked"""
     text: str = Field("", description="text of the question; in asked")
     default: str | None = Field(None, description="meaning of an empty answer; in asked")
     unit: str = Field("", description="unit of the answer; in asked")
-    choices: list[str] = Field(
-        [], description="possible answers; one that ends in REASON asks for the person's own words; in asked"
-    )
+    choices: list[str] = Field([])
+    """possible answers; one that ends in REASON asks for the person's own words; in asked"""
     minimum: float | None = Field(None, description="smallest possible answer; in asked")
     maximum: float | None = Field(None, description="largest possible answer; in asked")
     action: dict[str, Any] = Field({}, description="required action (`do`) with its details; in asked")
@@ -296,20 +291,16 @@ class EventLine(ResultModel):
     visit: int = Field(0, description="number of the mounting, from 0; in chosen")
     settings: int = Field(0, description="number of points measured so far; in chosen")
     repeats: int = Field(0, description="number of these points that repeat another; in chosen")
-    now: NowPart | None = Field(
-        None,
-        description="goal that is furthest from being reached; null before the coefficients are determined; "
-        "in chosen",
-    )
+    now: NowPart | None = None
+    """goal that is furthest from being reached; null before the coefficients are determined; in chosen"""
     stop: str = Field("", description="reached, used up or time; empty if measuring continues; in chosen")
     left_out: list[list[int]] = Field([], description="ranges of steps that are not needed; in chosen")
     taken_up: list[list[int]] = Field([], description="steps left out before but needed; in chosen")
     next: dict[str, Any] = Field({}, description="next points, with their duration and benefit; in chosen")
     in_all: dict[str, Any] = Field({}, description="expected totals at the end of the run; in chosen")
     undecided: dict[str, Any] = Field({}, description="steps that depend on later choices; in chosen")
-    not_needed: int = Field(
-        0, description="points of the procedure that were not measured; in the last chosen"
-    )
+    not_needed: int = 0
+    """points of the procedure that were not measured; in the last chosen"""
 
 
 # --- instruments --------------------------------------------------------------------------------------
@@ -390,11 +381,8 @@ class CommissionResult(ResultModel):
     simulated: bool = Field(description="whether the bench was simulated")
     began: str = Field(description="start (UTC, ISO 8601)")
     took_s: float = Field(description="duration by the clock of the bench, s")
-    status: int = Field(
-        ge=0,
-        le=2,
-        description="0: every check succeeded; 1: something is slower or differs; 2: a check failed",
-    )
+    status: int = Field(ge=0, le=2)
+    """0: every check succeeded; 1: something is slower or differs; 2: a check failed"""
     ended: str = Field(description="reason for early termination; empty if every check was made")
     instruments: list[CommissionedPart]
     findings: list[Finding]

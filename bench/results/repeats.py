@@ -41,9 +41,8 @@ class RepeatsPart(ResultModel):
 
     ratio: Real = Field(description="scatter of the repeats divided by their stated u")
     too_small: bool = Field(description="whether u is significantly too small, by a factor above 1.5")
-    before: RatioPart | None = Field(
-        description="ratio for repeats held out in turn, with u as stated; null for fewer than three repeats"
-    )
+    before: RatioPart | None
+    """ratio for repeats held out in turn, with u as stated; null for fewer than three repeats"""
     after: RatioPart | None = Field(description="the same ratio with u widened by `term`")
     term: TermPart | None
 
@@ -89,17 +88,13 @@ class BetweenRecordsPart(ResultModel):
 
     ratio: Real = Field(description="scatter of the zeros divided by their stated u")
     repeats: RepeatsPart
-    u_with_term_g: list[list[list[Real]]] | None = Field(
-        description="standard uncertainty of the zeros with the term, g; null if the stated u is not too "
-        "small"
-    )
-    bench_file: str = Field(
-        description="line for a bench file that includes the term in u of calibrations; may be empty"
-    )
+    u_with_term_g: list[list[list[Real]]] | None
+    """standard uncertainty of the zeros with the term, g; null if the stated u is not too small"""
+    bench_file: str
+    """line for a bench file that includes the term in u of calibrations; may be empty"""
     scatter_g: list[Real]
-    common_part: list[Real] = Field(
-        description="fraction of the variance that all sensors share; null for one sensor"
-    )
+    common_part: list[Real]
+    """fraction of the variance that all sensors share; null for one sensor"""
     held_out: HeldOutByRecord
     zeros_g: list[list[list[Real]]] = Field(description="zeros by sensor, record and channel, g")
     u_g: list[list[list[Real]]]

@@ -12,7 +12,7 @@ from rich.table import Table
 from bench.base.numbers import MINUS, probability, quantity, scale_for
 from bench.base.result_model import Real, ResultModel, Vector
 from bench.base.tables import print_notes, table
-from bench.history.stability import Stability
+from bench.history.stability import Averaging, Stability
 from bench.results.parts import BenchPart
 from bench.results.plots import BLUE, GREEN, GREY, VERMILION, svg_figure, svg_file
 from bench.stats.allan import MISFIT_P, TERMS, NoiseTerms
@@ -28,15 +28,6 @@ class TermPart(ResultModel):
     u: Real = Field(description="standard uncertainty; null if the term is not significant")
     upper: float = Field(description="upper limit of the coefficient")
     called: str
-
-
-class AveragingPart(ResultModel):
-    """The recommended averaging time of a channel."""
-
-    tau_s: float
-    deviation: float = Field(description="Allan deviation at this averaging time")
-    why: str
-    reached: bool = Field(description="false if no averaging time reaches the requested noise")
 
 
 class SpectrumPart(ResultModel):
@@ -60,7 +51,7 @@ class ChannelPart(ResultModel):
     terms: dict[str, TermPart] = Field(description="noise terms by name: Q, N, B, K, R")
     terms_p: Real = Field(description="p-value of the fit of the five terms to the deviations")
     psd: SpectrumPart
-    averaging: AveragingPart
+    averaging: Averaging
 
 
 class ReadingPart(ResultModel):

@@ -28,9 +28,11 @@ from bench.base.text import shown_path, visible
 from bench.calibration import Calibration, Estimate, Noise
 from bench.calibration.budget.propagation import correlation_of
 from bench.calibration.design import SYMBOLS
+from bench.calibration.intrinsic import Intrinsic
 from bench.calibration.verification import Verification
 from bench.model.effects import CATALOGUE
 from bench.model.geometry import COEFFICIENTS
+from bench.results.intrinsic import shown_rows
 from bench.results.plots import residual_scale
 from bench.results.verification import optional_probability
 
@@ -135,6 +137,11 @@ def _ratio(calibration: Calibration, j: int, own: int) -> tuple[float, float]:
     ratio = vector[j] / vector[own]
     variance = covariance[j, j] + ratio**2 * covariance[own, own] - 2.0 * ratio * covariance[j, own]
     return float(ratio), float(np.sqrt(max(variance, 0.0)) / abs(vector[own]))
+
+
+def nine(own: Intrinsic) -> list[Row]:
+    """Return a row for each intrinsic number: value, unit; u from the readings, u, U, their unit."""
+    return [Row(symbol(name), *cells) for name, *cells in shown_rows(own)]
 
 
 def strongest_correlations(calibration: Calibration) -> list[tuple[Markup, Markup, str]]:

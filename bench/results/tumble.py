@@ -15,7 +15,15 @@ from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.budget.whole import OF_BLOCK
 from bench.calibration.tumble import HOMES, K, TumbleView, parameter_of
-from bench.results.parts import BenchPart, CorrectionPart, ExpandedPart, FitPart, UnitPart, fit_in_words
+from bench.results.parts import (
+    BenchPart,
+    Corrections,
+    CovarianceOfReadings,
+    ExpandedPart,
+    FitPart,
+    UnitPart,
+    fit_in_words,
+)
 
 CLOSE: Final = 0.95
 """Correlation above which two terms are reported as hard to separate."""
@@ -28,29 +36,27 @@ class QuantityPart(ExpandedPart):
     """
 
     u_readings: float = Field(description="part of u from the readings and the stated errors of the stand")
-    contains: dict[str, float] = Field(
-        description="terms that cannot be separated from this one, with their shares; the estimate is the sum "
-        "(for K1, shares are relative)"
-    )
+    contains: dict[str, float]
+    """terms that cannot be separated from this one, with their shares; the estimate is the sum (for K1,
+    shares are relative)
+    """
 
 
 class AxisPart(ResultModel):
     """The accelerometer of one channel."""
 
-    quantities: dict[str, QuantityPart] = Field(
-        description="K0 (bias), K1 (scale factor), the two misalignment angles with the sign of the paper, "
-        "and the requested nonlinear terms that are determined"
-    )
+    quantities: dict[str, QuantityPart]
+    """K0 (bias), K1 (scale factor), the two misalignment angles with the sign of the paper, and the requested
+    nonlinear terms that are determined
+    """
     rank: int = Field(description="number of `terms` that the orientations determine")
     terms: list[str] = Field(description="requested terms, linear ones first")
-    not_separable: dict[str, dict[str, float]] = Field(
-        description="terms that are not estimated, and the change of the others if such a term is 1; empty if "
-        "no reading shows it"
-    )
-    left_out: dict[str, dict[str, float]] = Field(
-        description="terms of the standard's model that are not fitted, and the change of the others if such "
-        "a term is 1"
-    )
+    not_separable: dict[str, dict[str, float]]
+    """terms that are not estimated, and the change of the others if such a term is 1; empty if no reading
+    shows it
+    """
+    left_out: dict[str, dict[str, float]]
+    """terms of the standard's model that are not fitted, and the change of the others if such a term is 1"""
 
 
 class TumbleNoisePart(ResultModel):
@@ -86,9 +92,7 @@ class TumbleResult(ResultModel):
     order: list[str] = Field(description="channel and name of each quantity, in the order of `covariance`")
     combined: bool = Field(description="whether u and `covariance` include every source of the bench")
     covariance: Matrix = Field(description="covariance of all quantities of the three channels")
-    covariance_readings: Matrix = Field(
-        description="covariance from the readings and the stated errors of the stand"
-    )
+    covariance_readings: CovarianceOfReadings
     noise: TumbleNoisePart
     residual: FitPart
     above_1g: AbovePart | None = Field(description="centrifuge points in the fit")
@@ -98,9 +102,7 @@ class TumbleResult(ResultModel):
     made_at: str | None
     unit_under_test: UnitPart | None
     simulated: bool
-    corrections: list[CorrectionPart] = Field(
-        description="certificates of the instruments; empty if there are none"
-    )
+    corrections: Corrections
     notes: list[str] = Field(description="remarks for the reader, and rows that were skipped")
 
 

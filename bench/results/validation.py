@@ -11,6 +11,7 @@ from rich.console import Console
 
 from bench.base.result_model import ResultModel
 from bench.base.tables import table
+from bench.results.registers import RegisterResult
 from bench.results.tables import page
 
 NOT_PROVEN: Final = (
@@ -102,9 +103,8 @@ class ValidationResult(ResultModel):
     checks: list[ValidationCheck]
     against: AgainstPart | None
     not_proven: list[str]
-    accepted_before: str = Field(
-        description="number of the accepted validation with which this one was compared"
-    )
+    accepted_before: str
+    """number of the accepted validation with which this one was compared"""
     files: list[str] = Field([], description="files that were written")
 
     @property
@@ -212,16 +212,13 @@ class RegisteredValidation(ResultModel):
     bench: str
     bench_sha256: str
     result_sha256: str = Field(description="SHA-256 of the stored result")
-    holds: bool = Field(
-        description="whether it is the latest for its program and bench file and was not withdrawn"
-    )
+    holds: bool
+    """whether it is the latest for its program and bench file and was not withdrawn"""
 
 
-class ValidationRegisterResult(ResultModel):
+class ValidationRegisterResult(RegisterResult):
     """The validations of a laboratory (`bench validate --register`), or the one that was just accepted."""
 
-    register_: str = Field(alias="register", description="folder of the register")
-    head: str = Field(description="SHA-256 of the last line, which depends on all lines before it")
     validations: list[RegisteredValidation]
 
     def print_on(self, out: Console) -> None:

@@ -15,7 +15,7 @@ from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.conformity import NON_BINARY, SIMPLE, DecisionRule, Population, Statement
 from bench.calibration.verification import Verification
-from bench.results.parts import BenchPart, CorrectionPart
+from bench.results.parts import BenchPart, Corrections
 
 
 class PointPart(ResultModel):
@@ -34,12 +34,10 @@ class PointPart(ResultModel):
     accepted_up_to: float = Field(description="largest |Δg| that the rule accepts here, g")
     passed: bool = Field(description="whether the rule accepts the point")
     statement: Statement
-    p_false_accept: float | None = Field(
-        description="probability that the true error is outside the limit; null if the point is not accepted"
-    )
-    p_false_reject: float | None = Field(
-        description="probability that the true error is within the limit; null if the point is not rejected"
-    )
+    p_false_accept: float | None
+    """probability that the true error is outside the limit; null if the point is not accepted"""
+    p_false_reject: float | None
+    """probability that the true error is within the limit; null if the point is not rejected"""
 
 
 class GlobalRiskPart(ResultModel):
@@ -50,37 +48,37 @@ class GlobalRiskPart(ResultModel):
     population: Population = Field(description="stated distribution of Δg over many blocks, g")
 
 
-class VerdictPart(ResultModel):
-    """Δg at the verification points, and the verdict against the limit."""
+class RulePart(ResultModel):
+    """The limit of Δg at the verification points, and the rule of the decision."""
 
     limit_g: float = Field(description="limit of |Δg|, local g")
     rule: Literal["simple acceptance", "guarded", "non-binary"] = Field(description="decision rule")
-    guard_band: float = Field(
-        description="guard band as a multiple of U; if `false_acceptance` is given, the value for a normal "
-        "distribution (`accepted_up_to` is exact); simple acceptance does not subtract it from "
-        "the limit"
-    )
-    false_acceptance: float | None = Field(
-        description="probability of false acceptance that sets the guard band of the default rule; null for "
-        "other rules"
-    )
+    guard_band: float
+    """guard band as a multiple of U; if `false_acceptance` is given, the value for a normal distribution
+    (`accepted_up_to` is exact); simple acceptance does not subtract it from the limit
+    """
+    false_acceptance: float | None
+    """probability of false acceptance that sets the guard band of the default rule; null for other rules"""
+
+
+class VerdictPart(RulePart):
+    """Δg at the verification points, and the verdict against the limit."""
+
     passed: bool = Field(description="whether all points were measured and are accepted by the rule")
-    statement: Statement = Field(
-        description="statement for the worst point; `inconclusive` if U exceeds the limit, `not complete` if "
-        "points are missing, `does not fit` if the readings contradict the coefficients"
-    )
+    statement: Statement
+    """statement for the worst point; `inconclusive` if U exceeds the limit, `not complete` if points are
+    missing, `does not fit` if the readings contradict the coefficients
+    """
     missing: int = Field(description="planned points that were not measured")
     U: float = Field(description="largest expanded uncertainty of the points, g")
     tur: Real = Field(description="smallest test uncertainty ratio, limit over U")
-    p_false_accept: float | None = Field(
-        description="probability that the true error of at least one point is outside the limit; null if not "
-        "accepted, except for a conditional pass, on which the customer decides"
-    )
+    p_false_accept: float | None
+    """probability that the true error of at least one point is outside the limit; null if not accepted,
+    except for a conditional pass, on which the customer decides
+    """
     p_false_accept_worst: float | None = Field(description="the same for the point at which it is largest")
-    p_false_reject: float | None = Field(
-        description="probability that the true errors of all points are within the limit; null if no point is "
-        "rejected"
-    )
+    p_false_reject: float | None
+    """probability that the true errors of all points are within the limit; null if no point is rejected"""
     global_risk: GlobalRiskPart | None = Field(description="global risks; null without a stated population")
     points: list[PointPart]
     covariance: Matrix = Field(description="covariance of Δg at the points in their order, g²")
@@ -95,9 +93,7 @@ class VerifyResult(VerdictPart):
 
     notes: list[str] = Field(description="remarks on the meaning of the statements and on remedies")
     bench: BenchPart
-    corrections: list[CorrectionPart] = Field(
-        description="certificates of the instruments; empty if there are none"
-    )
+    corrections: Corrections
 
 
 class ReportResult(ResultModel):

@@ -489,24 +489,24 @@ def report_page(
                 "the verdict"
             )
         return result.html(), None
-    from bench.results.page import ReportContent, render_report  # matplotlib is slow to import
+    from bench.results.page import render_report  # matplotlib is slow to import
 
     source = result.source
     # points that joined the fit cannot verify it
     judged = len(source.readings.verification()) > 0 and not result.joined_points
     verdict = verification_of(source, result, asked) if judged else None
-    content = ReportContent(
-        title=message(f"Calibration of {source.block_name or source.name}"),
-        calibration=result.calibration,
-        verification=None if verdict is None else verdict.verification,
-        compared=_closed_form(source),
-        provenance=provenance(source),
-        notes=(*result.doubts, *result.calibration.notes, *source.readings.notes),
-        skipped=source.readings.skipped,
-        simulated=source.simulated,
-    )
     with knowing_effects_of(source):
-        return render_report(content), verdict
+        page = render_report(
+            message(f"Calibration of {source.block_name or source.name}"),
+            result.calibration,
+            None if verdict is None else verdict.verification,
+            compared=_closed_form(source),
+            provenance=provenance(source),
+            notes=(*result.doubts, *result.calibration.notes, *source.readings.notes),
+            skipped=source.readings.skipped,
+            simulated=source.simulated,
+        )
+    return page, verdict
 
 
 def _closed_form(source: Source) -> Calibration | None:

@@ -362,7 +362,10 @@ def _read(path: Path) -> Any:
         with refusing("check the name", path, verb="read"):
             return from_text(read_given(path).decode())
     except ValueError as error:
-        raise Refused(f"{path}: not a result of 'bench calibrate --json' ({error})") from error
+        raise Refused(
+            f"{path}: not a result of 'bench calibrate --json', but text of another kind; give a file that "
+            "calibrate wrote"
+        ) from error
 
 
 def is_result(path: Path) -> bool:

@@ -22,7 +22,7 @@ from bench.calibration.verification import Verification, verify
 from bench.exchange.compensation import c_header, json_test, table_checks, table_csv
 from bench.exchange.result import BlockResult
 from bench.model.geometry import COEFFICIENTS
-from bench.readings.centrifuge import read_centrifuge
+from bench.readings.csv import read_centrifuge
 from bench.results.compensation import CompensateResult, compensate_result
 from bench.results.tumble import TumbleResult, tumble_result
 from bench.services.arguments import python_call

@@ -13,8 +13,7 @@ from bench.base.files import cache_folder
 from bench.base.tables import as_text
 from bench.config.model_file import load_model
 from bench.diagnosis import ThresholdCache
-from bench.diagnosis.confirm import Confirmation, confirm, confirm_record
-from bench.diagnosis.free_positions import confirm_free
+from bench.diagnosis.confirm import Confirmation, confirm, confirm_free, confirm_record
 from bench.diagnosis.free_records import OUTLIER, FreeDiagnosis
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.record_diagnosis import RecordDiagnosis

@@ -26,7 +26,7 @@ from bench.diagnosis.evidence import ThresholdCache
 from bench.diagnosis.mistakes.search import MistakesLeaveTooLittle
 from bench.diagnosis.next_measurement import Proposal
 from bench.diagnosis.pipeline import FullDiagnosis, MistakesAlone, diagnose_fully
-from bench.diagnosis.result import Diagnosis
+from bench.diagnosis.result import Diagnosis, Findings
 from bench.diagnosis.show import label
 from bench.model import CATALOGUE, AppliedEffect
 from bench.readings.corrected import as_read
@@ -313,7 +313,7 @@ class FreeDiagnosisResult(DiagnosisAlone):
         return kept
 
 
-def _named(found: Diagnosis | FreeDiagnosis | RecordDiagnosis, *, accept_first: bool) -> bool:
+def _named(found: Findings, *, accept_first: bool) -> bool:
     """Return whether an effect was named, or the first effect of an accepted tie may reduce the gap."""
     accepted = accept_first and found.of_copy == "confounded" and found.gap.shrinks is not False
     return found.of_copy == "named" or accepted
@@ -390,12 +390,12 @@ def _found(body: Body) -> FullDiagnosis | MistakesAlone | FreeDiagnosis | Record
             nominal=body.nominal,
         )
     except MistakesLeaveTooLittle as error:
-        mistakes = (*known, *error.search.mistakes)
-        return MistakesAlone(source.name, source.simulated, mistakes, error.search.corrected, error.reason)
+        mistakes, readings, reason = (*known, *error.search.mistakes), error.search.corrected, error.reason
     except CalibrationError as error:
         if not known:
             raise
-        return MistakesAlone(source.name, source.simulated, known, readings, str(error))
+        mistakes, reason = known, str(error)
+    return MistakesAlone(source.name, source.simulated, mistakes, readings, reason)
 
 
 def _result(

@@ -19,7 +19,7 @@ from typing import Any, ClassVar, Final
 from bench.base.files import read_regular
 from bench.base.languages import message
 from bench.base.text import visible
-from bench.results.persons import PersonChange, PersonPart, PersonsResult
+from bench.results.registers import PersonChange, PersonPart, PersonsResult
 from bench.run.events import OperatorPerson, RecordError
 from bench.run.person import NOBODY_KNOWN, WishAuthor, at_the_shell
 from bench.services.chain import LINES, Chain, Entry, civil_now, first_head, opened

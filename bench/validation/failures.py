@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Final
 
 from bench.base.text import visible
 from bench.certificate.laboratory import load_laboratory
-from bench.results.failures import Failure, FailuresResult, NotedRemedy
+from bench.results.registers import Failure, FailuresResult, NotedRemedy
 from bench.run.events import EventType, RecordError
 from bench.run.folder import Run, all_runs
 from bench.run.sentences import sentence

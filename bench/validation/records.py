@@ -243,14 +243,14 @@ def life(context: Context) -> Iterator[Finding]:
     for suffix in (".xml", ".pdf"):
         file = folder / "register" / f"{issued.number}{suffix}"
         found = judged(file)
-        yield Finding(found.accepted, found.headline, of=f"unchanged {suffix}", expected="accepted")
+        yield Finding(found.accepted, found.verdict, of=f"unchanged {suffix}", expected="accepted")
         content = file.read_bytes()
         at = len(content) // 2
         file.write_bytes(content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :])
         try:
             found = judged(file)
             yield Finding(
-                not found.accepted, found.headline, of=f"one bit changed in {suffix}", expected="refused"
+                not found.accepted, found.verdict, of=f"one bit changed in {suffix}", expected="refused"
             )
         except Refused as refusal:
             yield Finding(True, str(refusal), of=f"one bit changed in {suffix}", expected="refused")
@@ -260,7 +260,7 @@ def life(context: Context) -> Iterator[Finding]:
         RevokeCertificate(number, reason="trial", laboratory=laboratory, authorised_by="A. Example")
     )
     found = judged(folder / "register" / f"{issued.number}.pdf")
-    yield Finding(not found.accepted, found.headline, of="revoked", expected="refused")
+    yield Finding(not found.accepted, found.verdict, of="revoked", expected="refused")
     lines = folder / "register" / LINES
     content = lines.read_bytes()
     lines.write_bytes(content.replace(b"A. Example", b"B. Example", 1))

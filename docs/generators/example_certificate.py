@@ -65,7 +65,7 @@ def write_example(reference: Path) -> None:
     for scheme in ("light", "dark"):  # paper is white in both
         (reference / "pictures").mkdir(exist_ok=True)
         (reference / "pictures" / f"certificate-{scheme}.png").write_bytes(pages[0])
-    headline = verify_certificate(folder / "certificate.pdf", None, folder / "none").headline
+    headline = verify_certificate(folder / "certificate.pdf", None, folder / "none").verdict
     part = _PART.format(headline=headline, files=_FILES, pictures="\n\n".join(names))
     (reference / "_example-certificate.md").write_text(part, encoding="utf-8")
 

@@ -16,8 +16,7 @@ from bench.config.procedure.steps import Turn
 from bench.config.shipped import find_bench, find_procedure
 from bench.model import Block, ForwardModel
 from bench.model.conditions import Conditions
-from bench.readings.centrifuge import EXAMPLE, CentrifugePoints, read_centrifuge
-from bench.readings.csv import ReadingsError
+from bench.readings.csv import EXAMPLE, CentrifugePoints, ReadingsError, read_centrifuge
 from bench.readings.table import make_readings
 from bench.validation.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, U0, K, specific_force
 from tests.support.honest_runs import MODEL

@@ -13,7 +13,7 @@ from bench.calibration.conformity import DecisionRule
 from bench.certificate.content import Issue, rule_said
 from bench.certificate.gather import certificate_of, missing
 from bench.certificate.laboratory import Adjusted, Person, load_laboratory, load_order
-from bench.certificate.verify import Verdict, against_record
+from bench.certificate.verify import Findings, against_record
 from bench.services.errors import Refused
 from tests.support.certificates import ORDER, RECORDED, copy_run, write_files
 
@@ -69,8 +69,8 @@ def test_the_rule_that_was_agreed_stands_before_the_default(folder, tmp_path, of
     attached = {one.name: one.content for one in made.attachments}
     says = SimpleNamespace(coefficients={"Kxx": SimpleNamespace(k=made.k)})
     shown = SimpleNamespace(files=attached, says=says, release=version("triaxial-bench"))
-    against_record(verdict := Verdict("certificate.pdf"), shown, folder / "runs")
-    assert "to the last digit" in verdict.agreed[0]
+    against_record(found := Findings(), shown, folder / "runs")
+    assert "to the last digit" in found.agreed[0]
     words = rule_said(made.texts[0].say, rule)
     assert f"w = {rule.guard_band:g} U" in words or rule.name == "simple acceptance"
 

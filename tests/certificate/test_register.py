@@ -169,7 +169,7 @@ def test_what_replaces_and_what_revokes_is_known(tmp_path):
     with opened(tmp_path) as register:
         before = {"number": "1", "kind": "amended"}
         register.issue(entry("3", before=before), {"3.xml": b"3"})
-        register.revoke(Entry(REVOKED, "2", "2026-11-23", "A. Example", {"reason": "wrong unit"}))
+        register.append(Entry(REVOKED, "2", "2026-11-23", "A. Example", {"reason": "wrong unit"}))
     with opened(tmp_path) as register:
         told = {number: (one.state, one.by) for number, one in register.standings.items()}
     assert told == {"1": ("amended", "3"), "2": ("revoked", "wrong unit"), "3": ("issued", "")}

@@ -91,7 +91,7 @@ def test_a_run_is_evaluated_when_an_effect_of_its_simulation_is_known_no_more(be
     evaluations = [(name, "r", "--json", "-") for name in ("calibrate", "verify")]
     before = [bench(*arguments)[:2] for arguments in evaluations]
 
-    monkeypatch.delitem(CATALOGUE, "backlash")
+    monkeypatch.delitem(CATALOGUE._known, "backlash")
     after = [bench(*arguments) for arguments in evaluations]
     assert [told[:2] for told in after] == before
     assert bench("diagnose", "r", "--no-report")[0] == 0

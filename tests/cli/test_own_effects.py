@@ -68,7 +68,7 @@ def test_a_file_with_mistakes_is_told_with_lines(files):
 
 @pytest.mark.slow
 def test_the_record_of_a_run_keeps_it(files, monkeypatch):
-    monkeypatch.setattr("bench.results.page.render_report", lambda _content: "")
+    monkeypatch.setattr("bench.results.page.render_report", lambda *_, **__: "")
     command = ("run", "quick", "--dry-run", "--name", "own", "--model", "model.yaml")
     assert files(*command, "--effects", "mine.yaml")[0] in (0, 1)
     run = Run(Path("runs/own"))

@@ -8,8 +8,7 @@ import pytest
 
 from bench import tumble as tumble_in_python
 from bench.model.geometry import COEFFICIENTS
-from bench.readings.centrifuge import EXAMPLE
-from bench.readings.csv import write_csv
+from bench.readings.csv import EXAMPLE, write_csv
 from bench.validation.paper_bench import TRUTH
 from tests.support.commands import printed, refused
 from tests.support.schemas import keeps_to

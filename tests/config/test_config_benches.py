@@ -36,7 +36,7 @@ def run_on(tmp_path_factory):
     """
     folder = tmp_path_factory.mktemp("benches")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bench.results.page.render_report", lambda _content: "")
+        patch.setattr("bench.results.page.render_report", lambda *_, **__: "")
         patch.delenv("BENCH_FILE", raising=False)
         patch.chdir(folder)
         Path("short.yaml").write_text(SHORT, encoding="utf-8")

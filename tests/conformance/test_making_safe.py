@@ -151,6 +151,22 @@ def test_each_command_that_makes_safe_fails_in_turn(device, tmp_path, how):
                 assert is_safe(stand), command
 
 
+@pytest.mark.parametrize("device", turned_by("motor"), ids=lambda device: device.name)
+def test_a_stop_over_a_new_connection_is_sent_before_the_instrument_is_proved(device, tmp_path):
+    first = []
+    for reconnected in (False, True):
+        with standing(device, tmp_path) as stand:
+            begun(stand)
+            if reconnected:
+                stand.session.close()
+                stand.session.open()
+            stand.sent.clear()
+            stand.driver.stop()
+            first.append(what(stand.sent[0]))
+            assert is_safe(stand)
+    assert first[0] == first[1]
+
+
 LOCKED = [
     d
     for role in ("voltmeter", "thermometer", "power_supply")

@@ -178,7 +178,7 @@ def fold(label, before, after, rms=(30e-6, 20e-6), name="bias_drift"):
 
 
 def gap(*folds, named=("bias_drift",), undetermined=()):
-    return Gap(folds, NOISE, "V", NOISE.freedom, named, undetermined)
+    return Gap(folds, NOISE, "V", named, undetermined)
 
 
 def test_a_gap_that_closes_shrinks_and_says_how_far():

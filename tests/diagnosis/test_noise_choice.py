@@ -9,7 +9,7 @@ from bench.diagnosis.evidence import null_responses
 from bench.diagnosis.noise_grid import RATIOS
 from bench.diagnosis.noise_kinds import larger_scatter, noise_hypotheses, residuals, slow_noise
 from bench.diagnosis.posterior import NoiseSize
-from bench.diagnosis.single_run_search import SearchTask, search_run
+from bench.diagnosis.search import SearchTask, find_effects
 from bench.validation.paper_bench import SETTING_U_RAD, STAND_U
 from tests.support.diagnosis_bench import MODEL, NOISE_V, OneThreshold, paper_run, set_up
 
@@ -100,7 +100,8 @@ def test_noise_that_is_alike_has_no_place(made):
 
 
 def chosen(readings):
-    prepared, naming = search_run(SearchTask(MODEL, STAND_U, SETTING_U_RAD, 0.0, OneThreshold()), readings)
+    stated = STAND_U | {"setting_error": SETTING_U_RAD}
+    prepared, naming = find_effects(SearchTask(MODEL, stated, 0.0, OneThreshold()), readings)
     kinds = set(prepared.chosen)
     return kinds, naming
 

@@ -10,7 +10,7 @@ from bench.diagnosis.linear import RunSizes
 from bench.diagnosis.multi_run_system import make_system
 from bench.diagnosis.noise_kinds import noise_findings, noise_hypotheses
 from bench.diagnosis.posterior import NoiseSize, posterior
-from bench.diagnosis.single_run_search import in_the_noise_of
+from bench.diagnosis.search import in_the_noise_of
 from bench.readings.table import JoinedPart, together
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, STAND_U, K, OneThreshold, paper_run
 

@@ -111,7 +111,7 @@ def test_the_uncertainty_of_gravity_is_in_scales_of_m_s2_and_in_no_number_per_g(
     text = text_of("px4", given)
     assert "of the scales: 2e-05, 2e-05, 2e-05, relative" in text
     assert "(u = 9.8e-05 m/s^2, which is in no number per g)" in text
-    assert {row.u for row in given.inverse_rows} == {0.0}
+    assert {row.u for row in given.inverse.rows} == {0.0}
 
 
 def test_a_covariance_of_the_readings_that_is_the_whole_one_is_not_combined():

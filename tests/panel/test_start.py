@@ -18,13 +18,13 @@ from bench.panel.launching import (
     Wishes,
     WishFolder,
     arguments_of,
-    choices,
-    chosen_bench,
     start,
     wait_until,
 )
+from bench.panel.own_files import choices, chosen_bench
 from bench.panel.pages.start import FORM, form_field
 from bench.panel.shared import Panel
+from bench.run.events import MANIFEST
 from tests.support.commands import without_figures
 from tests.support.panel_client import Browser
 
@@ -37,6 +37,13 @@ def started(monkeypatch):
     calls = []
     monkeypatch.setattr("bench.panel.pages.start.start", lambda *given, **more: calls.append((given, more)))
     return calls
+
+
+def test_the_form_begins_with_the_bench_of_the_latest_run(runs, judged, anna):
+    Path("mine.yaml").write_text("name: mine\ninstruments:\n")
+    assert "<option selected>paper-stand</option>" in anna.get("/start").text
+    (judged / MANIFEST).write_text("damaged")
+    assert "<option selected>mine.yaml</option>" in anna.get("/start").text
 
 
 def begun(anna, **sent):

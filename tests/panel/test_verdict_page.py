@@ -11,7 +11,7 @@ from bench.certificate.laboratory import load_laboratory
 from bench.certificate.register import ISSUED, Entry, opened
 from bench.panel.access import STATE, Access, Role, Settings
 from bench.panel.app import make_app
-from bench.panel.launching import NEXT
+from bench.panel.own_files import NEXT
 from tests.support.pages import ROOT
 from tests.support.panel_client import HOME, OWN, Browser, TestClient
 

@@ -14,7 +14,7 @@ from bench.model import ForwardModel
 from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import make_readings
 from bench.results import plots
-from bench.results.page import ReportContent, render_report
+from bench.results.page import render_report
 from bench.validation.paper_bench import STAND_U, simulate
 from bench.validation.registry import REFERENCE
 
@@ -47,6 +47,11 @@ def calibration():
     return calibrate(simulate(np.random.default_rng([5, 1]), 1e-4), MODEL, STAND_U, 9.81)
 
 
+def report(calibration, verification=None, *, title="T", **given):
+    others = {"compared": None, "provenance": {}, "notes": (), "skipped": (), "simulated": False}
+    return render_report(title, calibration, verification, **(others | given))
+
+
 def verification_of(calibration, delta_g=0.0, missing=0, limit=3e-4, rule=None):
     angle = np.radians([45.0, 135.0, 225.0, 315.0])
     turned = np.stack([np.sin(angle) / np.sqrt(2), -np.sin(angle) / np.sqrt(2), np.cos(angle)], axis=1)
@@ -58,7 +63,7 @@ def verification_of(calibration, delta_g=0.0, missing=0, limit=3e-4, rule=None):
 
 
 def test_coefficients_stand_there_rounded_to_two_digits_of_u(calibration):
-    text = Text(render_report(ReportContent("T", calibration))).text
+    text = Text(report(calibration)).text
     for name, value, u in zip(COEFFICIENTS, calibration.block.vector, calibration.u, strict=True):
         decimals = 1 - int(np.floor(np.log10(u)))
         # independent of the page's own rounding: Python's format and the digits of u
@@ -67,43 +72,42 @@ def test_coefficients_stand_there_rounded_to_two_digits_of_u(calibration):
 
 
 def test_the_verdict_is_said_first_and_in_words(calibration):
-    passed = render_report(ReportContent("T", calibration, verification_of(calibration, 1e-4)))
-    failed = render_report(ReportContent("T", calibration, verification_of(calibration, 5e-4)))
+    passed = report(calibration, verification_of(calibration, 1e-4))
+    failed = report(calibration, verification_of(calibration, 5e-4))
     assert "Verification passed" in passed
     assert "Verification failed" in failed
     assert "outside the limit: 4 of 4 verification points." in failed
     assert failed.index("Verification failed") < failed.index("Model and coefficients")
-    missing = render_report(ReportContent("T", calibration, verification_of(calibration, missing=2)))
+    missing = report(calibration, verification_of(calibration, missing=2))
     assert "Verification not complete" in missing
     assert "2 verification points are missing" in missing
 
 
 def test_a_verdict_that_is_not_sure_says_so_in_words(calibration):
     result = verification_of(calibration, 2.8e-4, rule="simple")
-    page = Text(render_report(ReportContent("T", calibration, result))).text
+    page = Text(report(calibration, result)).text
     assert "✓ Verification: conditional pass, accepted" in page
     assert f"Probability of false acceptance {result.p_outside:.2g}" in page
     assert "t 4 of 4 verification points, |Δg| is within the limit by less than the guard band" in page
     unstated = verification_of(calibration, 2.8e-4)
-    page = Text(render_report(ReportContent("T", calibration, unstated))).text
+    page = Text(report(calibration, unstated)).text
     assert "– Verification: conditional pass, the customer decides" in page
     assert "non-binary (false acceptance ≤ 5 %)" in page
     assert "reduce u(Δg) to" in page
     nothing = verification_of(calibration, 1e-5, limit=5e-5)
-    page = Text(render_report(ReportContent("T", calibration, nothing))).text
+    page = Text(report(calibration, nothing)).text
     assert "– Verification inconclusive" in page
     assert "larger than the limit of 50 µg, so conformity cannot be decided" in page
 
 
 def test_without_verification_points_nothing_is_claimed(calibration):
-    text = Text(render_report(ReportContent("T", calibration))).text
+    text = Text(report(calibration)).text
     assert "Not verified" in text
     assert "so there is no verdict" in text
 
 
 def test_what_a_user_wrote_cannot_become_markup(calibration):
-    content = ReportContent("<b>T</b>", calibration, provenance={"operator": "<script>alert(1)</script>"})
-    page = render_report(content)
+    page = report(calibration, title="<b>T</b>", provenance={"operator": "<script>alert(1)</script>"})
     assert "<script>" not in page
     assert "<script>alert(1)</script>" in Text(page).text
     assert "<b>T</b>" in Text(page).text
@@ -113,8 +117,7 @@ def test_what_a_user_wrote_cannot_become_markup(calibration):
 @pytest.mark.figures
 def test_the_page_stands_alone_and_draws_every_reading_and_the_same_each_time(calibration):
     """54 readings of three channels, each drawn once against the angle: a marker is a <use> in the drawing."""
-    content = ReportContent("T", calibration, verification_of(calibration), compared=None, simulated=True)
-    page = render_report(content)
+    page = report(calibration, verification_of(calibration), simulated=True)
     drawing = plots.residuals_by_angle(calibration)
     assert drawing in page
     assert len(re.findall(r"<use ", drawing)) >= 3 * len(calibration.fitted)
@@ -125,25 +128,22 @@ def test_the_page_stands_alone_and_draws_every_reading_and_the_same_each_time(ca
 
 
 def test_a_simulated_run_is_marked(calibration):
-    content = ReportContent("Блок 17", calibration, simulated=True)
-    page = render_report(content)
+    page = report(calibration, title="Блок 17", simulated=True)
     assert "SIMULATED" in page
     assert "Блок 17" in page
-    assert "SIMULATED" not in render_report(replace(content, simulated=False))
+    assert "SIMULATED" not in report(calibration)
 
 
 def test_what_the_data_do_not_tell_is_marked(calibration):
-    text = Text(render_report(ReportContent("T", calibration))).text
+    text = Text(report(calibration)).text
     assert "no better known than before" in text  # alpha2: held by its limits alone
     assert "mounting_roll" in text
     assert "−10.4 µV/g" in text
 
 
 def test_other_units_and_notes(calibration):
-    content = ReportContent(
-        "T", replace(calibration, unit="counts"), notes=("run unfinished",), skipped=("line 4",)
-    )
-    text = Text(render_report(content)).text
+    counts = replace(calibration, unit="counts")
+    text = Text(report(counts, notes=("run unfinished",), skipped=("line 4",))).text
     assert "counts/g" in text
     assert "run unfinished" in text
     assert "line 4" in text
@@ -151,11 +151,9 @@ def test_other_units_and_notes(calibration):
 
 def test_the_comparison_with_another_estimator_is_shown(calibration):
     other = calibrate(calibration.fitted, MODEL, STAND_U, 9.81, "closed-form")
-    page = render_report(ReportContent("T", calibration, compared=other))
+    page = report(calibration, compared=other)
     assert "Beside another estimator" in page
-    assert "Beside another estimator" not in render_report(
-        ReportContent("T", calibration, compared=calibration)
-    )
+    assert "Beside another estimator" not in report(calibration, compared=calibration)
 
 
 def test_numbers_are_rounded_as_the_guide_says():

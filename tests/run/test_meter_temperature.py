@@ -49,7 +49,7 @@ def swung(time_s, lag_s=0.0):
 
 @pytest.mark.slow
 def test_two_channels_of_the_multiplexer_tell_meters_and_room(bench, tmp_path, monkeypatch):
-    monkeypatch.setattr("bench.results.page.render_report", lambda _content: "")
+    monkeypatch.setattr("bench.results.page.render_report", lambda *_, **__: "")
     path = bench_file(tmp_path, ON_SIGNALS)
     status, out, err = bench("run", "quick", "--dry-run", "--bench", path, "--name", "a", "--seed", "5")
     assert (status < 2, err) == (True, ""), out

@@ -152,7 +152,7 @@ def meter_resource():
 
 @pytest.mark.slow
 def test_beside_the_signals_it_tells_the_temperature_of_each_reading(bench, tmp_path, monkeypatch):
-    monkeypatch.setattr("bench.results.page.render_report", lambda _content: "")
+    monkeypatch.setattr("bench.results.page.render_report", lambda *_, **__: "")
     path = with_thermometer(tmp_path, BESIDE % (meter_resource(), 104))
     status, out, err = bench("run", "quick", "--dry-run", "--bench", path, "--name", "a", "--seed", "5")
     assert (status < 2, err) == (True, ""), out

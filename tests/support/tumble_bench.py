@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bench.base.arrays import Floats
-from bench.readings.centrifuge import CentrifugePoints
+from bench.readings.csv import CentrifugePoints
 from bench.readings.table import Readings, make_readings
 from bench.validation.paper_bench import SETTING_U_RAD, STAND_U, U0, K, specific_force
 

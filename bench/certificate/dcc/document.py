@@ -9,7 +9,7 @@ from typing import Final
 
 from lxml import etree
 
-from bench.certificate.content import Before, Certificate, Issue
+from bench.certificate.content import Before, Certificate, Issue, uncertified
 from bench.certificate.dcc.nodes import NAMESPACES, VERSION, Node, byte_data, node, plain, said
 from bench.certificate.dcc.results import measurement_results
 from bench.certificate.laboratory import Contact, Laboratory, Order, Texts, UnitOrder
@@ -181,7 +181,7 @@ def _statements(certificate: Certificate, order: Order, unit: UnitOrder, issue: 
     for head, told in certificate.origins.items():
         for key, blanks in told:
             yield _statement(head, *said(texts, key, **blanks), name=said(texts, head))
-    traceable = certificate.valid_instruments and not certificate.simulated
+    traceable = not uncertified(certificate.found) and not certificate.simulated
     reason = order.without_certificates
     yield node(
         "dcc:statement",

@@ -1,25 +1,19 @@
-"""Elements of a DCC: texts, numbers, D-SI units, quantities; rules and schemas that check a document."""
+"""Elements of a DCC: texts, numbers, D-SI units, quantities."""
 
 from __future__ import annotations
 
 import base64
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from decimal import Decimal
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-import numpy as np
 from lxml import etree
 
 from bench.base.text import visible
 from bench.certificate.content import Attached
-from bench.certificate.laboratory import SIMULATED_SERIES, Texts, in_each
-from bench.certificate.signatures import SIGNATURE, parser
-from bench.services.coefficients import impossible
-from bench.services.errors import Refused
+from bench.certificate.laboratory import Texts, in_each
 
 VOLT: Final = r"\volt"
 ONE: Final = r"\one"
@@ -53,16 +47,15 @@ _UNITS: Final[dict[str, tuple[float, dict[str, int]]]] = {
     "kelvin": (1.0, {"K": 1}), "degreecelsius": (1.0, {"K": 1}), "hertz": (1.0, {"s": -1}),
 }  # fmt: skip
 
-_POWER: Final = re.compile(r"\\([a-z]+)(?:\\tothe\{(-?\d+)\})?")
 _WORD: Final = re.compile(r"\\([a-z]+)(?:\{([+-]?\d+)\})?")
 
 
 def product(first: str, second: str) -> str:
     r"""Return the unit of the product of two units in `SI_UNITS`, as for a covariance: `\volt\tothe{2}`."""
     powers: dict[str, int] = {}
-    for name, power in _POWER.findall(first + second):
+    for _, name, power in _parts(first + second):
         if name != "one":
-            powers[name] = powers.get(name, 0) + int(power or 1)
+            powers[name] = powers.get(name, 0) + power
     kept = [
         rf"\{name}" if power == 1 else rf"\{name}\tothe{{{power}}}" for name, power in powers.items() if power
     ]
@@ -113,7 +106,6 @@ def _parts(text: str) -> list[tuple[int, str, int]]:
 DCC: Final = "https://ptb.de/dcc"
 SI: Final = "https://ptb.de/si"
 VERSION: Final = "3.3.0"
-SI_VERSION: Final = "2.2.1"
 NAMESPACES: Final = {"dcc": DCC, "si": SI}
 
 Node = etree._Element
@@ -258,208 +250,3 @@ def byte_data(file: Attached) -> Node:
         node("dcc:mimeType", file.media_type),
         node("dcc:dataBase64", base64.b64encode(file.content).decode()),
     )
-
-
-def broken_rules(document: bytes) -> tuple[str, ...]:
-    """Return a sentence, with the line number, for each violation of this program's own rules for a DCC."""
-    try:
-        root = etree.fromstring(document, parser())
-    except etree.XMLSyntaxError as error:
-        return (f"not XML: {error}",)
-    return tuple(dict.fromkeys(told for rule in _RULES for told in rule(root)))
-
-
-def local(element: Node) -> str:
-    """Return the name of an element without its namespace; empty for a comment."""
-    return etree.QName(element).localname if isinstance(element.tag, str) else ""
-
-
-def _at(element: Node, text: str) -> str:
-    return f"line {element.sourceline}, {local(element)}: {text}"
-
-
-def _version(root: Node) -> Iterator[str]:
-    """Yield a fault unless the document is a DCC of version `VERSION`."""
-    if root.tag != f"{{{DCC}}}digitalCalibrationCertificate" or root.get("schemaVersion") != VERSION:
-        yield _at(root, f"not a DCC {VERSION}")
-
-
-def _languages(root: Node) -> Iterator[str]:
-    """Yield a fault for each text that is not stated in every language of the document."""
-    used = {one.text for one in root.iter(f"{{{DCC}}}usedLangCodeISO639_1")}
-    for element in root.iter(f"{{{DCC}}}*", f"{{{SI}}}*"):
-        said = [one.get("lang") for one in element.findall("dcc:content", NAMESPACES)]
-        spoken = {language for language in said if language is not None}
-        if spoken and spoken != used:
-            yield _at(element, f"said in {', '.join(sorted(spoken))}, not in all languages used")
-
-
-def _lists(root: Node) -> Iterator[str]:
-    """Yield a fault for each list whose parts differ in length or whose units are unknown."""
-    for element in root.iter(f"{{{SI}}}realListXMLList"):
-        words = {local(one): (one.text or "").split() for one in element.iter(f"{{{SI}}}*") if one.text}
-        count = len((element.findtext("si:valueXMLList", "", NAMESPACES)).split())
-        units = (element.findtext("si:unitXMLList", "", NAMESPACES)).split()
-        if len(units) not in {1, count}:
-            yield _at(element, f"{count} values, but {len(units)} units")
-        for name in ("labelXMLList", "valueExpandedMUXMLList"):
-            if name in words and len(words[name]) != count:
-                yield _at(element, f"{count} values, but {len(words[name])} in {name}")
-        for unit in units:
-            try:
-                read_unit(unit)
-            except ValueError as error:
-                yield _at(element, str(error))
-
-
-def _covariances(root: Node) -> Iterator[str]:
-    """Yield a fault for each covariance that is not square or positive semidefinite, or contradicts U / k."""
-    for element in root.iter(f"{{{SI}}}realListXMLList"):
-        columns = element.findall(".//si:covarianceXMLList/si:valueXMLList", NAMESPACES)
-        if not columns:
-            continue
-        count = len((element.findtext("si:valueXMLList", "", NAMESPACES)).split())
-        rows = [[float(word) for word in (column.text or "").split()] for column in columns]
-        if len(rows) != count or any(len(row) != count for row in rows):
-            yield _at(element, f"{count} values, but a covariance of {[len(row) for row in rows]}")
-            continue
-        covariance = np.array(rows)
-        if why := impossible(covariance):
-            yield _at(element, why)
-        path = ".//si:expandedMUXMLList/si:{}"
-        U, k = (
-            [float(word) for word in (element.findtext(path.format(name), "", NAMESPACES)).split()]
-            for name in ("valueExpandedMUXMLList", "coverageFactorXMLList")
-        )
-        u = np.sqrt(np.abs(np.diag(covariance)))
-        if len(U) == len(k) == count and not np.allclose(
-            np.array(U), np.array(k) * u, rtol=1e-9, atol=1e-300
-        ):
-            yield _at(element, "U is not k times the root of the covariance's diagonal")
-
-
-def _days(root: Node) -> Iterator[str]:
-    """Yield a fault unless the days of receipt, calibration and issue are in chronological order."""
-    core = root.find("dcc:administrativeData/dcc:coreData", NAMESPACES)
-    names = ("receiptDate", "beginPerformanceDate", "endPerformanceDate", "issueDate")
-    days = [] if core is None else [core.findtext(f"dcc:{name}", "", NAMESPACES) for name in names]
-    if days != sorted(days):
-        yield f"{', '.join(names)} are not in this order: {', '.join(days)}"
-
-
-def _simulation(root: Node) -> Iterator[str]:
-    """Yield a fault if certificate number and statements disagree on whether the run was simulated."""
-    number = root.findtext("dcc:administrativeData/dcc:coreData/dcc:uniqueIdentifier", "", NAMESPACES)
-    said = root.find(".//dcc:statement[@refType='bench_simulated']", NAMESPACES) is not None
-    if said != number.startswith(SIMULATED_SERIES):
-        yield f"number {number}: those that begin with {SIMULATED_SERIES} are of simulated runs, and say so"
-
-
-def _statements(root: Node) -> Iterator[str]:
-    """Yield a fault for each list with unequal numbers of conformity statements and values."""
-    for element in root.iter(f"{{{DCC}}}conformityXMLList"):
-        quantity = next(element.iterancestors(f"{{{DCC}}}quantity"), None)
-        values = "" if quantity is None else quantity.findtext(".//si:valueXMLList", "", NAMESPACES)
-        if len((element.text or "").split()) != len(values.split()):
-            yield _at(element, "not a statement for each value")
-
-
-def _signed(root: Node) -> Iterator[str]:
-    """Yield a fault for each comment, and for each element of another namespace outside a signature."""
-    for element in root.iter():
-        if not isinstance(element.tag, str):
-            yield f"line {element.sourceline}: a comment or an instruction, which no signature covers"
-        elif etree.QName(element).namespace not in {DCC, SI}:
-            within = [element, *element.iterancestors()]
-            if not any(one.tag == f"{{{SIGNATURE}}}Signature" for one in within):
-                yield _at(element, "not in the name space of a DCC")
-
-
-_RULES: Final[tuple[Callable[[Node], Iterator[str]], ...]] = (
-    _version, _languages, _lists, _covariances, _days, _simulation, _statements, _signed,
-)  # fmt: skip
-
-
-_FILES: Final = {"dcc.xsd": VERSION, "SI_Format.xsd": SI_VERSION}
-_STAND_INS: Final = {
-    "quantitykind.xsd": (
-        "http://qudt.org/vocab/",
-        '<xs:simpleType name="quantitykind"><xs:restriction base="xs:string"/></xs:simpleType>',
-    ),
-    "xmldsig-core-schema.xsd": (
-        SIGNATURE,
-        '<xs:element name="Signature"><xs:complexType><xs:sequence><xs:any processContents="skip" '
-        'maxOccurs="unbounded"/></xs:sequence><xs:anyAttribute processContents="skip"/></xs:complexType>'
-        "</xs:element>",
-    ),
-}
-"""Minimal replacements for imported schemas that the folder lacks, by file name: namespace and content."""
-
-
-@dataclass(frozen=True)
-class Schemas:
-    """The compiled schemas of a folder; `stood_in` names imported ones that are missing and left empty."""
-
-    folder: Path
-    checker: etree.XMLSchema
-    stood_in: tuple[str, ...]
-
-    def mistakes(self, document: bytes) -> tuple[str, ...]:
-        """Return a sentence for each violation of the schemas in a document."""
-        root = etree.fromstring(document, parser())
-        if self.checker.validate(root):
-            return ()
-        log: Any = self.checker.error_log
-        return tuple(f"line {error.line}: {error.message}" for error in log)
-
-
-def read_schemas(folder: Path) -> Schemas:
-    """Compile dcc.xsd, SI_Format.xsd and the schemas that these two import, found anywhere below a folder.
-
-    Nothing is fetched from a network. Raises `Refused` if one of the two is missing or has another version, or if
-    a schema cannot be read.
-    """
-    there = {path.name.lower(): path for path in sorted(folder.rglob("*.xsd"))}
-    for name, version in _FILES.items():
-        path = there.get(name.lower())
-        if path is None:
-            raise Refused(
-                f"--schema {folder}: there is no {name}; give the folder with the institute's schemas"
-            )
-        stated = _version_of(path)
-        if stated != version:
-            raise Refused(
-                f"{path}: is version {stated}, but certificates follow {version}; give the schemas of {version}"
-            )
-    stood_in: list[str] = []
-
-    base: Any = etree.Resolver
-
-    class Local(base):  # type: ignore[misc]
-        def resolve(self, url: str, _public: str, context: Any) -> Any:
-            name = url.rsplit("/", 1)[-1]
-            path = there.get(name.lower())
-            if path is not None:
-                return self.resolve_filename(str(path), context)
-            space, content = _STAND_INS.get(name, ("", ""))
-            stood_in.append(name)
-            text = (
-                f'<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" targetNamespace="{space}">{content}'
-                "</xs:schema>"
-            )
-            return self.resolve_string(text, context)
-
-    reader = parser()
-    reader.resolvers.add(Local())
-    try:
-        checker = etree.XMLSchema(etree.parse(str(there["dcc.xsd"]), reader))
-    except (etree.XMLSchemaParseError, etree.XMLSyntaxError, OSError) as error:
-        raise Refused(f"--schema {folder}: cannot be used ({error}); download the schemas again") from error
-    return Schemas(folder, checker, tuple(stood_in))
-
-
-def _version_of(path: Path) -> str | None:
-    try:
-        return etree.parse(str(path), parser()).getroot().get("version")
-    except (etree.XMLSyntaxError, OSError) as error:
-        raise Refused(f"{path}: cannot be read ({error}); check name and permissions") from error

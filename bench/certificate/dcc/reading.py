@@ -1,9 +1,7 @@
-"""Reading DCCs: the coefficients of a block, and the certificates of instruments."""
+"""Reading DCCs: what a certificate of ours says, the coefficients of a block, the certificates of instruments."""
 
 from __future__ import annotations
 
-import base64
-import binascii
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -18,21 +16,107 @@ from pydantic import ValidationError
 
 from bench.base.arrays import Floats
 from bench.base.files import from_text, read_regular
-from bench.base.text import visible
 from bench.base.units import VOLTAGE, parse_quantity
-from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, Node, read_unit
-from bench.certificate.signatures import ORIGINAL, SIGNATURE, NotIntact, check_xml, parser
+from bench.certificate.dcc.lists import Dimension, NotRead, RealList, files_in, real_lists, said
+from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, Node, tag
+from bench.certificate.signatures import ORIGINAL, SIGNATURE, NoCertificate, NotIntact, check_xml, parser
 from bench.config.devices.device import ChamberCertificate, HeadCertificate
 from bench.model.geometry import COEFFICIENTS
-from bench.services.coefficients import coefficients_of, impossible
+from bench.results.certificate import CertificateSays, CertifiedCoefficient
+from bench.services.coefficients import coefficients_of
 from bench.services.errors import Refused, refusing
 
 MOST_BYTES: Final = 64_000_000
 OURS: Final = "bench_coefficients"
+ROOT: Final = tag("dcc:digitalCalibrationCertificate")
 _FILE: Final = "result.json"
+_ABOUT: Final = "dcc:administrativeData"
+_CORE: Final = f"{_ABOUT}/dcc:coreData"
+_OWN_COEFFICIENTS: Final = (
+    f"dcc:measurementResults/dcc:measurementResult/dcc:results/dcc:result[@refType='{OURS}']"
+)
 
 _VOLT: Final[Dimension] = (("V", 1),)
 _VOLT_PER_MS2: Final[Dimension] = (("V", 1), ("m", -1), ("s", 2))
+
+
+@dataclass(frozen=True)
+class ShownValues:
+    """The values in a certificate.
+
+    `covariance` (n, n) is that of the coefficients, `files` maps names to attachments. `release` is the version of
+    the program that wrote the certificate. `says_signed` is what the certificate says of itself: signed (True),
+    unsigned (False) or nothing (None).
+    """
+
+    says: CertificateSays
+    says_signed: bool | None
+    release: str
+    covariance: Floats
+    files: dict[str, bytes]
+
+
+def shown_of(content: bytes) -> ShownValues:
+    """Return the values in an XML. Raises `NotIntact` if it is not a DCC or cannot be read completely."""
+    root = etree.fromstring(content, parser())
+    if root.tag != ROOT:
+        raise NoCertificate("it is not a digital calibration certificate (DCC)")
+    try:
+        covariance, coefficients = _shown_coefficients(root)
+        files = files_in(root)
+    except NotRead as error:
+        raise NotIntact(f"the digital certificate cannot be read ({error})") from error
+    about = _about(root)
+    persons = root.iterfind(f"{_ABOUT}/dcc:respPersons/dcc:respPerson", NAMESPACES)
+    signers = (one for one in persons if said(one, "dcc:mainSigner") == "true")
+    says = CertificateSays(
+        number=about["number"],
+        laboratory=about["laboratory"],
+        customer=said(root, f"{_ABOUT}/dcc:customer/dcc:name/dcc:content"),
+        items=[_item(one) for one in root.iterfind(f"{_ABOUT}/dcc:items/dcc:item", NAMESPACES)],
+        calibrated=[said(root, f"{_CORE}/dcc:beginPerformanceDate"), about["date"]],
+        issued=said(root, f"{_CORE}/dcc:issueDate"),
+        authorised_by=next((said(one, "dcc:person/dcc:name/dcc:content") for one in signers), ""),
+        conformity=said(root, ".//dcc:metaData[@refType='bench_conformity']/dcc:conformity"),
+        simulated=_states(root, "simulated"),
+        coefficients=coefficients,
+        files=sorted(files),
+    )
+    says_signed = True if _states(root, "signed") else False if _states(root, "unsigned") else None
+    release = said(root, f"{_ABOUT}/dcc:dccSoftware/dcc:software/dcc:release")
+    return ShownValues(says, says_signed, release, covariance, files)
+
+
+def _states(root: Node, ref: str) -> bool:
+    """Return whether a document has this program's statement `ref`."""
+    path = f"{_ABOUT}/dcc:statements/dcc:statement[@refType='bench_{ref}']"
+    return root.find(path, NAMESPACES) is not None
+
+
+def _item(item: Node) -> str:
+    known = item.iterfind("dcc:identifications/dcc:identification", NAMESPACES)
+    texts = (said(item, "dcc:name/dcc:content"), *(said(one, "dcc:value") for one in known))
+    return ", ".join(filter(None, texts))
+
+
+def _shown_coefficients(root: Node) -> tuple[Floats, dict[str, CertifiedCoefficient]]:
+    """Return covariance and coefficients of the last result (unit as left), both empty without a result."""
+    results = root.findall(_OWN_COEFFICIENTS, NAMESPACES)
+    found = next(real_lists(results[-1]), None) if results else None
+    if found is None:
+        return np.empty((0, 0)), {}
+    if found.covariance is None or found.uncertainty is None:
+        raise NotRead(f"{found.words}: they lack covariance or uncertainties")
+    U, k = found.uncertainty
+    if {len(found.labels), len(U), len(k)} != {len(found.values)}:
+        raise NotRead(f"{found.words}: their names or uncertainties are of another number")
+    if not np.isfinite([found.values, U, k]).all():
+        raise NotRead(f"{found.words}: a number is not finite")
+    columns = zip(found.values.tolist(), U.tolist(), k.tolist(), found.units, strict=True)
+    return found.covariance, {
+        label: CertifiedCoefficient(value=value, U=expanded, k=factor, unit=unit)
+        for label, (value, expanded, factor, unit) in zip(found.labels, columns, strict=True)
+    }
 
 
 @dataclass(frozen=True)
@@ -55,7 +139,7 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
         raise Refused(
             f"{path}: not XML ({error}); give the XML of a digital calibration certificate, or the PDF that has it"
         ) from None
-    if root.tag != f"{{{DCC}}}digitalCalibrationCertificate":
+    if root.tag != ROOT:
         raise Refused(f"{path}: not a digital calibration certificate (DCC); give another file")
     if root.find(f".//{{{SIGNATURE}}}Signature") is None:
         return root, ("this document has no signature",)
@@ -135,7 +219,10 @@ def coefficients_in(path: Path, g_m_s2: float | None = None, noise: str | None =
 
 def _ours(path: Path, root: Node, listed: RealList) -> dict[str, Any]:
     """Return the result in this program's certificate. Raises `Refused` if `listed` has other numbers."""
-    data = from_text(_file(path, root))
+    try:
+        data = from_text(files_in(root)[_FILE])
+    except (NotRead, KeyError) as error:
+        raise Refused(f"{path}: it has no readable {_FILE}; ask the laboratory for the original") from error
     taken = coefficients_of(data, str(path))
     if listed.covariance is None or not (
         np.array_equal(listed.values, taken.block.vector)
@@ -148,29 +235,12 @@ def _ours(path: Path, root: Node, listed: RealList) -> dict[str, Any]:
     return {**told, "certificate": _about(root)}
 
 
-def _file(path: Path, root: Node) -> bytes:
-    for one in root.iter(f"{{{DCC}}}byteData"):
-        if one.findtext("dcc:fileName", "", NAMESPACES) == _FILE:
-            try:
-                return base64.b64decode(one.findtext("dcc:dataBase64", "", NAMESPACES), validate=True)
-            except binascii.Error:
-                break
-    raise Refused(f"{path}: it has no readable {_FILE}; ask the laboratory for the original")
-
-
 def _about(root: Node) -> dict[str, str]:
-    core = "dcc:administrativeData/dcc:coreData/dcc:{}"
-    where = "dcc:administrativeData/dcc:calibrationLaboratory/dcc:contact/dcc:name/dcc:content"
     return {
-        "number": said(root, core.format("uniqueIdentifier")),
-        "laboratory": said(root, where),
-        "date": said(root, core.format("endPerformanceDate")),
+        "number": said(root, f"{_CORE}/dcc:uniqueIdentifier"),
+        "laboratory": said(root, f"{_ABOUT}/dcc:calibrationLaboratory/dcc:contact/dcc:name/dcc:content"),
+        "date": said(root, f"{_CORE}/dcc:endPerformanceDate"),
     }
-
-
-def said(root: Node, path: str) -> str:
-    """Return the text at `path` in one line, with control characters visible; "" if there is none."""
-    return " ".join(visible(root.findtext(path, "", NAMESPACES)).split())
 
 
 def _order(labels: tuple[str, ...]) -> tuple[int, ...] | None:
@@ -229,7 +299,7 @@ def _result(
 ) -> Mapping[str, Any]:
     about = _about(root)
     u = np.sqrt(np.diag(covariance)).tolist()
-    item = "dcc:administrativeData/dcc:items/dcc:item/dcc:{}"
+    item = f"{_ABOUT}/dcc:items/dcc:item"
     return {
         "estimator": "certificate",
         "unit": "V",
@@ -245,8 +315,8 @@ def _result(
         "source": f"certificate {about['number']} of {about['laboratory']}",
         "made_at": about["date"],
         "unit_under_test": {
-            "type": said(root, item.format("name/dcc:content")),
-            "serial": said(root, item.format("identifications/dcc:identification/dcc:value")),
+            "type": said(root, f"{item}/dcc:name/dcc:content"),
+            "serial": said(root, f"{item}/dcc:identifications/dcc:identification/dcc:value"),
         },
         "simulated": False,
         "meters": [],
@@ -361,179 +431,3 @@ def _checked(stated: dict[str, Any], values: list[dict[str, str]]) -> Iterator[s
     except ValidationError as error:
         for one in error.errors()[:5]:
             yield f"a bench file cannot use this unchanged: {one['msg'].removeprefix('Value error, ')}"
-
-
-# --- lists of real quantities in any DCC, of any author ----------------------------------------------
-
-Dimension = tuple[tuple[str, int], ...]
-
-
-class NotRead(ValueError):
-    """Raised for a list that violates D-SI; the message states line and reason."""
-
-
-@dataclass(frozen=True)
-class RealList:
-    """A list of quantities in a document, with values (n,) converted to SI units.
-
-    `dimensions` (n) maps SI bases to exponents. `covariance` (n, n) and `u` (n,) are None if the document
-    does not state them. `roles` are the words in refType of the list and of its enclosing elements.
-    """
-
-    line: int
-    labels: tuple[str, ...]
-    values: Floats
-    dimensions: tuple[Dimension, ...]
-    covariance: Floats | None
-    u: Floats | None
-    roles: frozenset[str]
-
-    @property
-    def words(self) -> str:
-        """A description of the list, for use in a sentence."""
-        named = f": {' '.join(self.labels[:12])}" if self.labels else ""
-        return f"line {self.line}, {len(self.values)} values{named}"
-
-
-def real_lists(root: Node) -> Iterator[RealList]:
-    """Yield every list of quantities of a document, XMLList or realList. Raises `NotRead` if one violates D-SI."""
-    for element in root.iter(f"{{{SI}}}realListXMLList"):
-        values = _floats(element, "si:valueXMLList")
-        units = _words(element, "si:unitXMLList")
-        units = units * len(values) if len(units) == 1 else units
-        yield _made(element, _words(element, "si:labelXMLList"), values, units, _sizes(element))
-    for element in root.iter(f"{{{SI}}}realList"):
-        members = element.findall("si:real", NAMESPACES)
-        common = element.findtext("si:listUnit", "", NAMESPACES)
-        labels = [one.findtext("si:label", "", NAMESPACES).strip() for one in members]
-        values = np.array([_number(one, _text(one, "si:value")) for one in members])
-        units = [one.findtext("si:unit", common, NAMESPACES) for one in members]
-        sizes = [_u_of(one) for one in members]
-        known = [size for size in sizes if size is not None]
-        u = np.array(known) if len(known) == len(members) else None
-        yield _made(element, labels if all(labels) else [], values, units, u)
-
-
-def _made(element: Node, labels: list[str], values: Floats, units: list[str], u: Floats | None) -> RealList:
-    """Return the list of quantities in an element; converts `values` and `u` (n,) from `units` to SI."""
-    factors, dimensions = _units(element, units, len(values))
-    if u is not None and len(u) not in {1, len(values)}:
-        raise NotRead(f"line {element.sourceline}: {len(values)} values, but {len(u)} uncertainties")
-    columns = [
-        (_floats(column, ".//si:valueXMLList"), _words(column, ".//si:unitXMLList"))
-        for column in element.findall(".//si:covarianceMatrixXMLList/si:columnXMLList", NAMESPACES)
-    ]
-    columns += [
-        (
-            np.array([_number(one, _text(one, "si:value")) for one in column]),
-            [_text(one, "si:unit") for one in column],
-        )
-        for column in element.findall(".//si:covarianceMatrix/si:column", NAMESPACES)
-    ]
-    within = [element, *element.iterancestors(f"{{{DCC}}}*")]
-    return RealList(
-        int(str(element.sourceline or 0)),
-        tuple(labels),
-        values * factors,
-        dimensions,
-        _covariance(element, columns, dimensions) if columns else None,
-        None if u is None else u * np.abs(factors),
-        frozenset(word for one in within for word in (one.get("refType") or "").split()),
-    )
-
-
-_UNCERTAINTIES: Final = (
-    ("valueExpandedMU", "coverageFactor"), ("uncertainty", "coverageFactor"), ("valueStandardMU", ""),
-    ("standardUnc", ""),
-)  # fmt: skip
-"""Elements that state an uncertainty, each with the element of its k; in a list, both names end in XMLList."""
-
-
-def _sizes(element: Node) -> Floats | None:
-    """Return the standard uncertainties in a list: one per value, or one for all; None if there is none."""
-    for name, factor in _UNCERTAINTIES:
-        text = element.findtext(f"si:*//si:{name}XMLList", None, NAMESPACES)
-        if text is not None:
-            k = _floats(element, f"si:*//si:{factor}XMLList") if factor else np.ones(1)
-            return np.asarray(_numbers(element, text) / k, dtype=np.float64)
-    return None
-
-
-def _u_of(element: Node) -> float | None:
-    """Return the standard uncertainty of a single value; None if the document states none."""
-    for name, factor in _UNCERTAINTIES:
-        size = element.findtext(f".//si:{name}", None, NAMESPACES)
-        if size is not None:
-            k = _number(element, _text(element, f".//si:{factor}")) if factor else 1.0
-            return _number(element, size) / k
-    return None
-
-
-def _units(element: Node, units: list[str], count: int) -> tuple[Floats, tuple[Dimension, ...]]:
-    if len(units) != count:
-        raise NotRead(
-            f"line {element.sourceline}: {count} values, but {len(units)} units; ask for a corrected document"
-        )
-    try:
-        read = [read_unit(unit) for unit in units]
-    except ValueError as error:
-        raise NotRead(f"line {element.sourceline}: {error}") from None
-    return np.array([factor for factor, _ in read]), tuple(tuple(sorted(d.items())) for _, d in read)
-
-
-def _covariance(
-    element: Node, columns: list[tuple[Floats, list[str]]], dimensions: tuple[Dimension, ...]
-) -> Floats:
-    """Return the covariance (n, n) in SI units. Raises `NotRead` for columns of the wrong size or unit."""
-    count = len(dimensions)
-    if len(columns) != count or any(len(values) != count for values, _ in columns):
-        raise NotRead(f"line {element.sourceline}: {count} values, but a covariance of another size")
-    matrix = np.zeros((count, count))
-    for j, (values, units) in enumerate(columns):
-        factors, found = _units(element, units * count if len(units) == 1 else units, count)
-        for i in range(count):
-            if found[i] != _times(dimensions[i], dimensions[j]):
-                raise NotRead(
-                    f"line {element.sourceline}: the covariance of values {i + 1} and {j + 1} has another unit "
-                    "than their product"
-                )
-        matrix[:, j] = values * factors
-    if why := impossible(matrix):
-        raise NotRead(f"line {element.sourceline}: {why}")
-    return matrix
-
-
-def _times(first: Dimension, second: Dimension) -> Dimension:
-    powers = dict(first)
-    for base, power in second:
-        powers[base] = powers.get(base, 0) + power
-    return tuple(sorted((base, power) for base, power in powers.items() if power))
-
-
-def _text(element: Node, path: str) -> str:
-    text = element.findtext(path, None, NAMESPACES)
-    if text is None:
-        raise NotRead(f"line {element.sourceline}: it has no {path.rsplit(':', 1)[-1]}")
-    return text
-
-
-def _words(element: Node, path: str) -> list[str]:
-    return (element.findtext(path, "", NAMESPACES)).split()
-
-
-def _floats(element: Node, path: str) -> Floats:
-    return _numbers(element, _text(element, path))
-
-
-def _numbers(element: Node, text: str) -> Floats:
-    return np.array([_number(element, word) for word in text.split()])
-
-
-def _number(element: Node, word: str) -> float:
-    try:
-        value = float(word)
-    except ValueError:
-        value = float("nan")
-        if word.strip() != "NaN":
-            raise NotRead(f"line {element.sourceline}: {word[:40]!r} is not a number") from None
-    return value

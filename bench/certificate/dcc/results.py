@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import base64
-import binascii
 import math
-from collections.abc import Iterator, Sequence, Sized
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from lxml import etree
 
 from bench.base.arrays import Floats
 from bench.calibration.budget.whole import dof_through
@@ -42,9 +38,7 @@ from bench.certificate.dcc.nodes import (
     said,
 )
 from bench.certificate.laboratory import Texts, in_each
-from bench.certificate.signatures import NoCertificate, NotIntact, parser
 from bench.readings.table import Readings
-from bench.results.certificate import CertificateSays, CertifiedCoefficient
 
 _LATEX: Final = (
     r"\vec{U} = K\,\vec{a} + \vec{U}_0,\quad \vec{a} = N\,(\vec{U} - \vec{U}_0),\quad N = K^{-1},\quad "
@@ -139,10 +133,7 @@ def _condition(texts: Sequence[Texts], one: Condition, status: str) -> Node:
     unit = SI_UNITS[one.unit]
     shown = [real(end, unit, one.u) for end in dict.fromkeys((one.low, one.high))]
     ends = ["value"] if len(shown) == 1 else ["minimum", "maximum"]
-    quantities = [
-        node("dcc:quantity", node("dcc:name", plain(end)), quantity, refType=f"bench_{end}")
-        for end, quantity in zip(ends, shown, strict=True)
-    ]
+    quantities = [_quantity(end, quantity, plain(end)) for end, quantity in zip(ends, shown, strict=True)]
     return node(
         "dcc:influenceCondition",
         node("dcc:name", *said(texts, one.key, rail=one.about)),
@@ -217,9 +208,9 @@ def _listed(values: Values, certificate: Certificate) -> Node:
 
 def _freedom(members: Sequence[Value]) -> Node | None:
     """Return the list of the finite degrees of freedom; None if all are infinite."""
-    if not any(math.isfinite(one.dof) for one in members):
-        return None
     finite = [(one.name, one.dof) for one in members if math.isfinite(one.dof)]
+    if not finite:
+        return None
     listed = real_list([dof for _, dof in finite], [nodes.ONE], [f"nu_{name}" for name, _ in finite])
     return node(
         "dcc:metaData",
@@ -249,7 +240,7 @@ def _checked(texts: Sequence[Texts], verification: Verification) -> Node:
     statements = " ".join(_CONFORMITY[one] for one in stated(verification)[1])
     return node(
         "dcc:list",
-        _quantity(plain("angle"), real_list([p.angle_deg for p in points], [nodes.DEGREE]), "angle"),
+        _quantity("angle", real_list([p.angle_deg for p in points], [nodes.DEGREE]), plain("angle")),
         node(
             "dcc:quantity",
             node("dcc:name", *said(texts, "delta_g")),
@@ -257,14 +248,13 @@ def _checked(texts: Sequence[Texts], verification: Verification) -> Node:
             node("dcc:measurementMetaData", node("dcc:metaData", node("dcc:conformityXMLList", statements))),
             refType="bench_delta_g",
         ),
-        _quantity(said(texts, "limit"), real(verification.limit_g, nodes.ONE), "limit"),
-        *(_quantity(said(texts, key), real(p, nodes.ONE), key) for key, p in risks.items() if p is not None),
+        _quantity("limit", real(verification.limit_g, nodes.ONE), *said(texts, "limit")),
+        *(_quantity(key, real(p, nodes.ONE), *said(texts, key)) for key, p in risks.items() if p is not None),
     )
 
 
-def _quantity(name: Node | Sequence[Node], quantity: Node, ref: str) -> Node:
-    words = tuple(name) if isinstance(name, tuple) else (name,)
-    return node("dcc:quantity", node("dcc:name", *words), quantity, refType=f"bench_{ref}")
+def _quantity(ref: str, quantity: Node, *name: Node) -> Node:
+    return node("dcc:quantity", node("dcc:name", *name), quantity, refType=f"bench_{ref}")
 
 
 def _conformity(texts: Sequence[Texts], verification: Verification) -> Node:
@@ -310,135 +300,10 @@ def _table(texts: Sequence[Texts], readings: Readings) -> Node:
     return node(
         "dcc:list",
         node("dcc:name", *said(texts, "readings")),
-        _quantity(plain("installation"), labels, "installation"),
+        _quantity("installation", labels, plain("installation")),
         *(
-            _quantity(plain(name), real_list(values.tolist(), [of]), name)
+            _quantity(name, real_list(values.tolist(), [of]), plain(name))
             for name, (values, of) in columns.items()
             if not np.isnan(values).all()
         ),
     )
-
-
-_CORE: Final = "dcc:administrativeData/dcc:coreData"
-_RESULTS: Final = "dcc:measurementResults/dcc:measurementResult/dcc:results/dcc:result"
-_COEFFICIENTS: Final = f"{_RESULTS}[@refType='bench_coefficients']"
-
-_LIST: Final = ".//si:realListXMLList"
-
-
-@dataclass(frozen=True)
-class ShownValues:
-    """The values in a certificate.
-
-    `covariance` is the covariance of the coefficients, `files` maps names to attachments. `release` is the
-    version of the program that wrote the certificate. `says_signed` is what the certificate says of itself:
-    signed (True), unsigned (False) or nothing (None).
-    """
-
-    says: CertificateSays
-    says_signed: bool | None
-    release: str
-    covariance: tuple[tuple[float, ...], ...]
-    files: dict[str, bytes]
-
-
-def shown_of(content: bytes) -> ShownValues:
-    """Return the values in an XML. Raises `NotIntact` if it is not a DCC or cannot be read completely."""
-    root = etree.fromstring(content, parser())
-    if root.tag != nodes.tag("dcc:digitalCalibrationCertificate"):
-        raise NoCertificate("it is not a digital calibration certificate (DCC)")
-    administrative = "dcc:administrativeData"
-    covariance, coefficients = _coefficients(root)
-    files = dict(_file(one) for one in root.findall(".//dcc:byteData", nodes.NAMESPACES))
-    says = CertificateSays(
-        number=_text(root, f"{_CORE}/dcc:uniqueIdentifier"),
-        laboratory=_text(
-            root, f"{administrative}/dcc:calibrationLaboratory/dcc:contact/dcc:name/dcc:content"
-        ),
-        customer=_text(root, f"{administrative}/dcc:customer/dcc:name/dcc:content"),
-        items=[_item(one) for one in root.findall(f"{administrative}/dcc:items/dcc:item", nodes.NAMESPACES)],
-        calibrated=[_text(root, f"{_CORE}/dcc:{end}PerformanceDate") for end in ("begin", "end")],
-        issued=_text(root, f"{_CORE}/dcc:issueDate"),
-        authorised_by=_signer(root),
-        conformity=_text(root, ".//dcc:metaData[@refType='bench_conformity']/dcc:conformity"),
-        simulated=_states(root, "simulated"),
-        coefficients=coefficients,
-        files=sorted(files),
-    )
-    says_signed = True if _states(root, "signed") else False if _states(root, "unsigned") else None
-    release = _text(root, f"{administrative}/dcc:dccSoftware/dcc:software/dcc:release")
-    return ShownValues(says, says_signed, release, covariance, files)
-
-
-def _states(root: Any, ref: str) -> bool:
-    """Return whether a document has this program's statement `ref`."""
-    path = f"dcc:administrativeData/dcc:statements/dcc:statement[@refType='bench_{ref}']"
-    return root.find(path, nodes.NAMESPACES) is not None
-
-
-def _text(node: Any, path: str) -> str:
-    found = node.find(path, nodes.NAMESPACES)
-    return "" if found is None else " ".join("".join(found.itertext()).split())
-
-
-def _item(item: Any) -> str:
-    stated = item.findall("dcc:identifications/dcc:identification", nodes.NAMESPACES)
-    known = [_text(one, "dcc:value") for one in stated]
-    return ", ".join(filter(None, (_text(item, "dcc:name/dcc:content"), *known)))
-
-
-def _signer(root: Any) -> str:
-    for one in root.findall("dcc:administrativeData/dcc:respPersons/dcc:respPerson", nodes.NAMESPACES):
-        if _text(one, "dcc:mainSigner") == "true":
-            return _text(one, "dcc:person/dcc:name/dcc:content")
-    return ""
-
-
-def _file(node: Any) -> tuple[str, bytes]:
-    name = _text(node, "dcc:fileName")
-    try:
-        return name, base64.b64decode(_text(node, "dcc:dataBase64"), validate=True)
-    except binascii.Error as error:
-        raise NotIntact(f"the file {name} in the digital certificate cannot be read") from error
-
-
-def _coefficients(root: Any) -> tuple[tuple[tuple[float, ...], ...], dict[str, CertifiedCoefficient]]:
-    """Return covariance and coefficients of the last result (unit as left), both empty without a result."""
-    results = root.findall(_COEFFICIENTS, nodes.NAMESPACES)
-    found = None if not results else results[-1].find(_LIST, nodes.NAMESPACES)
-    if found is None:
-        return (), {}
-    expanded = "si:measurementUncertaintyUnivariateXMLList/si:expandedMUXMLList"
-    labels, units = _words(found, "si:labelXMLList"), _words(found, "si:unitXMLList")
-    values = _numbers(found, "si:valueXMLList")
-    U, k = (
-        _numbers(found, f"{expanded}/si:{name}")
-        for name in ("valueExpandedMUXMLList", "coverageFactorXMLList")
-    )
-    columns = found.findall(
-        ".//si:covarianceMatrixXMLList/si:columnXMLList/si:covarianceXMLList", nodes.NAMESPACES
-    )
-    by_column = [_numbers(one, "si:valueXMLList") for one in columns]
-    lists: list[Sized] = [labels, units, values, U, k, by_column, *by_column]
-    if {len(one) for one in lists} != {len(labels)}:
-        raise NotIntact("the lists of coefficients in the digital certificate differ in length")
-    covariance = tuple(zip(*by_column, strict=True))
-    rows = zip(labels, values, U, k, units, strict=True)
-    return covariance, {
-        label: CertifiedCoefficient(value=value, U=expanded_u, k=factor, unit=unit)
-        for label, value, expanded_u, factor, unit in rows
-    }
-
-
-def _words(node: Any, path: str) -> list[str]:
-    return _text(node, path).split()
-
-
-def _numbers(node: Any, path: str) -> list[float]:
-    try:
-        numbers = [float(word) for word in _words(node, path)]
-    except ValueError as error:
-        raise NotIntact(f"a number of the digital certificate cannot be read ({error})") from error
-    if not all(map(math.isfinite, numbers)):
-        raise NotIntact(f"{path} of the digital certificate holds a number that is not finite")
-    return numbers

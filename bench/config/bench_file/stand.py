@@ -346,7 +346,7 @@ class UnitUnderTest(FileModel):
 
 
 class PopulationSection(FileModel):
-    """The normal distribution of Δg, the error of measured gravity, among blocks of this type, in g."""
+    """The normal distribution of the true error δ at a point among blocks of this type, in g."""
 
     mean: AccelerationG = 0.0
     standard_deviation: Annotated[

@@ -24,8 +24,6 @@ from bench.diagnosis.mistakes.reinterpretation import (
 from bench.model.geometry import STAND_ANGLES, Block, Installation, specific_force_on_platform
 from bench.readings.table import Readings
 
-LEAST_POINTS: Final = 2
-"""Least number of verification points that show a wrong wiring: a single one may be wrong by itself."""
 ERRORS_G: Final[tuple[float, ...]] = tuple(np.geomspace(5e-4, 0.1, 10).tolist())
 """Prior 1 sigma of the errors of a reading and of a position without a mistake, g; all sizes equally probable.
 
@@ -115,7 +113,7 @@ class GrossSearch:
         no result. The orientation at the points counts as unknown.
         """
         points, table = OrientedRows.of(readings, verification=True), OrientedRows.of(readings)
-        if len(points) < LEAST_POINTS or self.nominal is None:
+        if len(points) < 2 or self.nominal is None:  # a single point may be wrong by itself
             return None
         block, maps = self.fit(table, table.every).block, other_wirings(points)
         errors_g = np.maximum(ERRORS_G, self._smallest_g)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -30,18 +31,6 @@ from bench.readings.table import Readings
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """The misfit of all readings before and after a mistake is corrected.
-
-    The misfit is the root mean square of the deviations from model and data sheet, in units of the noise; noise
-    alone gives 1.
-    """
-
-    before: float
-    after: float
-
-
-@dataclass(frozen=True)
 class Mistake:
     """A mistake in the record, where it is, and how the copy corrects it.
 
@@ -50,7 +39,8 @@ class Mistake:
     mountings written as `str(Mounting)`; empty means the whole run. `words` is a sentence. `p` is the
     p-value, corrected for all suppositions tried. `cannot_tell_from` are the names of mistakes and effects
     that explain these readings equally well; "other_mounting" means that the block was mounted in another
-    orientation.
+    orientation. `misfit_before` and `misfit_after` its correction are root mean squares of the deviations of all
+    readings from model and data sheet, in units of the noise; noise alone gives 1.
     """
 
     name: str
@@ -61,7 +51,8 @@ class Mistake:
     words: str
     p: float
     cannot_tell_from: tuple[str, ...]
-    evidence: Evidence = Evidence(np.nan, np.nan)
+    misfit_before: float = np.nan
+    misfit_after: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -115,13 +106,13 @@ def find_mistakes(
     found: list[Mistake] = []
     copies = [readings]
     for _ in range(STEPS):
-        steps = (search.unit, search.map, search.verification, search.terms)
+        steps = (search.unit, search.map, partial(search.map, verification=True), search.terms)
         wrong = next(filter(None, (step(copies[-1]) for step in steps)), [])
         if not wrong:
             break
         found += [mistake for mistake, _ in wrong]
         copies += [copy for _, copy in wrong]
-    return MistakeSearch(search.with_evidence(found, copies), copies[-1])
+    return MistakeSearch(search.with_misfits(found, copies), copies[-1])
 
 
 @dataclass(frozen=True)
@@ -152,20 +143,16 @@ class _Search:
         p = self.gross.p_of_copy(readings, copy, log_scaling, 3 * parts * np.log(len(PREFIXES)))
         return [(_unit_mistake(unit, p), copy)]
 
-    def map(self, readings: Readings) -> list[tuple[Mistake, Readings]]:
-        """Return the most probable other meaning of the record with the corrected copy; empty if there is none."""
-        gross = self.gross.find(readings)
-        if gross is None:
-            return []
-        return [(_gross_mistake(gross), gross.supposition.correct(readings, OrientedRows.of(readings)))]
+    def map(self, readings: Readings, *, verification: bool = False) -> list[tuple[Mistake, Readings]]:
+        """Return the likeliest other meaning of the record with the corrected copy; empty if there is none.
 
-    def verification(self, readings: Readings) -> list[tuple[Mistake, Readings]]:
-        """Return a wrong wiring at the verification points with the corrected copy; empty if there is none."""
-        gross = self.gross.find_at_verification(readings)
+        With `verification`, it is a wrong wiring at the verification points.
+        """
+        gross = (self.gross.find_at_verification if verification else self.gross.find)(readings)
         if gross is None:
             return []
-        points = OrientedRows.of(readings, verification=True)
-        return [(_gross_mistake(gross), gross.supposition.correct(readings, points))]
+        table = OrientedRows.of(readings, verification=verification)
+        return [(_gross_mistake(gross), gross.supposition.correct(readings, table))]
 
     def terms(self, readings: Readings) -> list[tuple[Mistake, Readings]]:
         """Return the passes and single readings that are wrong, each with a corrected copy.
@@ -196,8 +183,8 @@ class _Search:
 
         return table, TermSearch(problem, table.signal, floor, fit)
 
-    def with_evidence(self, found: Sequence[Mistake], copies: Sequence[Readings]) -> tuple[Mistake, ...]:
-        """Return the mistakes, each with the misfit before and after its correction (`Evidence`).
+    def with_misfits(self, found: Sequence[Mistake], copies: Sequence[Readings]) -> tuple[Mistake, ...]:
+        """Return the mistakes, each with the misfit before and after its correction.
 
         A mistake at the verification points changes no misfit of the oriented readings, and gets none.
         `copies` has the record first, then the copy after each correction.
@@ -212,7 +199,7 @@ class _Search:
             sheet = float(np.sum(self.gross.fit(oriented, oriented.every).sheet))
             sizes.append(float(np.sqrt((terms.table.chi2(seen) + sheet) / oriented.signal.size)))
         return tuple(
-            replace(mistake, evidence=Evidence(before, after)) if before != after else mistake
+            replace(mistake, misfit_before=before, misfit_after=after) if before != after else mistake
             for mistake, before, after in zip(found, sizes[:-1], sizes[1:], strict=True)
         )
 

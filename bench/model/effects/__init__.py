@@ -8,7 +8,7 @@ within the context of `Catalogue.also`.
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Iterable, Iterator, MutableMapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cached_property
@@ -53,7 +53,7 @@ def effects_of(module: ModuleType) -> list[Effect]:
     return [kind() for kind in kinds if kind.__module__ == module.__name__ and "name" in vars(kind)]
 
 
-class Catalogue(MutableMapping[str, Effect]):
+class Catalogue(Mapping[str, Effect]):
     """Effects by name: first the bench's own, then those of installed distributions, then the user's."""
 
     def __init__(self, shipped: Iterable[Effect]) -> None:
@@ -113,12 +113,6 @@ class Catalogue(MutableMapping[str, Effect]):
 
     def __len__(self) -> int:
         return len(self._known) + len(_OWN.get())
-
-    def __setitem__(self, name: str, effect: Effect) -> None:
-        self._known[name] = effect
-
-    def __delitem__(self, name: str) -> None:
-        del self._known[name]
 
     def _installed(self) -> Iterator[tuple[str, Effect]]:
         """Yield the effects of installed distributions as (description of the origin, effect)."""

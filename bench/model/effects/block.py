@@ -1,6 +1,7 @@
 """Effects in the block: nonlinearity, hysteresis, temperature, supply.
 
-In the formulas a_i is the specific force in g on the axis of channel i, K_ii its scale factor, and t a time.
+In the formulas a_i is the specific force in g on the axis of channel i, and t a time. The value of a formula is in
+g; `addition` multiplies it by the scale factor K_ii.
 """
 
 from __future__ import annotations
@@ -46,7 +47,6 @@ class QuadraticNonlinearity(BlockEffect):
     shown_by = "12 or more angles in a turn; a centrifuge above 1 g"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the quadratic term K_ii K2_i a_i^2 in volts, shape (n, 3)."""
         return seen.scale * values["K2"] * seen.signal**2
 
 
@@ -61,7 +61,6 @@ class CubicNonlinearity(BlockEffect):
     shown_by = "12 or more angles in a turn; a centrifuge above 1 g"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the cubic term K_ii K3_i a_i^3 in volts, shape (n, 3)."""
         return seen.scale * values["K3"] * seen.signal**3
 
 
@@ -74,7 +73,6 @@ class OddQuadraticNonlinearity(BlockEffect):
     shown_by = "12 or more angles in a turn; a centrifuge above 1 g"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the odd quadratic term K_ii Koq_i a_i |a_i| in volts, shape (n, 3)."""
         return seen.scale * values["Koq"] * seen.signal * np.abs(seen.signal)
 
 
@@ -87,7 +85,6 @@ class ScaleAsymmetry(BlockEffect):
     shown_by = "12 or more angles in a turn"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the asymmetric term K_ii Kabs_i |a_i| in volts, shape (n, 3)."""
         return seen.scale * values["Kabs"] * np.abs(seen.signal)
 
 
@@ -100,7 +97,6 @@ class CrossCoupling(BlockEffect):
     shown_by = "installations in which all three axes of the block feel gravity; a remount turned by 90 deg"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the products K_ii (Kip_i a_i a_j + Kio_i a_i a_k + Kpo_i a_j a_k) in volts, shape (n, 3)."""
         a_j, a_k = _others(seen.signal)
         products = (
             values["Kip"] * seen.signal * a_j + values["Kio"] * seen.signal * a_k + values["Kpo"] * a_j * a_k
@@ -119,7 +115,6 @@ class CrossQuadratic(BlockEffect):
     shown_by = "a third installation; at 1 g it is the same as a square along the own axis and a bias"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the squares K_ii (Kpp_i a_j^2 + Koo_i a_k^2) in volts, shape (n, 3)."""
         a_j, a_k = _others(seen.signal)
         return seen.scale * (values["Kpp"] * a_j**2 + values["Koo"] * a_k**2)
 
@@ -129,8 +124,9 @@ ROUNDED_G: Final = 0.01
 
 
 class BiasAsymmetry(BlockEffect):
-    """Asymmetry (K0'/2) sign(a_i) of the bias. Outside a dead band of half-width w, the signal is as with K0' = -2
-    w.
+    """Asymmetry (K0'/2) sign(a_i) of the bias, the sign smoothed over `ROUNDED_G`.
+
+    Outside a dead band of half-width w, the signal is as with K0' = -2 w.
     """
 
     name = "bias_asymmetry"
@@ -139,9 +135,6 @@ class BiasAsymmetry(BlockEffect):
     shown_by = "12 or more angles in a turn"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the bias K_ii (K0p_i / 2) sign(a_i) in volts, shape (n, 3), with the sign smoothed over
-        `ROUNDED_G`.
-        """
         return seen.scale * values["K0p"] / 2 * np.tanh(seen.signal / ROUNDED_G)
 
 
@@ -327,7 +320,6 @@ class ThermalNonlinearity(BlockEffect):
     shown_by = "12 or more angles in a turn at two temperatures; a centrifuge at two temperatures"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii (K2_T_i a_i^2 + K3_T_i a_i^3) T in volts, shape (n, 3), for the temperature difference T."""
         a, warmth = seen.signal, seen.conditions.warmth_k[:, None]
         return warmth * (seen.scale * (values["K2_T"] * a**2 + values["K3_T"] * a**3))
 
@@ -343,7 +335,6 @@ class ThermalMisalignment(BlockEffect):
     shown_by = "the same settings in both installations at two temperatures"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii (m_j_i a_j + m_k_i a_k) T in volts, shape (n, 3), for the temperature difference T."""
         a_j, a_k = _others(seen.signal)
         warmth = seen.conditions.warmth_k[:, None]
         return warmth * (seen.scale * (values["m_j"] * a_j + values["m_k"] * a_k))
@@ -363,7 +354,6 @@ class WarmUp(BlockEffect):
     shown_by = "a return to installation 1 at the end; more passes; a longer soak makes it smaller"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the bias K_ii A_i exp(-t / tau) at each reading's time t, in volts, shape (n, 3)."""
         left = np.exp(-seen.conditions.switched_on_s / float(values["tau"]))
         return left[:, None] * (seen.scale * values["A"])
 
@@ -377,7 +367,6 @@ class BiasDrift(BlockEffect):
     shown_by = "a return to installation 1 at the end; more passes"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the drift K_ii r_i t of the bias at each reading's time t, in volts, shape (n, 3)."""
         return seen.conditions.elapsed_s[:, None] * (seen.scale * values["rate"])
 
 
@@ -390,7 +379,6 @@ class ScaleDrift(BlockEffect):
     shown_by = "a return to installation 1 at the end; a reference voltage at the inputs in each pass"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the change of signal K_ii r_i t a_i at each reading's time t, in volts, shape (n, 3)."""
         return seen.conditions.elapsed_s[:, None] * seen.signal * (seen.scale * values["rate"])
 
 
@@ -406,7 +394,6 @@ class TurnOnShift(BlockEffect):
     needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the step of bias in volts, that is, times K_ii, shape (n, 3)."""
         return np.broadcast_to(seen.scale * values["step"], seen.signal.shape)
 
 
@@ -422,7 +409,6 @@ class ScaleStep(BlockEffect):
     outlasts_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the change of signal K_ii step_i a_i in volts, shape (n, 3)."""
         return seen.signal * (seen.scale * values["step"])
 
 
@@ -443,7 +429,6 @@ class ThermalSettling(BlockEffect):
     needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the bias K_ii A_i exp(-t / tau) at each reading's time t, in volts, shape (n, 3)."""
         left = np.exp(-seen.conditions.since_mounting_s / float(values["tau"]))
         return left[:, None] * (seen.scale * values["A"])
 
@@ -455,8 +440,9 @@ MOST_RAILS: Final = 3
 
 
 class SupplySensitivity(BlockEffect):
-    """Bias and scale-factor change (b_S + k_S a_i) v, where v is the voltage of a supply rail minus its nominal
-    voltage.
+    """Bias and scale-factor change (b_S + k_S a_i) v; zero without a recorded rail voltage.
+
+    v is the voltage of a supply rail minus its nominal voltage.
     """
 
     name = "supply_sensitivity"
@@ -472,9 +458,6 @@ class SupplySensitivity(BlockEffect):
     shown_by = "the same settings with the rail a little above and a little below its nominal voltage"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the change of signal K_ii (b_S_i + k_S_i a_i) v, V, shape (n, 3); zero without a recorded rail
-        voltage.
-        """
         number = round(float(values["rail"]))
         above_v = seen.conditions.above_nominal_v
         if not 1 <= number <= above_v.shape[1]:

@@ -30,21 +30,22 @@ def into(column: str, angle_rad: Floats, stand_rad: Floats) -> Floats:
 
 
 class ConstantAngle(StandEffect):
-    """A constant stand angle, larger than the bench file allows, in the column `column` of `STAND_ANGLES`."""
+    """A constant stand angle, larger than the bench file allows.
 
-    column: ClassVar[str]
+    Its column of `STAND_ANGLES` is `column`, by default that of its name.
+    """
+
+    column: ClassVar[str] = ""
     per_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the angle in its column of `STAND_ANGLES`, zero in the other columns, rad, shape (n, 5)."""
-        return into(self.column, values["angle"], seen.signal)
+        return into(self.column or self.name, values["angle"], seen.signal)
 
 
 class AxisTilt(ConstantAngle):
     """The tilt of the head's axis, alpha1, beyond its limits."""
 
     name = "axis_tilt"
-    column = "axis_tilt"
     parameters = (angle("angle", 10),)
     sentence = "the head's axis is tilted from the level by more than the bench file allows"
     shown_by = "a remount turned by 180 deg; a level on the shaft"
@@ -54,7 +55,6 @@ class ZeroOffset(ConstantAngle):
     """The zero offset of the head's scale, alpha2, beyond its limits."""
 
     name = "zero_offset"
-    column = "zero_offset"
     parameters = (angle("angle", 10),)
     sentence = "the zero of the head's scale is off the vertical by more than the bench file allows"
     shown_by = "both directions of approach, and installations that share an axis of the block"
@@ -64,7 +64,6 @@ class MountingError(ConstantAngle):
     """The mounting error alpha3 beyond its limits: a tilt of -alpha3 sin(phi) out of the plane of rotation."""
 
     name = "mounting_error"
-    column = "mounting_error"
     parameters = (angle("angle", 90),)
     sentence = "the block was mounted turned out of the plane of rotation by more than the bench file allows"
     shown_by = "a remount turned by 180 deg on the platform"
@@ -74,7 +73,6 @@ class MountingOffset(ConstantAngle):
     """A rotation of the block about the shaft that differs between mountings."""
 
     name = "mounting_offset"
-    column = "mounting_offset"
     parameters = (angle("angle", 90),)
     sentence = "the block was mounted turned within the plane of rotation"
     shown_by = "a remount turned by 180 deg on the platform"
@@ -84,7 +82,6 @@ class MountingRoll(ConstantAngle):
     """The third mounting angle alpha5: a tilt of alpha5 cos(phi) out of the plane of rotation."""
 
     name = "mounting_roll"
-    column = "mounting_roll"
     parameters = (angle("angle", 90),)
     sentence = "the block was mounted tilted about the third axis of the platform"
     shown_by = "verification points with the block turned about x or z; a third installation"
@@ -97,7 +94,7 @@ MARKS_DEG: Final = tuple(range(0, 360, 15))
 
 
 class HeadEccentricity(HeadEffect):
-    """An angle error with a period of one turn: the circle's centre is off the shaft's axis."""
+    """An angle error e_c cos(phi) + e_s sin(phi): the circle's centre is off the shaft's axis."""
 
     name = "head_eccentricity"
     order = 1
@@ -106,12 +103,11 @@ class HeadEccentricity(HeadEffect):
     shown_by = "a second reading of the circle opposite the first; a polygon and autocollimator"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the angle error e_c cos(phi) + e_s sin(phi) at the head angles phi, rad, shape (n,)."""
         return wave(values, seen.conditions.angle_rad)
 
 
 class HeadEllipticity(HeadEffect):
-    """An angle error with a period of half a turn."""
+    """An angle error e_c cos(2 phi) + e_s sin(2 phi): the circle is not round."""
 
     name = "head_ellipticity"
     order = 2
@@ -120,7 +116,6 @@ class HeadEllipticity(HeadEffect):
     shown_by = "a remount turned by 90 deg on the platform; a polygon and autocollimator"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the angle error e_c cos(2 phi) + e_s sin(2 phi) at the head angles phi, rad, shape (n,)."""
         return wave(values, 2 * seen.conditions.angle_rad)
 
 
@@ -134,7 +129,6 @@ class HeadGraduation(HeadEffect):
     shown_by = "24 angles in a turn; a polygon and autocollimator"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the interpolated error at each angle in rad, shape (n,)."""
         errors = [float(values[p.name]) for p in self.parameters]
         return np.interp(seen.conditions.angle_rad, np.radians(MARKS_DEG), errors, period=2 * np.pi)
 
@@ -148,9 +142,6 @@ class Backlash(HeadEffect):
     shown_by = "both directions of approach"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return half the backlash, d b / 2, rad, shape (n,); d is the direction of approach: +1, -1, or 0 if
-        unknown.
-        """
         return seen.conditions.direction * values["play"] / 2
 
 
@@ -170,7 +161,6 @@ class AxisWobble(StandEffect):
     shown_by = "a remount turned by 90 deg (twice a turn) or 180 deg (once a turn); a mirror on the shaft"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the tilt in the axis-tilt column, rad, shape (n, 5)."""
         phase = float(values["harmonic"]) * seen.conditions.angle_rad
         return into("axis_tilt", wave(values, phase), seen.signal)
 
@@ -186,7 +176,10 @@ class BracketTilt(ConstantAngle):
 
 
 class FoundationTilt(StandEffect):
-    """A periodic tilt of the foundation about the shaft and across it: c cos(2 pi t / P) + s sin(2 pi t / P)."""
+    """A periodic tilt of the foundation about the shaft and across it: c cos(2 pi t / P) + s sin(2 pi t / P).
+
+    t is the time since the start of the run.
+    """
 
     name = "foundation_tilt"
     parameters = (
@@ -203,10 +196,6 @@ class FoundationTilt(StandEffect):
     shown_by = "a level on the foundation, read with each setting; the same setting through a day"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the tilts in the zero-offset and axis-tilt columns, rad, shape (n, 5).
-
-        t is the time since the start of the run.
-        """
         phase = 2 * np.pi * seen.conditions.elapsed_s / float(values["period"])
         along = into("zero_offset", wave(values, phase), seen.signal)
         return along + into("axis_tilt", wave(values, phase, "across_"), seen.signal)
@@ -231,7 +220,6 @@ class BlockSlip(StandEffect):
     per_pass = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the change of each mounting angle in its column, rad, shape (n, 5)."""
         parts = [into(column, values[column], seen.signal) for column in MOUNTING_ANGLES]
         return np.asarray(np.sum(parts, axis=0))
 
@@ -257,7 +245,6 @@ class MountingCreep(StandEffect):
     needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the remaining deviation of each mounting angle in its column, rad, shape (n, 5)."""
         left = np.exp(-seen.conditions.since_mounting_s / float(values["tau"]))
         parts = [into(column, values[column] * left, seen.signal) for column in MOUNTING_ANGLES]
         return np.asarray(np.sum(parts, axis=0))
@@ -277,7 +264,6 @@ class HeadZeroShift(HeadEffect):
     outlasts_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the shift of every scale reading in rad, shape (n,)."""
         return np.broadcast_to(values["angle"], len(seen.conditions))
 
 
@@ -310,10 +296,6 @@ class MetersExchanged(VoltmeterEffect):
     outlasts_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the error gain U + zero, V, shape (n, 3), of channels with exchanged meters, zero for others.
-
-        The error is positive in one channel of each pair and negative in the other.
-        """
         added = np.zeros_like(seen.signal)
         for one, other in PAIRS:
             gain, zero = values[f"{one}{other}_gain"], values[f"{one}{other}_zero"]

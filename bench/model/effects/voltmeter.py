@@ -37,7 +37,6 @@ class VoltmeterNonlinearity(VoltmeterEffect):
     shown_by = "a ladder of reference voltages at the inputs, such as 0, 1 and 2 V of both signs"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the error due to the nonlinearity at the voltages U, in volts, shape (n, 3)."""
         part = seen.signal / NORMAL_V
         return values["q2"] * part**2 + values["q3"] * part**3
 
@@ -51,7 +50,6 @@ class VoltmeterDrift(VoltmeterEffect):
     shown_by = "a shorted input in each pass"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the rate of drift times the time t of each reading, in volts, shape (n, 3)."""
         return np.broadcast_to((values["rate"] * seen.conditions.elapsed_s)[:, None], seen.signal.shape)
 
 
@@ -69,7 +67,6 @@ class VoltmeterWarmUp(VoltmeterEffect):
     shown_by = "a shorted input in each pass; a longer warm-up of the meters makes it smaller"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the zero error A exp(-t / tau) at each reading's time t, in volts, shape (n, 3)."""
         left = values["A"] * np.exp(-seen.conditions.elapsed_s / float(values["tau"]))
         return np.broadcast_to(left[:, None], seen.signal.shape)
 
@@ -108,7 +105,6 @@ class VoltmeterThermalGain(VoltmeterEffect):
     needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the change gain_i T U_i of the voltages U_i, in volts, shape (n, 3)."""
         return _followed(values, seen)[:, None] * seen.signal * values["gain"]
 
 
@@ -127,7 +123,6 @@ class VoltmeterThermalOffset(VoltmeterEffect):
     needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the change offset_i T of the zeros, in volts, shape (n, 3)."""
         return _followed(values, seen)[:, None] * np.broadcast_to(values["offset"], seen.signal.shape)
 
 
@@ -148,7 +143,6 @@ class VoltmeterMove(VoltmeterEffect):
     shown_by = "a shorted input before and after the move"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the jump step_i of each zero from the time `at` on, else zero, in volts, shape (n, 3)."""
         after = seen.conditions.elapsed_s >= float(values["at"])
         return np.where(after[:, None], values["step"], np.zeros_like(seen.signal))
 
@@ -168,9 +162,6 @@ class ReferenceSupply(VoltmeterEffect):
     shown_by = "the supply of the reference swept up and down, twice"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the change s v of the voltage at the reference input, zero at other inputs, in volts, shape (n,
-        3).
-        """
         conditions, number = seen.conditions, round(float(values["rail"]))
         if not 1 <= number <= conditions.above_nominal_v.shape[1]:
             return np.zeros_like(seen.signal)
@@ -193,7 +184,6 @@ class RangeOffset(VoltmeterEffect):
     shown_by = "a fixed range; a reference voltage below 1.2 V, read on both ranges"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the error offset + gain U where |U| < 1.2 V, else zero, in volts, shape (n, 3)."""
         return np.where(
             np.abs(seen.signal) < LOW_RANGE_V, values["offset"] + values["gain"] * seen.signal, 0.0
         )
@@ -202,7 +192,7 @@ class RangeOffset(VoltmeterEffect):
 class ChannelCrosstalk(VoltmeterEffect):
     """Crosstalk from the voltage scanned before: a fraction of U_before - U is added to U.
 
-    U_before is the voltage scanned just before U, possibly in the row before.
+    U_before is the voltage scanned just before U, possibly in the row before; the very first reading has none.
     """
 
     name = "channel_crosstalk"
@@ -212,7 +202,6 @@ class ChannelCrosstalk(VoltmeterEffect):
     needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the crosstalk fraction × (U_before - U), V, shape (n, 3); zero for the very first reading."""
         order = seen.conditions.scan_order
         scanned = np.take_along_axis(seen.signal, order, axis=1).ravel()
         step = np.diff(-scanned, prepend=-scanned[:1]).reshape(seen.signal.shape)
@@ -230,7 +219,6 @@ class VoltmeterGain(VoltmeterEffect):
     shown_by = "a reference voltage at the inputs; the voltmeters' calibration"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the gain error times the voltages U, in volts, shape (n, 3)."""
         return values["gain"] * seen.signal
 
 
@@ -249,7 +237,6 @@ class ReferenceStep(VoltmeterEffect):
     outlasts_mount = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the step of the gain times the voltages U, in volts, shape (n, 3)."""
         return values["step"] * seen.signal
 
 
@@ -262,7 +249,6 @@ class VoltmeterOffset(VoltmeterEffect):
     shown_by = "a shorted input"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the offset in volts, shape (n, 3)."""
         return np.full_like(seen.signal, values["offset"])
 
 
@@ -277,7 +263,6 @@ class ThermalEmf(Effect):
     shown_by = "the polarity of the leads reversed at block and meter"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the voltage in volts, shape (n, 3)."""
         return np.broadcast_to(values["emf"], seen.signal.shape)
 
 
@@ -292,5 +277,4 @@ class WrongGravity(Effect):
     shown_by = "a gravimeter, or a survey's value for the place"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the excess times the force in g, shape (n, 3)."""
         return values["excess"] * seen.signal

@@ -18,7 +18,7 @@ from bench.base.text import visible
 from bench.base.yaml_files import FileMistake, FileMistakes, document_of, dotted, read_yaml, validated
 from bench.config.bench_file.file import BenchFile
 from bench.config.shipped import CONFIG
-from bench.panel.access import STATE, Person, Refusal, Role
+from bench.panel.access import STATE, Refusal, Role
 from bench.panel.bench_fields import (
     METERS_PLACE,
     OF_BENCH,
@@ -29,39 +29,25 @@ from bench.panel.bench_fields import (
     placed,
     values_of,
 )
-from bench.panel.launching import choices
 from bench.panel.own_files import (
-    EditedFile,
     FileText,
+    choices,
     own_file,
     own_files,
     read_file,
     shipped_file,
     shipped_files,
 )
-from bench.panel.round_trip import changed_text, signed
+from bench.panel.pages.editing import LONGEST, EditedFile
+from bench.panel.round_trip import changed_text
 from bench.panel.searching import IDENTIFY, OFFERS, TEST, Findings, Search
 from bench.panel.shared import Panel, acting, operator, page, panel_of
-from drivers.clock import utc_now
 
-MOST_FIELDS: Final = 300
-LONGEST: Final = 400
 TARGETS: Final = ("x", "y", "z", "scanner", "head", "chamber")
 """Instruments to which a found resource may be assigned.
 
 They are the voltmeter of a signal, the scanning voltmeter, the head and the chamber.
 """
-
-
-@dataclass
-class FormState(EditedFile):
-    """The state of the form: its file, the typed values, the findings; `written` is the file's new text."""
-
-    values: dict[str, str] = field(default_factory=dict)
-    groups: list[Group] = field(default_factory=list)
-    written: str = ""
-    file: BenchFile | None = None
-    further: str = ""
 
 
 # --- the list ---------------------------------------------------------------------------------------
@@ -79,29 +65,18 @@ def benches(request: Request) -> Response:
     )
 
 
-@dataclass(frozen=True)
-class Listed:
-    """A bench file in the list: its name, its description, and the number of its mistakes."""
-
-    name: str
-    path: str
-    description: str
-    mistakes: int
-
-
-def listed() -> list[Listed]:
-    """Return the bench files of the working folder for the list."""
+def listed() -> list[dict[str, Any]]:
+    """Return name, path, description and number of mistakes of each bench file of the working folder."""
     rows = []
     for name, path in own_files(CONFIG).items():
         try:
-            text = read_file(path)
-            mistakes, file = mistakes_in(text.text, path)
-        except Refusal:
-            mistakes, file = (
-                (FileMistake(0, "", message("the file cannot be read; check its permissions")),),
-                None,
-            )
-        rows.append(Listed(name, str(path), file.description if file else "", len(mistakes)))
+            mistakes, file = mistakes_in(read_file(path).text, path)
+            number = len(mistakes)
+        except Refusal:  # it cannot be read
+            number, file = 1, None
+        rows.append(
+            {"name": name, "path": path, "description": file.description if file else "", "mistakes": number}
+        )
     return rows
 
 
@@ -116,27 +91,98 @@ def mistakes_in(text: str, path: Path) -> tuple[tuple[FileMistake, ...], BenchFi
 # --- the form ---------------------------------------------------------------------------------------
 
 
-def form(request: Request) -> Response:
-    """Show the form of a bench file (`file`), or of a new file that begins as a copy of a shipped one (`start`)."""
-    operator(request)
-    asked = request.query_params
-    state = _begun(asked.get("file", ""), asked.get("start", ""), asked.get("name", ""))
-    if asked.get("written"):
-        state.note = message(f"{state.base.path} was written.")
-    _judge(state)
-    return _form_page(request, state)
+_OF_FORM: Final = ("form:", "gravity", "instruments.", "unit_under_test.")
 
 
-def _begun(name: str, start: str, new_name: str = "") -> FormState:
-    """Return the form of file `name`, else of a copy `new_name` of `start`. Raises `Refusal` if missing."""
-    if name:
-        base = read_file(own_file(CONFIG, name))
-        return FormState(name, "", base, values=_values(base.text))
-    shipped = read_file(shipped_file(CONFIG, start))
-    values = _values(shipped.text)
-    if new_name := new_name.strip():
-        values["name"] = new_name
-    return FormState(new_name, start, FileText(shipped.path, shipped.text), values=values)
+@dataclass
+class BenchForm(EditedFile):
+    """The form of a bench file: the typed values and the groups of fields; `further` are resources to be found."""
+
+    KIND = CONFIG
+    MOST_FIELDS = 300
+    CHANGED = message("Not written: the file changed since this form was opened. See the difference below.")
+
+    values: dict[str, str] = field(default_factory=dict)
+    groups: list[Group] = field(default_factory=list)
+    file: BenchFile | None = None
+    further: str = ""
+
+    @classmethod
+    def _begun(cls, name: str, start: str, new_name: str) -> BenchForm:
+        if name:
+            base = read_file(own_file(CONFIG, name))
+            return cls(name, "", base, values=_values(base.text))
+        shipped = read_file(shipped_file(CONFIG, start))
+        values = _values(shipped.text)
+        if new_name:
+            values["name"] = new_name
+        return cls(new_name, start, FileText(shipped.path, shipped.text), values=values)
+
+    def _open(self, asked: Mapping[str, str]) -> None:
+        if asked.get("written"):
+            self.note = message(f"{self.base.path} was written.")
+        self._judge()
+
+    def _take(self, panel: Panel, given: Mapping[str, str]) -> None:
+        """Take over the typed values; begin a search if its button was pressed. Raises `Refusal` for odd texts."""
+        for text in given.values():
+            if len(text) > LONGEST and "\n" not in text:
+                raise Refusal(400, message(f"shorten the field to at most {LONGEST} characters"))
+        for name, text in given.items():
+            if name in OF_BENCH or name.startswith(_OF_FORM):
+                if visible(text) != text or not (text.isprintable() or not text):
+                    raise Refusal(400, message(f"{name}: use printable characters only"))
+                self.values[name] = text.strip()
+        search = search_of(panel)
+        _assign(self.values, given, search.found())
+        self.values = completed(self.values, _values(self.base.text))
+        self._judge()
+        self.further = given.get("further", "")
+        do = given.get("do", "show")
+        if do in {OFFERS, IDENTIFY}:
+            try:
+                search.begin(do, resources=_addressed(given) if do == IDENTIFY else ())
+                self.further = "" if do == IDENTIFY else self.further
+            except Refusal as refusal:
+                self.refusal = refusal.text
+
+    def _judge(self) -> None:
+        """Make the file's new text from the typed values, and assign the mistakes in it to their fields."""
+        self.groups = groups_of(self.values)
+        try:
+            self.text = changed_text(self.base.text, self.values, self.groups)
+        except (yaml.YAMLError, TypeError, KeyError, AttributeError) as error:
+            raise Refusal(409, message("the form cannot show this file; correct it in an editor")) from error
+        mistakes, self.file = mistakes_in(self.text, self.base.path)
+        self.placed = placed(mistakes, self.groups)
+
+    def _may_be_written(self, path: Path) -> bool:
+        if number := self.placed.number:
+            self.refusal = message(f"Not written: {number} mistakes. See each at its field.")
+        return not number
+
+    @property
+    def _address(self) -> str:
+        return f"/bench/form?file={quote(self.name)}&written=1"
+
+    def _shown(self, request: Request) -> Response:
+        search = search_of(panel_of(request))
+        found = search.found()
+        tested = found.what == TEST and found.bench == str(self.base.path.absolute())
+        results = {row["name"]: row for row in found.instruments} if tested else {}
+        return page(
+            request,
+            "bench_form.html.j2",
+            state=self,
+            found=found,
+            searching=search.at_work(),
+            certificates=_known_certificates(self.file),
+            targets=TARGETS,
+            tested=tested,
+            results=_by_place(self.file, results),
+            procedures=list(choices("procedures")),
+            offers=[*dict.fromkeys(row["resource"] for row in found.resources)],
+        )
 
 
 def _values(text: str) -> dict[str, str]:
@@ -148,73 +194,17 @@ def _values(text: str) -> dict[str, str]:
         ) from error
 
 
-def _judge(state: FormState) -> None:
-    """Make the file's new text from the typed values, and assign the mistakes in it to their fields."""
-    state.groups = groups_of(state.values)
-    try:
-        state.written = changed_text(state.base.text, state.values, state.groups)
-    except (yaml.YAMLError, TypeError, KeyError, AttributeError) as error:
-        raise Refusal(409, message("the form cannot show this file; correct it in an editor")) from error
-    mistakes, state.file = mistakes_in(state.written, state.base.path)
-    state.placed = placed(mistakes, state.groups)
-
-
-async def sent(request: Request) -> Response:
-    """Carry out the action of the pressed button: show, find, ask for identities, write, or test."""
-    person, given = await acting(request, Role.OPERATOR, most=MOST_FIELDS)
-    return await run_in_threadpool(_sent, request, person, given)
-
-
-def _sent(request: Request, person: Person, given: dict[str, str]) -> Response:
-    panel = panel_of(request)
-    state = _typed(given)
-    search = search_of(panel)
-    _assign(state, given, search.found())
-    state.values = completed(state.values, _values(state.base.text))
-    _judge(state)
-    do = given.get("do", "show")
-    state.further = given.get("further", "")
-    if do == "write":
-        if _write(panel, person, state, given.get("sha256", "")):
-            return RedirectResponse(f"/bench/form?file={quote(state.name)}&written=1", status_code=303)
-    elif do in {OFFERS, IDENTIFY}:
-        try:
-            search.begin(do, resources=_addressed(given) if do == IDENTIFY else ())
-            state.further = "" if do == IDENTIFY else state.further
-        except Refusal as refusal:
-            state.refusal = refusal.text
-    return _form_page(request, state)
-
-
-def _typed(given: Mapping[str, str]) -> FormState:
-    """Return the form with the typed values. Raises `Refusal` for texts that no form of the panel sends."""
-    for text in given.values():
-        if len(text) > LONGEST and "\n" not in text:
-            raise Refusal(400, message(f"shorten the field to at most {LONGEST} characters"))
-    file, start, name = given.get("file", ""), given.get("start", ""), given.get("new_name", "").strip()
-    state = _begun(file, start, name)
-    for name, text in given.items():
-        if name in OF_BENCH or name.startswith(_OF_FORM):
-            if visible(text) != text or not (text.isprintable() or not text):
-                raise Refusal(400, message(f"{name}: use printable characters only"))
-            state.values[name] = text.strip()
-    return state
-
-
-_OF_FORM: Final = ("form:", "gravity", "instruments.", "unit_under_test.")
-
-
-def _assign(state: FormState, given: Mapping[str, str], found: Findings) -> None:
+def _assign(values: dict[str, str], given: Mapping[str, str], found: Findings) -> None:
     """Assign found resources to the instruments that the person chose for them."""
     for number, row in enumerate(found.resources):
         target = given.get(f"is:{number}", "")
         if target in TARGETS and given.get(f"resource:{number}") == row["resource"]:
-            place = _place_of(target, state.values)
-            state.values[f"{place}.resource"] = row["resource"]
+            place = _place_of(target, values)
+            values[f"{place}.resource"] = row["resource"]
             if row["driver"]:
-                state.values[f"{place}.driver"] = row["driver"]
+                values[f"{place}.driver"] = row["driver"]
             if row.get("interface"):
-                state.values[f"{place}.interface"] = row["interface"]
+                values[f"{place}.interface"] = row["interface"]
 
 
 def _place_of(target: str, values: dict[str, str]) -> str:
@@ -237,39 +227,6 @@ def _addressed(given: Mapping[str, str]) -> list[str]:
     """Return the resources to be addressed: ticked ones, and typed ones (one per line)."""
     ticked = [given.get(f"resource:{key[4:]}", "") for key in given if key.startswith("ask:")]
     return [one for one in (*ticked, *given.get("further", "").split()) if one]
-
-
-def _write(panel: Panel, person: Person, state: FormState, expected: str) -> bool:
-    """Write the file if it has no mistakes and was not changed meanwhile; return whether it was written."""
-    if (path := state.target(CONFIG)) is None:
-        return False
-    if state.placed.number:
-        state.refusal = message(f"Not written: {state.placed.number} mistakes. See each at its field.")
-        return False
-    state.written = signed(state.written, person.name, utc_now())
-    changed = message("Not written: the file changed since this form was opened. See the difference below.")
-    return state.write(path, state.written, expected, panel.settings.runs / STATE, changed)
-
-
-def _form_page(request: Request, state: FormState) -> Response:
-    search = search_of(panel_of(request))
-    found = search.found()
-    known = _known_certificates(state.file)
-    tested = found.what == TEST and found.bench == str(state.base.path.absolute())
-    results = {row["name"]: row for row in found.instruments} if tested else {}
-    return page(
-        request,
-        "bench_form.html.j2",
-        state=state,
-        found=found,
-        searching=search.at_work(),
-        certificates=known,
-        targets=TARGETS,
-        tested=tested,
-        results=_by_place(state.file, results),
-        procedures=list(choices("procedures")),
-        offers=[*dict.fromkeys(row["resource"] for row in found.resources)],
-    )
 
 
 def _known_certificates(file: BenchFile | None) -> dict[str, str]:

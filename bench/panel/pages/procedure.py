@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
 import yaml
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import RedirectResponse, Response
+from starlette.responses import Response
 
 from bench.base.languages import message
 from bench.base.text import visible
@@ -20,18 +19,18 @@ from bench.base.yaml_files import FileMistake, FileMistakes, document_of, read_y
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.load import Procedure
 from bench.config.shipped import CONFIG, PROCEDURES
-from bench.panel.access import STATE, Person, Refusal, Role
+from bench.panel.access import Refusal
 from bench.panel.bench_fields import BenchField, Group, placed
-from bench.panel.launching import choices
 from bench.panel.own_files import (
-    EditedFile,
     FileText,
+    choices,
     offered_procedures,
     own_file,
     own_files,
     read_file,
     shipped_files,
 )
+from bench.panel.pages.editing import LONGEST, EditedFile
 from bench.panel.procedure_fields import (
     Row,
     judged,
@@ -43,13 +42,10 @@ from bench.panel.procedure_fields import (
     with_copy,
     without_step,
 )
-from bench.panel.round_trip import edited_text, signed
-from bench.panel.shared import Panel, acting, operator, page, panel_of
+from bench.panel.round_trip import edited_text
+from bench.panel.shared import Panel, operator, page, panel_of
 from bench.run.sentences import duration
-from drivers.clock import utc_now
 
-MOST_FIELDS: Final = 1000
-LONGEST: Final = 400
 MOST_TOLD: Final = 200
 MOST_CHECKED: Final = 20_000
 """Steps of the longest plan that is checked beside the table; a longer one is checked before its run."""
@@ -64,38 +60,6 @@ class CheckBeside:
     actions: tuple[str, ...] = ()
 
 
-@dataclass
-class TableState(EditedFile):
-    """The state of the table: its file, the text being edited, the groups and rows, and the check.
-
-    `typed` is the content of the text field, `bench` the bench file for the check.
-    """
-
-    text: str = ""
-    bench: str = ""
-    typed: str = ""
-    groups: list[Group] = field(default_factory=list)
-    rows: list[Row] = field(default_factory=list)
-    values: dict[str, str] = field(default_factory=dict)
-    check: CheckBeside = CheckBeside()
-
-    @property
-    def fields(self) -> list[BenchField]:
-        """All fields of the table, in order."""
-        rows = (row.group for row in self.rows)
-        return [one for group in (*self.groups, *rows) for one in group.fields]
-
-    @property
-    def short(self) -> dict[str, str]:
-        """The short name of each field in the form, by its path in the file."""
-        return {one.name: f"f{number}" for number, one in enumerate(self.fields)}
-
-    @property
-    def path(self) -> Path:
-        """The path of the file to write; a placeholder for a new file without a name."""
-        return self.base.path if not self.start else Path(PROCEDURES) / "new.yaml"
-
-
 def procedures(request: Request) -> Response:
     """Show the procedures by picture and duration."""
     operator(request)
@@ -108,63 +72,115 @@ def procedures(request: Request) -> Response:
     )
 
 
-def form(request: Request) -> Response:
-    """Show the table of a procedure (`file`), or of a new procedure that begins as a copy of another (`start`)."""
-    operator(request)
-    asked = request.query_params
-    state = _begun(asked.get("file", ""), asked.get("start", ""), "")
-    state.bench = asked.get("bench", "")[:LONGEST]
-    if asked.get("written"):
-        state.note = message(f"{state.base.path} is written.")
-    return _form_page(request, state)
-
-
-def _begun(name: str, start: str, new_name: str) -> TableState:
-    """Return the table of the file `name`, else of a copy of the file `start`. Raises `Refusal` without it."""
-    if name:
-        base = read_file(own_file(PROCEDURES, name))
-        return TableState(name, "", base, text=base.text)
-    known = shipped_files(PROCEDURES) | own_files(PROCEDURES)
-    if start not in known:
-        raise Refusal(
-            404, message("there is no procedure of that name to start from; see the list of procedures")
-        )
-    base = read_file(known[start])
-    return TableState(new_name, start, FileText(base.path, base.text), text=base.text)
-
-
-async def sent(request: Request) -> Response:
-    """Carry out the action of the pressed button: show, write, use the text, copy or remove a step."""
-    person, given = await acting(request, Role.OPERATOR, most=MOST_FIELDS)
-    return await run_in_threadpool(_sent, request, person, given)
-
-
-def _sent(request: Request, person: Person, given: dict[str, str]) -> Response:
-    state = _begun(given.get("file", ""), given.get("start", ""), given.get("new_name", "").strip())
-    state.bench = given.get("bench", "")
-    do, _, name = given.get("do", "show").partition(":")
-    before, typed = _text_of(given, "text"), _text_of(given, "typed")
-    state.text = _from_table(before, given)
-    if do == "text" or state.text == before:
-        state.text = typed
-    elif typed != before:
-        state.typed = typed
-        state.refusal = message(
-            "Table and text were both changed: 'Use this text' takes the text and drops the table."
-        )
-    if not state.refusal and (change := CHANGES.get(do)):
-        try:
-            state.text = change(state.text, place_of(name, rows_of(_data(state.text))))
-        except Refusal as refusal:
-            state.refusal = refusal.text
-    panel = panel_of(request)
-    if do == "write" and not state.refusal and _write(panel, person, state, given.get("sha256", "")):
-        address = f"/procedures/form?file={quote(state.name)}&written=1&bench={quote(state.bench)}"
-        return RedirectResponse(address, status_code=303)
-    return _form_page(request, state)
-
-
 CHANGES: Final = {"copy": with_copy, "remove": without_step}
+
+
+@dataclass
+class ProcedureTable(EditedFile):
+    """The table of a procedure: groups and rows of fields, and the check.
+
+    `text` is the text being edited, `typed_text` the content of the text field, `bench` the bench file of the
+    check.
+    """
+
+    KIND = PROCEDURES
+    MOST_FIELDS = 1000
+    CHANGED = message(
+        "Not written: the file was changed since this table was shown. Look at the difference below."
+    )
+
+    bench: str = ""
+    typed_text: str = ""
+    groups: list[Group] = field(default_factory=list)
+    rows: list[Row] = field(default_factory=list)
+    values: dict[str, str] = field(default_factory=dict)
+    check: CheckBeside = CheckBeside()
+
+    @property
+    def fields(self) -> list[BenchField]:
+        """All fields of the table, in order."""
+        return _fields_of(self.groups, self.rows)
+
+    @property
+    def short(self) -> dict[str, str]:
+        """The short name of each field in the form, by its path in the file."""
+        return {one.name: f"f{number}" for number, one in enumerate(self.fields)}
+
+    @classmethod
+    def _begun(cls, name: str, start: str, new_name: str) -> ProcedureTable:
+        if name:
+            base = read_file(own_file(PROCEDURES, name))
+            return cls(name, "", base, text=base.text)
+        known = shipped_files(PROCEDURES) | own_files(PROCEDURES)
+        if start not in known:
+            raise Refusal(
+                404, message("there is no procedure of that name to start from; see the list of procedures")
+            )
+        base = read_file(known[start])
+        return cls(new_name, start, FileText(base.path, base.text), text=base.text)
+
+    def _open(self, asked: Mapping[str, str]) -> None:
+        self.bench = asked.get("bench", "")[:LONGEST]
+        if asked.get("written"):
+            self.note = message(f"{self.base.path} is written.")
+
+    def _take(self, panel: Panel, given: Mapping[str, str]) -> None:
+        """Take over the typed values or the text; copy or remove a step."""
+        self.bench = given.get("bench", "")
+        do, _, name = given.get("do", "show").partition(":")
+        before, typed = _text_of(given, "text"), _text_of(given, "typed")
+        self.text = _from_table(before, given)
+        if do == "text" or self.text == before:
+            self.text = typed
+        elif typed != before:
+            self.typed_text = typed
+            self.refusal = message(
+                "Table and text were both changed: 'Use this text' takes the text and drops the table."
+            )
+        if not self.refusal and (change := CHANGES.get(do)):
+            try:
+                self.text = change(self.text, place_of(name, rows_of(_data(self.text))))
+            except Refusal as refusal:
+                self.refusal = refusal.text
+
+    def _may_be_written(self, path: Path) -> bool:
+        if self.start:
+            self.text = _named(self)
+        wrong = _data(self.text) is None or bool(judged(path, self.text)[0])
+        if wrong:
+            self.refusal = message("Not written: there are mistakes, each shown beside its field.")
+        return not wrong
+
+    @property
+    def _address(self) -> str:
+        return f"/procedures/form?file={quote(self.name)}&written=1&bench={quote(self.bench)}"
+
+    def _shown(self, request: Request) -> Response:
+        # a placeholder for a new file without a name
+        path = self.base.path if not self.start else Path(PROCEDURES) / "new.yaml"
+        data, procedure = _data(self.text), None
+        if data is None:
+            self.refusal = self.refusal or message(
+                "The text is not a procedure in YAML. Correct it in its field."
+            )
+            mistakes = _unreadable(path, self.text)
+        else:
+            self.groups, self.rows = sections_of(data), rows_of(data)
+            self.values = values_in(data, self.fields)
+            mistakes, procedure = judged(path, self.text)
+        named = self.placed.at
+        self.placed = placed(mistakes, [*self.groups, *(row.group for row in self.rows)])
+        self.placed.at |= named
+        benches = list(choices(CONFIG))
+        if self.bench not in benches:
+            self.bench = next(iter(own_files(CONFIG)), "paper-stand")
+        if procedure is not None:
+            self.check = check_beside(procedure, self.bench, panel_of(request).settings.runs)
+        return page(request, "procedure_form.html.j2", state=self, benches=benches)
+
+
+def _fields_of(groups: Iterable[Group], rows: Iterable[Row]) -> list[BenchField]:
+    return [one for group in (*groups, *(row.group for row in rows)) for one in group.fields]
 
 
 def _text_of(given: Mapping[str, str], name: str) -> str:
@@ -191,8 +207,7 @@ def _from_table(text: str, given: Mapping[str, str]) -> str:
     data = _data(text)
     if not isinstance(data, dict):
         return text
-    groups, rows = sections_of(data), rows_of(data)
-    fields = [one for group in (*groups, *(row.group for row in rows)) for one in group.fields]
+    fields = _fields_of(sections_of(data), rows_of(data))
     values = values_in(data, fields)
     for number, one in enumerate(fields):
         typed = given.get(f"f{number}", values[one.name]).strip()
@@ -205,23 +220,7 @@ def _from_table(text: str, given: Mapping[str, str]) -> str:
         raise Refusal(409, message("the table cannot show this file; change it in the text")) from error
 
 
-def _write(panel: Panel, person: Person, state: TableState, expected: str) -> bool:
-    """Write the file if it has no mistakes and was not changed meanwhile; return whether it was written."""
-    if (path := state.target(PROCEDURES)) is None:
-        return False
-    if state.start:
-        state.text = _named(state)
-    if _data(state.text) is None or judged(path, state.text)[0]:
-        state.refusal = message("Not written: there are mistakes, each shown beside its field.")
-        return False
-    state.text = signed(state.text, person.name, utc_now())
-    changed = message(
-        "Not written: the file was changed since this table was shown. Look at the difference below."
-    )
-    return state.write(path, state.text, expected, panel.settings.runs / STATE, changed)
-
-
-def _named(state: TableState) -> str:
+def _named(state: ProcedureTable) -> str:
     """Return the text of a new procedure, named after its file unless the person typed another name."""
     data = _data(state.text)
     name = sections_of(data)[0].fields[:1]
@@ -230,32 +229,9 @@ def _named(state: TableState) -> str:
     return edited_text(state.text, {"procedure": state.name}, name)
 
 
-def _form_page(request: Request, state: TableState) -> Response:
-    data, procedure = _data(state.text), None
-    if data is None:
-        state.refusal = state.refusal or message(
-            "The text is not a procedure in YAML. Correct it in its field."
-        )
-        mistakes = _unreadable(state)
-    else:
-        state.groups, state.rows = sections_of(data), rows_of(data)
-        state.values = values_in(data, state.fields)
-        mistakes, procedure = judged(state.path, state.text)
-    named = state.placed.at
-    state.placed = placed(mistakes, [*state.groups, *(row.group for row in state.rows)])
-    state.placed.at |= named
-    benches = list(choices(CONFIG))
-    own = list(own_files(CONFIG))
-    if state.bench not in benches:
-        state.bench = own[0] if own else "paper-stand"
-    if procedure is not None:
-        state.check = check_beside(procedure, state.bench, panel_of(request).settings.runs)
-    return page(request, "procedure_form.html.j2", state=state, benches=benches)
-
-
-def _unreadable(state: TableState) -> tuple[FileMistake, ...]:
+def _unreadable(path: Path, text: str) -> tuple[FileMistake, ...]:
     try:
-        document_of(state.path, state.text.encode())
+        document_of(path, text.encode())
     except FileMistakes as mistakes:
         return mistakes.mistakes
     except RecursionError:

@@ -19,8 +19,7 @@ from bench.config.bench_file.file import BenchFile, Standing, load_bench, standi
 from bench.config.shipped import CONFIG, PROCEDURES
 from bench.panel.access import Person, Refusal, Role
 from bench.panel.folder import RunRow
-from bench.panel.launching import choices, chosen_bench, chosen_procedure
-from bench.panel.own_files import offered
+from bench.panel.own_files import choices, chosen_bench, chosen_procedure, offered
 from bench.panel.pages.start import printable, wished
 from bench.panel.queue import DUTY, OFF_DUTY, SWITCHED_ON, DayNote, QueueItem, new_item
 from bench.panel.shared import Panel, acting, looking, page, panel_of

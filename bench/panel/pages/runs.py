@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 from urllib.parse import urlencode
 
@@ -72,9 +71,9 @@ KINDS: Final = {"": None, "real": True, "simulated": False}
 async def check_block(request: Request) -> Response:
     """Show the charts of the latest check block; the parameter `of` chooses real or simulated runs."""
     person = looking(request)
-    asked = _kind(request)
+    asked, wanted = _asked(request)
     try:
-        await run_in_threadpool(charted, Chart(_folder(request), folder=_folder(request), real=KINDS[asked]))
+        await run_in_threadpool(charted, wanted)
     except Refused as why:
         told = "" if isinstance(why, NoCheckBlock) else str(why)
         return page(request, "no_check_block.html.j2", told=told, may=person.role is not Role.VIEWER)
@@ -85,26 +84,24 @@ async def check_block(request: Request) -> Response:
 async def chart(request: Request) -> Response:
     """Send the page with the charts of the check block."""
     looking(request)
-    asked = _kind(request)
-    drawn = await run_in_threadpool(_drawn, _folder(request), KINDS[asked])
+    _, wanted = _asked(request)
+    drawn = await run_in_threadpool(_drawn, wanted)
     return Response(drawn, media_type="text/html; charset=utf-8", headers=APART)
 
 
-def _kind(request: Request) -> str:
+def _asked(request: Request) -> tuple[str, Chart]:
+    """Return the kind of runs that the address asks for, and the request for their charts."""
     asked = request.query_params.get("of", "")
     if asked not in KINDS:
         raise Refusal(400, message("the address asks for no known kind of runs; choose real or simulated"))
-    return asked
+    folder = panel_of(request).settings.runs
+    return asked, Chart(folder, folder=folder, real=KINDS[asked])
 
 
-def _folder(request: Request) -> Path:
-    return panel_of(request).settings.runs
-
-
-def _drawn(folder: Path, real: bool | None) -> str:
+def _drawn(wanted: Chart) -> str:
     from bench.results.control_chart import render_chart  # takes long to import
 
-    return render_chart(charted(Chart(folder, folder=folder, real=real)))
+    return render_chart(charted(wanted))
 
 
 def charted(request: Chart) -> CheckBlockChart:

@@ -19,22 +19,27 @@ from bench.base.requests import fields_of
 from bench.base.text import visible
 from bench.config.shipped import CONFIG, PROCEDURES
 from bench.panel.access import Person, Refusal, Role
+from bench.panel.folder import RunsFolder
 from bench.panel.holding import change, read_holding
 from bench.panel.launching import (
-    OF_RUN,
     WISH,
     TrialResult,
     WantedRun,
     WishFolder,
-    choices,
-    chosen_bench,
-    chosen_procedure,
     name_of,
     start,
     start_run,
 )
-from bench.panel.own_files import offered_procedures, own_files
+from bench.panel.own_files import (
+    OF_RUN,
+    choices,
+    chosen_bench,
+    chosen_procedure,
+    offered_procedures,
+    own_files,
+)
 from bench.panel.shared import Panel, acting, operator, page, panel_of
+from bench.run.events import MANIFEST, RecordError
 from bench.run.sentences import duration
 from bench.services.requests.measuring import RunRequest
 from drivers.clock import utc_now
@@ -58,9 +63,7 @@ def form(request: Request) -> Response:
     person = operator(request)
     given = {name: request.query_params.get(name, "")[:LONGEST] for name in (*FORM, "after", "like")}
     given["operator"] = person.name
-    given["bench"] = (
-        given["bench"] or os.environ.get("BENCH_FILE", "") or next(iter(own_files(CONFIG)), "paper-stand")
-    )
+    given["bench"] = given["bench"] or os.environ.get("BENCH_FILE", "") or _last_bench(panel_of(request).runs)
     if given["like"]:
         given |= _files_of(panel_of(request).runs.run(given["like"]).manifest)
     after = None
@@ -193,6 +196,16 @@ def _files_of(manifest: Mapping[str, Any]) -> dict[str, str]:
         for name in (path.stem, path.name)
         if name in offered[field]
     }
+
+
+def _last_bench(runs: RunsFolder) -> str:
+    """Return the bench file of the latest run, if the form offers it; else the first one of the working folder."""
+    first = next(iter(own_files(CONFIG)), "paper-stand")
+    last = max(runs.runs(), key=lambda run: (run.folder / MANIFEST).stat().st_mtime, default=None)
+    try:
+        return _files_of(last.manifest).get("bench", first) if last else first
+    except RecordError:
+        return first
 
 
 def _unit_of(manifest: Any) -> str:

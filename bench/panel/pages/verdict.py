@@ -14,9 +14,9 @@ from bench.base.numbers import without_infinity
 from bench.certificate.register import NumberStatus
 from bench.panel.access import Refusal, Role
 from bench.panel.folder import read_page
-from bench.panel.launching import NEXT
 from bench.panel.launching import diagnose as begin
 from bench.panel.outcome import previous_calibration
+from bench.panel.own_files import NEXT
 from bench.panel.pages.run import run_of
 from bench.panel.plots import FORMS, live_table, plots_of, sections_of, table_of, written
 from bench.panel.results import DIAGNOSIS, REPORT, figure_of, is_plain, results_of

@@ -13,7 +13,8 @@ from bench.calibration.intrinsic import joint_factor
 from bench.certificate import proof
 from bench.certificate.content import Before, uncertified
 from bench.certificate.dcc.document import document_of
-from bench.certificate.dcc.nodes import NAMESPACES, broken_rules
+from bench.certificate.dcc.nodes import NAMESPACES
+from bench.certificate.dcc.rules import broken_rules
 from bench.certificate.gather import missing
 from bench.certificate.proof import Writer
 from bench.config.devices.device import Certificate as Held
@@ -174,7 +175,7 @@ def test_nothing_is_conditional_under_a_binary_rule(issued_certificate, rule, wo
     assert said == conformity
     assert ("conditional" in points) == (rule == "non-binary")
     write = Writer(certificate)
-    shown = json.dumps([*proof.verdict(certificate, write), *proof.pages(certificate, write, [])])
+    shown = json.dumps([*proof.verdict_of(certificate.found, write), *proof.pages(certificate, write, [])])
     assert f"g: {word}" in shown
     assert ("conditional pass" in shown) == (rule == "non-binary")
 

@@ -3,7 +3,7 @@
 import pytest
 
 from bench.certificate.dcc.document import document_of
-from bench.certificate.dcc.nodes import broken_rules, read_schemas
+from bench.certificate.dcc.rules import broken_rules, read_schemas
 from bench.services.errors import Refused
 
 SCHEMA = (

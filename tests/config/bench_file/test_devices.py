@@ -164,7 +164,7 @@ def test_an_installed_distribution_brings_an_instrument(folder, tmp_path, monkey
 def test_a_recorded_run_is_evaluated_without_it_and_resuming_says_what_is_missing(
     mine, bench, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("bench.results.page.render_report", lambda _content: "")
+    monkeypatch.setattr("bench.results.page.render_report", lambda *_, **__: "")
     path = own_bench(tmp_path)
     assert bench("run", "quick", "--dry-run", "--bench", path, "--name", "done")[0] == 0
     assert Run(Path("runs/done")).manifest["devices"] == {"my-meter": str(mine / "my_meter.py")}

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import subspace_angles
 
 from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import load_bench
@@ -86,15 +87,14 @@ def test_it_breaks_ties_of_the_papers_order(one, other, at_most):
     stand_u = {name: d.u for name, d in BENCH.stand_distributions().items() if name != "voltmeter_error"}
     family, parameter = RIVALS.get(one.family, ("", ""))
     rival = (other,) if other else tuple(EffectPart(family, parameter, (), (), c) for c in range(3))
-    cosine = {}
+    angle = {}
     for name in ("paper", "discerning"):
         planned = planned_readings(plan_of(name), MODEL, BENCH.simulated_block())
         linear = make_linear(planned.select(planned.installation != "V"), MODEL, stand_u)
-        cosine[name] = ReadingDesign(linear, NoiseSize(15e-6, stand_u["setting_error"], 42)).cosine(
-            (one,), rival
-        )
-    assert cosine["paper"] > 0.999
-    assert cosine["discerning"] < at_most
+        design = ReadingDesign(linear, NoiseSize(15e-6, stand_u["setting_error"], 42))
+        angle[name] = subspace_angles(design.seen((one,)), design.seen(rival)).min()
+    assert np.cos(angle["paper"]) > 0.999
+    assert np.cos(angle["discerning"]) < at_most
 
 
 # --- the scan order ---------------------------------------------------------------------------------

@@ -50,7 +50,7 @@ def test_an_angle_read_wrong_in_a_pass_is_put_right(off_arcmin):
     np.testing.assert_allclose(found.corrected.angle_rad, good.angle_rad + off * rows, atol=1e-12)
     assert mistake.p < 1e-6
     # 162 standardised residuals, 12 coefficients fitted: 0.96, and 5 standard deviations of 0.055
-    assert mistake.evidence.after < 1.25
+    assert mistake.misfit_after < 1.25
 
 
 @pytest.mark.slow
@@ -73,7 +73,7 @@ def test_another_block_in_a_pass_is_named_and_its_pass_left_out():
     assert mistake.cannot_tell_from == ()
     assert len(found.corrected) == len(bad) - 9
     assert len(found.corrected.skipped) == 1
-    assert mistake.evidence.after < 1.25
+    assert mistake.misfit_after < 1.25
 
 
 EFFECTS = {

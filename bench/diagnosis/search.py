@@ -1,0 +1,435 @@
+"""The search for effects in readings of one or several runs, under the kind of noise of the largest evidence.
+
+The system of one run is linearised again about the effects found until accurate. In several runs, effects are
+searched in all runs together, and in each run alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from bench.base.arrays import Floats, Mask
+from bench.base.computing import tracked
+from bench.calibration.design import FIXED
+from bench.calibration.result import CalibrationError
+from bench.diagnosis.candidates import (
+    SINGLE,
+    Candidates,
+    Column,
+    make_candidates,
+    replace_columns,
+    with_terms,
+    without_copies,
+)
+from bench.diagnosis.evidence import FALSE_ALARMS, Data, Search, Threshold, ThresholdCache, Whitened
+from bench.diagnosis.levels import BY_CHANCE, FEW, STEPS, UNSEEN
+from bench.diagnosis.linear import LinearSystem, make_linear
+from bench.diagnosis.multi_run_system import candidates_of, make_system
+from bench.diagnosis.naming import ALIAS, MOST_EFFECTS, FoundEffect, Naming, Scored, name
+from bench.diagnosis.noise_grid import NoiseGrid, Repeats, grid_with_rounding, noise_of_repeats, with_rounding
+from bench.diagnosis.noise_kinds import LOG_PRIOR, log_density, log_null, noise_hypotheses
+from bench.diagnosis.open_parts import beside, with_other_shapes
+from bench.diagnosis.posterior import applied_of, fit_found, noise_size, posterior
+from bench.model.forward import ForwardModel
+from bench.model.geometry import Block
+from bench.readings.table import Readings
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Readings prepared for the search: linear system, whitened candidates, and threshold.
+
+    `repeats` is the noise from repeats; `data`, the scalar products of the residuals with the columns of the
+    candidates; `limit`, the threshold. `setting_rad` is the setting error that the bench file states. `bend` (N,)
+    is the nonlinear part of the effects found, already subtracted from the response. `log_odds` is ln of the
+    prior odds of the noise hypotheses accepted, minus the cost of their parameters. `chosen` maps the kind of
+    each of these hypotheses to its words.
+    """
+
+    linear: LinearSystem
+    repeats: Repeats
+    whitened: Whitened
+    data: Data
+    limit: Threshold
+    setting_rad: float
+    bend: Floats
+    log_odds: float = 0.0
+    chosen: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def candidates(self) -> Candidates:
+        """The effects and the unnamed patterns that are searched."""
+        return self.whitened.candidates
+
+    def log_evidence(self, naming: Naming) -> float:
+        """Return ln of the evidence of this noise, up to a constant, with as many effects as `naming` has.
+
+        The evidence of each effect is averaged over all families, so that the choice of noise does not depend on
+        the names.
+        """
+        total = Search.beside(self.whitened, ()).log_evidence(self.data) + log_null(self.whitened.grid)
+        known: list[int] = []
+        for found in naming.found:
+            total += Scored.beside(self.whitened, self.data, known).total
+            known += found.variant.columns
+        return self.log_odds + total
+
+
+Reconsider = Callable[[Prepared, LinearSystem, float], tuple[Prepared, Naming]]
+"""Searches a system with another noise, of at most the size given, starting from the finds of prepared readings."""
+
+
+def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple[Prepared, Naming]:
+    """Return the readings with the noise hypothesis of the largest evidence, and the effects found with it.
+
+    `again` searches a system with another noise. If no hypothesis is better, `prepared` and `naming` are returned
+    unchanged. They are also returned if repeats share a rounding error, because repeats then do not show the
+    noise.
+    """
+    if prepared.whitened.grid.known:
+        return prepared, naming
+    score = prepared.log_evidence(naming)
+    for _ in range(len(LOG_PRIOR)):
+        rivals = []
+        # heavy tails may replace the single readings found, beside the same effects
+        beside_tails = tuple(one for one in naming.found if one.variant.family not in SINGLE)
+        for found in dict.fromkeys([(), beside_tails, naming.found]):
+            effects = replace(naming, found=found).columns
+            columns = prepared.candidates.columns[:, list(effects)]
+            noise, grid = noise_size(prepared.whitened, prepared.data, effects), prepared.whitened.grid
+            own = prepared.log_evidence(replace(naming, found=found))
+            own -= log_density(prepared.linear, columns, grid)
+            for one in noise_hypotheses(prepared.linear, columns, noise):
+                if one.what == "tails" and any(of.variant.family in SINGLE for of in found):
+                    continue  # tails explain single readings, too
+                about = own + one.log_odds + log_density(one.linear, columns, grid)
+                if about > score + np.log(BY_CHANCE):
+                    rivals.append((about, one, noise.reading))
+        tried = []
+        for _, one, most in sorted(rivals, key=lambda rival: -rival[0])[:2]:
+            searched, named = again(prepared, one.linear, most)
+            searched = replace(
+                searched,
+                log_odds=prepared.log_odds + one.log_odds,
+                chosen={**prepared.chosen, one.what: one.words},
+            )
+            tried.append((searched.log_evidence(named), searched, named))
+        better = max(tried, key=lambda state: state[0], default=None)
+        if better is None or better[0] <= score + ALIAS**2 / 2.0:
+            return prepared, naming
+        score, prepared, naming = better
+    return prepared, naming
+
+
+def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSystem:
+    """Return `linear` with the kind of noise of `prepared`, a system of the same readings.
+
+    The two systems may differ in their models. With several blocks, whose rows are in another order, `linear`
+    gets only the noise by channel and by run.
+    """
+    linear = replace(linear, by_channel=prepared.by_channel, by_run=prepared.by_run)
+    if prepared.readings.block is not None:
+        return linear
+    of_noise = prepared.random[:, prepared.random.shape[1] - prepared.of_noise :]
+    return replace(
+        linear,
+        by_row=prepared.by_row,
+        by_place=prepared.by_place,
+        random=np.column_stack([linear.random, of_noise]),
+        of_noise=prepared.of_noise,
+    )
+
+
+@dataclass(frozen=True)
+class SearchTask:
+    """What every search needs besides the readings.
+
+    `stand_u` has the standard uncertainties, rad, of the stand angles (`STAND_ANGLES`) and of the "setting_error".
+    `resolution` is the step of the last digit of the signals. Effects named in `absent` are not searched.
+    """
+
+    model: ForwardModel
+    stand_u: Mapping[str, float]
+    resolution: float
+    cache: ThresholdCache
+    absent: Collection[str] = ()
+
+    @property
+    def setting_rad(self) -> float:
+        """The standard uncertainty of a setting of the head that the bench file states, rad."""
+        return self.stand_u.get("setting_error", 0.0)
+
+    def linear(self, readings: Readings) -> LinearSystem:
+        """Return the linear system of readings, with the rounding error that repeats share."""
+        make = make_system if readings.run.any() else make_linear
+        linear = make(readings, self.model, self.stand_u)
+        return with_rounding(linear, self.resolution, self.repeats(linear).sigma)
+
+    def repeats(self, linear: LinearSystem, most: float = np.inf) -> Repeats:
+        """Return the noise from repeats, but no more than `most`."""
+        repeats = noise_of_repeats(linear, self.resolution)
+        return replace(repeats, sigma=min(repeats.sigma, most))
+
+    def whiten(self, linear: LinearSystem, candidates: Candidates, sigma: float) -> tuple[Whitened, Data]:
+        """Return the whitened candidates, and their scalar products with the residuals.
+
+        `sigma` is a first estimate of the noise of a reading.
+        """
+        whitened = Whitened.of(self.grid(linear, sigma), candidates)
+        return whitened, whitened.reduce(linear.response[:, None])
+
+    def grid(self, linear: LinearSystem, sigma: float) -> NoiseGrid:
+        """Return the noise grid of a system; `sigma` is a first estimate of the noise of a reading."""
+        return grid_with_rounding(linear, sigma, self.setting_rad, self.resolution)
+
+
+def find_effects(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]:
+    """Return readings of one or several runs prepared for the search, and the effects found in them.
+
+    The noise hypothesis is chosen by evidence (`choose_noise`). Raises `CalibrationError` if the readings do not
+    determine the coefficients.
+    """
+    several = bool(readings.run.any())
+
+    def again(prepared: Prepared, linear: LinearSystem, most: float) -> tuple[Prepared, Naming]:
+        if several:
+            return _in_all_and_each(task, _prepared(task, linear, prepared.limit, most))
+        repeats = task.repeats(linear, most)
+        whitened, data = task.whiten(linear, prepared.candidates, repeats.sigma)
+        fresh = replace(prepared, linear=linear, repeats=repeats, whitened=whitened, data=data)
+        return _linearised_again(task, fresh)
+
+    first = _prepared(task, task.linear(readings))
+    found = _in_all_and_each(task, first) if several else _linearised_again(task, first)
+    prepared, naming = choose_noise(*found, again)
+    return prepared, naming if several else _beside_shapes(task, prepared, naming)
+
+
+def _prepared(
+    task: SearchTask, linear: LinearSystem, limit: Threshold | None = None, most: float = np.inf
+) -> Prepared:
+    """Prepare readings for the search; their noise is at most `most`. Without a `limit`, it is simulated."""
+    several = bool(linear.readings.run.any())
+    repeats = task.repeats(linear, most)
+    grid = task.grid(linear, repeats.sigma)
+    candidates = candidates_of(linear, repeats.sigma, task.absent)
+    if not several:
+        candidates = without_copies(with_terms(candidates, linear), grid.white[len(grid.white) // 2])
+    whitened = Whitened.of(grid, candidates)
+    limit = limit or task.cache.threshold(linear, whitened, task.setting_rad)
+    limit = limit.at(TOGETHER) if several else limit
+    data = whitened.reduce(linear.response[:, None])
+    return Prepared(linear, repeats, whitened, data, limit, task.setting_rad, np.zeros(len(linear)))
+
+
+# --- one run: linearised again about what was found ---------------------------------------------------
+
+
+def _beside_shapes(task: SearchTask, prepared: Prepared, naming: Naming) -> Naming:
+    """Return the effects still found if the largest one in `naming` may have parts of other shapes.
+
+    If its true shape lies between two shapes of the catalogue's grid, it leaves residuals that other effects
+    would explain.
+    """
+    largest = max(naming.found, key=lambda found: found.size, default=None)
+    if largest is None or len(naming.found) < 2 or not largest.variant.named:
+        return naming
+    alone = Naming((largest,), naming.left)
+    noise = noise_size(prepared.whitened, prepared.data, naming.columns)
+    sized = fit_found(prepared.linear, prepared.candidates, alone, noise)
+    (shapes,) = beside(prepared.candidates, alone, sized)
+    wide = with_other_shapes(prepared.linear, shapes)
+    if wide is prepared.linear:
+        return naming
+    whitened, data = task.whiten(wide, prepared.candidates, prepared.whitened.grid.sigma)
+    kept = name(whitened, data, prepared.limit, begun=[largest], among=lambda _: True).found
+    return name(prepared.whitened, prepared.data, prepared.limit, 0, begun=kept)
+
+
+def _linearised_again(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Naming]:
+    """Return readings and finds after linearising and searching again until the system is accurate."""
+    most = 1
+    naming = name(prepared.whitened, prepared.data, prepared.limit, most)
+    for _ in range(STEPS):
+        closer = _relinearised(task, prepared, naming) if naming.found else None
+        if closer is None:
+            if not naming.found or most == MOST_EFFECTS:
+                return prepared, naming
+            most = MOST_EFFECTS
+        prepared = closer or prepared
+        naming = name(prepared.whitened, prepared.data, prepared.limit, most)
+    return prepared, name(prepared.whitened, prepared.data, prepared.limit)
+
+
+def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepared | None:
+    """Return the readings linearised again about the finds; None if the present linearisation suffices."""
+    linear, candidates = prepared.linear, prepared.candidates
+    noise = noise_size(prepared.whitened, prepared.data, naming.columns)
+    fitted = fit_found(linear, candidates, naming, noise)
+    parts = [(f.variant, fitted.amplitudes[place]) for f, place in naming.sizes() if f.variant.named]
+    if not parts:
+        return None
+    effects = tuple(a for v, value in parts for a in applied_of(candidates, v, value, 0.0 * value))
+    block = Block.from_vector(linear.block.vector + fitted.mean[:FIXED])
+    change = linear.view.own(linear.model, effects, block)
+    columns = [column for variant, _ in parts for column in variant.sizes]
+    sizes = np.concatenate([value for _, value in parts])
+    moved = linear.rows_of(change)
+    bend = moved - candidates.columns[:, columns] @ sizes - prepared.bend
+    if float(np.max(np.abs(bend))) < UNSEEN * noise.reading:
+        return None
+    readings = linear.readings
+    try:
+        again = task.linear(replace(readings, signal=readings.signal - change))
+    except CalibrationError:  # what was found is too large to be true
+        return None
+    told = with_terms(make_candidates(again, prepared.repeats.sigma, absent=task.absent), again)
+    if told.kinds != candidates.kinds:
+        return None
+    told = replace_columns(candidates, told.columns)
+    back = told.columns[:, columns] @ sizes
+    about = in_the_noise_of(linear, replace(again, readings=readings, response=again.response + back))
+    whitened, data = task.whiten(about, told, prepared.repeats.sigma)
+    return replace(prepared, linear=about, whitened=whitened, data=data, bend=moved - back)
+
+
+# --- what one of several runs has alone: looked for in each, beside what was found in all of them together ----
+
+
+ALONE: Final = FALSE_ALARMS / 3
+"""Probability of a false alarm in the searches of single runs, all together: most effects are in all runs."""
+TOGETHER: Final = FALSE_ALARMS - ALONE
+"""Probability of a false alarm in the joint search."""
+
+
+@dataclass(frozen=True)
+class _Run:
+    """A single run with its own system, candidates and noise grid; `rows` (N,) masks it in the joint one."""
+
+    rows: Mask
+    linear: LinearSystem
+    candidates: Candidates
+    grid: NoiseGrid
+
+    def whitened(self) -> Whitened:
+        """Return the whitened candidates; products are computed on demand, as few runs need them."""
+        return Whitened.of(self.grid, self.candidates, few_known=True)
+
+
+def _in_all_and_each(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Naming]:
+    """Return the readings with the finds of single runs among the candidates, and the finds in all and single runs.
+
+    Effects of a few single runs are searched first, as they could be mistaken for common effects. With them
+    in the model, common effects are searched, and then further effects of single runs.
+    """
+    linear, whitened, data, limit = prepared.linear, prepared.whitened, prepared.data, prepared.limit
+    response = linear.response[:, None]
+    many = len(np.unique(linear.readings.run))
+    runs = list(tracked(_runs(task, linear, prepared.repeats.sigma), "runs, each by itself", many))
+    of_one = task.cache.threshold(runs[0].linear, runs[0].whitened(), task.setting_rad).at(ALONE / many)
+    at_first = _look_in_each(whitened.candidates, runs, np.zeros(len(linear)), of_one)
+    grown, alone = at_first
+    if alone and len({one.variant.mounts for one in alone}) <= max(1, FEW * many):
+        whitened.forget()
+        whitened = Whitened.of(whitened.grid, grown)
+        data = whitened.reduce(response)
+    else:
+        alone = ()
+    naming = name(whitened, data, limit, begun=alone)
+    if naming.found:
+        in_all = _common(linear, whitened, data, naming)
+        grown, more = _look_in_each(whitened.candidates, runs, in_all, of_one)
+    else:  # without common finds, the first result remains valid
+        grown, more = at_first
+    begun = [*alone, *more]
+    if more:
+        whitened = Whitened.of(whitened.grid, grown)
+        data = whitened.reduce(response)
+        naming = name(whitened, data, limit, begun=begun)
+    while len(kept := [one for one in begun if _stays(whitened, data, naming, one)]) < len(begun):
+        begun = kept
+        naming = name(whitened, data, limit, begun=begun)
+    return replace(prepared, whitened=whitened, data=data), naming
+
+
+def _stays(whitened: Whitened, data: Data, naming: Naming, one: FoundEffect) -> bool:
+    """Return whether a single-run find stays: it is likely given all other finds, or `naming` no longer has
+    its form.
+    """
+    if one.variant not in [found.variant for found in naming.found]:
+        return True
+    others = [i for found in naming.found if found.variant != one.variant for i in found.variant.columns]
+    scores = Scored.beside(whitened, data, others).scores
+    return float(scores.variants[whitened.candidates.variants.index(one.variant), 0]) > -float(
+        np.log(BY_CHANCE)
+    )
+
+
+def _common(linear: LinearSystem, whitened: Whitened, data: Data, naming: Naming) -> Floats:
+    """Return the fitted signal of all finds in the rows of all runs, shape (N,)."""
+    columns = whitened.candidates.columns[:, list(naming.columns)]
+    fitted = posterior(linear, columns, noise_size(whitened, data, naming.columns))
+    return columns @ fitted.amplitudes
+
+
+def _look_in_each(
+    candidates: Candidates, runs: Sequence[_Run], in_all: Floats, limit: Threshold
+) -> tuple[Candidates, tuple[FoundEffect, ...]]:
+    """Return the candidates with the single-run finds added, and these finds.
+
+    `in_all` (N,) is the signal of the finds common to all runs. The threshold computed for the first run serves
+    for all runs, with a share of the probability of a false alarm for each. Coefficients are free in every run,
+    so that a different zero or scale factor is no find here.
+    """
+    found: list[FoundEffect] = []
+    for run in runs:
+        whitened = run.whitened()
+        response = run.linear.response - in_all[run.rows]
+        for one in name(whitened, whitened.reduce(response[:, None]), limit).found:
+            candidates, embedded = _embedded(candidates, one, run)
+            found.append(embedded)
+        whitened.forget()
+    return candidates, tuple(found)
+
+
+def _runs(task: SearchTask, linear: LinearSystem, sigma_of_all: float) -> Iterator[_Run]:
+    readings = linear.readings
+    of_row = readings.run[linear.rows.reading]
+    for number in np.unique(readings.run):
+        table = replace(readings.select(readings.run == number), block=None)
+        rows: Mask = of_row == number
+        alone = make_linear(table, linear.model, task.stand_u)
+        by_row, by_place = (None if size is None else size[rows] for size in (linear.by_row, linear.by_place))
+        alone = replace(alone, by_channel=linear.by_channel, by_row=by_row, by_place=by_place)
+        sigma = sigma_of_all * (1.0 if linear.by_run is None else float(linear.by_run.sizes[number]))
+        alone = with_rounding(alone, task.resolution, sigma)
+        yield _Run(rows, alone, make_candidates(alone, sigma, absent=task.absent), task.grid(alone, sigma))
+
+
+def _embedded(candidates: Candidates, one: FoundEffect, run: _Run) -> tuple[Candidates, FoundEffect]:
+    """Return the candidates, with a single-run find added, and the find; its columns are 0 in other runs."""
+    own = run.candidates
+    labels = tuple(str(mount) for mount in run.linear.readings.conditions().mounts)
+    chosen = list(one.variant.columns)
+    first = candidates.columns.shape[1]
+    columns = np.zeros((len(candidates.columns), len(chosen)))
+    columns[run.rows] = own.columns[:, chosen]
+    kinds = tuple(
+        Column(kind.parameter, kind.channel, kind.mounts or labels) for kind in (own.kinds[i] for i in chosen)
+    )
+    variant = replace(
+        one.variant,
+        columns=tuple(range(first, first + len(chosen))),
+        mounts=one.variant.mounts or labels,
+    )
+    grown = Candidates(
+        np.column_stack([candidates.columns, columns]),
+        (*candidates.kinds, *kinds),
+        np.concatenate([candidates.scale, own.scale[chosen]]),
+        (*candidates.variants, variant),
+    )
+    return grown, replace(one, variant=variant)
