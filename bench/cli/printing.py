@@ -210,9 +210,8 @@ def report(
     """Write the report of a calibration; return the verification in it (or None) and the file. Raises `OSError`."""
     from bench.base.files import write_whole
     from bench.services.calibration import report_page
-    from bench.services.verification import NOTHING_ASKED
 
-    page, verdict = report_page(result, asked or NOTHING_ASKED)
+    page, verdict = report_page(result, asked)
     what_if = result.source.what_if or (verdict is not None and verdict.otherwise)
     file = result.source.output("report", ".html", what_if=what_if)
     file.parent.mkdir(parents=True, exist_ok=True)

@@ -435,32 +435,25 @@ def verification_of(
 
     The options `asked` replace those of run and bench file; `agreed` is the rule if none of these names one.
     """
-    from bench.services.verification import (  # takes long to import
-        NOTHING_ASKED,
-        judged,
-        own_judgement,
-        unsuitable,
-    )
+    from bench.services.verification import judged, own_judgement, unsuitable  # takes long to import
 
-    judgement = own_judgement(source, asked or NOTHING_ASKED, agreed=agreed)
+    judgement = own_judgement(source, asked, agreed)
     if coefficients is None:
         coefficients = calibration_of(source)
         source = coefficients.source
     if isinstance(coefficients, Path):
         from bench.services.coefficients import read_coefficients
 
-        taken = read_coefficients(coefficients, source.readings.unit)
-        return judged(source, judgement, taken, warnings=tuple(unsuitable(taken, str(coefficients), source)))
-    own = coefficients.calibration
-    if own.unit != source.readings.unit:
-        raise Refused(
-            f"coefficients in {own.unit}/g, but the readings are in {source.readings.unit}; use one unit"
-        )
-    taken = coefficients.as_coefficients()
-    if coefficients.source is source:
-        return judged(source, judgement, taken, own)
-    warnings = tuple(unsuitable(taken, coefficients.source.name, source))
-    return judged(source, judgement, taken, warnings=warnings)
+        taken, name = read_coefficients(coefficients, source.readings.unit), str(coefficients)
+    else:
+        taken, name = coefficients.as_coefficients(), coefficients.source.name
+        if taken.unit != source.readings.unit:
+            raise Refused(
+                f"coefficients in {taken.unit}/g, but the readings are in {source.readings.unit}; use one unit"
+            )
+        if coefficients.source is source:
+            return judged(source, judgement, taken, coefficients.calibration)
+    return judged(source, judgement, taken, warnings=tuple(unsuitable(taken, name, source)))
 
 
 def verified(request: Verify, source: Source) -> VerificationResult:

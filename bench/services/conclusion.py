@@ -27,7 +27,7 @@ from bench.services.errors import Refused, refusing
 from bench.services.requests import records as asked
 from bench.services.requests.shared import name_to_type, runs_folder
 from bench.services.source import Request, Source, load_sources
-from bench.services.verification import NOTHING_ASKED, VerificationResult
+from bench.services.verification import VerificationResult
 from drivers.clock import utc_now
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ def _evaluated(source: Source) -> dict[str, Any]:
     except CalibrationError as reason:
         return {"no_calibration": str(reason)}
     write_whole(source.output("calibrate", ".json"), to_text(result.to_dict()))
-    page, verdict = report_page(result, NOTHING_ASKED)
+    page, verdict = report_page(result)
     file = source.output("report", ".html")
     write_whole(file, page)
     if verdict is not None:

@@ -133,14 +133,15 @@ def judgement_of(
     return judgement
 
 
-def own_judgement(source: Source, *asked: VerdictOptions, agreed: DecisionRule | None = None) -> Judgement:
+def own_judgement(
+    source: Source, asked: VerdictOptions | None = None, agreed: DecisionRule | None = None
+) -> Judgement:
     """Return the basis of a source's verdict: `asked`, else as its run or bench file says.
 
     `agreed` is the decision rule if none of these names a rule.
     """
-    return judgement_of(
-        source.bench, VerdictOptions.of_run(source.run), *asked, default=agreed or _default_of(source.run)
-    )
+    options = (VerdictOptions.of_run(source.run), asked or NOTHING_ASKED)
+    return judgement_of(source.bench, *options, default=agreed or _default_of(source.run))
 
 
 def _default_of(run: Run | None) -> DecisionRule:
