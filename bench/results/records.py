@@ -393,22 +393,8 @@ class CommissionResult(ResultModel):
 
 def render_commissioning(result: Mapping[str, Any]) -> str:
     """Return the HTML page of a commissioning from its JSON result; the same result always gives the same text."""
-    findings = result["findings"]
     look, word = VERDICTS[result["status"]]
-    return page(
-        "commissioning.html.j2",
-        result=result,
-        look=look,
-        word=word,
-        troubles=[one for one in findings if one["state"] not in ("works", "skipped")],
-        skipped=[one for one in findings if one["state"] == "skipped"],
-        rows=[(one, [_figure_in_words(figure) for figure in one["figures"]]) for one in findings],
-    )
-
-
-def _figure_in_words(figure: Mapping[str, Any]) -> str:
-    held = f" ({figure['expected']})" if figure["expected"] else ""
-    return f"{figure['what']} {figure['value']:.4g} {figure['unit']}{held}"
+    return page("commissioning.html.j2", result=result, look=look, word=word)
 
 
 # --- simulation ---------------------------------------------------------------------------------------

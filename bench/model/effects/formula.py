@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Final, Generic, Protocol, TypeVar
@@ -105,33 +105,31 @@ def _refuse_others(node: ast.AST, text: str, deeper: int) -> None:
     """Raise `ExpressionError` for the first forbidden node, or for more than `deeper` further levels of nesting."""
     if deeper == 0:
         raise ExpressionError(f"the expression is nested more than {MOST_NESTED} deep; simplify it")
+    inside: Sequence[ast.expr] | None = None
     match node:
         case ast.Constant(value=bool() | str() | bytes() | complex() | None):
             pass
         case ast.Constant(value=int() | float()) | ast.Name():
-            return
+            inside = ()
         case ast.Attribute(value=ast.Constant(value=int() | float()), attr=unit):
             if unit not in UNITS:
                 raise ExpressionError(
                     f"'{unit}' after a number is not a unit of formulas; choose from {', '.join(UNITS)}"
                 )
-            return
+            inside = ()
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
-            _refuse_others(left, text, deeper - 1)
-            _refuse_others(right, text, deeper - 1)
-            return
+            inside = (left, right)
         case ast.UnaryOp(op=ast.UAdd() | ast.USub(), operand=operand):
-            _refuse_others(operand, text, deeper - 1)
-            return
-        case ast.Compare(left=left, ops=[op], comparators=[right]) if type(op) in _COMPARISONS:
-            _refuse_others(left, text, deeper - 1)
-            _refuse_others(right, text, deeper - 1)
-            return
+            inside = (operand,)
+        case ast.Compare(left=left, ops=[compare], comparators=[right]) if type(compare) in _COMPARISONS:
+            inside = (left, right)
         case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
             _refuse_call(name, len(arguments))
-            for argument in arguments:
-                _refuse_others(argument, text, deeper - 1)
-            return
+            inside = arguments
+    if inside is not None:
+        for one in inside:
+            _refuse_others(one, text, deeper - 1)
+        return
     written = ast.get_source_segment(text, node) if isinstance(node, ast.expr) else None
     raise ExpressionError(
         f"'{written or text}' is not allowed in a formula; use numbers with units, names, + - * / **, "
