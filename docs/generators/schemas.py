@@ -47,7 +47,7 @@ RESULTS: Final = {
     "learn": "learning.LearnResult",
     "monitor": "monitor.MonitorResult",
     "commission": "records.CommissionResult",
-    "event": "records.EventLine",
+    "event": "docs.generators.events.EventLine",
     "instruments": "records.InstrumentsResult",
     "runs": "records.RunsResult",
     "show": "records.ShowResult",
@@ -69,7 +69,7 @@ RESULTS: Final = {
 def schema_of(name: str) -> dict[str, Any]:
     """Return the JSON schema of a result by its name. Raises `KeyError` for an unknown name."""
     module, _, model = RESULTS[name].rpartition(".")
-    place = module if module.startswith("bench.") else f"bench.results.{module}"
+    place = module if "." in module else f"bench.results.{module}"
     kind: type[ResultModel] = getattr(import_module(place), model)
     schema = kind.model_json_schema(by_alias=True, schema_generator=_Described)
     return {
