@@ -331,7 +331,8 @@ class FormulaEffect(Effect):
         variables = variables_of(self.stage)
         for name in names:
             if name not in own and name not in variables:
-                raise ExpressionError(_unknown_name(name, self.stage, variables))
+                known = ", ".join(variables)
+                raise ExpressionError(f"'{name}' is unknown; at the stage '{self.stage}' there are {known}")
         for parameter in self.parameters:
             if parameter.name not in names:
                 raise ExpressionError(
@@ -382,7 +383,12 @@ class FormulaEffect(Effect):
         away = ~np.isfinite(seen.conditions.angle_rad)
         if used.isdisjoint(OF_THE_HEAD):
             away &= _unseen(known.values(), len(away))
-        return self._placed(self._finite(np.broadcast_to(added, shape), away), seen)
+        added = self._finite(np.broadcast_to(added, shape), away)
+        if self.stage is Stage.STAND:
+            placed = np.zeros_like(seen.signal)
+            placed[:, STAND_ANGLES.index(self.adds_to)] = added
+            return placed
+        return added * seen.scale if self.stage is Stage.BLOCK_OUTPUT else added
 
     def _finite(self, added: Floats, away: Mask) -> Floats:
         """Return `added` with 0 for non-finite values in the readings `away`, which have unknown variables.
@@ -402,17 +408,6 @@ class FormulaEffect(Effect):
                 "such as by max(…, 1e-6) in a divisor or a logarithm"
             )
         return added
-
-    def _placed(self, added: Floats, seen: Seen) -> Floats:
-        match self.stage:
-            case Stage.STAND:
-                placed = np.zeros_like(seen.signal)
-                placed[:, STAND_ANGLES.index(self.adds_to)] = added
-                return placed
-            case Stage.BLOCK_OUTPUT:
-                return added * seen.scale
-            case _:
-                return added
 
 
 _WITH_CHANNELS: Final = (Stage.SPECIFIC_FORCE, Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
@@ -471,11 +466,6 @@ def _lagged(course: Floats, time_s: Floats, lag: Floats) -> Floats:
     if whole.ndim == 1:
         return lagged(whole, time_s, float(lag))
     return np.stack([lagged(column, time_s, float(lag)) for column in whole.T], axis=1)
-
-
-def _unknown_name(name: str, stage: Stage, variables: Mapping[str, Variable]) -> str:
-    text = f"'{name}' is unknown; at the stage '{stage}' there are"
-    return f"{text} {', '.join(variables)}"
 
 
 def _unseen(variables: Iterable[Floats], readings: int) -> Mask:
