@@ -401,7 +401,7 @@ class FileModel(BaseModel):
 
 @dataclass
 class Document:
-    """A parsed file: `data` of mappings, lists and texts (None for empty values), its `text`, the lines of places."""
+    """A parsed file: `data` of mappings, lists and texts (None for empty values), `text`, the lines of places."""
 
     path: Path
     data: Any
