@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 from bench.base.languages import message
 from bench.base.text import exact_degrees
 from bench.base.units import ANGLE, parse_quantity
-from bench.base.yaml_files import FileMistake, FileMistakes, Place, dotted, read_yaml, read_yaml_with_lines
+from bench.base.yaml_files import FileMistake, FileMistakes, Place, dotted, read_yaml
 from bench.config.procedure.file import (
     AngleSteps,
     OperatorTimeSection,
@@ -200,7 +200,7 @@ def without_step(text: str, at: Place) -> str:
 def _block(text: str, at: Place) -> tuple[int, int, int]:
     """Return three line numbers of a step: where its comments begin, where it begins, and where it ends."""
     lines = text.splitlines()
-    first = read_yaml_with_lines(text).lines.get(at, 0) - 1
+    first = read_yaml(text).lines.get(at, 0) - 1
     if first < 0 or not lines[first].lstrip().startswith("- "):
         raise Refusal(409, message("this step stands in one line with others; change it in the text"))
     mark = re.match(r" *- ", lines[first])

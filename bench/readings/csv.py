@@ -176,12 +176,12 @@ def _read(
         signal_sd=np.stack([value[_sd(name)] for name in signals], axis=1),
         **{name: value[name] for name in ("series", "direction", "time_s", "temperature_c", "samples")},
     )
-    doubts = doubtful(table, list(seen.values()))
+    lines = list(seen.values())
     texts = [name for name in header if name not in known or name in AS_TEXT]
     return replace(
         table,
         extra={name: np.array([cells[name] for cells in kept], dtype=np.str_) for name in texts},
-        notes=(*notes, *doubts),
+        notes=(*notes, *_times_that_fall(table, lines), *_large_scatter(table, lines)),
         skipped=tuple(bad),
         verification_missing=verification_missing,
     )
@@ -406,12 +406,8 @@ def _signal(value: float) -> str:
 # --- doubts about a table ---------------------------------------------------------------------------
 
 
-def doubtful(readings: Readings, lines: Sequence[int]) -> tuple[str, ...]:
-    """Return a sentence for each suspicious feature of a table; `lines` are the line numbers of its n rows."""
-    return (*_time(readings, lines), *_scatter(readings, lines))
-
-
-def _time(readings: Readings, lines: Sequence[int]) -> list[str]:
+def _times_that_fall(readings: Readings, lines: Sequence[int]) -> list[str]:
+    """Return a sentence if a time is before that of an earlier row; `lines` are the line numbers of the rows."""
     known = np.flatnonzero(np.isfinite(readings.time_s))
     back = known[1:][np.diff(readings.time_s[known]) < 0.0]
     if not len(back):
@@ -420,7 +416,7 @@ def _time(readings: Readings, lines: Sequence[int]) -> list[str]:
     return [message(f"time_s runs backwards ({where}): put the rows back in the order of measurement")]
 
 
-def _scatter(readings: Readings, lines: Sequence[int]) -> list[str]:
+def _large_scatter(readings: Readings, lines: Sequence[int]) -> list[str]:
     """Return a sentence for each channel with a standard deviation above the range of all its readings."""
     told = []
     for i, axis in enumerate(CHANNELS):

@@ -262,9 +262,7 @@ def _headline(result: BudgetResult) -> str:
 
 def _coefficient_table(result: BudgetResult) -> Table:
     """Return a table of sources by coefficients, with combined u, effective degrees of freedom and U."""
-    shown = _table("source", *result.order)
-    for row in _by_source(result):
-        shown.add_row(row.head, *row.cells)
+    shown = _table(_by_source(result), "source", *result.order)
     for row in _combined(result):
         shown.add_row(row.head, *row.cells, style="bold" if "dof" not in row.head else None)
     return shown
@@ -279,20 +277,15 @@ def _source_table(result: BudgetResult) -> Table:
 
 def _acceleration_table(result: BudgetResult) -> Table:
     how = "the same voltmeters" if result.acceleration.same_voltmeters else "voltmeters alike"
-    shown = _table("measured |a|", *ACCELERATION_COLUMNS)
+    shown = _table(_by_magnitude(result), "measured |a|", *ACCELERATION_COLUMNS)
     shown.title = f"one reading with {how}, over all directions, µg"
     shown.title_justify = "left"
-    for row in _by_magnitude(result):
-        shown.add_row(row.head, *row.cells)
     return shown
 
 
 def _print_check(result: BudgetResult, out: Console) -> None:
     check = result.verification
-    shown = _table("verification point", *POINT_COLUMNS)
-    for row in _by_point(check):
-        shown.add_row(row.head, *row.cells)
-    out.print(shown)
+    out.print(_table(_by_point(check), "verification point", *POINT_COLUMNS))
     surely = f"CANNOT BE PASSED with {100 * result.probability:.4g} %"
     verdict = "can be passed" if check.capable else surely
     out.print(
@@ -312,8 +305,11 @@ def _monte_carlo_in_words(found: MonteCarloPart) -> str:
     )
 
 
-def _table(first: str, *others: str) -> Table:
-    return table(first, *(f">{heading}" for heading in others), no_wrap=True)
+def _table(rows: Iterable[Row], first: str, *others: str) -> Table:
+    shown = table(first, *(f">{heading}" for heading in others), no_wrap=True)
+    for row in rows:
+        shown.add_row(row.head, *row.cells)
+    return shown
 
 
 # --- rows of the tables, for both terminal and page -----------------------------------------------------

@@ -125,13 +125,6 @@ class EstimatePart(ValuePart):
     told_by_data: bool = Field(description="whether the readings reduced its prior uncertainty")
 
 
-class ExpandedPart(ValuePart):
-    """A value with its expanded uncertainty."""
-
-    U: float = Field(description="expanded uncertainty, k u")
-    unit: str
-
-
 class CoefficientPart(ValuePart):
     """One of the twelve coefficients, in unit/g or unit; `u` is the combined standard uncertainty."""
 

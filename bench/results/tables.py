@@ -25,7 +25,7 @@ from bench.base.numbers import (
 )
 from bench.base.template_texts import environment_for
 from bench.base.text import shown_path, visible
-from bench.calibration import Calibration, Estimate, Noise
+from bench.calibration import Calibration, Estimate
 from bench.calibration.budget.propagation import correlation_of
 from bench.calibration.design import SYMBOLS
 from bench.calibration.intrinsic import Intrinsic
@@ -323,13 +323,6 @@ def readings(calibration: Calibration) -> tuple[str, list[Row]]:
     return scale.unit, rows
 
 
-def _limits(noise: Noise) -> str:
-    if noise.setting_limits_rad is None:
-        return ""
-    low, high = (limit / ARCSEC for limit in noise.setting_limits_rad)
-    return message(f" (with 95 % between {low:.2g}″ and {high:.2g}″)")
-
-
 def sources(calibration: Calibration) -> dict[str, Any]:
     """Return the table of error sources that readings do not show, and u of gravity; empty without any."""
     if not calibration.sources:
@@ -350,10 +343,14 @@ def sources(calibration: Calibration) -> dict[str, Any]:
 def noise(calibration: Calibration) -> dict[str, str]:
     """Return as text the sizes of noise, each with its origin, and the root mean square of the residuals."""
     of = calibration.noise
+    limits = ""
+    if of.setting_limits_rad is not None:
+        low, high = (limit / ARCSEC for limit in of.setting_limits_rad)
+        limits = message(f" (with 95 % between {low:.2g}″ and {high:.2g}″)")
     return {
         "reading": quantity(of.reading, calibration.unit),
         "setting": f"{uncertainty(of.setting_rad / ARCSEC)}″",
-        "limits": _limits(of),
+        "limits": limits,
         "dof": f"{of.dof:.0f}" if np.isfinite(of.dof) else "",
         "source": of.source,
         "each": ""
