@@ -15,18 +15,9 @@ from filelock import FileLock, Timeout
 
 from bench.base.computing import tracked
 from bench.base.files import from_text, read_regular, sync_folder, to_text, write_synced
-from bench.batch.job import (
-    CALIBRATE_FILE,
-    COLUMNS,
-    DIAGNOSE_FILE,
-    VERIFY_FILE,
-    Job,
-    Row,
-    arrow_schema,
-    program,
-)  # fmt: skip
+from bench.batch.job import COLUMNS, Job, Row, arrow_schema, program
 from bench.run.events import EVENTS, MANIFEST, sha256
-from bench.run.folder import BENCH, EFFECTS, IMPORTED, PLAN
+from bench.run.folder import BENCH, CALIBRATE_FILE, DIAGNOSE_FILE, EFFECTS, IMPORTED, PLAN, VERIFY_FILE
 from bench.services.errors import Refused
 from drivers.clock import Clock, SystemClock, utc_now
 

@@ -19,6 +19,7 @@ from bench.history.comparison import Snapshot
 from bench.history.equivalence import BenchComparison, compare_benches
 from bench.history.measured import STANDARD_GRAVITY, ComparedCalibrations, coded, to_gravity
 from bench.model.geometry import COEFFICIENTS
+from bench.run.folder import CALIBRATE_FILE
 from bench.services.coefficients import snapshots_in
 from bench.services.errors import Refused
 
@@ -144,7 +145,6 @@ def _left_out(connection: Any, asked: Any) -> list[str]:
     return sentences
 
 
-RESULT: Final = "calibrate.json"
 MOST_COMPARED: Final = 400
 """Largest number of calibrations compared: beyond it their joint covariance would be too large."""
 
@@ -236,7 +236,7 @@ def compared(table: CoefficientTable, method: str | None = None) -> BenchCompari
 
 
 def _snapshot(folder: Path, block: str) -> Snapshot:
-    found = snapshots_in(folder / RESULT)
+    found = snapshots_in(folder / CALIBRATE_FILE)
     if len(found) != 1:
-        raise Refused(f"{folder / RESULT}: has {len(found)} results, not one; run 'bench calibrate'")
+        raise Refused(f"{folder / CALIBRATE_FILE}: has {len(found)} results, not one; run 'bench calibrate'")
     return replace(found[0], block=block)

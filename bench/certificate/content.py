@@ -100,7 +100,7 @@ class Instrument:
     """An instrument used in the run, with its certificate on the day of the run.
 
     `identity` is the instrument's answer to the identification query. `foreign` says whether the certificate
-    belongs to another instrument; `why_not` is the reason why its corrections were not applied.
+    belongs to another instrument.
     """
 
     name: str
@@ -110,8 +110,6 @@ class Instrument:
     certificate: Held | None = None
     expired: bool = False
     foreign: bool = False
-    correction: str = ""
-    why_not: str = ""
 
 
 @dataclass(frozen=True)

@@ -275,22 +275,16 @@ def _span(values: Any) -> tuple[float, float] | None:
 def _instruments(source: Source) -> Iterator[Instrument]:
     told = {} if source.origin is None else source.origin.instruments
     serials = {} if source.origin is None else source.origin.serials
-    held = {standing.instrument: (standing, why_not) for standing, why_not in source.traced.entries}
+    held = {standing.instrument: standing for standing, _ in source.traced.entries}
     for section in source.bench.instruments.all():
         name = section.name
-        one = Instrument(name, section.role, _one_line(told.get(name, "")), _one_line(serials.get(name, "")))
-        if name in held:
-            standing, why_not = held[name]
-            one = replace(
-                one,
-                serial=one.serial or standing.certificate.serial or "",
-                certificate=standing.certificate,
-                expired=standing.expired,
-                foreign=standing.foreign,
-                correction=standing.correction,
-                why_not=why_not,
-            )
-        yield one
+        identity, serial = _one_line(told.get(name, "")), _one_line(serials.get(name, ""))
+        if (standing := held.get(name)) is None:
+            yield Instrument(name, section.role, identity, serial)
+        else:
+            own = standing.certificate
+            serial = serial or own.serial or ""
+            yield Instrument(name, section.role, identity, serial, own, standing.expired, standing.foreign)
 
 
 def _contributions(result: CalibrationResult) -> Iterator[Contribution]:

@@ -78,7 +78,6 @@ def c_header(model: TemperatureModel, table: CompensationTable, of: str) -> str:
         "compensation",
         table_checks(model, table),
         "compensation_specific_force_double(row + 1, row[0], a);",
-        "double a[3];",
     )
     return f"""/*
 {head}
