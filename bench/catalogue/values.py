@@ -36,9 +36,8 @@ class CoefficientTable:
     `path`, `unit`, `unit_type`, `bench`, `signal_unit` (n,) are texts, None if not recorded; `when` (n,) is
     datetime64 in UTC, NaT if not recorded. `vector` (n, 12) are the coefficients in `signal_unit` per g =
     `g_m_s2` (n,), biases in `signal_unit`. `covariance` (n, 12, 12) is the combined covariance. `u_meters`
-    (n, 12) is the part of u from errors that the same meters repeat, NaN if not stated. `sigma` (n,) is the
-    noise of a reading. `simulated` (n,) is False only for runs recorded as real. `left_out` states in
-    sentences which runs of the question are omitted.
+    (n, 12) is the part of u from errors that the same meters repeat, NaN if not stated. `simulated` (n,) is
+    False only for runs recorded as real. `left_out` states in sentences which runs of the question are omitted.
     """
 
     path: Texts
@@ -49,7 +48,6 @@ class CoefficientTable:
     vector: Floats
     covariance: Floats
     u_meters: Floats
-    sigma: Floats
     g_m_s2: Floats
     signal_unit: Texts
     simulated: NDArray[np.bool_]
@@ -87,8 +85,8 @@ def coefficient_table(catalogue: Catalogue, query: Sequence[str]) -> Coefficient
     )
     columns = (
         RUNS.c.path, RUNS.c.unit, RUNS.c.unit_type, RUNS.c.bench, RUNS.c.created, RUNS.c.simulated,
-        CALIBRATIONS.c.vector, CALIBRATIONS.c.covariance, CALIBRATIONS.c.u_meters, CALIBRATIONS.c.sigma,
-        CALIBRATIONS.c.g_m_s2, CALIBRATIONS.c.unit.label("signal_unit"),
+        CALIBRATIONS.c.vector, CALIBRATIONS.c.covariance, CALIBRATIONS.c.u_meters, CALIBRATIONS.c.g_m_s2,
+        CALIBRATIONS.c.unit.label("signal_unit"),
     )  # fmt: skip
     joined = RUNS.join(CALIBRATIONS, CALIBRATIONS.c.run == RUNS.c.id)
     rows = select(*columns).select_from(joined).where(asked, believed)
@@ -110,7 +108,6 @@ def coefficient_table(catalogue: Catalogue, query: Sequence[str]) -> Coefficient
         vector=vector,
         covariance=covariance.reshape(n, COUNT, COUNT),
         u_meters=np.frombuffer(meters, dtype="<f8").reshape(n, COUNT),
-        sigma=np.array([np.nan if row.sigma is None else row.sigma for row in found], dtype=np.float64),
         g_m_s2=np.array([row.g_m_s2 for row in found], dtype=np.float64),
         signal_unit=_texts(row.signal_unit for row in found),
         simulated=np.array([row.simulated is not False for row in found], dtype=np.bool_),

@@ -16,13 +16,7 @@ from bench.base.languages import message
 from bench.base.text import exact_degrees
 from bench.base.units import ANGLE, parse_quantity
 from bench.base.yaml_files import FileMistake, FileMistakes, Place, dotted, read_yaml, read_yaml_with_lines
-from bench.config.procedure.file import (
-    AngleSteps,
-    OperatorTimeSection,
-    ReadingSection,
-    StepEntry,
-    TurnVerb,
-)
+from bench.config.procedure.file import AngleSteps, OperatorTimeSection, ReadingSection, StepEntry, TurnVerb
 from bench.config.procedure.load import Procedure, load_procedure
 from bench.panel.access import Refusal
 from bench.panel.bench_fields import BenchField, Group, Values, bare, fields_in, listed, values_of

@@ -136,11 +136,7 @@ def _items(certificate: Certificate, unit: UnitOrder) -> Node:
         node(
             "dcc:item",
             node("dcc:name", plain(item.type)),
-            node(
-                "dcc:description",
-                node("dcc:name", *said(texts, "condition")),
-                plain(unit.condition),
-            ),
+            node("dcc:description", node("dcc:name", *said(texts, "condition")), plain(unit.condition)),
             None if maker is None else node("dcc:manufacturer", node("dcc:name", plain(maker))),
             node("dcc:model", item.type),
             node(

@@ -212,11 +212,7 @@ def _freedom(members: Sequence[Value]) -> Node | None:
     if not finite:
         return None
     listed = real_list([dof for _, dof in finite], [nodes.ONE], [f"nu_{name}" for name, _ in finite])
-    return node(
-        "dcc:metaData",
-        node("dcc:data", node("dcc:quantity", listed)),
-        refType="bench_dof",
-    )
+    return node("dcc:metaData", node("dcc:data", node("dcc:quantity", listed)), refType="bench_dof")
 
 
 def _checked(texts: Sequence[Texts], verification: Verification) -> Node:
