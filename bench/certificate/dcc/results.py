@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import Floats
+from bench.base.arrays import Floats, u_of
 from bench.calibration.budget.whole import dof_through
 from bench.calibration.conformity import Statement
 from bench.calibration.intrinsic import joint_factor
@@ -180,12 +180,15 @@ def _per_ms2(found: RunFindings) -> Values:
     of_g = np.where(np.arange(12) < 9, values, 0.0) * own.gravity_u
     covariance = own.covariance * np.outer(scale, scale) + np.outer(of_g, of_g)
     per = {"V": nodes.VOLT_PER_MS2, "m/s^2": nodes.ONE}.get(own.unit, r"\metre\tothe{-1}\second\tothe{2}")
-    named = {
-        one.name: SI_UNITS[own.unit] if one.name.startswith("U0") else per
-        for one in found.coefficients.values
-    }
-    dof = dof_through(own, np.diag(scale), of_g**2)
-    return Values.of(named, values, covariance, found.coefficients.values[0].k, dof)
+    sizes = zip(values.tolist(), u_of(covariance).tolist(), strict=True)
+    dof = dof_through(own, np.diag(scale), of_g**2).tolist()
+    found_per = (
+        Value(
+            one.name, value, u, one.k * u, one.k, nu, SI_UNITS[own.unit] if one.name.startswith("U0") else per
+        )
+        for one, (value, u), nu in zip(found.coefficients.values, sizes, dof, strict=True)
+    )
+    return Values(tuple(found_per), covariance)
 
 
 def _listed(values: Values, certificate: Certificate) -> Node:
