@@ -86,9 +86,7 @@ def c_header(result: BlockResult) -> str:
             "U of the coefficients: " + ", ".join(f"{row.name} {row.U:.2g}" for row in numbers.rows),
         ]
     )
-    tested = c_self_test(
-        "coefficients", np.hstack(result.check), "coefficients_specific_force(row, a);", "double a[3];"
-    )
+    tested = c_self_test("coefficients", np.hstack(result.check), "coefficients_specific_force(row, a);")
     return f"""/*
 {head}
  */

@@ -47,10 +47,6 @@ class Started:
         """The exit status, None while the process is alive."""
         return self.process.poll()
 
-    def last_words(self) -> str:
-        """Return the end of the output of the process."""
-        return last_words(self.log)
-
 
 def start(arguments: Sequence[str], log: Path, *, program: Sequence[str] = BENCH) -> Started:
     """Start a process that outlives this program, without a shell; its output goes to `log`. Raises `OSError`."""
@@ -78,7 +74,7 @@ def wait_until(begun: Callable[[], bool], started: Started, clock: Clock | None 
             raise Refusal(
                 409,
                 message(
-                    f"the run did not start (exit status {status}); correct what it says: {started.last_words()}"
+                    f"the run did not start (exit status {status}); correct what it says: {last_words(started.log)}"
                 ),
             )
         if clock.now_s() > until_s:

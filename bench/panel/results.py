@@ -15,11 +15,8 @@ from bench.base.numbers import rounded, scale_for, uncertainty
 from bench.calibration.result import LACK_OF_FIT_P, NOT_ACCEPTED_P
 from bench.panel.access import Refusal
 from bench.panel.folder import read_page
-from bench.run.folder import Run, statement_in
+from bench.run.folder import CALIBRATE_FILE, DIAGNOSE_FILE, VERIFY_FILE, Run, statement_in
 
-CALIBRATE: Final = "calibrate.json"
-VERIFY: Final = "verify.json"
-DIAGNOSE: Final = "diagnose.json"
 REPORT: Final = "report.html"
 DIAGNOSIS: Final = "diagnose.html"
 
@@ -131,9 +128,9 @@ class Results:
 def results_of(run: Run) -> Results:
     """Return the results of a run, read from the files in its folder."""
     trouble: list[str] = []
-    verdict = told_by(run, VERIFY, _verdict, trouble)
-    calibration = told_by(run, CALIBRATE, _calibration, trouble)
-    diagnosis = told_by(run, DIAGNOSE, _diagnosis, trouble)
+    verdict = told_by(run, VERIFY_FILE, _verdict, trouble)
+    calibration = told_by(run, CALIBRATE_FILE, _calibration, trouble)
+    diagnosis = told_by(run, DIAGNOSE_FILE, _diagnosis, trouble)
     there = [name for name in (REPORT, DIAGNOSIS) if is_plain(run.folder / name)]
     return Results(verdict, calibration, diagnosis, tuple(there), tuple(trouble))
 

@@ -385,13 +385,7 @@ def _soak(seen: RunView, about: About) -> dict[str, Any] | None:
     until = None
     if not about.told["simulated"]:
         until = (datetime.fromisoformat(event.time) + timedelta(seconds=lasts_s)).isoformat()
-    return {
-        "words": words,
-        "lasts_s": lasts_s,
-        "lasts": duration(lasts_s),
-        "left_s": left_s,
-        "until": until,
-    }
+    return {"words": words, "lasts_s": lasts_s, "lasts": duration(lasts_s), "left_s": left_s, "until": until}
 
 
 def _warning(event: Event) -> dict[str, Any]:
