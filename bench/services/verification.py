@@ -18,7 +18,7 @@ from bench.calibration.budget.sources import hidden_sources
 from bench.calibration.budget.whole import delta_g_contributions, delta_g_elsewhere, without_meters
 from bench.calibration.conformity import SIMPLE, DecisionRule, Population
 from bench.calibration.noise import ONE_TEMPERATURE_K, drifted
-from bench.calibration.verification import Verification
+from bench.calibration.verification import Verification, points_of
 from bench.calibration.verification import verify as check
 from bench.config.bench_file.file import BenchFile
 from bench.readings.corrected import VOLTS
@@ -262,6 +262,7 @@ def judged(
 
     Raises `CalibrationError` if there is no verification point.
     """
+    points_of(source.readings)
     said = without_meters(source.readings.unit)
     if own is None:
         covariance, of_day = _of_another_day(taken, source)
