@@ -348,6 +348,13 @@ class Calibration(HasCovariance):
         return len(self.fitted) + len(self.modulus_error)
 
     @property
+    def temperatures_c(self) -> Floats:
+        """Temperatures of the block at the readings in the fit, oriented and free, °C, without unknown ones."""
+        tables = [self.fitted, *([] if self.free is None else [self.free])]
+        known = np.concatenate([table.temperature_c for table in tables])
+        return np.asarray(known[np.isfinite(known)])
+
+    @property
     def modulus_rms_g(self) -> float:
         """Root mean square of |a| - 1 over the free readings that are not outliers, g; NaN if there are none."""
         if self.free is None:

@@ -230,8 +230,8 @@ class CalibrationResult:
     @property
     def temperature_c(self) -> float:
         """Mean temperature of the block in the fitted readings, °C; NaN if it is unknown."""
-        known = self.calibration.fitted.temperature_c
-        return float(np.mean(known[np.isfinite(known)])) if np.isfinite(known).any() else math.nan
+        known = self.calibration.temperatures_c
+        return float(np.mean(known)) if len(known) else math.nan
 
     @property
     def _temperature_effects(self) -> list[str]:
