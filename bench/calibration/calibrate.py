@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Final
@@ -95,10 +95,16 @@ def calibrate(
     tails = heavy_tails(problem, fit)
     digits = ROUNDING * float(np.max(np.abs(rows.signal), initial=0.0))
     fit_test = replace(fit_test, rms=rms(fit.residuals), rounding=digits)
-    accepted = fit_test.accepted()  # if not, large residuals come from a wrong model, not from outliers
+    accepted = (
+        fit_test.accepted()
+    )  # if not, large residuals of settings come from a wrong model, not from outliers
     floor = gls.noise_floor(rows.signal, resolution, problem.free)
     alone = fit.covariance
-    shared = take_in(problem, fit, readings.unit, floor) if find_shared else SharedErrorFit(fit)
+    if not accepted:
+        notes = () if by.drops_outliers else _on_moving_positions(problem, fit, refit, chosen)
+    # outliers that explain a misfit are no errors that readings share
+    searched = find_shared and (accepted or not notes)
+    shared = take_in(problem, fit, readings.unit, floor) if searched else SharedErrorFit(fit)
     fit = shared.fit
     if by.gain is not None:
         fit = linear_estimate(problem, rows.signal, fit, by.gain(problem, rows), shared.covariance)
@@ -136,7 +142,7 @@ def calibrate(
         notes=(
             *_notes_on_rows(readings, chosen, by.name, join_free=join_free),
             *_on_levels(problem),
-            *(notes if accepted else ()),
+            *notes,
             *notes_on_noise(
                 fit.noise, tails if accepted and not notes else float("nan"), shared, birge, readings.unit
             ),
@@ -286,11 +292,27 @@ def _fitted(
         return fit, outliers.listed(fit, chosen), ()
     # one outlier is enough for a note, but in free positions alone several may mask each other
     most = outliers.most_outliers(problem) if problem.upper else 1
-    notes = tuple(
+    return fit, (), _notes_on(outliers.listed(outliers.search(problem, task.fit, task.refit, most), chosen))
+
+
+def _notes_on(found: Iterable[Outlier]) -> tuple[str, ...]:
+    return tuple(
         message(f"outlier found: {outlier.text()}; the estimator '{ROBUST}' gives it no weight")
-        for outlier in outliers.listed(outliers.search(problem, task.fit, task.refit, most), chosen)
+        for outlier in found
     )
-    return fit, (), notes
+
+
+def _on_moving_positions(
+    problem: Problem, fit: gls.Fit, refit: partial[gls.Fit], chosen: FittedRows
+) -> tuple[str, ...]:
+    """Return notes on outliers of a fit that is not accepted, if they are free positions and explain the misfit."""
+    if problem.free is None or fit.shifts:
+        return ()
+    most = outliers.most_outliers(problem)
+    without = outliers.search(problem, fit, lambda shifts: refit(shifts=shifts), most)
+    moving = all(shift.channel == gls.MODULUS for shift in without.shifts)
+    explained = moving and gls.lack_of_fit(problem, without).accepted()
+    return _notes_on(outliers.listed(without, chosen)) if explained else ()
 
 
 def _birge(test: LackOfFit, shared: SharedErrorFit) -> float:
