@@ -101,6 +101,7 @@ class Noise:
     where the sizes come from. If the channels differ, `channels` are the sizes of the noise in x, y and z,
     `channel_dof` are their degrees of freedom, and `reading` is the root mean square. `p_equal` is the p-value of
     the hypothesis that the channels have equal noise (NaN if not tested). `prior` is the prior used, or None.
+    `stated` is the test of residuals that need no prior against the sizes that the bench file states, or None.
     """
 
     reading: float
@@ -112,6 +113,7 @@ class Noise:
     channel_dof: tuple[float, float, float] | None = None
     p_equal: float = float("nan")
     prior: NoisePrior | None = None
+    stated: NoisePrior | None = None
 
     @property
     def by_channel(self) -> Floats:

@@ -16,6 +16,7 @@ from bench.base.tables import as_html, as_text
 from bench.calibration import Calibration, CalibrationError, LackOfFit
 from bench.calibration.budget.sources import hidden_sources
 from bench.calibration.budget.whole import delta_g_contributions, delta_g_elsewhere, without_meters
+from bench.calibration.components import note_on_excess
 from bench.calibration.conformity import SIMPLE, DecisionRule, Population
 from bench.calibration.noise import ONE_TEMPERATURE_K, drifted
 from bench.calibration.verification import Verification, points_of
@@ -269,6 +270,7 @@ def judged(
         said = (*said, *of_day)
         joint = {"coefficients and readings": covariance}
     else:
+        said = (*said, *note_on_excess(own.noise))
         joint = delta_g_contributions(
             own, source.readings, source.bench, source.model, source.traced.day, source.known_meters
         )
