@@ -252,7 +252,8 @@ class CalibrationValues:
             str(told["unit"]),
             float(told["g_m_s2"]),
             np.array([float(size["value"]) for size in sizes]),
-            np.array([float(size["u"]) for size in sizes]),
+            # null for a coefficient that is zero by convention
+            np.array([np.nan if size["u"] is None else float(size["u"]) for size in sizes]),
             None if p is None else float(p),
             int(told["readings"]["used"]),
             told.get("record", {}).get("head"),
@@ -375,5 +376,8 @@ def _columns(found: CalibrationValues, suffix: str) -> Row:
         f"fit{suffix}": found.fit,
         f"p{suffix}": found.p,
         **{f"{name}{suffix}": x for name, x in zip(COEFFICIENTS, found.values.tolist(), strict=True)},
-        **{f"u_{name}{suffix}": x for name, x in zip(COEFFICIENTS, found.u.tolist(), strict=True)},
+        **{
+            f"u_{name}{suffix}": None if isnan(x) else x
+            for name, x in zip(COEFFICIENTS, found.u.tolist(), strict=True)
+        },
     }

@@ -36,7 +36,7 @@ from bench.exchange.result import ReportedNumbers
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.columns import current_column, rails_of, voltage_column
 from bench.readings.csv import format_csv
-from bench.readings.table import CHAMBER_C, TEMPERATURE_SOURCE, VERIFICATION, Readings
+from bench.readings.table import CHAMBER_C, FREE, TEMPERATURE_SOURCE, VERIFICATION, Readings
 from bench.results.parts import coefficient_unit
 from bench.results.verification import global_risk_in_words
 from bench.run.events import ENDED
@@ -151,6 +151,11 @@ def found_by(
     if not run.imported and run.history.state not in ENDED:
         raise Refused(f"{name}: the run is {run.history.state}; a certificate needs a run that has ended")
     result = calibration_of(source)
+    if result.calibration.triangular is not None:
+        raise Refused(
+            f"{name}: a certificate states twelve coefficients, but free positions alone determine nine; measure "
+            "the block in two installations"
+        )
     verdict = None
     if len(source.readings.verification()):
         verdict = verification_of(result.source, result, asked, agreed)
@@ -226,7 +231,7 @@ def _begun(source: Source) -> str:
 
 def _conditions(source: Source) -> Iterator[Condition]:
     readings = source.readings
-    used = readings.select(readings.is_oriented | (readings.installation == VERIFICATION))
+    used = readings.select(readings.is_oriented | np.isin(readings.installation, [VERIFICATION, FREE]))
     told = sorted({text for text in used.extra.get(TEMPERATURE_SOURCE, ()) if text})
     span = _span(used.temperature_c)
     if span is not None:

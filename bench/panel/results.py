@@ -12,7 +12,7 @@ from typing import Any, Final, TypeVar
 from bench.base.files import from_text
 from bench.base.languages import message
 from bench.base.numbers import rounded, scale_for, uncertainty
-from bench.calibration.result import LACK_OF_FIT_P, NOT_ACCEPTED_P
+from bench.calibration.result import LACK_OF_FIT_P, NOT_ACCEPTED_P, NOT_DETERMINED
 from bench.panel.access import Refusal
 from bench.panel.folder import read_page
 from bench.run.folder import CALIBRATE_FILE, DIAGNOSE_FILE, VERIFY_FILE, Run, statement_in
@@ -237,6 +237,9 @@ def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
     rows = []
     for name in map(str, told["order"]):
         one = told["coefficients"][name]
+        if one["u"] is None:
+            rows.append(CoefficientRow(name, "0", NOT_DETERMINED, ""))
+            continue
         value, expanded = float(one["value"]), float(one.get("U", 2.0 * float(one["u"])))
         per = unit if name.startswith("U0") else f"{unit}/g"
         scale = scale_for(max(abs(value), expanded), unit)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from functools import cache
 from typing import Any, Final
@@ -10,7 +11,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from bench.base.arrays import ARCSEC, CHANNELS, u_of
+from bench.base.arrays import ARCSEC, CHANNELS, Floats, u_of
 from bench.base.languages import language, message, translated
 from bench.base.numbers import (
     aligned,
@@ -29,6 +30,7 @@ from bench.calibration import Calibration, Estimate
 from bench.calibration.budget.propagation import correlation_of
 from bench.calibration.design import SYMBOLS
 from bench.calibration.intrinsic import Intrinsic
+from bench.calibration.result import NOT_DETERMINED
 from bench.calibration.verification import Verification
 from bench.model.effects import CATALOGUE
 from bench.model.geometry import COEFFICIENTS
@@ -84,13 +86,15 @@ def coefficient_groups(calibration: Calibration) -> list[tuple[str, list[Row]]]:
     vector, u = calibration.block.vector, calibration.u
     scale = scale_for(float(np.max(u)), calibration.unit)
     base = scale_for(1.0, calibration.unit)
-    # with free positions alone some coefficients are zero by convention: value and u are 0
     values = aligned(
         ["0" if v == s == 0.0 else rounded(float(v), float(s)) for v, s in zip(vector, u, strict=True)]
     )
-    of_readings = aligned([uncertainty(float(s) / scale.size) for s in calibration.u_readings])
-    standard = aligned([uncertainty(float(s) / scale.size) for s in u])
-    expanded = aligned([uncertainty(2.0 * float(s) / scale.size) for s in u])
+
+    def column(sizes: Floats) -> list[str]:
+        known = calibration.determined(sizes / scale.size).tolist()
+        return aligned(["–" if math.isnan(size) else uncertainty(size) for size in known])
+
+    of_readings, standard, expanded = map(column, (calibration.u_readings, u, calibration.U))
     groups: list[tuple[str, list[Row]]] = []
     for title, members in (
         (message("Scale factors"), [0, 4, 8]),
@@ -123,8 +127,8 @@ def _in_other_terms(calibration: Calibration, j: int) -> tuple[str, str]:
     if j == own:
         return uncertainty(abs(float(u[j] / vector[j])) * 1e6), "ppm"
     ratio, u_ratio = _ratio(calibration, j, own)
-    if vector[j] == u[j] == 0.0:
-        return message("by convention"), ""
+    if COEFFICIENTS[j] in calibration.zero_by_convention:
+        return NOT_DETERMINED, ""
     if j < 9:
         return concise(ratio / ARCSEC, u_ratio / ARCSEC), "″"
     scale = scale_for(max(abs(ratio), u_ratio), "g")

@@ -92,7 +92,9 @@ class TumbleResult(ResultModel):
     model: str
     axes: dict[str, AxisPart] = Field(description="results for each channel")
     order: list[str] = Field(description="channel and name of each quantity, in the order of `covariance`")
-    combined: bool = Field(description="whether u and `covariance` include every source of the bench")
+    combined: bool = Field(
+        description="whether u and `covariance` include every source of the bench that acts on the readings"
+    )
     covariance: Matrix = Field(description="covariance of all quantities of the three channels")
     covariance_readings: CovarianceOfReadings
     noise: TumbleNoisePart

@@ -25,6 +25,7 @@ from bench.calibration.temperature import separate_temperatures
 from bench.config.bench_file.learned import PriorFile, load_prior
 from bench.model.effects import TEMPERATURE_EFFECTS
 from bench.model.geometry import COEFFICIENTS, Block
+from bench.readings.corrected import VOLTS
 from bench.readings.table import VERIFICATION, is_record
 from bench.results.calibration import (
     PriorPart,
@@ -162,8 +163,9 @@ def _refuse_other(prior: Prior, found: Calibration, source: Source, path: Path) 
 class Coefficient:
     """A coefficient in `unit` (such as V/g; V for a bias) with its combined standard uncertainty `u`.
 
-    `u_readings` is the part of u from the readings and the stated limits of the stand. `dof` are the
-    effective degrees of freedom of u. u is already widened for a small `dof`, so that `U` is always `k` u.
+    `u_readings` is the part of u from the readings and the stated limits of the stand. Both are NaN for a
+    coefficient that is zero by convention, as free positions alone do not determine it. `dof` are the effective
+    degrees of freedom of u. u is already widened for a small `dof`, so that `U` is always `k` u.
     """
 
     value: float
@@ -197,7 +199,8 @@ class CalibrationResult:
     def coefficients(self) -> dict[str, Coefficient]:
         """The coefficients by name: "Kxx", "Kxy", … "Kzz" in unit/g; "U0x", "U0y", "U0z" in the signals' unit."""
         found = self.calibration
-        columns = (found.block.vector, found.u, found.u_readings, found.dof)
+        u, of_readings = found.determined(found.u), found.determined(found.u_readings)
+        columns = (found.block.vector, u, of_readings, found.dof)
         rows = zip(COEFFICIENTS, *(column.tolist() for column in columns), strict=True)
         return {
             name: Coefficient(value, u, coefficient_unit(name, found.unit), own, dof)
@@ -230,8 +233,8 @@ class CalibrationResult:
     @property
     def temperature_c(self) -> float:
         """Mean temperature of the block in the fitted readings, °C; NaN if it is unknown."""
-        known = self.calibration.fitted.temperature_c
-        return float(np.mean(known[np.isfinite(known)])) if np.isfinite(known).any() else math.nan
+        known = self.calibration.temperatures_c
+        return float(np.mean(known)) if len(known) else math.nan
 
     @property
     def _temperature_effects(self) -> list[str]:
@@ -375,6 +378,7 @@ def calibration_of(
         join_free=join_free,
         join_verification=join_verification,
         known=source.known,
+        nominal=source.bench.unit_under_test.scale_factors.values if source.readings.unit == VOLTS else None,
     )
     signed = sign(found, source.readings, source.bench, source.model, source.traced.day, source.known_meters)
     if prior is None:

@@ -15,12 +15,14 @@ from bench.base.arrays import Floats
 from bench.base.tables import as_html, as_text
 from bench.calibration import Calibration, CalibrationError, LackOfFit
 from bench.calibration.budget.sources import hidden_sources
-from bench.calibration.budget.whole import delta_g_contributions, delta_g_elsewhere
+from bench.calibration.budget.whole import delta_g_contributions, delta_g_elsewhere, without_meters
+from bench.calibration.components import note_on_excess
 from bench.calibration.conformity import SIMPLE, DecisionRule, Population
 from bench.calibration.noise import ONE_TEMPERATURE_K, drifted
-from bench.calibration.verification import Verification
+from bench.calibration.verification import Verification, points_of
 from bench.calibration.verification import verify as check
 from bench.config.bench_file.file import BenchFile
+from bench.readings.corrected import VOLTS
 from bench.results import verification as shown
 from bench.run.events import VerdictAsked
 from bench.run.folder import Run
@@ -262,11 +264,14 @@ def judged(
 
     Raises `CalibrationError` if there is no verification point.
     """
-    said: tuple[str, ...] = ()
+    points_of(source.readings)
+    said = without_meters(source.readings.unit)
     if own is None:
-        covariance, said = _of_another_day(taken, source)
+        covariance, of_day = _of_another_day(taken, source)
+        said = (*said, *of_day)
         joint = {"coefficients and readings": covariance}
     else:
+        said = (*said, *note_on_excess(own.noise))
         joint = delta_g_contributions(
             own, source.readings, source.bench, source.model, source.traced.day, source.known_meters
         )
@@ -304,6 +309,8 @@ def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[
         joint = weight * found if same else joint + weight * found
     if taken.same_meters is None:
         said = "the coefficients' uncertainty, from an earlier version, covers its readings alone"
+    elif source.readings.unit != VOLTS:
+        said = ""  # no meters of the bench read these signals
     elif part == 0.0:
         said = "the same meters as at the calibration, on one day: their gain and offset cancel"
     elif part < 1.0:
@@ -317,7 +324,7 @@ def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[
             "gravity", 0.0
         )
         joint = joint + taken.gravity_u**2 + there**2
-    return joint, (said, *_on_temperature(taken, source))
+    return joint, (*filter(None, [said]), *_on_temperature(taken, source))
 
 
 def _on_temperature(taken: Coefficients, source: Source) -> Iterator[str]:
