@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import traceback
 from functools import cache
@@ -69,9 +68,6 @@ def main(arguments: list[str] | None = None) -> None:
             status = _fail("stopped by Ctrl-C")
     except KeyboardInterrupt:
         status = _fail("stopped by Ctrl-C")
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        status = NOT_DONE
     except typer.Abort:
         status = _fail("stopped")
     except Exception as error:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import gc
-import io
 import os
 import signal
 import sys
 from contextlib import suppress
+
+from bench.cli.streams import keep_writable
 
 TYPE_CHECKING = False  # the import of typing would delay the handling of Ctrl-C
 if TYPE_CHECKING:
@@ -32,9 +33,7 @@ def main() -> None:
 
             with Interrupts([signal.SIGINT]) as interrupts:
                 interrupts.release(_SAID)
-                if isinstance(sys.stdout, io.TextIOWrapper):
-                    # a terminal that cannot encode µ must not stop the program
-                    sys.stdout.reconfigure(errors="backslashreplace")
+                keep_writable()
                 from bench.cli.app import main as command_line
 
                 command_line()

@@ -93,6 +93,42 @@ def test_a_terminal_that_knows_few_characters_is_shown_escapes(handler, monkeypa
     assert rb"\xb5V/g" in shown.getvalue()
 
 
+@pytest.fixture
+def unread(monkeypatch, capsys):
+    """Make standard output a pipe whose reader has ended."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w", encoding="utf-8") as stream:
+        monkeypatch.setattr(sys, "stdout", stream)
+        yield
+        sys.stdout.flush()
+
+
+def status_of(monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", ["bench", *arguments])
+    with pytest.raises(SystemExit) as end:
+        program.main()
+    return end.value.code
+
+
+@pytest.mark.slow
+def test_a_run_whose_output_nobody_reads_any_more_goes_on_to_its_verdict(
+    handler, unread, monkeypatch, empty_folder, capsys
+):
+    assert status_of(monkeypatch, "run", "quick", "--dry-run", "--name", "a") == 0
+    assert json.loads((Path("runs") / "a" / "results.json").read_text())["made"]
+    assert status_of(monkeypatch, "verify", "a", "--limit", "1e-6", "--rule", "simple") == 1
+    assert status_of(monkeypatch, "verify", "b") == 2
+    assert [line[:6] for line in capsys.readouterr().err.splitlines()] == ["bench:"]
+
+
+def test_without_a_standard_output_a_command_ends_with_its_status(handler, monkeypatch, empty_folder, capsys):
+    monkeypatch.setattr(sys, "stdout", None)
+    assert status_of(monkeypatch, "instruments", "--bench", "paper-stand", "--json", "-") == 2
+    assert status_of(monkeypatch, "check", "quick", "--json", "-") == 0
+    assert "error of the program" not in capsys.readouterr().err
+
+
 RECORDS = ROOT / "tests" / "data" / "records"
 
 
