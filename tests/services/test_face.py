@@ -75,6 +75,20 @@ def test_a_frame_is_read_as_strictly_as_its_file(readings):
     assert len(program.read_readings(frame, skip_bad_rows=True)) == len(frame) - 1
 
 
+def test_a_frame_with_a_column_twice_is_refused_and_a_missing_value_of_pandas_is_an_empty_cell(readings):
+    import pandas as pd
+
+    frame = pd.read_csv("r.csv")
+    with pytest.raises(program.ReadingsError, match="column ux_v appears more than once; keep one"):
+        program.calibrate(pd.concat([frame, 2 * frame[["ux_v"]]], axis=1))
+    missing = frame.convert_dtypes()
+    missing.loc[2, "time_s"] = pd.NA
+    missing.loc[len(missing)] = pd.NA
+    read = program.read_readings(missing)
+    assert np.flatnonzero(np.isnan(read.time_s)).tolist() == [2]
+    assert np.array_equal(read.signal, program.read_readings(readings).signal)
+
+
 @pytest.mark.slow
 def test_a_verification_is_that_of_the_command(bench, readings):
     verdict = program.verify(readings, rule="guarded", limit=2e-4)
