@@ -66,12 +66,13 @@ def test_a_plan_of_another_version_of_the_program_is_intact_and_needs_no_copy(tm
     folder, plan = tmp_path / "run", b'{"name": "p", "steps": [{"step": "humidity"}]}'
     versions = {"triaxial-bench": "9.9"}
     Record.create(folder, {"name": "run", "versions": versions}, {"plan.json": plan}, lambda: NOON).close()
-    with pytest.raises(RecordError, match=r"'humidity'\); the file is intact: use the program .* version 9\.9$"):
+    with pytest.raises(
+        RecordError, match=r"'humidity'\); the file is intact: use the program .* version 9\.9$"
+    ):
         _ = Run(folder).plan
     (folder / "plan.json").write_bytes(plan[:-1])
     with pytest.raises(RecordError, match=r"restore it from a copy$"):
         _ = Run(folder).plan
-
 
 
 def test_a_changed_manifest_breaks_the_chain(tmp_path):

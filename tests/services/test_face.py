@@ -162,6 +162,24 @@ def test_what_cannot_be_done_says_why(readings, call, error, text):
         call()
 
 
+def test_messages_name_arguments_of_python(readings):
+    text = Path("r.csv").read_text().splitlines()
+    Path("bad.csv").write_text("\n".join([*text, text[-1]]) + "\n")
+    with pytest.raises(program.ReadingsError, match=r"skip them with skip_bad_rows=True$"):
+        program.calibrate("bad.csv")
+    program.dry_run("quick", name="a", runs="mine")
+    with pytest.raises(program.RecordError, match=r"exists; choose another with name$"):
+        program.dry_run("quick", name="a", runs="mine")
+
+
+@pytest.mark.parametrize("path", ["no/such/r.html", None])
+def test_a_path_that_cannot_be_written_is_named_in_an_error_of_the_library(readings, path):
+    result = program.calibrate("r.csv")
+    for write in (result.report, lambda to: result.write(to, "c"), program.budget(trials=0).report):
+        with pytest.raises(program.RecordError, match=f"^{path or 'path=None'}: "):
+            write(path)
+
+
 def test_without_gravity_nothing_is_believed(readings):
     stand = program.load_bench("paper-stand").model_copy(update={"gravity": None})
     with pytest.raises(program.Refused, match=r"paper-stand: gives no local gravity; .*give g=9\.81"):
