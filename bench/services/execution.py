@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -62,7 +63,7 @@ from bench.services.bench_selection import bench_for_record, bench_path, why_tak
 from bench.services.errors import Refused
 from bench.services.fitness import agree_to_expired, is_away, refuse_unfit
 from bench.services.own_effects import effects_for_record, knowing_effects_on_record, simulated_truth
-from bench.services.persons import acting_at, operator_of, resumer
+from bench.services.persons import STARTED_FROM, acting_at, operator_of, resumer
 from bench.services.requests.measuring import ResumeRequest, RunRequest
 from bench.services.requests.shared import name_to_type, runs_folder
 from bench.services.traceability import remarks
@@ -244,7 +245,7 @@ def resumed(
     """
     away = is_away(request.answers, panel=request.panel)
     who = None if away else acting_at(TERMINAL, request.operator)
-    by = resumer("panel" if away else TERMINAL, request.operator)
+    by = resumer(os.environ.get(STARTED_FROM, TERMINAL), request.operator)
     run = unfinished_run(request.name, runs_folder(request.runs), results_too=True)
     refuse_missing_devices(run)
     announce(run)
