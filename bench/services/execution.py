@@ -18,6 +18,7 @@ from rich.console import Console
 from bench.base.computing import quiet, versions
 from bench.base.files import read_regular, to_text, write_whole
 from bench.base.languages import message
+from bench.base.text import as_typed
 from bench.config.bench_file.file import BenchFile, foreign_drivers, load_bench, missing_drivers
 from bench.config.devices.sections import ControlledChamberForm
 from bench.config.model_file import load_model
@@ -457,7 +458,7 @@ def _refuse_renamed(record: Record) -> None:
     if place == record.folder:
         return
     now = f"it is {place} now" if place else "it is no longer beside the other runs"
-    again = place or "FOLDER"
+    again = as_typed(place or "FOLDER")
     raise Refused(
         f"{record.folder}: the run is finished, but its folder was moved ({now}); "
         f"'bench resume {again}' computes its results there"
