@@ -45,7 +45,7 @@ def main() -> None:
         print(f"bench: {_SAID}", file=sys.stderr)
         _leave(_STOPPED)
     except SystemExit as end:
-        if end.code == _STOPPED and Interrupts.any_heard:
+        if end.code == _STOPPED and Interrupts.heard:
             _leave(_STOPPED)
         raise
 

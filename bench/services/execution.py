@@ -48,7 +48,7 @@ from bench.run.folder import (
     find_run,
 )
 from bench.run.instruments import with_notes
-from bench.run.interrupts import Interrupts
+from bench.run.interrupts import Interrupts, stopped_by
 from bench.run.listening import Asker, ClockWatch, WishListener
 from bench.run.live import LiveSignals
 from bench.run.person import NOBODY_KNOWN, ControlFile, WishAuthor, agree
@@ -227,11 +227,15 @@ def started(
     who = None if away else acting_at(TERMINAL, request.operator, request.laboratory)
     announce(new)
     with Interrupts() as interrupts:
-        with logged_wire(request.wire_log) as wire, WishListener(ControlFile(new.folder)) as wishes:
-            record = new.record(interrupts.shield)
+        with (
+            logged_wire(request.wire_log) as wire,
+            WishListener(ControlFile(new.folder)) as wishes,
+            closing(new.record(interrupts.shield)) as record,
+        ):
             run = Run(new.folder)
             asker = asker_of(run, record, None, out, who)
-            agree_to_expired(run, record, asker)
+            with _to_be_resumed(record):
+                agree_to_expired(run, record, asker)
             carry_out(run, record, out, wire=wire, interrupts=interrupts, wishes=wishes, asker=asker)
         yield Run(new.folder), interrupts
 
@@ -261,7 +265,8 @@ def resumed(
                 print("note: the last line of the record was incomplete and was dropped", file=sys.stderr)
             if history.state is not RunState.FINISHED:
                 asker = asker_of(run, record, history, out, who)
-                accept_changes(run, asker, out)
+                with _to_be_resumed(record):
+                    accept_changes(run, asker, out)
                 carry_out(
                     run,
                     record,
@@ -274,6 +279,15 @@ def resumed(
                     resumed_by=by,
                 )
         yield Run(run.folder), interrupts
+
+
+@contextmanager
+def _to_be_resumed(record: Record) -> Iterator[None]:
+    """Turn a signal in the context, at a question before the run, into `Refused` that says how to resume."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise Refused(f"{stopped_by()}; {_kept(record)}") from None
 
 
 def accept_changes(run: Run, asker: Asker | None, out: Console) -> None:

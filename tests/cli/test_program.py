@@ -30,7 +30,7 @@ def handler(monkeypatch):
     """Give the handler back: the program never hears Ctrl-C again once it has ended."""
     before = signal.getsignal(signal.SIGINT)
     monkeypatch.setattr(program.os, "_exit", sys.exit)
-    monkeypatch.setattr(Interrupts, "any_heard", False)
+    monkeypatch.setattr(Interrupts, "heard", 0)
     yield
     signal.signal(signal.SIGINT, before)
 
