@@ -187,7 +187,7 @@ class LackOfFit:
         return self.rms <= self.rounding or not (self.shown if strict else self.p < NOT_ACCEPTED_P)
 
     def diagnose(self, source: str) -> tuple[str, ...]:
-        """Return a hint at how to find the cause if the fit is not accepted, else nothing."""
+        """Return a hint at how to find the cause if the fit is not accepted; `source` as typed at a shell."""
         if self.accepted():
             return ()
         return (

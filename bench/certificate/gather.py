@@ -13,7 +13,7 @@ import numpy as np
 
 from bench.base.arrays import Floats, u_of
 from bench.base.files import to_text
-from bench.base.text import visible
+from bench.base.text import as_typed, visible
 from bench.calibration.budget.sources import hidden_sources
 from bench.calibration.budget.whole import dof_through
 from bench.calibration.conformity import DecisionRule
@@ -146,7 +146,7 @@ def found_by(
     run = source.run
     if run is None:
         raise Refused(
-            f"{name}: a certificate needs a run; 'bench import {name}' makes one from a readings file"
+            f"{name}: a certificate needs a run; 'bench import {as_typed(name)}' makes one from a readings file"
         )
     if not run.imported and run.history.state not in ENDED:
         raise Refused(f"{name}: the run is {run.history.state}; a certificate needs a run that has ended")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from bench.base.computing import one_thread
+from bench.base.text import as_typed
 from bench.cli import printing
 from bench.cli.options import JsonOption, OutOption, StrictFitOption, WithEstimators, command
 from bench.services.errors import refusing
@@ -182,7 +183,7 @@ def compensate(
     for what, file in written:
         printing.written(what, file, on)
     printing.write_json([found.result.to_dict()], json)
-    printing.notes_on(on, found.model.fitted.diagnose(" ".join(found.names)))
+    printing.notes_on(on, found.model.fitted.diagnose(" ".join(map(as_typed, found.names))))
     return 0 if found.accepted(strict=strict) else 1
 
 

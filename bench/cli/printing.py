@@ -83,8 +83,13 @@ def write_json(results: list[dict[str, Any]], target: str | None) -> None:
 
     if target is None:
         return
-    text = to_text(results[0] if len(results) == 1 else results)
+    result = results[0] if len(results) == 1 else results
+    text = to_text(result)
     if target == "-":
+        try:
+            text.encode(sys.stdout.encoding or "utf-8")
+        except UnicodeEncodeError:  # JSON has its own escapes
+            text = to_text(result, only_ascii=True)
         sys.stdout.write(text)
     else:
         write_whole(Path(target), text)

@@ -12,6 +12,7 @@ from typing import Any, Final, TypeVar
 from bench.base.files import from_text
 from bench.base.languages import message
 from bench.base.numbers import rounded, scale_for, uncertainty
+from bench.base.text import as_typed
 from bench.calibration.result import LACK_OF_FIT_P, NOT_ACCEPTED_P, NOT_DETERMINED
 from bench.panel.access import Refusal
 from bench.panel.folder import read_page
@@ -146,7 +147,7 @@ def told_by(
         return None
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError):
         command = name.removesuffix(".json")
-        trouble.append(f"{name}: cannot be read; 'bench {command} {run.name}' makes it again")
+        trouble.append(f"{name}: cannot be read; 'bench {command} {as_typed(run.name)}' makes it again")
         return None
 
 

@@ -25,7 +25,7 @@ from bench.model.geometry import COEFFICIENTS
 from bench.results import tables
 from bench.results.parts import BenchPart, by_coefficient, by_name
 from bench.results.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, drawn, svg_figure, symbol
-from bench.results.tables import Row, page
+from bench.results.tables import Row, page, writing
 from bench.results.verification import RulePart, rule_in_words
 
 if TYPE_CHECKING:
@@ -160,8 +160,9 @@ class BudgetResult(ResultModel):
         return self.verification.capable
 
     def report(self, path: str | Path) -> None:
-        """Write the budget as one self-contained HTML page. Raises `OSError`."""
-        write_whole(Path(path), render_budget(self))
+        """Write the budget as one self-contained HTML page. Raises `RecordError`."""
+        with writing(path) as file:
+            write_whole(file, render_budget(self))
 
     def print_on(self, out: Console) -> None:
         """Print the tables of coefficients, sources, accelerations and verification points, and the notes."""

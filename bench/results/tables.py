@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+import os
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -37,6 +41,7 @@ from bench.model.geometry import COEFFICIENTS
 from bench.results.intrinsic import shown_rows
 from bench.results.plots import residual_scale
 from bench.results.verification import optional_probability
+from bench.run.events import RecordError
 
 MEANINGS: Final = {
     "axis_tilt": message("axis tilt"),
@@ -365,6 +370,19 @@ def noise(calibration: Calibration) -> dict[str, str]:
         "rms": quantity(calibration.lack_of_fit.rms, calibration.unit),
         "channels": ", ".join(CHANNELS),
     }
+
+
+@contextmanager
+def writing(path: str | Path) -> Iterator[Path]:
+    """Give the path of a file that a caller in Python named. Raises `RecordError` if it cannot be written there."""
+    if not isinstance(path, str | os.PathLike):
+        raise RecordError(f"path={path!r}: expected the name of a file")
+    try:
+        yield Path(path)
+    except OSError as error:
+        raise RecordError(
+            f"{path}: cannot be written ({error.strerror}); name a file in another folder"
+        ) from error
 
 
 def page(name: str, **content: Any) -> str:

@@ -66,9 +66,20 @@ class Run:
             with uncollected():
                 return Plan.from_json(read_json(read_regular(self.folder / PLAN)))
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-            raise RecordError(
-                f"{self.folder / PLAN}: cannot be read ({error}); restore it from a copy"
-            ) from error
+            raise RecordError(f"{self.folder / PLAN}: cannot be read ({error}); {self._remedy()}") from error
+
+    def _remedy(self) -> str:
+        """Return how the plan can be read again: the file may be intact, and of another version of the program."""
+        try:
+            intact = sha256(read_regular(self.folder / PLAN)) == self.manifest["files"][PLAN]
+            version = self.manifest["versions"]["triaxial-bench"]
+        except (OSError, RecordError, KeyError, TypeError):
+            intact = False
+        return (
+            f"the file is intact: use the program that wrote it, version {version}"
+            if intact
+            else "restore it from a copy"
+        )
 
     @property
     def created(self) -> str:

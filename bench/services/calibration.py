@@ -15,6 +15,7 @@ from bench.base.arrays import Floats
 from bench.base.files import write_whole
 from bench.base.languages import message
 from bench.base.tables import as_html, as_text
+from bench.base.text import as_typed
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate as estimate
 from bench.calibration.estimators import CLOSED_FORM, GLS
@@ -35,6 +36,7 @@ from bench.results.calibration import (
     print_calibration,
 )
 from bench.results.parts import coefficient_unit, named
+from bench.results.tables import writing
 from bench.services.errors import Refused
 from bench.services.own_effects import knowing_effects_of
 from bench.services.source import Source, provenance
@@ -270,7 +272,7 @@ class CalibrationResult:
 
     @property
     def _said(self) -> tuple[str, ...]:
-        fit = self.calibration.lack_of_fit.diagnose(self.source.name)
+        fit = self.calibration.lack_of_fit.diagnose(as_typed(self.source.name))
         return (*fit, *self.doubts, *self.of_prior, *self.calibration.notes)
 
     @property
@@ -299,8 +301,9 @@ class CalibrationResult:
         ).to_dict()
 
     def report(self, path: str | Path) -> None:
-        """Write the report as one self-contained HTML page. Raises `OSError`."""
-        write_whole(Path(path), report_page(self)[0])
+        """Write the report as one self-contained HTML page. Raises `RecordError`."""
+        with writing(path) as file:
+            write_whole(file, report_page(self)[0])
 
     @cached_property
     def derived(self) -> BlockResult:
@@ -322,11 +325,12 @@ class CalibrationResult:
         `form` is "json", "csv", "c", "excel", "kalibr", "px4" or "ardupilot". The last three are for signals
         in m/s^2; `nominal` are the scale factors (unit/g) by which the signals were converted. No form can
         hold a correction for temperature; a calibration with one is written only if `without_temperature` is
-        true. Raises `Refused` for any other form, and `OSError`.
+        true. Raises `Refused` for any other form, and `RecordError`.
         """
         from bench.services.coefficients import write_form
 
-        return write_form(self.derived, Path(path), form, nominal, without_temperature=without_temperature)
+        with writing(path) as file:
+            return write_form(self.derived, file, form, nominal, without_temperature=without_temperature)
 
     def print_on(self, out: Console) -> None:
         """Print the coefficients, the noise, the fit, and the notes."""

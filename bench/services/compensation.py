@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.base.arrays import Floats
 from bench.base.files import to_text
-from bench.base.text import repeated
+from bench.base.text import as_typed, repeated
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate
 from bench.calibration.result import SourceOfError
@@ -164,7 +164,12 @@ def tumbled(request: Tumble, loaded: Sequence[Source]) -> Iterator[tuple[TumbleV
             above=above,
         )
         view = combine(view, source.bench, source.model, terms, source.traced.day)
-        notes = [*view.lack_of_fit.diagnose(source.name), *view.notes, *readings.notes, *readings.skipped]
+        notes = [
+            *view.lack_of_fit.diagnose(as_typed(source.name)),
+            *view.notes,
+            *readings.notes,
+            *readings.skipped,
+        ]
         yield view, tumble_result(view, **source.made_from(), notes=notes)
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from bench.base.computing import quiet, versions
 from bench.base.files import read_given, read_regular, to_text, write_whole
+from bench.base.text import as_typed
 from bench.base.yaml_files import load_validated
 from bench.calibration import CalibrationError
 from bench.config.shipped import CONFIG, PROCEDURES, shipped_folder
@@ -228,7 +229,7 @@ def _files(found: Conclusion) -> Iterator[str]:
         yield f"report: {found.report}{notes}"
         yield f"coefficients: {folder / 'calibrate.json'} ('bench calibrate {name}' prints them)"
     if found.chart is not None and not found.chart_unwritten:
-        yield f"chart: {folder / 'chart.json'} ('bench chart {folder.parent} --page FILE' draws it)"
+        yield f"chart: {folder / 'chart.json'} ('bench chart {as_typed(folder.parent)} --page FILE' draws it)"
 
 
 def _next(found: Conclusion) -> Iterator[str]:
@@ -260,7 +261,7 @@ def _run_again(run: Run) -> str:
 def _typed(file: str, kind: str) -> str:
     """Return a file as a user may type it on the command line; a shipped file is typed by its name."""
     path = Path(file)
-    return path.stem if path.parent == shipped_folder(kind) else file
+    return as_typed(path.stem if path.parent == shipped_folder(kind) else file)
 
 
 # --- readings files ---------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from bench.base.arrays import Floats
 from bench.base.files import from_text, read_regular
+from bench.base.text import as_typed
 from bench.base.units import VOLTAGE, parse_quantity
 from bench.certificate.dcc.lists import Dimension, NotRead, RealList, files_in, real_lists, said
 from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, Node, tag
@@ -142,7 +143,8 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
     except NotIntact as error:
         raise Refused(f"{path}: not read, as {error}; {ORIGINAL}") from error
     who = name_of(signed.chain[0])
-    note = f"signed as {who}, intact; whose key that is, 'bench certificate verify {path} --trust FILE' tells"
+    command = f"bench certificate verify {as_typed(path)} --trust FILE"
+    note = f"signed as {who}, intact; whose key that is, '{command}' tells"
     return etree.fromstring(signed.content, parser()), (note,)
 
 
