@@ -8,7 +8,7 @@ import pytest
 
 from bench.certificate.laboratory import load_laboratory
 from bench.panel.access import STATE, Access, Role
-from bench.panel.launching import start
+from bench.panel.launching import last_words, start
 from bench.run.events import RecordError
 from bench.run.folder import Run
 from bench.services.bench_selection import origin_of_run
@@ -193,7 +193,7 @@ def test_what_the_panel_starts_knows_that_it_is_from_there(tmp_path):
     says = f"import os; print(os.environ['{STARTED_FROM}'])"
     started = start([], tmp_path / "log", program=("-c", says))
     assert started.process.wait(PATIENCE_S) == 0
-    assert started.last_words() == "panel"
+    assert last_words(started.log) == "panel"
 
 
 def test_the_command_lists_and_changes(bench, laboratory):
