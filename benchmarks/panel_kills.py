@@ -22,7 +22,7 @@ import httpx
 
 from bench.panel.access import STATE, Access, Role
 from bench.panel.app import begin_panel, url_of
-from bench.panel.launching import Started, start
+from bench.panel.launching import Started, last_words, start
 from bench.run.events import EVENTS
 from bench.run.folder import Run
 from bench.run.record import is_being_written
@@ -114,7 +114,7 @@ class Campaign:
         timer.join()
         self.outcome.kills += 1
         if runner.status not in {None, 0, 1}:
-            self.amiss(f"{name}: the program ended with {runner.status}: {runner.last_words()}")
+            self.amiss(f"{name}: the program ended with {runner.status}: {last_words(runner.log)}")
         self.panel = begin_panel(self.runs, [int(url_of(self.runs).rpartition(":")[2])])
         self.check(name)
 
@@ -179,7 +179,7 @@ class Campaign:
         self.check_answers(name)
         history = Run(self.runs / name).history
         if history.state != "finished" or history.problems or (runner and runner.status not in {0, 1}):
-            said = runner.last_words() if runner else "after its program was killed"
+            said = last_words(runner.log) if runner else "after its program was killed"
             self.amiss(f"{name}: {history.state}, {history.problems}: {said}")
 
     def kill_the_runner(self) -> None:

@@ -265,7 +265,7 @@ def members(
 
 def compare_schemas(older: Path) -> list[str]:
     """Print how this version's schemas differ from older ones; return the members that they lack."""
-    from bench.results.schemas import RESULTS, model_of
+    from docs.generators.schemas import RESULTS, schema_of
 
     lacking = []
     for path in sorted(older.glob("*.json")):
@@ -274,7 +274,7 @@ def compare_schemas(older: Path) -> list[str]:
         if name not in RESULTS:
             lacking.append(f"{name}: the whole schema")
             continue
-        now = model_of(name).schema_of(name)
+        now = schema_of(name)
         old, new = (dict(members(one, one.get("$defs", {}))) for one in (before, now))
         lacking += [f"{name}: {member}" for member in old.keys() - new.keys()]
         for member in sorted(new.keys() - old.keys()):

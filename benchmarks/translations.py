@@ -24,7 +24,16 @@ from babel.messages.catalog import Catalog
 from babel.messages.pofile import read_po, write_po
 
 from bench.base.languages import ENGLISH, LANGUAGES, Entry
-from bench.base.template_texts import texts_in
+from bench.base.template_texts import (
+    ATTRIBUTE,
+    ENGLISH_ONLY,
+    LETTER,
+    Segment,
+    entry_of,
+    parts_of,
+    segment_of,
+    trimmed,
+)
 
 ROOT: Final = Path(__file__).parents[1]
 CATALOGUES: Final = ROOT / "bench" / "base" / "catalogues"
@@ -34,6 +43,9 @@ WORDS: Final = ROOT / "bench" / "certificate" / "words.yaml"
 NAMES_SHOWN: Final = "names-shown"
 """Reference of a catalogue's entry for a name that no module states, because it comes from a record or a file."""
 SHIPPED: Final = (ROOT / "procedures", ROOT / "config")
+_MARKED: Final = re.compile(r"(?<![\w.])_\(")
+_LITERAL: Final = re.compile(r'"((?:[^"\\]|\\.)*)"')
+_CONTEXT: Final = re.compile(r'context="(\w+)"')
 _SHIPPED_TEXT: Final = re.compile(r"\b(?:title|description|reason): ([^}\n#]+)")
 _IN_SCRIPT: Final = re.compile(r"(?<![\w.$])_\((?=[\"`])")
 _VALUE: Final = re.compile(r"(\$\{(?:[^{}]|\{(?:[^{}]|\{[^{}]*\})*\})*\})")
@@ -52,12 +64,41 @@ def entries_of(file: Path) -> Iterator[Entry]:
         if "message(" in source or file.parent == EFFECTS:
             yield from _in_module(ast.parse(source), file)
     elif file.name.endswith(".html.j2"):
-        yield from texts_in(source)
+        yield from texts_of_template(source)
     elif file.suffix == ".yaml" and file.parent in SHIPPED:
         yield from (Entry(told[1].strip()) for told in _SHIPPED_TEXT.finditer(source))
     elif file.suffix == ".js":
         for call in _IN_SCRIPT.finditer(source):
             yield _in_script(_literal_at(source, call.end()))
+
+
+def texts_of_template(source: str) -> Iterator[Entry]:
+    """Yield the texts of a template with their blanks; none if it begins with `{# English only #}`."""
+    if source.startswith(ENGLISH_ONLY):
+        return
+    for part in parts_of(source):
+        if isinstance(part, Segment):
+            found = [entry_of(trimmed(part)[1])[0]]
+        else:
+            attributes = ATTRIBUTE.finditer(part) if part.startswith("<") else ()
+            found = [entry_of(segment_of(one["text"]))[0] for one in attributes]
+        yield from (entry for entry in found if entry is not None)
+    for call in _calls_in_template(source):
+        context = _CONTEXT.search(call)
+        literals = _LITERAL.finditer(_CONTEXT.sub("", call))
+        yield from (
+            Entry(one[1], "", context[1] if context else "") for one in literals if LETTER.search(one[1])
+        )
+
+
+def _calls_in_template(source: str) -> Iterator[str]:
+    """Yield the arguments of each call of `_` in a template."""
+    for start in _MARKED.finditer(source):
+        depth, at = 1, start.end()
+        while depth and at < len(source):
+            depth += {"(": 1, ")": -1}.get(source[at], 0)
+            at += 1
+        yield source[start.end() : at - 1]
 
 
 def _in_module(tree: ast.AST, file: Path) -> Iterator[Entry]:

@@ -88,7 +88,7 @@ class ScpiVoltmeter(ABC):
     """Overhead of a sample in addition to its two integrations, s."""
     error_query: str = "SYST:ERR?"
     error_reply: str = r'([+-]?\d+),"([^"]*)"'
-    """Pattern of an entry of the error queue: the number first, 0 for no error."""
+    """Pattern of an entry of the error queue; its first group is the number, 0 for no error."""
     errors_kept: int = line.ERRORS_KEPT
     remote_command: str = "SYST:REM"
     local_command: str = "SYST:LOC"
@@ -323,7 +323,8 @@ class ScpiVoltmeter(ABC):
             reply = self._session.query(
                 self.error_query, pattern=self.error_reply, expected="an error number and text"
             )
-            if int(reply.partition(",")[0]) == 0:
+            number = re.fullmatch(self.error_reply, reply)
+            if number is None or int(number[1]) == 0:
                 break
             errors.append(f"error {reply}")
         return errors

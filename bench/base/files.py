@@ -138,9 +138,9 @@ _DECODER: Final = json.JSONDecoder(parse_constant=_no_number)
 # --- JSON text and writing --------------------------------------------------------------------------
 
 
-def to_text(result: Any) -> str:
-    """Return a result as JSON text, indented, with control characters escaped."""
-    return in_json(json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False)) + "\n"
+def to_text(result: Any, *, only_ascii: bool = False) -> str:
+    """Return a result as JSON text, indented, with control characters escaped, or all but ASCII."""
+    return in_json(json.dumps(result, indent=1, ensure_ascii=only_ascii, allow_nan=False)) + "\n"
 
 
 def from_text(text: str | bytes) -> Any:

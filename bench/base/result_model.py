@@ -1,4 +1,4 @@
-"""Results of commands: typed models with their JSON and JSON schema.
+"""Results of commands: typed models, which give their JSON and (`docs/generators/schemas.py`) its schema.
 
     class Line(ResultModel):
         \"\"\"A straight line through points.\"\"\"
@@ -18,17 +18,10 @@ attributes of a computed object, nested models included:
 
 from __future__ import annotations
 
-import ast
-import inspect
 import math
-import textwrap
-from itertools import pairwise
-from typing import Annotated, Any, Final, Self
+from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, GetJsonSchemaHandler
-from pydantic_core import CoreSchema
-
-DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
+from pydantic import BaseModel, BeforeValidator, ConfigDict
 
 
 def _finite(value: Any) -> Any:
@@ -45,17 +38,6 @@ Vector = Annotated[list[float], BeforeValidator(_listed)]
 """A list of numbers, given as a list or an array."""
 Matrix = Annotated[list[list[float]], BeforeValidator(_listed)]
 """A list of rows of numbers, given as lists or an array."""
-
-
-def _texts_below(model: type) -> dict[str, str]:
-    """Return the text below each member in the source of a model."""
-    (source,) = ast.parse(textwrap.dedent(inspect.getsource(model))).body
-    found = {}
-    for member, below in pairwise(source.body if isinstance(source, ast.ClassDef) else ()):
-        match member, below:
-            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                found[name] = " ".join(text.split())
-    return found
 
 
 class ResultModel(BaseModel):
@@ -84,27 +66,6 @@ class ResultModel(BaseModel):
         }
         return cls(**found, **others)
 
-    @classmethod
-    def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        schema = handler(core)
-        properties = handler.resolve_ref_schema(schema)["properties"]
-        for kind in cls.__mro__[: cls.__mro__.index(ResultModel)]:
-            for name, text in _texts_below(kind).items():
-                properties[cls.model_fields[name].alias or name]["description"] = text
-        return schema
-
     def to_dict(self) -> dict[str, Any]:
         """Return the members as a JSON object, without optional members that were not set."""
         return self.model_dump(mode="json", by_alias=True, exclude_unset=True)
-
-    @classmethod
-    def schema_of(cls, name: str) -> dict[str, Any]:
-        """Return the JSON schema (draft 2020-12) of the result of the command `name`."""
-        schema = cls.model_json_schema(by_alias=True)
-        schema["description"] = " ".join(schema["description"].split())
-        return {
-            "$schema": DIALECT,
-            "$id": f"urn:triaxial-bench:schema:{name}",
-            **schema,
-            "title": f"Result of bench {name}",
-        }

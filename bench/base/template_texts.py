@@ -35,20 +35,17 @@ _TOKEN: Final = re.compile(
     rf"|(?P<tag></?[a-zA-Z](?:{_JINJA}|{_QUOTED}|[^<>\"])*>)|(?P<text>[^<{{]+|.)",
     re.DOTALL,
 )
-_ATTRIBUTE: Final = re.compile(
+ATTRIBUTE: Final = re.compile(
     rf'(?P<name>\s(?:aria-label|title|alt|placeholder|data-label))="(?P<text>(?:{_JINJA}|[^"])*)"', re.DOTALL
 )
 _ENDING: Final = re.compile(r'\{\{\s*"(\w*)" if (.+?) == 1 else "(\w*)"\s*\}\}')
 _ATTRIBUTE_ALONE: Final = re.compile(r'\s*[a-z-]+="')
 """The beginning of an attribute, such as `href="`, whose value a macro writes."""
-_MARKED: Final = re.compile(r"(?<![\w.])_\(")
-_LITERAL: Final = re.compile(r'"((?:[^"\\]|\\.)*)"')
-_CONTEXT: Final = re.compile(r'context="(\w+)"')
-_LETTER: Final = re.compile(r"[^\W\d_]{2}")
+LETTER: Final = re.compile(r"[^\W\d_]{2}")
 
 
 @dataclass
-class _Segment:
+class Segment:
     """The tokens, as (kind, source), of one text of a template.
 
     `raw` holds the indices of tokens whose values are shown unchanged: not translated, no local decimal sign.
@@ -58,42 +55,14 @@ class _Segment:
     raw: set[int] = field(default_factory=set)
 
 
-def texts_in(source: str) -> Iterator[Entry]:
-    """Yield the texts of a template with their blanks; none if it begins with `{# English only #}`."""
-    if source.startswith(ENGLISH_ONLY):
-        return
-    for part in _parts(source):
-        if isinstance(part, _Segment):
-            found = [_entry_of(_trimmed(part)[1])[0]]
-        else:
-            attributes = _ATTRIBUTE.finditer(part) if part.startswith("<") else ()
-            found = [_entry_of(_segment_of(one["text"]))[0] for one in attributes]
-        yield from (entry for entry in found if entry is not None)
-    for call in _calls(source):
-        context = _CONTEXT.search(call)
-        literals = _LITERAL.finditer(_CONTEXT.sub("", call))
-        yield from (
-            Entry(one[1], "", context[1] if context else "") for one in literals if _LETTER.search(one[1])
-        )
+def segment_of(text: str) -> Segment:
+    """Return a text of a template as one segment."""
+    return Segment([(str(found.lastgroup), found[0]) for found in _TOKEN.finditer(text)])
 
 
-def _calls(source: str) -> Iterator[str]:
-    """Yield the arguments of each call of `_` in a template."""
-    for start in _MARKED.finditer(source):
-        depth, at = 1, start.end()
-        while depth and at < len(source):
-            depth += {"(": 1, ")": -1}.get(source[at], 0)
-            at += 1
-        yield source[start.end() : at - 1]
-
-
-def _segment_of(text: str) -> _Segment:
-    return _Segment([(str(found.lastgroup), found[0]) for found in _TOKEN.finditer(text)])
-
-
-def _parts(source: str) -> Iterator[str | _Segment]:
-    """Yield the source in order: each text as a `_Segment`, the source between texts as a string."""
-    segment, raw, names = _Segment(), "", 0
+def parts_of(source: str) -> Iterator[str | Segment]:
+    """Yield the source in order: each text as a `Segment`, the source between texts as a string."""
+    segment, raw, names = Segment(), "", 0
     for found in _TOKEN.finditer(source):
         kind, told = str(found.lastgroup), found[0]
         name = (re.match(r"</?(\w+)", told) or [""] * 2)[1].lower() if kind == "tag" else ""
@@ -112,13 +81,13 @@ def _parts(source: str) -> Iterator[str | _Segment]:
             yield segment
             # a form sends the text of an <option> without a value, so this text is not translated
             sent = name == "option" and "value=" not in told and not told.startswith("</")
-            segment, names = _Segment(), 1 if sent or name in _AS_IS or 'class="name"' in told else 0
+            segment, names = Segment(), 1 if sent or name in _AS_IS or 'class="name"' in told else 0
             yield told
             raw = name if name in _RAW and not told.startswith("</") else ""
     yield segment
 
 
-def _entry_of(segment: _Segment) -> tuple[Entry | None, list[str], str]:
+def entry_of(segment: Segment) -> tuple[Entry | None, list[str], str]:
     """Return the catalogue entry of a segment, the expressions of its blanks, and the expression of its count.
 
     The entry is None for a segment without words; the count is "" for a text without plural.
@@ -138,7 +107,7 @@ def _entry_of(segment: _Segment) -> tuple[Entry | None, list[str], str]:
             one = many = re.sub(r"\{\{.*?\}\}", blank, told, flags=re.DOTALL)
         english, plural = english + one, plural + many
     words = re.sub(r"<[^>]*>|\{\d+\}|&\w+;", " ", english)
-    if not _LETTER.search(words) or _ATTRIBUTE_ALONE.match(english):
+    if not LETTER.search(words) or _ATTRIBUTE_ALONE.match(english):
         return None, [], ""
     return Entry(" ".join(english.split()), " ".join(plural.split()) if count else ""), values, count
 
@@ -147,7 +116,7 @@ VOID: Final = ("<br", "<input", "<img", "<hr", "<wbr")
 """The beginnings of tags that have no end."""
 
 
-def _trimmed(segment: _Segment) -> tuple[str, _Segment, str]:
+def trimmed(segment: Segment) -> tuple[str, Segment, str]:
     """Trim white space and tags from both ends; return (cut off before, segment, cut off after)."""
     tokens = list(enumerate(segment.tokens))
     before, after = "", ""
@@ -174,7 +143,7 @@ def _trimmed(segment: _Segment) -> tuple[str, _Segment, str]:
             end, after = around.groups()
             tokens.append((-1, ("tag", end)))
     raw = {new for new, (old, _) in enumerate(tokens) if old in segment.raw}
-    return before, _Segment([token for _, token in tokens], raw), after
+    return before, Segment([token for _, token in tokens], raw), after
 
 
 class TranslatedTemplates(Extension):
@@ -190,15 +159,15 @@ class TranslatedTemplates(Extension):
             return source
         source = source.replace('<html lang="en">', f'<html lang="{language()}">')
         return "".join(
-            _translated(part) if isinstance(part, _Segment) else _tag(part) for part in _parts(source)
+            _translated(part) if isinstance(part, Segment) else _tag(part) for part in parts_of(source)
         )
 
 
-def _translated(segment: _Segment) -> str:
-    before, middle, after = _trimmed(segment)
+def _translated(segment: Segment) -> str:
+    before, middle, after = trimmed(segment)
     lead = re.match(r"\s*", middle.tokens[0][1])[0] if middle.tokens else ""  # type: ignore[index]
     tail = re.search(r"\s*$", middle.tokens[-1][1])[0] if middle.tokens else ""  # type: ignore[index]
-    entry, values, count = _entry_of(middle)
+    entry, values, count = entry_of(middle)
     if entry is None:
         return "".join(
             f"{{{{ _shown({told[2:-2].strip()}) }}}}" if kind == "value" and at not in segment.raw else told
@@ -215,14 +184,14 @@ def _call(entry: Entry, values: list[str], count: str) -> str:
 
 def _tag(part: str) -> str:
     def of(found: re.Match[str]) -> str:
-        entry, values, count = _entry_of(_segment_of(found["text"]))
+        entry, values, count = entry_of(segment_of(found["text"]))
         value = re.fullmatch(r"\{\{((?:(?!\}\}).)*)\}\}", found["text"])
         text = found["text"] if entry is None else _call(entry, values, count)
         if entry is None and value is not None:
             text = f"{{{{ _shown({value[1].strip()}) }}}}"
         return f'{found["name"]}="{text}"'
 
-    return _ATTRIBUTE.sub(of, part) if part.startswith("<") else part
+    return ATTRIBUTE.sub(of, part) if part.startswith("<") else part
 
 
 def _text(english: str, plural: str, count: float | None, *values: object) -> Markup:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
@@ -39,6 +40,11 @@ def visible(text: str) -> str:
     Line ends and tabs stay, as do all visible characters.
     """
     return _ACTS.sub(_escape, text)
+
+
+def as_typed(name: object) -> str:
+    """Return a name or path as a shell takes it: in quotes if it has blanks or signs with a meaning."""
+    return shlex.quote(str(name))
 
 
 def shown_path(path: str) -> str:

@@ -8,7 +8,6 @@ import sys
 import types
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar, Union, get_args, get_origin
@@ -216,36 +215,19 @@ class Written:
 
 
 def read_yaml(text: str) -> Written:
-    """Parse a text; to save time, `lines` of the result is filled only if the text has slips. Raises
-    `yaml.YAMLError` for invalid YAML.
-    """
-    try:
-        return Written(_Reader(text, None).document())
-    except _Slipped:
-        return read_yaml_with_lines(text)
-
-
-def read_yaml_with_lines(text: str) -> Written:
-    """Parse a text with the line of every place. Raises `yaml.YAMLError` for invalid YAML."""
-    found = Written()
-    found.data = _Reader(text, found).document()
-    return found
-
-
-class _Slipped(Exception):
-    """Raised at the first slip of a fast parse; the text is then parsed again to report slips with lines."""
+    """Parse a text. Raises `yaml.YAMLError` for invalid YAML."""
+    reader = _Reader(text)
+    reader.found.data = reader.document()
+    return reader.found
 
 
 class _Reader:
-    """A parser that passes once over the YAML events of a text.
+    """A parser that passes once over the YAML events of a text; it notes lines and slips in `found`."""
 
-    It notes lines and slips in `noting`; if `noting` is None, it raises `_Slipped` at the first slip.
-    """
-
-    def __init__(self, text: str, noting: Written | None) -> None:
+    def __init__(self, text: str) -> None:
         self._next: Callable[[], Any] = _Parser(text).get_event
-        self._noting = noting
         self._anchors: dict[str, Any] = {}
+        self.found = Written()
 
     def document(self) -> Any:
         """Return the value of the text's only document, None if the text is empty."""
@@ -254,8 +236,7 @@ class _Reader:
         if isinstance(begun, StreamEndEvent):
             return None
         first = self._next()
-        if self._noting is not None:
-            self._noting.lines[()] = _line(first)
+        self.found.lines[()] = _line(first)
         data = self._value(first, (), 0)
         self._next()  # end of the document
         if not isinstance(after := self._next(), StreamEndEvent):
@@ -293,10 +274,8 @@ class _Reader:
     def _list(self, place: Place, deep: int) -> list[Any]:
         items: list[Any] = []
         while not isinstance(event := self._next(), SequenceEndEvent):
-            inside = place
-            if self._noting is not None:
-                inside = (*place, len(items))
-                self._noting.lines[inside] = _line(event)
+            inside = (*place, len(items))
+            self.found.lines[inside] = _line(event)
             items.append(self._value(event, inside, deep))
         return items
 
@@ -310,14 +289,14 @@ class _Reader:
                 continue
             if key.anchor is not None:
                 self._anchor(key)
-            name, inside = sys.intern(key.value), place
+            name, line = sys.intern(key.value), _line(key)
+            inside = (*place, name)
             if name in mapping:
-                self._slip_again(_line(key), place, name)
+                first = self.found.lines[inside]
+                self._slip(line, place, f"'{name}' appears here again, first in line {first}; leave one out")
                 self._skip(self._next(), deep)
                 continue
-            if self._noting is not None:
-                inside = (*place, name)
-                self._noting.lines[inside] = _line(key)
+            self.found.lines[inside] = line
             mapping[name] = self._value(self._next(), inside, deep)
         return mapping
 
@@ -346,14 +325,8 @@ class _Reader:
             raise ComposerError(about, first, "second occurrence", here)
         self._anchors[event.anchor] = here
 
-    def _slip_again(self, line: int, place: Place, name: str) -> None:
-        first = self._noting.lines[(*place, name)] if self._noting is not None else 0
-        self._slip(line, place, f"'{name}' appears here again, first in line {first}; leave one out")
-
     def _slip(self, line: int, place: Place, text: str) -> None:
-        if self._noting is None:
-            raise _Slipped
-        self._noting.slips.append((line, place, text))
+        self.found.slips.append((line, place, text))
 
 
 def _line(event: Any) -> int:
@@ -428,18 +401,14 @@ class FileModel(BaseModel):
 
 @dataclass
 class Document:
-    """A parsed file: `data` of mappings, lists and texts (None for empty values), and its `text` as written."""
+    """A parsed file: `data` of mappings, lists and texts (None for empty values), `text`, the lines of places."""
 
     path: Path
     data: Any
     sha256: str
     text: str
-    mistakes: list[FileMistake] = field(default_factory=list)
-
-    @cached_property
-    def lines(self) -> dict[Place, int]:
-        """The line of every place, from a second parse, made on demand because most files have no mistakes."""
-        return read_yaml_with_lines(self.text).lines
+    lines: dict[Place, int]
+    mistakes: list[FileMistake]
 
     def line_of(self, place: Place) -> int:
         """Return the line of a place, or of the nearest enclosing place in the file; 0 if there is none."""
@@ -490,7 +459,7 @@ def document_of(path: Path, content: bytes) -> Document:
     if written.data is None:
         raise _unusable(path, "the file is empty; start from a file written by 'bench init'")
     mistakes = [FileMistake(line, dotted(place), told) for line, place, told in written.slips]
-    return Document(path, written.data, hashlib.sha256(content).hexdigest(), text, mistakes)
+    return Document(path, written.data, hashlib.sha256(content).hexdigest(), text, written.lines, mistakes)
 
 
 def _content(path: Path, most_bytes: int) -> bytes:

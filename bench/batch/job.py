@@ -28,10 +28,6 @@ _COMMANDS: Final = {BatchCalibrate: CALIBRATE, BatchDiagnose: DIAGNOSE, BatchRep
 
 PAGES: Final = "pages"
 """The folder of pages in the folder of a batch."""
-CALIBRATE_FILE: Final = "calibrate.json"
-VERIFY_FILE: Final = "verify.json"
-DIAGNOSE_FILE: Final = "diagnose.json"
-"""Earlier results in a run's folder."""
 
 
 @dataclass(frozen=True)

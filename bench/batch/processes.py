@@ -119,10 +119,7 @@ class _Pool:
         process = self._context.Process(target=_work, args=(self._job, its), daemon=True)
         try:
             process.start()
-        except (
-            EOFError,
-            OSError,
-        ) as problem:  # the fork server has died: another one will start
+        except (EOFError, OSError) as problem:  # the fork server has died: another one will start
             ours.close()
             self._count_early_death(f"{type(problem).__name__} {problem}".strip())
         else:

@@ -15,18 +15,9 @@ from filelock import FileLock, Timeout
 
 from bench.base.computing import tracked
 from bench.base.files import from_text, read_regular, sync_folder, to_text, write_synced
-from bench.batch.job import (
-    CALIBRATE_FILE,
-    COLUMNS,
-    DIAGNOSE_FILE,
-    VERIFY_FILE,
-    Job,
-    Row,
-    arrow_schema,
-    program,
-)  # fmt: skip
+from bench.batch.job import COLUMNS, Job, Row, arrow_schema, program
 from bench.run.events import EVENTS, MANIFEST, sha256
-from bench.run.folder import BENCH, EFFECTS, IMPORTED, PLAN
+from bench.run.folder import BENCH, CALIBRATE_FILE, DIAGNOSE_FILE, EFFECTS, IMPORTED, PLAN, VERIFY_FILE
 from bench.services.errors import Refused
 from drivers.clock import Clock, SystemClock, utc_now
 
@@ -125,8 +116,7 @@ def _matches(pattern: str, runs: Path) -> list[Path]:
 
 def _sorted(found: Iterable[Path], others: Iterable[Path]) -> Listed:
     return Listed(
-        tuple(sorted({str(path.resolve()) for path in found})),
-        tuple(sorted({str(path) for path in others})),
+        tuple(sorted({str(path.resolve()) for path in found})), tuple(sorted({str(path) for path in others}))
     )
 
 
@@ -143,10 +133,9 @@ _OPTIONS: Final = {"g_m_s2": "g", "limit_g": "limit"}
 
 @dataclass(frozen=True)
 class BatchProgress:
-    """Progress of a batch: `pending` runs with fingerprints, number of runs `done`, `notes` for the user."""
+    """Progress of a batch: `pending` runs with fingerprints, and `notes` for the user."""
 
     pending: Mapping[str, str]
-    done: int
     notes: tuple[str, ...] = ()
 
 
@@ -194,12 +183,7 @@ class Store:
         if (self.folder / BATCH).is_file():
             self._require_same(asked)
         else:
-            noted = {
-                "format": FORMAT,
-                **asked,
-                "differing": job.differing(),
-                "begun": utc_now().isoformat(),
-            }
+            noted = {"format": FORMAT, **asked, "differing": job.differing(), "begun": utc_now().isoformat()}
             _put_in_place(self.folder / BATCH, to_text(noted).encode())
         return self._left(job.command, runs)
 
@@ -247,7 +231,7 @@ class Store:
             notes.append(f"{gone} computed runs no longer exist; the result omits them")
         if done and (new := sum(run not in done for run in pending)):
             notes.append(f"{len(now) - len(pending)} runs are done, {new} are left")
-        return BatchProgress(pending, len(now) - len(pending), tuple(notes))
+        return BatchProgress(pending, tuple(notes))
 
     def _done(self) -> dict[str, tuple[str, ...]]:
         from pyarrow import parquet

@@ -15,13 +15,13 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.base.files import read_json, read_regular, to_text, write_whole
 from bench.base.text import visible
-from bench.batch.job import CALIBRATE_FILE, DIAGNOSE, DIAGNOSE_FILE, REPORT, VERIFY_FILE, Job, Row
+from bench.batch.job import DIAGNOSE, REPORT, Job, Row
 from bench.calibration.result import LACK_OF_FIT_P
 from bench.config.formulas import effects_in
 from bench.model import CATALOGUE, Effect
 from bench.model.geometry import COEFFICIENTS
 from bench.run.events import RecordError, read_manifest, sha256
-from bench.run.folder import statement_in
+from bench.run.folder import CALIBRATE_FILE, DIAGNOSE_FILE, VERIFY_FILE, statement_in
 from bench.services.bodies import body_of
 from bench.services.calibration import CalibrationResult, calibrated, report_page, verification_of
 from bench.services.diagnosis import diagnosis_of
@@ -252,7 +252,8 @@ class CalibrationValues:
             str(told["unit"]),
             float(told["g_m_s2"]),
             np.array([float(size["value"]) for size in sizes]),
-            np.array([float(size["u"]) for size in sizes]),
+            # null for a coefficient that is zero by convention
+            np.array([np.nan if size["u"] is None else float(size["u"]) for size in sizes]),
             None if p is None else float(p),
             int(told["readings"]["used"]),
             told.get("record", {}).get("head"),
@@ -375,5 +376,8 @@ def _columns(found: CalibrationValues, suffix: str) -> Row:
         f"fit{suffix}": found.fit,
         f"p{suffix}": found.p,
         **{f"{name}{suffix}": x for name, x in zip(COEFFICIENTS, found.values.tolist(), strict=True)},
-        **{f"u_{name}{suffix}": x for name, x in zip(COEFFICIENTS, found.u.tolist(), strict=True)},
+        **{
+            f"u_{name}{suffix}": None if isnan(x) else x
+            for name, x in zip(COEFFICIENTS, found.u.tolist(), strict=True)
+        },
     }

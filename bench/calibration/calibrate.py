@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Final
@@ -57,6 +57,7 @@ def calibrate(
     join_verification: bool = False,
     find_shared: bool = True,
     known: KnownStand | None = None,
+    nominal: Sequence[float] | None = None,
 ) -> Calibration:
     """Estimate the twelve coefficients from a table of readings.
 
@@ -70,7 +71,8 @@ def calibrate(
     1 g unless `join_free` is false; in a fit to free positions alone K is upper triangular by convention. With
     `join_verification` the verification points join too, and are then no independent check. Without `find_shared`
     the noise is assumed independent from reading to reading. `known` is prior knowledge of stand and noise from
-    other runs: its angles replace those in `stand_u`, its noise is combined with that of the repeats.
+    other runs: its angles replace those in `stand_u`, its noise is combined with that of the repeats. `nominal` are
+    the scale factors (x, y, z) that give the signs for free positions alone; without them all are positive.
 
     Raises `CalibrationError` if the readings do not determine the coefficients, or contain a mistake.
     """
@@ -87,7 +89,7 @@ def calibrate(
         model, conditions, {**stand_u, **(assumed_u or {})}, _free_rows(chosen, readings), known
     )
     resolution = (rows if len(rows) else chosen.free).resolution
-    start = first_guess(problem, rows.signal, resolution)
+    start = first_guess(problem, rows.signal, resolution, nominal)
     refit = partial(gls.fit, problem, rows.signal, start, noise, resolution)
     fit, found, notes = _fitted(problem, rows.signal, refit, by, chosen)
     require_told(fit.noise)
@@ -95,10 +97,16 @@ def calibrate(
     tails = heavy_tails(problem, fit)
     digits = ROUNDING * float(np.max(np.abs(rows.signal), initial=0.0))
     fit_test = replace(fit_test, rms=rms(fit.residuals), rounding=digits)
-    accepted = fit_test.accepted()  # if not, large residuals come from a wrong model, not from outliers
+    accepted = (
+        fit_test.accepted()
+    )  # if not, large residuals of settings come from a wrong model, not from outliers
     floor = gls.noise_floor(rows.signal, resolution, problem.free)
     alone = fit.covariance
-    shared = take_in(problem, fit, readings.unit, floor) if find_shared else SharedErrorFit(fit)
+    if not accepted:
+        notes = () if by.drops_outliers else _on_moving_positions(problem, fit, refit, chosen)
+    # outliers that explain a misfit are no errors that readings share
+    searched = find_shared and (accepted or not notes)
+    shared = take_in(problem, fit, readings.unit, floor) if searched else SharedErrorFit(fit)
     fit = shared.fit
     if by.gain is not None:
         fit = linear_estimate(problem, rows.signal, fit, by.gain(problem, rows), shared.covariance)
@@ -128,7 +136,7 @@ def calibrate(
         model=model.name,
         stand=_stand(problem, fit) if by.weighs_all else {},
         effects=_effects(problem, fit) if by.weighs_all else {},
-        assume=partial(_assumed, problem, fit.block, fit.gain, readings.unit),
+        assume=partial(_assumed, problem, fit.block, fit.gain, readings.unit, stated=nominal is not None),
         unseen=partial(unseen_coefficients, problem, fit.block),
         free=chosen.free if len(chosen.free) else None,
         modulus_error=fit.modulus,
@@ -136,12 +144,13 @@ def calibrate(
         notes=(
             *_notes_on_rows(readings, chosen, by.name, join_free=join_free),
             *_on_levels(problem),
-            *(notes if accepted else ()),
+            *notes,
             *notes_on_noise(
                 fit.noise, tails if accepted and not notes else float("nan"), shared, birge, readings.unit
             ),
         ),
         triangular=triangular(fit.block, covariance, g_m_s2) if problem.upper else None,
+        signs="" if not problem.upper else "positive" if nominal is None else "bench file",
         angles="nominal" if nominal_angles or by.angles_rad is not None else "read back",
     )
 
@@ -249,15 +258,18 @@ def _on_levels(problem: Problem) -> tuple[str, ...]:
 # --- the fit ----------------------------------------------------------------------------------------
 
 
-def first_guess(problem: Problem, signal: Floats, resolution: float = 0.0) -> Block:
+def first_guess(
+    problem: Problem, signal: Floats, resolution: float = 0.0, nominal: Sequence[float] | None = None
+) -> Block:
     """Return a first guess of the block by ordinary least squares at the nominal geometry.
 
-    Free positions alone are fitted with an ellipsoid instead. Raises `CalibrationError` for too few orientations,
-    and for mistakes that such a fit reveals, such as a wrong angle unit or saturation.
+    Free positions alone are fitted with an ellipsoid instead, with the signs of the `nominal` scale factors. Raises
+    `CalibrationError` for too few orientations, and for mistakes that such a fit reveals, such as a wrong angle
+    unit or saturation.
     """
     if problem.upper and problem.free is not None:
         mistakes.refuse_saturated_free(problem.free.signal)
-        block = first_guess_free(problem.free.signal)
+        block = first_guess_free(problem.free.signal, nominal)
         mistakes.refuse_singular(block)
         return block
     columns = mistakes.force_columns(problem)
@@ -286,11 +298,27 @@ def _fitted(
         return fit, outliers.listed(fit, chosen), ()
     # one outlier is enough for a note, but in free positions alone several may mask each other
     most = outliers.most_outliers(problem) if problem.upper else 1
-    notes = tuple(
+    return fit, (), _notes_on(outliers.listed(outliers.search(problem, task.fit, task.refit, most), chosen))
+
+
+def _notes_on(found: Iterable[Outlier]) -> tuple[str, ...]:
+    return tuple(
         message(f"outlier found: {outlier.text()}; the estimator '{ROBUST}' gives it no weight")
-        for outlier in outliers.listed(outliers.search(problem, task.fit, task.refit, most), chosen)
+        for outlier in found
     )
-    return fit, (), notes
+
+
+def _on_moving_positions(
+    problem: Problem, fit: gls.Fit, refit: partial[gls.Fit], chosen: FittedRows
+) -> tuple[str, ...]:
+    """Return notes on outliers of a fit that is not accepted, if they are free positions and explain the misfit."""
+    if problem.free is None or fit.shifts:
+        return ()
+    most = outliers.most_outliers(problem)
+    without = outliers.search(problem, fit, lambda shifts: refit(shifts=shifts), most)
+    moving = all(shift.channel == gls.MODULUS for shift in without.shifts)
+    explained = moving and gls.lack_of_fit(problem, without).accepted()
+    return _notes_on(outliers.listed(without, chosen)) if explained else ()
 
 
 def _birge(test: LackOfFit, shared: SharedErrorFit) -> float:
@@ -332,13 +360,14 @@ def _whole_gain(oriented: Floats, free: Floats, chosen: FittedRows, rows: int) -
     return whole
 
 
-def _assumed(problem: Problem, block: Block, gain: Floats, unit: str) -> tuple[str, ...]:
+def _assumed(problem: Problem, block: Block, gain: Floats, unit: str, *, stated: bool) -> tuple[str, ...]:
     if not problem.upper:
         return assumptions(problem, block, gain[:FIXED], unit)
     return (
         "common rotation of the block's axes: no free position shows it; by convention K is upper "
         "triangular (axis z along channel z, axis y in the plane of channels y and z)",
-        "sign of each channel: no free position shows it; every scale factor is stated positive",
+        "sign of each channel: no free position shows it; every scale factor "
+        + ("has the sign that the bench file states" if stated else "is stated positive"),
         GAIN,
         GRAVITY,
     )

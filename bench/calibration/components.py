@@ -355,6 +355,8 @@ def heavy_tails(problem: Problem, fit: Fit) -> float:
 UNEQUAL_P: Final = 0.001
 """P-value below which unequal noise of the channels, or heavy tails, are reported."""
 
+EXCESS_P: Final = 0.01
+"""P-value below which residuals without repeats exceed the noise that the bench file states."""
 DISAGREES_P: Final = 0.05
 """P-value below which a contradiction to the stated noise is reported; high, as few readings seldom show any."""
 
@@ -370,7 +372,7 @@ def notes_on_noise(
     noise: Noise, tails: float, shared: SharedErrorFit, birge: float, unit: str
 ) -> tuple[str, ...]:
     """Return notes on the noise; `tails` is the p-value of heavy tails, `birge` the Birge ratio that widened u."""
-    notes = [*note_on_prior(noise, unit)]
+    notes = [*note_on_prior(noise, unit), *note_on_excess(noise)]
     if noise.channels is not None and noise.p_equal < UNEQUAL_P:
         sizes = ", ".join(f"{c} {size:.2g} {unit}" for c, size in zip(CHANNELS, noise.channels, strict=True))
         notes.append(
@@ -406,6 +408,19 @@ def notes_on_noise(
 def note_on_prior(noise: Noise, unit: str) -> tuple[str, ...]:
     """Return a note if u depends on a prior of the noise; it says whether the readings agree with the prior."""
     return () if noise.prior is None else (_on_prior(noise.prior, unit),)
+
+
+def note_on_excess(noise: Noise) -> tuple[str, ...]:
+    """Return a note if residuals without repeats exceed the noise that the bench file states (p < `EXCESS_P`)."""
+    of = noise.stated
+    if of is None or not (of.ratio > 1.0 and of.p / 2 < EXCESS_P):  # p is two-sided
+        return ()
+    return (
+        message(
+            f"the residuals are {of.ratio:.2g} times as large as voltmeter_error and setting_error of the bench "
+            "file allow (p < 0.01); repeat passes, and check the head or the model"
+        ),
+    )
 
 
 def _on_prior(prior: NoisePrior, unit: str) -> str:

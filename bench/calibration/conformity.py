@@ -127,7 +127,7 @@ class DecisionRule:
     def words(self) -> str:
         """The rule as a verdict names it: "guarded (w = 0.83 U)"."""
         if self.guard_band is None:
-            return message(f"{self.name} (false acceptance ≤ {100 * FALSE_ACCEPTANCE:g} %)")
+            return message(f"{self.name} (false acceptance ≤ {100 * FALSE_ACCEPTANCE:g} % a point)")
         times = "" if self.guard_band == 1.0 else f"{self.guard_band:g} "
         return self.name if self.name == SIMPLE else message(f"{self.name} (w = {times}U)")
 

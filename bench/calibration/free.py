@@ -6,6 +6,7 @@ noise of the three signals propagated through d|a|/dU.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -103,10 +104,11 @@ def _force(problem: Problem, free: FreeRows | None, block: Block, others: Floats
 # --- free positions alone ---------------------------------------------------------------------------
 
 
-def first_guess_free(signal: Floats) -> Block:
+def first_guess_free(signal: Floats, nominal: Sequence[float] | None = None) -> Block:
     """Return a first guess of the block, with upper triangular K, from signals (m, 3) of free positions alone.
 
-    It fits the ellipsoid (U - b)^T A (U - b) = 1 by linear least squares, A = N^T N with N upper triangular. Raises
+    The scale factors get the signs of the `nominal` ones (x, y, z); without these all are positive. The fit is of
+    the ellipsoid (U - b)^T A (U - b) = 1 by linear least squares, A = N^T N with N upper triangular. Raises
     `CalibrationError` if the positions do not determine the nine coefficients.
     """
     if len(signal) < LEAST_POSITIONS:
@@ -130,7 +132,8 @@ def first_guess_free(signal: Floats) -> Block:
         )
     q, *_ = np.linalg.lstsq(columns, np.ones(len(signal)), rcond=None)
     matrix = np.array([[q[0], q[3], q[4]], [q[3], q[1], q[5]], [q[4], q[5], q[2]]])
-    return _block_of_ellipsoid(matrix, q[6:], middle, size)
+    block = _block_of_ellipsoid(matrix, q[6:], middle, size)
+    return block if nominal is None else Block(block.K * np.sign(nominal), block.U0)
 
 
 def _block_of_ellipsoid(matrix: Floats, linear: Floats, middle: Floats, size: Floats) -> Block:
@@ -149,9 +152,13 @@ def _block_of_ellipsoid(matrix: Floats, linear: Floats, middle: Floats, size: Fl
 def triangular(block: Block, covariance: Floats, g_m_s2: float) -> Triangular:
     """Convert a block with upper triangular K, and its `covariance` (12, 12), to a = T S (U - b), m/s^2.
 
-    Source: Tedaldi, Pretto, Menegatti (ICRA 2014), equation (10), whose convention imu_tk uses.
+    S is positive whatever the signs of the scale factors are. Source: Tedaldi, Pretto, Menegatti (ICRA 2014),
+    equation (10), whose convention imu_tk uses.
     """
-    inverse = np.linalg.inv(block.K)
+    signs = np.sign(np.diag(block.K))
+    flip = np.concatenate([np.tile(signs, 3), np.ones(3)])
+    covariance = covariance * np.outer(flip, flip)
+    inverse = np.linalg.inv(block.K * signs)
     scale = np.diag(inverse)
     skew = inverse / scale
     # dN = -N dK N for each element of K

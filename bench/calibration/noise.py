@@ -397,11 +397,14 @@ def noise_from_residuals(of: LikelihoodResiduals, floor: float, known: KnownNois
     """Return reading noise and setting error by restricted maximum likelihood from the residuals of the model.
 
     This serves data without enough repeats. A `known` prior from the bench file counts with the degrees of freedom
-    that the residuals lack. A prior from other runs counts in full, unless the residuals contradict it.
+    that the residuals lack; residuals that lack none are tested against it. A prior from other runs counts in full,
+    unless the residuals contradict it.
     """
     signals = max(of.count - of.unknowns, 0)
-    known = None if known is None else known.beside(signals)
-    prior = None if known is None else _prior(of, known, floor)
+    beside = None if known is None else known.beside(signals)
+    if known is not None and beside is None:
+        return replace(_most_likely(of, floor, None), stated=_prior(of, known, floor))
+    prior = None if beside is None else _prior(of, beside, floor)
     if prior is None or (not prior.stated and signals >= LEAST_SIGNALS and prior.p < CONTRADICTS_P):
         return _most_likely(of, floor, None)
     return _most_likely(of, floor, prior)

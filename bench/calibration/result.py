@@ -11,6 +11,7 @@ import numpy as np
 
 from bench.base.arrays import Floats, HasCovariance, rms, u_of
 from bench.base.computing import CalibrationError as CalibrationError  # noqa: PLC0414 - known by this name, too
+from bench.base.languages import message
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.readings.table import Readings
 from bench.stats.repeats_likelihood import LEAST_DOF
@@ -36,6 +37,12 @@ class SourceOfError:
     cancels: bool = False
     of_block: Floats | None = None
 
+
+BY_CONVENTION: Final = ("Kyx", "Kzx", "Kzy")
+"""Coefficients that free positions alone do not determine: they are zero by convention."""
+
+NOT_DETERMINED: Final = message("by convention, not determined")
+"""What takes the place of the uncertainty of a number that is zero by convention."""
 
 COVERAGE_FACTOR: Final = 2.0
 """Coverage factor k of U = k u."""
@@ -101,6 +108,7 @@ class Noise:
     where the sizes come from. If the channels differ, `channels` are the sizes of the noise in x, y and z,
     `channel_dof` are their degrees of freedom, and `reading` is the root mean square. `p_equal` is the p-value of
     the hypothesis that the channels have equal noise (NaN if not tested). `prior` is the prior used, or None.
+    `stated` is the test of residuals that need no prior against the sizes that the bench file states, or None.
     """
 
     reading: float
@@ -112,6 +120,7 @@ class Noise:
     channel_dof: tuple[float, float, float] | None = None
     p_equal: float = float("nan")
     prior: NoisePrior | None = None
+    stated: NoisePrior | None = None
 
     @property
     def by_channel(self) -> Floats:
@@ -178,7 +187,7 @@ class LackOfFit:
         return self.rms <= self.rounding or not (self.shown if strict else self.p < NOT_ACCEPTED_P)
 
     def diagnose(self, source: str) -> tuple[str, ...]:
-        """Return a hint at how to find the cause if the fit is not accepted, else nothing."""
+        """Return a hint at how to find the cause if the fit is not accepted; `source` as typed at a shell."""
         if self.accepted():
             return ()
         return (
@@ -278,9 +287,9 @@ class Calibration(HasCovariance):
     `slope` (N, 3) du/dphi, zero for rows that are not oriented. `shared` are the variance components that
     readings share, `drift` the wander of the biases if one was found, `wander` (3,) its possible rms. `birge`
     is the factor that widened u for a lack of fit, `p_tails` the p-value of heavy tails. `triangular` is set
-    for free positions alone. `assume` returns the sentences of `assumed`; `unseen` returns changes (12, d) of
-    the coefficients, of relative size 1, that only limits of the stand confine; `notes` are sentences for the
-    user.
+    for free positions alone, whose `signs` are those of the "bench file" or all "positive". `assume` returns
+    the sentences of `assumed`; `unseen` returns changes (12, d) of the coefficients, of relative size 1, that
+    only limits of the stand confine; `notes` are sentences for the user.
     """
 
     estimator: str
@@ -306,6 +315,7 @@ class Calibration(HasCovariance):
     outliers: tuple[Outlier, ...] = ()
     notes: tuple[str, ...] = ()
     triangular: Triangular | None = None
+    signs: str = ""
     angles: str = "read back"
     shared: tuple[Component, ...] = ()
     drift: BiasWander | None = None
@@ -315,6 +325,15 @@ class Calibration(HasCovariance):
     sources: tuple[SourceOfError, ...] = ()
     dof: Floats = field(default_factory=lambda: np.full(12, np.inf))
     gravity_u: float = 0.0
+
+    @property
+    def zero_by_convention(self) -> tuple[str, ...]:
+        """Names of the coefficients that are zero by convention; empty unless free positions are used alone."""
+        return BY_CONVENTION if self.triangular is not None else ()
+
+    def determined(self, u: Floats) -> Floats:
+        """Return uncertainties `u` (12,) with NaN for the coefficients that are zero by convention."""
+        return np.where(np.isin(COEFFICIENTS, self.zero_by_convention), np.nan, u)
 
     @property
     def u_readings(self) -> Floats:
@@ -346,6 +365,13 @@ class Calibration(HasCovariance):
     def used(self) -> int:
         """Number of readings in the fit, oriented and free."""
         return len(self.fitted) + len(self.modulus_error)
+
+    @property
+    def temperatures_c(self) -> Floats:
+        """Temperatures of the block at the readings in the fit, oriented and free, °C, without unknown ones."""
+        tables = [self.fitted, *([] if self.free is None else [self.free])]
+        known = np.concatenate([table.temperature_c for table in tables])
+        return np.asarray(known[np.isfinite(known)])
 
     @property
     def modulus_rms_g(self) -> float:
@@ -403,7 +429,8 @@ def inverse(block: Block, covariance: Floats) -> Derived:
     """
     N = np.asarray(np.linalg.inv(block.K), dtype=np.float64)
     slopes = inverse_jacobian(N)
-    return Derived(INVERSE, np.concatenate([N.ravel(), block.U0]), through(slopes, covariance), slopes)
+    values = np.concatenate([N.ravel(), block.U0]) + 0.0  # no zero is negative
+    return Derived(INVERSE, values, through(slopes, covariance), slopes)
 
 
 def inverse_jacobian(N: Floats) -> Floats:
@@ -425,7 +452,7 @@ def misalignments(block: Block, covariance: Floats) -> Derived:
         values[row] = sign * vector[ij] / vector[ii]
         rows[row, ij] = sign / vector[ii]
         rows[row, ii] = -values[row] / vector[ii]
-    return Derived(tuple(MISALIGNMENTS), values, through(rows, covariance), rows)
+    return Derived(tuple(MISALIGNMENTS), values + 0.0, through(rows, covariance), rows)
 
 
 def through(jacobian: Floats, covariance: Floats) -> Floats:

@@ -17,8 +17,7 @@ from bench.base.arrays import CHANNELS, Floats, HasCovariance, rms, u_of
 from bench.calibration import gls
 from bench.calibration.above_1g import AboveOneG, join
 from bench.calibration.budget.coefficients import meters_of, parts_of
-from bench.calibration.budget.sources import hidden_sources
-from bench.calibration.budget.whole import GRAVITY, NOT_IN_VOLTS, MeasuredReadings
+from bench.calibration.budget.whole import GRAVITY, MeasuredReadings, acting_sources, without_meters
 from bench.calibration.calibrate import first_guess, usable_rows
 from bench.calibration.design import FIXED, Problem, make_problem
 from bench.calibration.noise import require_told
@@ -29,7 +28,6 @@ from bench.model.effects import CATALOGUE, Parameter, Seen
 from bench.model.effects.base import AppliedEffect
 from bench.model.forward import ForwardModel
 from bench.model.geometry import COEFFICIENTS, HIDDEN, STAND_ANGLES, Block
-from bench.readings.corrected import VOLTS
 from bench.readings.csv import CentrifugePoints
 from bench.readings.table import Readings
 
@@ -437,16 +435,15 @@ def combine(
 ) -> TumbleView:
     """Return the view with its combined covariance, which has no priors for `terms`, because these are estimated.
 
-    `day` is the date of the readings, from which the drift since each certificate follows. The meters' errors are
-    in volts: a view in another unit only gets a note.
+    `day` is the date of the readings, from which the drift since each certificate follows. For a view in another
+    unit than volts, a note says that errors of voltmeters are left out.
     """
-    if view.unit != VOLTS:
-        return replace(view, notes=(*view.notes, NOT_IN_VOLTS.format(unit=view.unit)))
     taken = MeasuredReadings(view.fitted, view.block, meters_of(bench), view.slope)
     covariance = view.covariance.copy()
-    for error in hidden_sources(bench, with_terms(replace(model, effects=()), terms), day):
+    for error in acting_sources(view.unit, bench, with_terms(replace(model, effects=()), terms), day):
         if error.name != GRAVITY:
             parts = parts_of(error, taken, view.gain)
             covariance += parts @ parts.T
     axes = sized(view.axes, covariance, view.covariance_readings)
-    return replace(view, axes=axes, covariance=covariance, combined=True)
+    notes = (*view.notes, *without_meters(view.unit))
+    return replace(view, axes=axes, covariance=covariance, combined=True, notes=notes)

@@ -216,6 +216,17 @@ class Verification:
         return global_risk(self.population, point.u, self.limit_g, point.accepted_up_to)
 
 
+def points_of(readings: Readings) -> Readings:
+    """Return the verification rows of a table. Raises `CalibrationError` if there are none."""
+    rows = readings.verification()
+    if len(rows) == 0:
+        raise CalibrationError(
+            f"{readings.source}: it has no verification point (installation V); run a procedure with "
+            "some, such as 'calibration'"
+        )
+    return rows
+
+
 def verify(
     readings: Readings,
     block: Block,
@@ -242,12 +253,7 @@ def verify(
     contradict the orientation `stated` for it. Raises `CalibrationError` if there is no verification row, K is
     singular or the rule is unknown.
     """
-    rows = readings.verification()
-    if len(rows) == 0:
-        raise CalibrationError(
-            f"{readings.source}: it has no verification point (installation V); run a procedure with "
-            "some, such as 'calibration'"
-        )
+    rows = points_of(readings)
     if not np.isfinite(block.K).all() or np.linalg.cond(block.K) > HIGHEST_CONDITION:
         raise CalibrationError(
             f"{readings.source}: K of the coefficients is singular (two channels are parallel, or one does not "

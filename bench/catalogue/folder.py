@@ -31,7 +31,7 @@ from bench.run.events import (
     sha256,
     state_after_one,
 )
-from bench.run.folder import BENCH, VERIFY, Run, statement_in
+from bench.run.folder import BENCH, CALIBRATE_FILE, DIAGNOSE_FILE, VERIFY_FILE, Run, statement_in
 from bench.services.bench_selection import instrument_name
 from bench.services.coefficients import coefficients_of, is_of_record
 from bench.services.errors import Refused
@@ -184,8 +184,6 @@ def utc_of(text: Any) -> datetime | None:
     return when.astimezone(UTC).replace(tzinfo=None) if when.tzinfo else None
 
 
-CALIBRATE: Final = "calibrate.json"
-DIAGNOSE: Final = "diagnose.json"
 MOST: Final = 2**31 - 1
 """The largest whole number that an integer column can hold; keys use larger columns."""
 _KEYS: Final = frozenset({"id", "run", "instrument", "certificate"})
@@ -282,7 +280,11 @@ def _storable(row: Row) -> Row:
 def _results(folder: Path, run: int, record: RecordSeen) -> dict[str, Any]:
     """Return the rows of a run's results by table; `problem` says what cannot be read, `bench` names the bench."""
     rows: dict[str, Any] = {"problem": ""}
-    for name, read in ((CALIBRATE, _calibration), (f"{VERIFY}.json", _verification), (DIAGNOSE, _diagnosis)):
+    for name, read in (
+        (CALIBRATE_FILE, _calibration),
+        (VERIFY_FILE, _verification),
+        (DIAGNOSE_FILE, _diagnosis),
+    ):
         try:
             content = read_regular(folder / name)
         except FileNotFoundError:
@@ -300,7 +302,7 @@ def _results(folder: Path, run: int, record: RecordSeen) -> dict[str, Any]:
 def _calibration(data: Any, run: int, record: RecordSeen) -> dict[str, Any]:
     if is_of_record(data):
         return {}
-    taken = coefficients_of(data, CALIBRATE)
+    taken = coefficients_of(data, CALIBRATE_FILE)
     residual = data.get("residual") or {}
     noted = (data.get("record") or {}).get("head")
     shared = None

@@ -362,7 +362,8 @@ def _unpacked(found: AnswerTable) -> AnswerTable:
     for row in found.rows:
         values = np.frombuffer(row[-2], dtype="<f8")
         sizes = u_of(np.frombuffer(row[-1], dtype="<f8").reshape(size, size))
-        rows.append((*row[:-2], *values.tolist(), *sizes.tolist()))
+        # a coefficient that is zero by convention has no u
+        rows.append((*row[:-2], *values.tolist(), *(size or None for size in sizes.tolist())))
     names = (*found.columns[:-2], *COEFFICIENTS, *(f"u_{name}" for name in COEFFICIENTS))
     return AnswerTable(names, tuple(rows))
 

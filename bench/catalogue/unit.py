@@ -16,6 +16,7 @@ from sqlalchemy import delete, insert, select
 
 from bench.base.arrays import u_of
 from bench.base.computing import tracked
+from bench.base.text import as_typed
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.result import CalibrationError
 from bench.catalogue.questions import answer, condition_of, moment
@@ -281,7 +282,8 @@ def compared_of(catalogue: Catalogue, name: str) -> tuple[CoefficientTable, bool
 
 def _name_of(catalogue: Catalogue, unit: str) -> str:
     if "*" in unit:
-        raise Refused(f"{unit}: name one unit; 'bench catalogue ask unit={unit} --of units' lists them")
+        command = f"bench catalogue ask {as_typed(f'unit={unit}')} --of units"
+        raise Refused(f"{unit}: name one unit; '{command}' lists them")
     asked = select(RUNS.c.unit).distinct().where(condition_of([f"unit={unit}"])).order_by(RUNS.c.unit)
     with catalogue.reading() as connection:
         names = [str(name) for name in connection.execute(asked).scalars()]

@@ -19,6 +19,7 @@ from bench.history.comparison import Snapshot
 from bench.history.equivalence import BenchComparison, compare_benches
 from bench.history.measured import STANDARD_GRAVITY, ComparedCalibrations, coded, to_gravity
 from bench.model.geometry import COEFFICIENTS
+from bench.run.folder import CALIBRATE_FILE
 from bench.services.coefficients import snapshots_in
 from bench.services.errors import Refused
 
@@ -35,9 +36,8 @@ class CoefficientTable:
     `path`, `unit`, `unit_type`, `bench`, `signal_unit` (n,) are texts, None if not recorded; `when` (n,) is
     datetime64 in UTC, NaT if not recorded. `vector` (n, 12) are the coefficients in `signal_unit` per g =
     `g_m_s2` (n,), biases in `signal_unit`. `covariance` (n, 12, 12) is the combined covariance. `u_meters`
-    (n, 12) is the part of u from errors that the same meters repeat, NaN if not stated. `sigma` (n,) is the
-    noise of a reading. `simulated` (n,) is False only for runs recorded as real. `left_out` states in
-    sentences which runs of the question are omitted.
+    (n, 12) is the part of u from errors that the same meters repeat, NaN if not stated. `simulated` (n,) is
+    False only for runs recorded as real. `left_out` states in sentences which runs of the question are omitted.
     """
 
     path: Texts
@@ -48,7 +48,6 @@ class CoefficientTable:
     vector: Floats
     covariance: Floats
     u_meters: Floats
-    sigma: Floats
     g_m_s2: Floats
     signal_unit: Texts
     simulated: NDArray[np.bool_]
@@ -86,8 +85,8 @@ def coefficient_table(catalogue: Catalogue, query: Sequence[str]) -> Coefficient
     )
     columns = (
         RUNS.c.path, RUNS.c.unit, RUNS.c.unit_type, RUNS.c.bench, RUNS.c.created, RUNS.c.simulated,
-        CALIBRATIONS.c.vector, CALIBRATIONS.c.covariance, CALIBRATIONS.c.u_meters, CALIBRATIONS.c.sigma,
-        CALIBRATIONS.c.g_m_s2, CALIBRATIONS.c.unit.label("signal_unit"),
+        CALIBRATIONS.c.vector, CALIBRATIONS.c.covariance, CALIBRATIONS.c.u_meters, CALIBRATIONS.c.g_m_s2,
+        CALIBRATIONS.c.unit.label("signal_unit"),
     )  # fmt: skip
     joined = RUNS.join(CALIBRATIONS, CALIBRATIONS.c.run == RUNS.c.id)
     rows = select(*columns).select_from(joined).where(asked, believed)
@@ -109,7 +108,6 @@ def coefficient_table(catalogue: Catalogue, query: Sequence[str]) -> Coefficient
         vector=vector,
         covariance=covariance.reshape(n, COUNT, COUNT),
         u_meters=np.frombuffer(meters, dtype="<f8").reshape(n, COUNT),
-        sigma=np.array([np.nan if row.sigma is None else row.sigma for row in found], dtype=np.float64),
         g_m_s2=np.array([row.g_m_s2 for row in found], dtype=np.float64),
         signal_unit=_texts(row.signal_unit for row in found),
         simulated=np.array([row.simulated is not False for row in found], dtype=np.bool_),
@@ -144,7 +142,6 @@ def _left_out(connection: Any, asked: Any) -> list[str]:
     return sentences
 
 
-RESULT: Final = "calibrate.json"
 MOST_COMPARED: Final = 400
 """Largest number of calibrations compared: beyond it their joint covariance would be too large."""
 
@@ -236,7 +233,7 @@ def compared(table: CoefficientTable, method: str | None = None) -> BenchCompari
 
 
 def _snapshot(folder: Path, block: str) -> Snapshot:
-    found = snapshots_in(folder / RESULT)
+    found = snapshots_in(folder / CALIBRATE_FILE)
     if len(found) != 1:
-        raise Refused(f"{folder / RESULT}: has {len(found)} results, not one; run 'bench calibrate'")
+        raise Refused(f"{folder / CALIBRATE_FILE}: has {len(found)} results, not one; run 'bench calibrate'")
     return replace(found[0], block=block)

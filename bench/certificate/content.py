@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import datetime
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
-from bench.base.arrays import Floats, u_of
+from bench.base.arrays import Floats
 from bench.calibration.conformity import (
     FALSE_ACCEPTANCE,
     GUARDED,
@@ -59,20 +59,6 @@ class Values:
     values: tuple[Value, ...]
     covariance: Floats
 
-    @classmethod
-    def of(
-        cls, named: Mapping[str, str], values: Floats, covariance: Floats, k: float, dof: Floats
-    ) -> Values:
-        """Return the results `values` (n,) with U = `k` u.
-
-        `named` maps the name of each result to its unit, in the order of `values`. `dof` (n,) are the degrees
-        of freedom.
-        """
-        sizes = zip(values.tolist(), u_of(covariance).tolist(), strict=True)
-        rows = zip(named.items(), sizes, dof.tolist(), strict=True)
-        found = (Value(name, value, u, k * u, k, nu, unit) for (name, unit), (value, u), nu in rows)
-        return cls(tuple(found), covariance)
-
     def __getitem__(self, name: str) -> Value:
         return next(value for value in self.values if value.name == name)
 
@@ -100,7 +86,7 @@ class Instrument:
     """An instrument used in the run, with its certificate on the day of the run.
 
     `identity` is the instrument's answer to the identification query. `foreign` says whether the certificate
-    belongs to another instrument; `why_not` is the reason why its corrections were not applied.
+    belongs to another instrument.
     """
 
     name: str
@@ -110,8 +96,6 @@ class Instrument:
     certificate: Held | None = None
     expired: bool = False
     foreign: bool = False
-    correction: str = ""
-    why_not: str = ""
 
 
 @dataclass(frozen=True)

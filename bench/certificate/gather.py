@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterator
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -12,14 +11,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.base.arrays import u_of
+from bench.base.arrays import Floats, u_of
 from bench.base.files import to_text
-from bench.base.text import visible
+from bench.base.text import as_typed, visible
 from bench.calibration.budget.sources import hidden_sources
 from bench.calibration.budget.whole import dof_through
 from bench.calibration.conformity import DecisionRule
-from bench.calibration.intrinsic import intrinsic_unit
-from bench.calibration.result import INVERSE, MISALIGNMENTS, Derived
 from bench.certificate.content import (
     Certificate,
     Condition,
@@ -30,14 +27,16 @@ from bench.certificate.content import (
     Method,
     RunFindings,
     RunReference,
+    Value,
     Values,
     uncertified,
 )
 from bench.certificate.laboratory import Laboratory, Order, Texts, texts_of
+from bench.exchange.result import ReportedNumbers
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.columns import current_column, rails_of, voltage_column
 from bench.readings.csv import format_csv
-from bench.readings.table import CHAMBER_C, TEMPERATURE_SOURCE, VERIFICATION, Readings
+from bench.readings.table import CHAMBER_C, FREE, TEMPERATURE_SOURCE, VERIFICATION, Readings
 from bench.results.parts import coefficient_unit
 from bench.results.verification import global_risk_in_words
 from bench.run.events import ENDED
@@ -147,11 +146,16 @@ def found_by(
     run = source.run
     if run is None:
         raise Refused(
-            f"{name}: a certificate needs a run; 'bench import {name}' makes one from a readings file"
+            f"{name}: a certificate needs a run; 'bench import {as_typed(name)}' makes one from a readings file"
         )
     if not run.imported and run.history.state not in ENDED:
         raise Refused(f"{name}: the run is {run.history.state}; a certificate needs a run that has ended")
     result = calibration_of(source)
+    if result.calibration.triangular is not None:
+        raise Refused(
+            f"{name}: a certificate states twelve coefficients, but free positions alone determine nine; measure "
+            "the block in two installations"
+        )
     verdict = None
     if len(source.readings.verification()):
         verdict = verification_of(result.source, result, asked, agreed)
@@ -183,19 +187,17 @@ def found_by(
 
 
 def _values(result: CalibrationResult, k: float) -> dict[str, Values]:
-    own, derived = result.calibration, replace(result.derived, k=k)
-    units = {name: coefficient_unit(name, own.unit) for name in COEFFICIENTS}
-    inverted = {name: own.unit if name.startswith("U0") else derived.inverse_unit for name in INVERSE}
-    n, angles, nine = derived.inverse, derived.misalignments, derived.intrinsic
+    own, derived = result.calibration, result.derived
 
-    def values_of(named: Mapping[str, str], of: Derived) -> Values:
-        return Values.of(named, of.values, of.covariance, k, dof_through(own, of.jacobian))
+    def values_of(of: ReportedNumbers, dof: Floats) -> Values:
+        rows = zip(of.rows, dof.tolist(), strict=True)
+        found = (Value(row.name, row.value, row.u, k * row.u, k, nu, row.unit) for row, nu in rows)
+        return Values(tuple(found), of.covariance)
 
+    others = {name: getattr(derived, name) for name in ("inverse", "misalignments", "intrinsic")}
     return {
-        "coefficients": Values.of(units, own.block.vector, own.covariance, k, own.dof),
-        "inverse": values_of(inverted, n),
-        "misalignments": values_of(dict.fromkeys(MISALIGNMENTS, "rad"), angles),
-        "intrinsic": values_of({name: intrinsic_unit(name, own.unit) for name in nine.names}, nine),
+        "coefficients": values_of(derived.coefficients, own.dof),
+        **{name: values_of(of, dof_through(own, of.jacobian)) for name, of in others.items()},
     }
 
 
@@ -232,7 +234,7 @@ def _begun(source: Source) -> str:
 
 def _conditions(source: Source) -> Iterator[Condition]:
     readings = source.readings
-    used = readings.select(readings.is_oriented | (readings.installation == VERIFICATION))
+    used = readings.select(readings.is_oriented | np.isin(readings.installation, [VERIFICATION, FREE]))
     told = sorted({text for text in used.extra.get(TEMPERATURE_SOURCE, ()) if text})
     span = _span(used.temperature_c)
     if span is not None:
@@ -278,22 +280,16 @@ def _span(values: Any) -> tuple[float, float] | None:
 def _instruments(source: Source) -> Iterator[Instrument]:
     told = {} if source.origin is None else source.origin.instruments
     serials = {} if source.origin is None else source.origin.serials
-    held = {standing.instrument: (standing, why_not) for standing, why_not in source.traced.entries}
+    held = {standing.instrument: standing for standing, _ in source.traced.entries}
     for section in source.bench.instruments.all():
         name = section.name
-        one = Instrument(name, section.role, _one_line(told.get(name, "")), _one_line(serials.get(name, "")))
-        if name in held:
-            standing, why_not = held[name]
-            one = replace(
-                one,
-                serial=one.serial or standing.certificate.serial or "",
-                certificate=standing.certificate,
-                expired=standing.expired,
-                foreign=standing.foreign,
-                correction=standing.correction,
-                why_not=why_not,
-            )
-        yield one
+        identity, serial = _one_line(told.get(name, "")), _one_line(serials.get(name, ""))
+        if (standing := held.get(name)) is None:
+            yield Instrument(name, section.role, identity, serial)
+        else:
+            own = standing.certificate
+            serial = serial or own.serial or ""
+            yield Instrument(name, section.role, identity, serial, own, standing.expired, standing.foreign)
 
 
 def _contributions(result: CalibrationResult) -> Iterator[Contribution]:

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 import yaml
@@ -173,7 +173,7 @@ def evaluate_kit(
         dark=dict(zip(INTRINSIC, dark.tolist(), strict=True)), laboratories=laboratories_of(once, judged),
         transport_p=p_same, drifts=parts, transport=dict(zip(INTRINSIC, transport.tolist(), strict=True)), off=off,
         accepted=not off and (p_same is None or p_same >= CHANGED_P) and not any(one.changed for one in parts),
-        notes=[f"{code}: {note}" for code in once for note in _notes(there[code])],
+        notes=[f"{code}: of simulated instruments" for code in once if there[code].simulated],
     )  # fmt: skip
 
 
@@ -209,15 +209,9 @@ def _between_checks(kit: Kit, checks: Mapping[str, Sequence[str]]) -> Iterator[_
 
 def _read(path: Path, g_m_s2: float | None) -> Snapshot:
     if path.suffix.lower() in {".xml", ".pdf"}:
-        found: Any = coefficients_in(path, g_m_s2, "0 V").result
-        return snapshot_of(found, str(path))
+        return snapshot_of(coefficients_in(path, g_m_s2, "0 V")[0], str(path))
     (one,) = snapshots_in(path)
     return one
-
-
-def _notes(one: Snapshot) -> Iterator[str]:
-    if one.simulated:
-        yield "of simulated instruments"
 
 
 def _by_code(given: Sequence[str]) -> dict[str, list[str]]:

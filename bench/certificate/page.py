@@ -66,17 +66,17 @@ def _data_of(certificate: Certificate, dcc: bytes) -> dict[str, Any]:
         "heading": title,
         "number-words": write.say("number"),
         "number": certificate.number or NOBODY_SAYS,
-        "laboratory": _letter_head(certificate, write),
+        "laboratory": _letter_head(write),
         "draft": write.say("draft") if certificate.draft else None,
         "simulated": write.say("simulated") if certificate.simulated else None,
         "unsigned": write.say("unsigned") if certificate.unsigned else None,
         "footer": certificate.number or write.say("draft")[0],
         "page": write.say("page", page="{page}", pages="{pages}"),
         "end": write.say("end"),
-        "front": _front(certificate, write),
-        "signed": _signed(certificate, write),
+        "front": _front(write),
+        "signed": _signed(write),
         "terms": [write.say(key) for key in certificate.terms],
-        "proof": proof.pages(certificate, write, listed),
+        "proof": proof.pages(write, listed),
         "attached": [
             {
                 "name": one.name,
@@ -90,7 +90,8 @@ def _data_of(certificate: Certificate, dcc: bytes) -> dict[str, Any]:
     return {**plain(told), "logo": _logo(certificate)}
 
 
-def _letter_head(certificate: Certificate, write: Writer) -> list[str]:
+def _letter_head(write: Writer) -> list[str]:
+    certificate = write.certificate
     laboratory = certificate.laboratory
     if laboratory is None:
         return []
@@ -102,7 +103,8 @@ def _letter_head(certificate: Certificate, write: Writer) -> list[str]:
     return lines
 
 
-def _front(certificate: Certificate, write: Writer) -> list[Block]:
+def _front(write: Writer) -> list[Block]:
+    certificate = write.certificate
     found, order, unit, issue = certificate.found, certificate.order, certificate.unit, certificate.issue
     customer = None if order is None else order.customer
     item = found.item
@@ -116,14 +118,14 @@ def _front(certificate: Certificate, write: Writer) -> list[Block]:
         ("calibrated", [_days(certificate)]),
         ("place", [certificate.place]),
         ("state", [write.say(certificate.state.replace(" ", "_"))] if certificate.state else []),
-        *write.stated(certificate, "front"),
+        *write.stated("front"),
     ]
     blocks = [write.pairs(rows)]
     if issue is not None and issue.before is not None:
         told = {**vars(issue.before), "kind": write.say(issue.before.kind)}
         blocks.append(write.words("replaces", **told))
     return [*blocks, write.heading("results"), write.words("answer_text", k=f"{certificate.k:.3g}"),
-            _matrix(certificate, write), *proof.verdict_of(found, write)]  # fmt: skip
+            _matrix(write), *proof.verdict_of(found, write)]  # fmt: skip
 
 
 def _days(certificate: Certificate) -> str:
@@ -134,9 +136,9 @@ def _days(certificate: Certificate) -> str:
     return str(first) if first == last else f"{first} … {last}"
 
 
-def _matrix(certificate: Certificate, write: Writer) -> Block:
+def _matrix(write: Writer) -> Block:
     """Return the table of K and U0, with a row for each channel."""
-    values = certificate.found.coefficients
+    values = write.certificate.found.coefficients
     rows: list[list[Cell]] = []
     for channel in "xyz":
         cells: list[Cell] = [{"symbol": "U", "index": channel}]
@@ -154,8 +156,8 @@ def _matrix(certificate: Certificate, write: Writer) -> Block:
     return write.table(head, rows, "lrrrr", ["auto", 1, 1, 1, 1], size=9.0)
 
 
-def _signed(certificate: Certificate, write: Writer) -> list[list[Any]]:
-    issue = certificate.issue
+def _signed(write: Writer) -> list[list[Any]]:
+    issue = write.certificate.issue
     if issue is None:
         return [
             [write.say("authorised"), [NOBODY_SAYS]],
@@ -168,7 +170,11 @@ def _signed(certificate: Certificate, write: Writer) -> list[list[Any]]:
         [write.say("issued"), [issue.day]],
         [
             write.say("signed"),
-            [write.say("unsigned_text" if certificate.unsigned else "signed_text", name=issue.signed_by)],
+            [
+                write.say(
+                    "unsigned_text" if write.certificate.unsigned else "signed_text", name=issue.signed_by
+                )
+            ],
         ],
     ]
 

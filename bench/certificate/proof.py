@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 from bench.base.arrays import ARCSEC
@@ -35,15 +36,15 @@ _CODE_LENGTH: Final = 32
 """Number of characters in each line of a hash."""
 
 
+@dataclass(frozen=True)
 class Writer:
     """A writer of page blocks in the languages of a certificate."""
 
-    def __init__(self, certificate: Certificate) -> None:
-        self._texts = certificate.texts
+    certificate: Certificate
 
     def say(self, key: str, **values: object) -> list[str]:
         """Return the text `key` in each language; a list in `values` has a wording for each language."""
-        return in_each(self._texts, key, **values)
+        return in_each(self.certificate.texts, key, **values)
 
     def heading(self, key: str, level: int = 1) -> Block:
         """Return a heading block with the text `key`."""
@@ -58,9 +59,9 @@ class Writer:
         told = [[self.say(key), [one for one in lines if one] or [NOBODY_SAYS]] for key, lines in rows]
         return {"kind": "pairs", "rows": told}
 
-    def stated(self, certificate: Certificate, page: str) -> list[tuple[str, list[Cell]]]:
+    def stated(self, page: str) -> list[tuple[str, list[Cell]]]:
         """Return a page's rows from laboratory and order files; those always printed come first."""
-        fields = [one for one in certificate.stated if one.place.page == page]
+        fields = [one for one in self.certificate.stated if one.place.page == page]
         rows: list[tuple[str, list[Cell]]] = []
         for one in sorted(fields, key=lambda field: not field.place.otherwise):
             if one.texts:
@@ -105,20 +106,14 @@ def symbol(name: str) -> dict[str, str]:
 def value_cells(value: Value, size: float = 1.0, unit: str = "") -> list[Cell]:
     """Return the cells of a result, in `unit` of size `size`: name, value, U, k, degrees of freedom, unit."""
     U = value.U / size
-    freedom = (
-        "∞"
-        if math.isinf(value.dof)
-        else f"> {_MANY_DOF}"
-        if value.dof > _MANY_DOF
-        else fixed(value.dof, 0 if value.dof >= 10 else 1)
-    )
+    freedom = f"> {_MANY_DOF}" if value.dof > _MANY_DOF else fixed(value.dof, 0 if value.dof >= 10 else 1)
     exact = value.value == 0.0 and U == 0.0
     return [
         symbol(value.name),
         "0" if exact else rounded(value.value / size, U),
         uncertainty(U),
         f"{value.k:.3g}",
-        freedom,
+        "∞" if math.isinf(value.dof) else freedom,
         unit or value.unit.replace("deg", "°"),
     ]
 
@@ -171,30 +166,31 @@ _FORMULA: Final = "U = K a + U₀,  a = N (U − U₀),  N = K⁻¹,  Δg = |a| 
 _RESULT_COLUMNS: Final = ["auto", 1.2, 1, 0.7, 0.8, 0.6]
 
 
-def pages(certificate: Certificate, write: Writer, attached: list[tuple[str, str, str]]) -> list[Block]:
+def pages(write: Writer, attached: list[tuple[str, str, str]]) -> list[Block]:
     """Return the blocks of all pages but the first; `attached` has name, description and SHA-256 of each file."""
-    found = certificate.found
+    found = write.certificate.found
     return [
-        *_method(certificate, write),
-        *_equipment(certificate, write),
-        *_results(certificate, write),
+        *_method(write),
+        *_equipment(write),
+        *_results(write),
         *_uncertainty(found, write),
         *_conformity(found, write),
         *_readings(found, write),
-        *_record(certificate, write, attached),
-        *_remarks(certificate, write),
+        *_record(write, attached),
+        *_remarks(found, write),
     ]
 
 
 # --- method, conditions and instruments ----------------------------------------------------------------
 
 
-def _method(certificate: Certificate, write: Writer) -> list[Block]:
+def _method(write: Writer) -> list[Block]:
+    certificate = write.certificate
     found, order = certificate.found, certificate.order
     method = found.method
     procedure = method.procedure or write.say("procedure_unknown")
     told = {"procedure": procedure, "plan": method.plan_hash or NOBODY_SAYS, "estimator": method.estimator}
-    rows: list[tuple[str, list[Cell]]] = [("formula", [_FORMULA]), *write.stated(certificate, "method")]
+    rows: list[tuple[str, list[Cell]]] = [("formula", [_FORMULA]), *write.stated("method")]
     rows += [
         (key, [write.say(text, **blanks) for text, blanks in told])
         for key, told in certificate.origins.items()
@@ -221,8 +217,8 @@ def _condition(one: Condition, write: Writer) -> list[Cell]:
     ]
 
 
-def _equipment(certificate: Certificate, write: Writer) -> list[Block]:
-    found, order = certificate.found, certificate.order
+def _equipment(write: Writer) -> list[Block]:
+    found, order = write.certificate.found, write.certificate.order
     head = [write.say(key) for key in ("instrument", "identification", "certificate_of", "valid_until")]
     blocks = [
         write.heading("equipment"),
@@ -254,7 +250,8 @@ def _instrument(one: Instrument, write: Writer) -> list[Cell]:
 # --- results ------------------------------------------------------------------------------------------
 
 
-def _results(certificate: Certificate, write: Writer) -> list[Block]:
+def _results(write: Writer) -> list[Block]:
+    certificate = write.certificate
     found, before = certificate.found, certificate.as_found
     coverage = f"{100.0 * certificate.coverage:.2f}".rstrip("0").rstrip(".")
     blocks = [
@@ -409,7 +406,8 @@ def _drawn(draw: Callable[[Any], str], of: Any) -> str:
 # --- record -------------------------------------------------------------------------------------------
 
 
-def _record(certificate: Certificate, write: Writer, attached: list[tuple[str, str, str]]) -> list[Block]:
+def _record(write: Writer, attached: list[tuple[str, str, str]]) -> list[Block]:
+    certificate = write.certificate
     record = certificate.found.record
     sealed = write.words("seal_text", sealed=record.sealed) if record.sealed else write.words("no_seal")
     signed = "unsigned" if certificate.unsigned else "signed_itself"
@@ -428,7 +426,6 @@ def _record(certificate: Certificate, write: Writer, attached: list[tuple[str, s
     ]
 
 
-def _remarks(certificate: Certificate, write: Writer) -> list[Block]:
-    found = certificate.found
+def _remarks(found: RunFindings, write: Writer) -> list[Block]:
     notes = [{"kind": "words", "words": [typeset(translated(note))]} for note in found.notes]
     return [*([write.heading("notes"), *notes] if notes else []), write.words("statement_recalibration")]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import unquote, unquote_to_bytes
 
 from bench.base.files import read_given
+from bench.base.text import as_typed
 from bench.run.seal import read_private, write_private
 from bench.services.errors import Refused, refusing
 
@@ -124,7 +125,7 @@ def certificates_in(file: Path) -> tuple[Certificate, ...]:
 
 
 def _in_file(file: Path, chain: Path | None, passphrase: Callable[[], bytes]) -> Signatory:
-    wanted = f"P-256 or RSA, PEM; 'bench key {file} --certificate NAME' makes one"
+    wanted = f"P-256 or RSA, PEM; 'bench key {as_typed(file)} --certificate NAME' makes one"
     key = read_private(file, passphrase, wanted)
     from cryptography.hazmat.primitives import hashes
     from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import traceback
 from functools import cache
@@ -15,6 +14,7 @@ from bench.base import computing
 from bench.base.text import bounded, visible
 from bench.cli.commands import COMMANDS
 from bench.cli.options import app
+from bench.run.interrupts import stopped_by
 from bench.services.errors import Refused
 
 DONE, NOT_DONE = 0, 2
@@ -66,12 +66,9 @@ def main(arguments: list[str] | None = None) -> None:
         typed = [word for word in given if word not in ANYWHERE]
         status = _program()(typed or ["--help"], prog_name="bench", standalone_mode=False)
         if status == CTRL_C:
-            status = _fail("stopped by Ctrl-C")
+            status = _fail(stopped_by())
     except KeyboardInterrupt:
-        status = _fail("stopped by Ctrl-C")
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        status = NOT_DONE
+        status = _fail(stopped_by())
     except typer.Abort:
         status = _fail("stopped")
     except Exception as error:

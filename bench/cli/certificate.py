@@ -145,20 +145,20 @@ def read(request: ReadCertificate, json: JsonOption = None) -> int:
     on = printing.console(json=json)
     root, notes = document_in(request.file)
     if request.out is None and json is None and not has_coefficients(root):
-        section = section_of(request.file, root)
-        on.print(section.text.rstrip())
-        printing.notes_aside((*notes, *section.notes))
+        section, further = section_of(request.file, root)
+        on.print(section.rstrip())
+        printing.notes_aside((*notes, *further))
         if request.into is not None:
             from bench.panel.round_trip import accept_certificate
 
             on.print(accept_certificate(request, section))
         return 0
-    found = coefficients_in(request.file, request.g, request.noise)
-    printing.write_json([found.result], json)
-    print_coefficients(found.result, on)
-    printing.notes_aside(found.notes)
+    result, notes = coefficients_in(request.file, request.g, request.noise)
+    printing.write_json([result], json)
+    print_coefficients(result, on)
+    printing.notes_aside(notes)
     if request.out is not None:
-        write_whole(request.out, to_text(found.result))
+        write_whole(request.out, to_text(result))
         on.print(f"coefficients: {request.out}")
     return 0
 

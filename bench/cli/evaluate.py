@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from bench.base.computing import one_thread
+from bench.base.text import as_typed
 from bench.cli import printing
 from bench.cli.options import JsonOption, OutOption, StrictFitOption, WithEstimators, command
 from bench.services.errors import refusing
@@ -182,7 +183,7 @@ def compensate(
     for what, file in written:
         printing.written(what, file, on)
     printing.write_json([found.result.to_dict()], json)
-    printing.notes_on(on, found.model.fitted.diagnose(" ".join(found.names)))
+    printing.notes_on(on, found.model.fitted.diagnose(" ".join(map(as_typed, found.names))))
     return 0 if found.accepted(strict=strict) else 1
 
 
@@ -191,17 +192,14 @@ def tumble(
     request: Tumble, json: JsonOption = None, out: OutOption = None, strict: StrictFitOption = False
 ) -> int:
     """Fit each axis of a multi-point tumble by IEEE 1293: bias, scale factor, misalignments, K2, K3, Koq."""
-    from bench.readings.csv import read_centrifuge
     from bench.results.tumble import print_tumble
-    from bench.services.compensation import terms_in, tumbled
+    from bench.services.compensation import tumbled
     from bench.services.source import load_sources, reading
 
     loaded = load_sources(reading(request, *request.sources, out=out))
     printing.bench_files(loaded, json)
-    above = None if request.centrifuge is None else read_centrifuge(Path(request.centrifuge))
     results, fits = [], True
-    for source in loaded:
-        view, result = tumbled(source, terms_in(request.terms), above)
+    for source, (view, result) in zip(loaded, tumbled(request, loaded), strict=True):
         results.append(result.to_dict())
         fits = fits and view.lack_of_fit.accepted(strict=strict) and view.above_agrees
         file = printing.write_result(source, "tumble", results[-1], what_if=source.what_if)

@@ -121,7 +121,6 @@ def _commission(request: InstrumentsRequest, target: str | None) -> int:
     from bench.run.terminal import TerminalPerson
     from bench.services.bench_selection import bench_path
     from bench.services.instruments import PAGE, CommissioningPlan, commission, free_folder
-    from drivers.clock import utc_now
 
     if not request.dry_run and not sys.stdin.isatty():
         raise Refused(
@@ -130,7 +129,7 @@ def _commission(request: InstrumentsRequest, target: str | None) -> int:
     path = bench_path(request.bench)
     file = load_bench(path)
     console = printing.console(json=target)
-    folder = request.out or free_folder(utc_now())
+    folder = request.out or free_folder("commissioning")
     printing.in_words(
         console,
         f"commissioning of {file.name} ({path}), {'SIMULATED' if request.dry_run else 'on the bench'}; "

@@ -8,6 +8,7 @@ from itertools import count
 from typing import TYPE_CHECKING
 
 from bench.base.languages import message
+from bench.base.text import as_typed
 from bench.cli import printing
 from bench.cli.options import JsonOption, command
 from bench.services.errors import Refused
@@ -161,7 +162,9 @@ def _follow(run: Run, request: RunRequest) -> int:
         out.print(f"{run.name}: no procedure would show more")
         return 0
     if not run.simulated and not _agreed(proposal, out):
-        out.print(f"{run.name}: not continued; measure it later with: bench run {proposal.procedure}")
+        out.print(
+            f"{run.name}: not continued; measure it later with: bench run {as_typed(proposal.procedure)}"
+        )
         return 0
     name = next(name for n in count(2) if not run.folder.with_name(name := f"{run.name}-{n}").exists())
     # with another seed, a dry run simulates other errors of the stand for the further mountings

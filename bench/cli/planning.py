@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bench.base.text import as_typed
 from bench.cli import printing
 from bench.cli.options import JsonOption, OutOption, WithEstimators, command, devices_given
 from bench.services.errors import Refused, refusing
@@ -77,9 +78,9 @@ def _morning(request: Check, json: str | None) -> int:
 
 def _offer_dry_run(found: Findings, request: Check) -> None:
     if found.can_be_tried:
-        typed = [f"--bench {request.bench}"] if request.bench else []
-        typed += [f"--devices {folder}" for folder in devices_given.get()]
-        words = " ".join(["bench run", str(request.procedure), *typed, "--dry-run"])
+        typed = [f"--bench {as_typed(request.bench)}"] if request.bench else []
+        typed += [f"--devices {as_typed(folder)}" for folder in devices_given.get()]
+        words = " ".join(["bench run", as_typed(request.procedure), *typed, "--dry-run"])
         printing.console().print(f"no mistakes found; try it with: {words}")
 
 

@@ -83,8 +83,13 @@ def write_json(results: list[dict[str, Any]], target: str | None) -> None:
 
     if target is None:
         return
-    text = to_text(results[0] if len(results) == 1 else results)
+    result = results[0] if len(results) == 1 else results
+    text = to_text(result)
     if target == "-":
+        try:
+            text.encode(sys.stdout.encoding or "utf-8")
+        except UnicodeEncodeError:  # JSON has its own escapes
+            text = to_text(result, only_ascii=True)
         sys.stdout.write(text)
     else:
         write_whole(Path(target), text)
@@ -210,9 +215,8 @@ def report(
     """Write the report of a calibration; return the verification in it (or None) and the file. Raises `OSError`."""
     from bench.base.files import write_whole
     from bench.services.calibration import report_page
-    from bench.services.verification import NOTHING_ASKED
 
-    page, verdict = report_page(result, asked or NOTHING_ASKED)
+    page, verdict = report_page(result, asked)
     what_if = result.source.what_if or (verdict is not None and verdict.otherwise)
     file = result.source.output("report", ".html", what_if=what_if)
     file.parent.mkdir(parents=True, exist_ok=True)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import gc
-import io
 import os
 import signal
 import sys
 from contextlib import suppress
+
+from bench.cli.streams import keep_writable
 
 TYPE_CHECKING = False  # the import of typing would delay the handling of Ctrl-C
 if TYPE_CHECKING:
@@ -32,9 +33,7 @@ def main() -> None:
 
             with Interrupts([signal.SIGINT]) as interrupts:
                 interrupts.release(_SAID)
-                if isinstance(sys.stdout, io.TextIOWrapper):
-                    # a terminal that cannot encode µ must not stop the program
-                    sys.stdout.reconfigure(errors="backslashreplace")
+                keep_writable()
                 from bench.cli.app import main as command_line
 
                 command_line()
@@ -46,7 +45,7 @@ def main() -> None:
         print(f"bench: {_SAID}", file=sys.stderr)
         _leave(_STOPPED)
     except SystemExit as end:
-        if end.code == _STOPPED and Interrupts.any_heard:
+        if end.code == _STOPPED and Interrupts.heard:
             _leave(_STOPPED)
         raise
 

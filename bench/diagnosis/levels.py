@@ -49,7 +49,7 @@ BEYOND_BELIEF: Final = 60.0
 An effect that would have to be larger is no alias; an effect that shows only beyond this size is hidden.
 """
 STEPS: Final = 8
-"""Largest number of rounds of a repeated linearisation, fit or correction; six or twelve agree to 2e-6."""
+"""Largest number of rounds of a repeated linearisation, fit, correction or zoom; six or twelve agree to 2e-6."""
 LISTED: Final = 8
 """Largest number of entries of a list in a result."""
 LISTED_IN_SENTENCE: Final = 4

@@ -10,6 +10,7 @@ import numpy as np
 import yaml
 
 from bench.base.arrays import CHANNELS, Floats
+from bench.calibration.result import NOT_DETERMINED
 from bench.exchange.checks import READ_CHECKS, check_lines, judged, own_test, picture
 from bench.exchange.result import BlockResult
 from bench.history.measured import STANDARD_GRAVITY
@@ -160,7 +161,10 @@ class Autopilot:
         """Return comment lines on what the form omits, and on values that the autopilot would reject."""
         form = diagonal(sensor_of(result, nominal))
         limits = ((self.offset, form.offset, self.offsets), (self.scale, form.scale, self.scales))
-        return form.comment_lines() + [
+        return [
+            *form.comment_lines(),
+            *([f"the axes of the vector a are {NOT_DETERMINED}"] if result.signs else []),
+        ] + [
             f"{name.format(axis)} = {value:.4g} is outside {low:g} to {high:g}, which {self.name} allows: "
             "remove more before it, in the electronics or with other scale factors (--nominal)"
             for name, values, (low, high) in limits
@@ -273,6 +277,11 @@ def kalibr_notes(result: BlockResult, nominal: Floats | None = None) -> list[str
     """Return comment lines on what Kalibr's form omits."""
     form = lower_triangular(sensor_of(result, nominal))
     arcsec = math.degrees(form.turn_rad) * 3600
+    if result.signs:
+        return [
+            "Kalibr reads M alone, and estimates the bias itself; C_accel_block (the turn to the block's axes) is "
+            f"{NOT_DETERMINED}",
+        ]
     return [
         "Kalibr reads M alone, six of the twelve: it estimates the bias itself, and a comes on other axes,",
         f"turned against the block's mounting axes by {arcsec:.4g} arcsec: a vector of 1 g is off by up to "

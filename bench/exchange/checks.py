@@ -78,11 +78,11 @@ def judged(g: str = "1.0", at: int = 3, count: int = COUNT) -> str:
     return f"assert {worst} <= {TOLERANCE:g} * {g}, 'FAILED: this file is not as it was written'"
 
 
-def c_self_test(prefix: str, rows: Floats, call: str, declared: str) -> str:
+def c_self_test(prefix: str, rows: Floats, call: str) -> str:
     """Return the check vectors (20, m) and the function `<prefix>_self_test` in C.
 
     The last three columns of `rows` are the corrected accelerations; the statement `call` computes `a` from
-    `row`, with the variables `declared`.
+    `row`.
     """
     listed = ",\n".join("    {" + ", ".join(double(value) for value in row) + "}" for row in rows)
     at = rows.shape[1] - 3
@@ -101,7 +101,7 @@ static inline int {prefix}_self_test(void)
 
     for (i = 0; i < {upper}_CHECKS; i++) {{
         const double *row = {prefix}_check[i];
-        {declared}
+        double a[3];
 
         {call}
         wrong = 0;

@@ -13,15 +13,7 @@ from bench.base.arrays import Floats
 from bench.base.text import comment, one_line, single
 from bench.calibration.result import INVERSE
 from bench.calibration.temperature import CompensationTable, TemperatureModel
-from bench.exchange.checks import (
-    POSITIONS,
-    READ_CHECKS,
-    c_self_test,
-    check_lines,
-    judged,
-    own_test,
-    picture,
-)
+from bench.exchange.checks import POSITIONS, READ_CHECKS, c_self_test, check_lines, judged, own_test, picture
 
 
 def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[str]:
@@ -75,10 +67,7 @@ def c_header(model: TemperatureModel, table: CompensationTable, of: str) -> str:
     head = comment(facts(model, table, one_line(of)))
     rows = ",\n".join("    {" + ", ".join(single(entry) for entry in row) + "}" for row in table.entries)
     tested = c_self_test(
-        "compensation",
-        table_checks(model, table),
-        "compensation_specific_force_double(row + 1, row[0], a);",
-        "double a[3];",
+        "compensation", table_checks(model, table), "compensation_specific_force_double(row + 1, row[0], a);"
     )
     return f"""/*
 {head}

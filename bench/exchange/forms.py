@@ -17,7 +17,7 @@ from bench.base.files import to_text
 from bench.base.numbers import fixed, places
 from bench.base.tables import table
 from bench.base.text import comment, double, visible
-from bench.calibration.result import INVERSE
+from bench.calibration.result import INVERSE, NOT_DETERMINED
 from bench.exchange.autopilots import ARDUPILOT, PX4, kalibr_notes, kalibr_yaml
 from bench.exchange.checks import TOLERANCE, c_self_test, judged, own_test, picture
 from bench.exchange.result import CONVENTION, NINE, BlockResult, ReportedNumber
@@ -45,7 +45,7 @@ def csv_text(result: BlockResult) -> str:
     writer.writerow(["name", "value", "u", "U", "unit"])
     alone = result.inverse.rows[:9]
     for row in (*result.coefficients.rows, *alone, *result.misalignments.rows, *result.intrinsic.rows):
-        writer.writerow([row.name, repr(row.value), repr(row.u), repr(row.U), row.unit])
+        writer.writerow([row.name, repr(row.value), *_cells(row, repr), row.unit])
     for of, title in (
         (result.coefficients, "covariance of the coefficients"),
         (result.inverse, "covariance of N and U0"),
@@ -64,6 +64,11 @@ def csv_text(result: BlockResult) -> str:
     return out.getvalue()
 
 
+def _cells(row: ReportedNumber, shown: Callable[[float], Any] = float) -> list[Any]:
+    """Return u and U of a number as `shown`, or words for a number that is zero by convention."""
+    return [shown(size) if row.determined else NOT_DETERMINED for size in (row.u, row.U)]
+
+
 _CSV_TEST: Final = (
     "import csv, sys; rows = [r for r in csv.reader(open(sys.argv[1], newline='')) if r[0][:1] != '#']; "
     "n = {r[0]: float(r[1]) for r in rows[1:37]}; c = [[float(x) for x in r[1:]] for r in rows if r[0].isdigit()]",
@@ -76,19 +81,21 @@ def c_header(result: BlockResult) -> str:
     """Return a self-contained C99 header: N, U0, their covariance, functions for force and its covariance."""
     numbers = result.inverse
     rows = ",\n".join(f"    {_row(row)}" for row in numbers.covariance)
-    n = ",\n".join(f"    {_row(row)}" for row in numbers.values[:9].reshape(3, 3))
+    n = ",\n".join(
+        f"    {_row(row)}{_open([one.name for one in numbers.rows[3 * i : 3 * i + 3] if not one.determined])}"
+        for i, row in enumerate(numbers.values[:9].reshape(3, 3))
+    )
     head = comment(
         [
             *result.head(),
             f"a = N (U - U0): a in local g, U in {result.unit}.",
             *picture(result.unit),
             "coefficients_self_test() returns 0 when this file is as it was written.",
-            "U of the coefficients: " + ", ".join(f"{row.name} {row.U:.2g}" for row in numbers.rows),
+            "U of the coefficients: "
+            + ", ".join(f"{row.name} {row.U:.2g}" for row in numbers.rows if row.determined),
         ]
     )
-    tested = c_self_test(
-        "coefficients", np.hstack(result.check), "coefficients_specific_force(row, a);", "double a[3];"
-    )
+    tested = c_self_test("coefficients", np.hstack(result.check), "coefficients_specific_force(row, a);")
     return f"""/*
 {head}
  */
@@ -152,6 +159,11 @@ static inline void coefficients_force_covariance(const double u[3], double c[3][
 """
 
 
+def _open(names: Sequence[str]) -> str:
+    """Return a C comment that `names` are zero by convention; empty without names."""
+    return f" /* {', '.join(names)}: {NOT_DETERMINED} */" if names else ""
+
+
 def _row(values: Floats) -> str:
     return "{" + ", ".join(double(value) for value in values) + "}"
 
@@ -176,7 +188,7 @@ def workbook(result: BlockResult) -> bytes:
         "intrinsic": ("intrinsic", result.intrinsic),
     }
     for title, (_, numbers) in tables.items():
-        cells = [[row.name, row.value, row.u, row.U, row.unit] for row in numbers.rows]
+        cells = [[row.name, row.value, *_cells(row), row.unit] for row in numbers.rows]
         _write(book.create_sheet(title), [["name", "value", "u", "U", "unit"], *cells])
     for of, numbers in tables.values():
         rows = [[name, *row] for name, row in zip(numbers.names, numbers.covariance.tolist(), strict=True)]
@@ -292,6 +304,9 @@ def _table(rows: Iterable[ReportedNumber], k: float, times: float = 1.0, unit: s
     """Return a table of numbers with u and U, multiplied by `times` (then in `unit`), to two digits of u."""
     shown = table("", ">value", ">u", f">U (k={k:g})", "")
     for row in rows:
+        if not row.determined:
+            shown.add_row(row.name, "0", "", "", NOT_DETERMINED)
+            continue
         digits = places(times * row.u)
         cells = (fixed(times * size, digits) for size in (row.value, row.u, row.U))
         shown.add_row(row.name, *cells, unit or row.unit)

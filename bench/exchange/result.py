@@ -15,7 +15,14 @@ from bench.base.arrays import Floats, u_of
 from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.text import one_line
 from bench.calibration.intrinsic import intrinsic, intrinsic_unit
-from bench.calibration.result import Derived, inverse, misalignments
+from bench.calibration.result import (
+    BY_CONVENTION,
+    MISALIGNMENTS,
+    NOT_DETERMINED,
+    Derived,
+    inverse,
+    misalignments,
+)
 from bench.model.geometry import COEFFICIENTS, Block
 
 SIMULATED = "SIMULATED: found on simulated instruments, of no real block"
@@ -24,16 +31,31 @@ NINE = "S_i = |row i of K|, cos theta_ij = row_i row_j / (S_i S_j), b_i = U0_i /
 COMBINED = "combined: the stand, the noise of the readings, and every other source that the bench has"
 OF_READINGS = "the stand and the noise of these readings alone; gain and offset of the meters are not in it"
 
+OPEN: Final = (
+    *BY_CONVENTION,
+    *(name.replace("K", "N") for name in BY_CONVENTION),
+    *(angle for angle, (cross, _, _) in MISALIGNMENTS.items() if cross in BY_CONVENTION),
+)
+"""Coefficients, elements of N and angles that are zero by convention if free positions alone gave the result."""
+
 
 @dataclass(frozen=True)
 class ReportedNumber:
-    """One number with its standard and its expanded uncertainty, all in `unit`."""
+    """One number with its standard and its expanded uncertainty, all in `unit`.
+
+    Both are NaN for a number that is zero by convention.
+    """
 
     name: str
     value: float
     u: float
     U: float
     unit: str
+
+    @property
+    def determined(self) -> bool:
+        """Whether the readings determine the number, which is not zero by convention."""
+        return not math.isnan(self.u)
 
 
 @dataclass(frozen=True)
@@ -52,8 +74,8 @@ class RowPart(ResultModel):
     """A number with its standard and its expanded uncertainty."""
 
     value: float
-    u: float = Field(description="standard uncertainty")
-    U: float = Field(description="expanded uncertainty")
+    u: Real = Field(description="standard uncertainty; null for a number by convention, not determined")
+    U: Real = Field(description="expanded uncertainty; null as u")
     unit: str
 
 
@@ -132,6 +154,9 @@ class CoefficientsResult(ResultModel):
     inverse: InversePart
     misalignments: MisalignmentsPart
     intrinsic: IntrinsicNumbersPart
+    convention: str | None = Field(
+        default=None, description="what free positions alone do not determine; absent for other readings"
+    )
     temperature: str | None = Field(
         description="effects of temperature that these numbers omit by request; null for none"
     )
@@ -157,7 +182,8 @@ class BlockResult:
     describes the bench file of the result, `certificates` those of the instruments. `block_type`, `serial`
     and `made_at` are empty if unknown. `temperature` names the temperature effects for which these numbers
     are corrected; empty for none. `temperature_c` is the temperature at which the coefficients hold, °C; NaN if it
-    is unknown or corrected for.
+    is unknown or corrected for. `signs` says whose signs the scale factors have if free positions alone gave the
+    result, and is empty otherwise.
     """
 
     block: Block
@@ -177,6 +203,7 @@ class BlockResult:
     certificates: tuple[str, ...] = ()
     temperature: str = ""
     temperature_c: float = math.nan
+    signs: str = ""
 
     @cached_property
     def check(self) -> tuple[Floats, Floats]:
@@ -223,7 +250,12 @@ class BlockResult:
     def _reported(self, of: Derived, unit_of: Callable[[str], str]) -> ReportedNumbers:
         stated = self.expanded or {}
         sizes = zip(of.names, of.values.tolist(), u_of(of.covariance).tolist(), strict=True)
-        rows = [ReportedNumber(n, value, u, stated.get(n, self.k * u), unit_of(n)) for n, value, u in sizes]
+        rows = [
+            ReportedNumber(n, value, math.nan, math.nan, unit_of(n))
+            if self.signs and n in OPEN
+            else ReportedNumber(n, value, u, stated.get(n, self.k * u), unit_of(n))
+            for n, value, u in sizes
+        ]
         return ReportedNumbers(of.names, of.values, of.covariance, of.jacobian, tuple(rows))
 
     @property
@@ -247,9 +279,22 @@ class BlockResult:
             "uncertainty": f"u: standard uncertainty, U = k u with k = {self.k:g}; "
             f"{COMBINED if self.combined else OF_READINGS}",
         }
+        if self.signs:
+            told["convention"] = self._convention
         if self.temperature:
             told["temperature"] = f"WITHOUT TEMPERATURE, as asked: {self.temperature}"
         return {name: one_line(text) for name, text in told.items()}
+
+    @property
+    def _convention(self) -> str:
+        """A sentence on what free positions alone do not determine; empty for other readings."""
+        if not self.signs:
+            return ""
+        signs = "those of the bench file" if self.signs == "bench file" else "positive"
+        return (
+            f"{', '.join(OPEN)}: {NOT_DETERMINED}, as free positions alone show no orientation; the signs of the "
+            f"scale factors, which no position shows either, are {signs}; covariances hold for this convention"
+        )
 
     def _of_gravity(self) -> str:
         size = self.gravity_u
@@ -273,6 +318,7 @@ class BlockResult:
             inverse=self.inverse.part(model="a = N (U - U0), a in g"),
             misalignments=self.misalignments.part(convention=CONVENTION),
             temperature=self.facts().get("temperature"),
+            **({"convention": self._convention} if self.signs else {}),
             check=CheckPart(
                 signs=picture(self.unit),
                 tolerance=TOLERANCE,

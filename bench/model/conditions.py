@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 
@@ -108,7 +108,7 @@ class Conditions:
     time_s: Floats
     temperature_c: Floats
     scan_order: Ints
-    reference_c: float = REFERENCE_C
+    reference_c: ClassVar[float] = REFERENCE_C
     turns: Floats | None = None
     began_s: Floats | None = None
     on_s: Floats | None = None
@@ -249,7 +249,6 @@ class Conditions:
         time_s: Sequence[float] | Floats | None = None,
         temperature_c: Sequence[float] | Floats | None = None,
         scan_order: Sequence[Sequence[int]] | Ints | None = None,
-        reference_c: float = REFERENCE_C,
         began_s: Floats | None = None,
         on_s: Floats | None = None,
         level_rad: Floats | None = None,
@@ -275,7 +274,6 @@ class Conditions:
             time_s=np.asarray(unknown if time_s is None else time_s, dtype=np.float64),
             temperature_c=np.asarray(unknown if temperature_c is None else temperature_c, dtype=np.float64),
             scan_order=np.asarray(order, dtype=np.int64).reshape(n, 3),
-            reference_c=reference_c,
             began_s=began_s,
             on_s=on_s,
             level_rad=level_rad,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import ipaddress
 import json
 import os
@@ -66,9 +65,8 @@ class Settings:
     @property
     def cookie(self) -> str:
         """The cookie name, unique for each panel on a computer, because cookies do not distinguish ports."""
-        return (
-            f"bench_panel_{sha256(str(self.runs.resolve()).encode(errors='surrogateescape')).hexdigest()[:8]}"
-        )
+        path = str(self.runs.resolve()).encode(errors="surrogateescape")
+        return f"bench_panel_{sha256(path).hexdigest()[:8]}"
 
     def allows_host(self, host: str) -> bool:
         """Return whether the panel serves requests with this Host header; on loopback, local names only."""
@@ -113,7 +111,7 @@ class Person:
     @property
     def csrf(self) -> str:
         """The CSRF token in this session's forms; it proves that a request comes from the panel."""
-        return hashlib.sha256(f"form:{self.secret}".encode()).hexdigest()[:32]
+        return sha256(f"form:{self.secret}".encode()).hexdigest()[:32]
 
     def require(self, least: Role) -> None:
         """Raise `Refusal` (403) if the person's role is below `least`."""
@@ -493,4 +491,4 @@ def role_of(person: laboratory.Person) -> Role:
 
 def _hash(secret: str) -> str:
     """Return the SHA-256 of a secret, whose 256 random bits need no slow password hash."""
-    return hashlib.sha256(secret.encode(errors="replace")).hexdigest()
+    return sha256(secret.encode(errors="replace")).hexdigest()

@@ -41,17 +41,7 @@ from bench.panel.access import (
 )
 from bench.panel.launching import Started, wait_until
 from bench.panel.launching import start as start_program
-from bench.panel.pages import (
-    bench,
-    catalogue,
-    procedure,
-    queue,
-    run,
-    runs,
-    sign_in,
-    start,
-    verdict,
-)
+from bench.panel.pages import bench, catalogue, procedure, queue, run, runs, sign_in, start, verdict
 from bench.panel.shared import Panel, by_error, load, refused, send_asset
 from bench.readings.csv import ReadingsError
 from bench.run.events import RecordError

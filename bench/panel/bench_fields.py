@@ -77,19 +77,19 @@ class Group:
 
 def groups_of(values: Values) -> list[Group]:
     """Return the groups of the form; the choices in `values` determine the fields."""
-    known = dict(fields_in(BenchFile, (), skip=frozenset(BenchFile.model_fields) - {*OF_BENCH}))
-    bench = Group("Bench", (), "", tuple(known.values()))
+    others = frozenset(BenchFile.model_fields) - {*OF_BENCH}
+    bench = Group("Bench", (), "", tuple(fields_in(BenchFile, (), others)))
     block = Group(
         "Block",
         ("unit_under_test",),
         first_sentence(UnitUnderTest),
-        tuple(dict(fields_in(UnitUnderTest, ("unit_under_test",))).values()),
+        tuple(fields_in(UnitUnderTest, ("unit_under_test",))),
     )
-    others = [
+    instruments = [
         _instrument(role, ("instruments", role), role.capitalize(), values, required=required)
         for role, required in ONE_ROLE
     ]
-    return [bench, _gravity(values), *_voltmeters(values), *others, block]
+    return [bench, _gravity(values), *_voltmeters(values), *instruments, block]
 
 
 def _gravity(values: Values) -> Group:
@@ -102,7 +102,7 @@ def _gravity(values: Values) -> Group:
         inner = (BenchField("gravity", GRAVITY, "Gravity", _words(AccelerationMS2, ()) or "", required=True),)
     elif chosen in FORMS_OF_GRAVITY.values():
         model = Location if chosen == FORMS_OF_GRAVITY["place"] else MeasuredGravity
-        told, inner = first_sentence(model), tuple(dict(fields_in(model, GRAVITY)).values())
+        told, inner = first_sentence(model), tuple(fields_in(model, GRAVITY))
     return Group(message("Local gravity"), GRAVITY, told, (choice, *inner))
 
 
@@ -137,8 +137,8 @@ def _instrument(role: Role, at: Place, title: str, values: Values, *, required: 
     device = devices().get(stated)
     if device is None or device not in known:
         return Group(title, at, "", (choice,))
-    inner = dict(fields_in(device.section, at, skip=frozenset({"driver"})))
-    return Group(title, at, first_sentence(device.section), (choice, *inner.values()), device.section)
+    inner = fields_in(device.section, at, frozenset({"driver"}))
+    return Group(title, at, first_sentence(device.section), (choice, *inner), device.section)
 
 
 # --- fields -----------------------------------------------------------------------------------------
@@ -146,9 +146,8 @@ def _instrument(role: Role, at: Place, title: str, values: Values, *, required: 
 
 def fields_in(
     model: type[BaseModel], at: Place, skip: frozenset[str] = frozenset(), default: Any = None
-) -> Iterator[tuple[str, BenchField]]:
-    """Yield name and field for each value of a model and of its required sections; `at` is the model's path
-    in the file.
+) -> Iterator[BenchField]:
+    """Yield the field for each value of a model and of its required sections; `at` is the model's path in the file.
 
     Certificates, lists and optional sections have no field: the user writes them in the file. `default` is
     the section that applies if the file has none.
@@ -164,7 +163,7 @@ def fields_in(
             given = value if isinstance(value, BaseModel) else None
             yield from fields_in(inner, (*at, key), default=given)
             continue
-        yield from ((one.name, one) for one in _fields_of_key(key, info, at, getattr(default, name, None)))
+        yield from _fields_of_key(key, info, at, getattr(default, name, None))
 
 
 def _fields_of_key(key: str, info: FieldInfo, at: Place, default: Any) -> Iterator[BenchField]:

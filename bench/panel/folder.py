@@ -17,7 +17,7 @@ from bench.certificate.laboratory import load_laboratory
 from bench.certificate.register import NumberStatus, Register
 from bench.panel.access import Refusal
 from bench.run.events import EVENTS, MANIFEST, RecordError
-from bench.run.folder import BENCH, PLAN, PROCEDURE, RESULTS, VERIFY, Digests, Run
+from bench.run.folder import BENCH, CALIBRATE_FILE, PLAN, PROCEDURE, RESULTS, VERIFY_FILE, Digests, Run
 from bench.run.record import is_being_written
 from bench.services.records import run_summary
 from drivers.clock import Clock, SystemClock
@@ -111,7 +111,7 @@ class Certificates:
 def _head_of(run: Run) -> str:
     """Return the head of a run's record that the result of the calibration states; "" without a result."""
     try:
-        return str(read_json(read_page(run, "calibrate.json"))["record"]["head"])
+        return str(read_json(read_page(run, CALIBRATE_FILE))["record"]["head"])
     except (Refusal, ValueError, KeyError, TypeError):
         return ""
 
@@ -251,7 +251,7 @@ def _of_manifest(run: Run) -> RunRow:
 def _stamp(folder: Path) -> Stamp:
     place = str(folder)
     stamps: list[tuple[int, int, int] | None] = []
-    for name in (MANIFEST, EVENTS, RESULTS, f"{VERIFY}.json", PLAN, PROCEDURE, BENCH):
+    for name in (MANIFEST, EVENTS, RESULTS, VERIFY_FILE, PLAN, PROCEDURE, BENCH):
         try:
             found = os.stat(f"{place}/{name}")  # noqa: PTH116 - thousands at once, and Path is slower
             stamps.append((found.st_mtime_ns, found.st_size, found.st_ino))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import secrets
 import shutil
@@ -26,6 +27,7 @@ from bench.run.events import EVENTS, RecordError, sha256
 from bench.run.folder import Run, checked_name
 from bench.run.record import is_being_written
 from bench.services.errors import Refused
+from bench.services.persons import STARTED_FROM
 from bench.services.requests.measuring import RunRequest
 from drivers.clock import Clock, SystemClock, utc_now
 
@@ -47,10 +49,6 @@ class Started:
         """The exit status, None while the process is alive."""
         return self.process.poll()
 
-    def last_words(self) -> str:
-        """Return the end of the output of the process."""
-        return last_words(self.log)
-
 
 def start(arguments: Sequence[str], log: Path, *, program: Sequence[str] = BENCH) -> Started:
     """Start a process that outlives this program, without a shell; its output goes to `log`. Raises `OSError`."""
@@ -61,6 +59,7 @@ def start(arguments: Sequence[str], log: Path, *, program: Sequence[str] = BENCH
             stdout=out,
             stderr=subprocess.STDOUT,
             start_new_session=True,
+            env={**os.environ, STARTED_FROM: "panel"},
         )
     # reap the process at its end; otherwise it would stay a zombie
     threading.Thread(target=process.wait, daemon=True).start()
@@ -78,7 +77,7 @@ def wait_until(begun: Callable[[], bool], started: Started, clock: Clock | None 
             raise Refusal(
                 409,
                 message(
-                    f"the run did not start (exit status {status}); correct what it says: {started.last_words()}"
+                    f"the run did not start (exit status {status}); correct what it says: {last_words(started.log)}"
                 ),
             )
         if clock.now_s() > until_s:

@@ -56,12 +56,10 @@ class Sheet:
 
     shapes: list[str] = field(default_factory=list)
 
-    def line(self, kind: str, start: Floats, end: Floats, more: str = "") -> None:
+    def line(self, kind: str, start: Floats, end: Floats) -> None:
         """Draw a straight line between two points on the sheet."""
         (x1, y1), (x2, y2) = start, end
-        self.shapes.append(
-            f'<line class="{kind}" x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"{more}/>'
-        )
+        self.shapes.append(f'<line class="{kind}" x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"/>')
 
     def path(self, kind: str, points: Floats, *, closed: bool = False, more: str = "") -> None:
         """Draw a polyline through points on the sheet, shape (n, 2)."""

@@ -8,17 +8,9 @@ from typing import Final
 from bench.base.languages import message
 from bench.base.numbers import probability, rounded, uncertainty
 from bench.panel.folder import RunsFolder
-from bench.panel.results import (
-    CALIBRATE,
-    DOES_NOT_FIT,
-    LACK_OF_FIT,
-    Results,
-    VerdictTold,
-    is_plain,
-    results_of,
-)
+from bench.panel.results import DOES_NOT_FIT, LACK_OF_FIT, Results, VerdictTold, is_plain, results_of
 from bench.run.events import RecordError
-from bench.run.folder import Run
+from bench.run.folder import CALIBRATE_FILE, Run
 
 MOST_CHANGES: Final = 3
 """Number of coefficients that are listed as changed; the comparison command lists all."""
@@ -92,13 +84,13 @@ def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool) -> Ou
 
 
 def _misfit(found: Results) -> str:
-    """Return why to diagnose a run: readings and model do not fit, or the block did not pass; "" if neither."""
+    """Return why to diagnose a run: readings and model do not fit, or the block failed; "" if neither."""
     fit = found.calibration.fit if found.calibration is not None else ""
     if fit == DOES_NOT_FIT:
         return message("The model does not fit the readings. The diagnosis looks for the missing effect.")
     if fit == LACK_OF_FIT:
         return message("A lack of fit is shown at 1 %. The diagnosis looks for the missing effect.")
-    if found.verdict is not None and not found.verdict.passed:
+    if found.verdict is not None and found.verdict.state == "failed":
         return message("The block did not pass. The diagnosis looks for the cause.")
     return ""
 
@@ -114,7 +106,7 @@ def _change(run: Run, runs: RunsFolder) -> Change | None:
     from bench.services.requests.history import Compare
 
     try:
-        files = tuple(str(one.folder / CALIBRATE) for one in (previous, run))
+        files = tuple(str(one.folder / CALIBRATE_FILE) for one in (previous, run))
         found = compare_result(compared(Compare(files)).found, ())
     except (Refused, ValueError, KeyError, OSError) as error:
         return Change(
@@ -154,7 +146,7 @@ def previous_calibration(run: Run, runs: RunsFolder) -> Run | None:
         if (one := _identity(other)) is not None
         and one[0] == mine[0]
         and one[1] < mine[1]
-        and is_plain(other.folder / CALIBRATE)
+        and is_plain(other.folder / CALIBRATE_FILE)
     ]
     return max(earlier, key=lambda one: one[0])[1] if earlier else None
 

@@ -50,9 +50,9 @@ OF_RUN: Final = "next:"
 BEGINNING: Final = 65_536
 
 
-def choices(kind: str, working: Path | None = None) -> dict[str, Path]:
+def choices(kind: str) -> dict[str, Path]:
     """Return the files of a kind (`PROCEDURES`, `CONFIG`) by name; own files replace shipped ones."""
-    here = working or Path()
+    here = Path()
     found = {file.stem: file for file in _yaml(shipped_folder(kind))}
     found |= {file.stem: file for file in _yaml(here / kind)}
     found |= {file.name: file for file in _yaml(here) if MARKS[kind].search(_beginning(file))}

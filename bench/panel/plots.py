@@ -18,11 +18,11 @@ from bench.base.yaml_files import FileMistakes
 from bench.panel.access import Refusal
 from bench.panel.folder import RunsFolder
 from bench.panel.outcome import previous_calibration
-from bench.panel.results import CALIBRATE, DIAGNOSE, VERIFY, is_plain, told_by
+from bench.panel.results import is_plain, told_by
 from bench.panel.stream import COVERAGE
 from bench.readings.csv import ReadingsError
 from bench.run.events import EVENTS, RecordError
-from bench.run.folder import BENCH, Run
+from bench.run.folder import BENCH, CALIBRATE_FILE, DIAGNOSE_FILE, VERIFY_FILE, Run
 from bench.services.errors import Refused
 
 Numbers = dict[str, Any]
@@ -51,7 +51,7 @@ def plots_of(run: Run, runs: RunsFolder) -> Numbers:
         "k": COVERAGE,
         **own,
         "previous": before and {"run": earlier and earlier.name, **before},
-        "diagnosis": told_by(run, DIAGNOSE, _diagnosis, trouble),
+        "diagnosis": told_by(run, DIAGNOSE_FILE, _diagnosis, trouble),
         "trouble": trouble,
     }
     cleaned: Numbers = without_infinity(told)
@@ -61,7 +61,7 @@ def plots_of(run: Run, runs: RunsFolder) -> Numbers:
 def _measured(run: Run, trouble: list[str]) -> Numbers:
     """Return the residuals and Δg of a run; a sentence in `trouble` says why there are no residuals."""
     fitted: Fitted | None = None
-    if is_plain(run.folder / CALIBRATE):
+    if is_plain(run.folder / CALIBRATE_FILE):
         try:
             fitted = _fitted(run)
         except (Refused, RecordError, FileMistakes, ReadingsError, OSError, ValueError) as error:
@@ -71,7 +71,7 @@ def _measured(run: Run, trouble: list[str]) -> Numbers:
     times = {} if fitted is None else fitted.times
     return {
         "residuals": fitted and {"unit": fitted.unit, "points": list(fitted.points)},
-        "delta_g": told_by(run, VERIFY, lambda told: _delta_g(told, times), trouble),
+        "delta_g": told_by(run, VERIFY_FILE, lambda told: _delta_g(told, times), trouble),
     }
 
 
@@ -90,7 +90,7 @@ _COMPUTING: Final = threading.Lock()
 def _fitted(run: Run) -> Fitted:
     """Return the residuals of a run's calibration. Raises as `load_sources` and `calibration_of` do."""
     stamps = []
-    for name in (EVENTS, BENCH, CALIBRATE):
+    for name in (EVENTS, BENCH, CALIBRATE_FILE):
         found = (run.folder / name).stat()
         stamps.append((found.st_mtime_ns, found.st_size))
     with _COMPUTING:  # two pages at once wait for one computation
@@ -271,5 +271,5 @@ def _cell(value: Any) -> Any:
 
 def sections_of(run: Run) -> Sequence[str]:
     """Return the names of the plots for which the run has the result file."""
-    files = {"residuals": CALIBRATE, "delta-g": VERIFY, "diagnosis": DIAGNOSE}
+    files = {"residuals": CALIBRATE_FILE, "delta-g": VERIFY_FILE, "diagnosis": DIAGNOSE_FILE}
     return [name for name, file in files.items() if is_plain(run.folder / file)]

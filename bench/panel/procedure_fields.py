@@ -15,14 +15,8 @@ from pydantic import BaseModel, ValidationError
 from bench.base.languages import message
 from bench.base.text import exact_degrees
 from bench.base.units import ANGLE, parse_quantity
-from bench.base.yaml_files import FileMistake, FileMistakes, Place, dotted, read_yaml, read_yaml_with_lines
-from bench.config.procedure.file import (
-    AngleSteps,
-    OperatorTimeSection,
-    ReadingSection,
-    StepEntry,
-    TurnVerb,
-)
+from bench.base.yaml_files import FileMistake, FileMistakes, Place, dotted, read_yaml
+from bench.config.procedure.file import AngleSteps, OperatorTimeSection, ReadingSection, StepEntry, TurnVerb
 from bench.config.procedure.load import Procedure, load_procedure
 from bench.panel.access import Refusal
 from bench.panel.bench_fields import BenchField, Group, Values, bare, fields_in, listed, values_of
@@ -60,14 +54,13 @@ class Row:
 
 def sections_of(data: Any) -> list[Group]:
     """Return the groups of fields above the steps: name and title, the reading, the operator's times."""
-    reading = dict(fields_in(ReadingSection, READING))
+    reading = {one.name: one for one in fields_in(ReadingSection, READING)}
     told = data.get("reading") if isinstance(data, dict) else None
     dwell = reading.pop("reading.settle")
     if not (isinstance(told, dict) and isinstance(told.get("settle"), dict)):  # a criterion has no field
         reading["reading.settle"] = replace(dwell, label=message("Dwell after a turn"))
     name = BenchField("procedure", ("procedure",), message("Name in records"), required=True)
     title = BenchField("title", ("title",), "Title")
-    times = dict(fields_in(OperatorTimeSection, OPERATOR_TIME))
     return [
         Group("Procedure", (), "", (name, title)),
         Group(message("Each reading"), READING, "", tuple(reading.values())),
@@ -75,7 +68,7 @@ def sections_of(data: Any) -> list[Group]:
             message("Operator's times"),
             OPERATOR_TIME,
             message("For the estimate of the duration only."),
-            tuple(times.values()),
+            tuple(fields_in(OperatorTimeSection, OPERATOR_TIME)),
         ),
     ]
 
@@ -113,7 +106,7 @@ def _fields(verb: str, body: Any, at: Place) -> Iterator[BenchField]:
     for (of, key), words in LISTS.items():
         if of == verb:
             yield BenchField(dotted((*at, key)), (*at, key), key.capitalize(), words, many=True)
-    yield from (one for _, one in fields_in(model, at))
+    yield from fields_in(model, at)
 
 
 def _angles(body: Any, at: Place) -> Iterator[BenchField]:
@@ -121,8 +114,7 @@ def _angles(body: Any, at: Place) -> Iterator[BenchField]:
     words = ((AS_LIST, "a list"), (AS_STEPS, message("first, step, number")))
     yield BenchField(f"form:{name}", at, message("Angles as"), choices=words, shows=True, required=True)
     if isinstance(body, dict) and isinstance(body.get("angles"), dict):
-        steps = dict(fields_in(AngleSteps, at))
-        yield from (replace(one, label=f"Angles: {one.label.lower()}") for one in steps.values())
+        yield from (replace(one, label=f"Angles: {one.label.lower()}") for one in fields_in(AngleSteps, at))
     else:
         yield BenchField(name, at, "Angles", message("such as 45 deg, 135 deg"), many=True, required=True)
 
@@ -200,7 +192,7 @@ def without_step(text: str, at: Place) -> str:
 def _block(text: str, at: Place) -> tuple[int, int, int]:
     """Return three line numbers of a step: where its comments begin, where it begins, and where it ends."""
     lines = text.splitlines()
-    first = read_yaml_with_lines(text).lines.get(at, 0) - 1
+    first = read_yaml(text).lines.get(at, 0) - 1
     if first < 0 or not lines[first].lstrip().startswith("- "):
         raise Refusal(409, message("this step stands in one line with others; change it in the text"))
     mark = re.match(r" *- ", lines[first])

@@ -12,14 +12,12 @@ from typing import Any, Final, TypeVar
 from bench.base.files import from_text
 from bench.base.languages import message
 from bench.base.numbers import rounded, scale_for, uncertainty
-from bench.calibration.result import LACK_OF_FIT_P, NOT_ACCEPTED_P
+from bench.base.text import as_typed
+from bench.calibration.result import LACK_OF_FIT_P, NOT_ACCEPTED_P, NOT_DETERMINED
 from bench.panel.access import Refusal
 from bench.panel.folder import read_page
-from bench.run.folder import Run, statement_in
+from bench.run.folder import CALIBRATE_FILE, DIAGNOSE_FILE, VERIFY_FILE, Run, statement_in
 
-CALIBRATE: Final = "calibrate.json"
-VERIFY: Final = "verify.json"
-DIAGNOSE: Final = "diagnose.json"
 REPORT: Final = "report.html"
 DIAGNOSIS: Final = "diagnose.html"
 
@@ -131,9 +129,9 @@ class Results:
 def results_of(run: Run) -> Results:
     """Return the results of a run, read from the files in its folder."""
     trouble: list[str] = []
-    verdict = told_by(run, VERIFY, _verdict, trouble)
-    calibration = told_by(run, CALIBRATE, _calibration, trouble)
-    diagnosis = told_by(run, DIAGNOSE, _diagnosis, trouble)
+    verdict = told_by(run, VERIFY_FILE, _verdict, trouble)
+    calibration = told_by(run, CALIBRATE_FILE, _calibration, trouble)
+    diagnosis = told_by(run, DIAGNOSE_FILE, _diagnosis, trouble)
     there = [name for name in (REPORT, DIAGNOSIS) if is_plain(run.folder / name)]
     return Results(verdict, calibration, diagnosis, tuple(there), tuple(trouble))
 
@@ -149,7 +147,7 @@ def told_by(
         return None
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError):
         command = name.removesuffix(".json")
-        trouble.append(f"{name}: cannot be read; 'bench {command} {run.name}' makes it again")
+        trouble.append(f"{name}: cannot be read; 'bench {command} {as_typed(run.name)}' makes it again")
         return None
 
 
@@ -240,6 +238,9 @@ def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
     rows = []
     for name in map(str, told["order"]):
         one = told["coefficients"][name]
+        if one["u"] is None:
+            rows.append(CoefficientRow(name, "0", NOT_DETERMINED, ""))
+            continue
         value, expanded = float(one["value"]), float(one.get("U", 2.0 * float(one["u"])))
         per = unit if name.startswith("U0") else f"{unit}/g"
         scale = scale_for(max(abs(value), expanded), unit)

@@ -33,8 +33,6 @@ from drivers.clock import utc_now
 if TYPE_CHECKING:
     from ruamel.yaml import YAML
 
-    from bench.certificate.dcc.reading import Section
-
 WIDEST: Final = 4096
 """The longest line that is not broken."""
 _NOTHING: Final = re.compile(r"~|null", re.IGNORECASE)
@@ -98,8 +96,8 @@ def with_certificate(text: str, instrument: str, section: str) -> str:
     return edited_text(text, {}, (), arrange)
 
 
-def accept_certificate(request: ReadCertificate, section: Section) -> str:
-    """Write the certificate of an instrument into a bench file; return a sentence on what was done.
+def accept_certificate(request: ReadCertificate, section: str) -> str:
+    """Write the `section` on an instrument's certificate into a bench file; return a sentence on what was done.
 
     The file's first line then names who accepted the certificate, and the SHA-256 of the document. Raises
     `Refused` for an instrument that the bench file does not list, for a certificate without corrections, and for
@@ -115,10 +113,10 @@ def accept_certificate(request: ReadCertificate, section: Section) -> str:
     text = read_regular(path).decode()
     if digest in text:
         raise Refused(f"{path}: this certificate was accepted already; nothing was changed")
-    if "values:" not in section.text:
+    if "values:" not in section:
         raise Refused(f"{request.file}: no corrections could be read; copy them by hand from the paper")
     try:
-        made = with_certificate(text, request.instrument, section.text)
+        made = with_certificate(text, request.instrument, section)
     except (KeyError, TypeError):
         raise Refused(f"{path}: lists no instrument {request.instrument}; name one such as head") from None
     day = utc_now().astimezone()

@@ -133,6 +133,7 @@ def snapshot(
     latest = seen.latest
     return {
         **about.told,
+        "operator": seen.progress.operators(about.told["operator"]),
         "events": seen.events,
         "last_time": None if latest is None else latest.time,
         "now": now.isoformat(),
@@ -384,13 +385,7 @@ def _soak(seen: RunView, about: About) -> dict[str, Any] | None:
     until = None
     if not about.told["simulated"]:
         until = (datetime.fromisoformat(event.time) + timedelta(seconds=lasts_s)).isoformat()
-    return {
-        "words": words,
-        "lasts_s": lasts_s,
-        "lasts": duration(lasts_s),
-        "left_s": left_s,
-        "until": until,
-    }
+    return {"words": words, "lasts_s": lasts_s, "lasts": duration(lasts_s), "left_s": left_s, "until": until}
 
 
 def _warning(event: Event) -> dict[str, Any]:

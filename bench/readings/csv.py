@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -84,16 +84,6 @@ def read_csv(
     `skip_bad_rows`, bad rows are instead left out and listed in `Readings.skipped`.
     """
     header, body = split_table(path, _example_header(), content)
-    numbers = {
-        *REQUIRED,
-        *OPTIONAL,
-        *(f"u{axis}_{sd}{s}" for axis in "xyz" for sd in ("", "sd_") for s in UNITS),
-    }
-    text = [k for k, name in enumerate(header) if name not in numbers]
-    for _, cells in body:
-        for k in text:
-            if k < len(cells):
-                cells[k] = of_cell(cells[k])
     return _read(path, header, body, installations, skip_bad_rows=skip_bad_rows)
 
 
@@ -104,15 +94,16 @@ def read_frame(
 
     Raises `ReadingsError`, like `read_csv`; line numbers count as if the frame were written to a file.
     """
-    header = [str(name).strip().lower() for name in frame.columns]
+    path, header = Path("DataFrame"), _names(map(str, frame.columns))
+    _refuse_header(path, header, _example_header())
     rows = frame.itertuples(index=False, name=None)
-    body = [(line, [_cell(value) for value in row]) for line, row in enumerate(rows, start=2)]
-    return _read(Path("DataFrame"), header, body, installations, skip_bad_rows=skip_bad_rows)
+    body = _filled(((line, list(map(_cell, row))) for line, row in enumerate(rows, start=2)), len(header))
+    return _read(path, header, body, installations, skip_bad_rows=skip_bad_rows)
 
 
 def _cell(value: object) -> str:
     """Return a value of a frame as a cell; 3.0 gives "3", since pandas makes integers floats if one is missing."""
-    if value is None or value != value or str(value) == "<NA>":  # noqa: PLR0124 - NaN is not itself
+    if value is None or str(value) == "<NA>" or value != value:  # noqa: PLR0124 - NaN is not itself
         return ""
     return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
 
@@ -125,6 +116,16 @@ def _read(
     *,
     skip_bad_rows: bool,
 ) -> Readings:
+    numbers = {
+        *REQUIRED,
+        *OPTIONAL,
+        *(f"u{axis}_{sd}{s}" for axis in "xyz" for sd in ("", "sd_") for s in UNITS),
+    }
+    text = [k for k, name in enumerate(header) if name not in numbers]
+    for _, cells in body:
+        for k in text:
+            if k < len(cells):
+                cells[k] = of_cell(cells[k])
     header, body, unused = _completed(header, body)
     suffix = _signal_suffix(path, header)
     signals = [f"u{axis}_{suffix}" for axis in "xyz"]
@@ -176,12 +177,12 @@ def _read(
         signal_sd=np.stack([value[_sd(name)] for name in signals], axis=1),
         **{name: value[name] for name in ("series", "direction", "time_s", "temperature_c", "samples")},
     )
-    doubts = doubtful(table, list(seen.values()))
+    lines = list(seen.values())
     texts = [name for name in header if name not in known or name in AS_TEXT]
     return replace(
         table,
         extra={name: np.array([cells[name] for cells in kept], dtype=np.str_) for name in texts},
-        notes=(*notes, *doubts),
+        notes=(*notes, *_times_that_fall(table, lines), *_large_scatter(table, lines)),
         skipped=tuple(bad),
         verification_missing=verification_missing,
     )
@@ -228,15 +229,33 @@ def split_table(
         raise ReadingsError(f"{path}: not a UTF-8 text file; save it as CSV in UTF-8") from error
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
-        header = _without_empty_end([of_cell(name).strip().lower() for name in next(reader, [])], 0)
-        body = []
-        line = reader.line_num + 1
-        for cells in reader:
-            if any(cell.strip() for cell in cells):
-                body.append((line, _without_empty_end(cells, len(header))))
-            line = reader.line_num + 1
+        header = _names(next(reader, []))
+        body = _filled(_with_lines(reader), len(header))
     except csv.Error as error:
         raise ReadingsError(f"{path}, line {reader.line_num}: not CSV; save it as CSV ({error})") from error
+    _refuse_header(path, header, example)
+    return header, body
+
+
+def _names(cells: Iterable[str]) -> list[str]:
+    return _without_empty_end([of_cell(name).strip().lower() for name in cells], 0)
+
+
+def _with_lines(reader: Any) -> Iterator[tuple[int, list[str]]]:
+    """Yield each row of a CSV reader with the line in which it begins."""
+    line = reader.line_num + 1
+    for cells in reader:
+        yield line, cells
+        line = reader.line_num + 1
+
+
+def _filled(rows: Iterable[tuple[int, list[str]]], columns: int) -> list[tuple[int, list[str]]]:
+    """Return the rows that are not empty, without empty cells beyond the header."""
+    return [(line, _without_empty_end(cells, columns)) for line, cells in rows if any(map(str.strip, cells))]
+
+
+def _refuse_header(path: Path, header: list[str], example: str) -> None:
+    """Raise `ReadingsError` for a header that is empty, not separated by commas, or has a column twice."""
     if not header:
         raise ReadingsError(f"{path}: empty; expected a header line such as {example}")
     if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
@@ -247,7 +266,6 @@ def split_table(
     twice = sorted(map(shortened, repeated(header)))
     if twice:
         raise ReadingsError(f"{path}, line 1: column {', '.join(twice)} appears more than once; keep one")
-    return header, body
 
 
 def _without_empty_end(cells: list[str], least: int) -> list[str]:
@@ -406,12 +424,8 @@ def _signal(value: float) -> str:
 # --- doubts about a table ---------------------------------------------------------------------------
 
 
-def doubtful(readings: Readings, lines: Sequence[int]) -> tuple[str, ...]:
-    """Return a sentence for each suspicious feature of a table; `lines` are the line numbers of its n rows."""
-    return (*_time(readings, lines), *_scatter(readings, lines))
-
-
-def _time(readings: Readings, lines: Sequence[int]) -> list[str]:
+def _times_that_fall(readings: Readings, lines: Sequence[int]) -> list[str]:
+    """Return a sentence if a time is before that of an earlier row; `lines` are the line numbers of the rows."""
     known = np.flatnonzero(np.isfinite(readings.time_s))
     back = known[1:][np.diff(readings.time_s[known]) < 0.0]
     if not len(back):
@@ -420,7 +434,7 @@ def _time(readings: Readings, lines: Sequence[int]) -> list[str]:
     return [message(f"time_s runs backwards ({where}): put the rows back in the order of measurement")]
 
 
-def _scatter(readings: Readings, lines: Sequence[int]) -> list[str]:
+def _large_scatter(readings: Readings, lines: Sequence[int]) -> list[str]:
     """Return a sentence for each channel with a standard deviation above the range of all its readings."""
     told = []
     for i, axis in enumerate(CHANNELS):

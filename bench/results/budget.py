@@ -25,7 +25,7 @@ from bench.model.geometry import COEFFICIENTS
 from bench.results import tables
 from bench.results.parts import BenchPart, by_coefficient, by_name
 from bench.results.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, drawn, svg_figure, symbol
-from bench.results.tables import Row, page
+from bench.results.tables import Row, page, writing
 from bench.results.verification import RulePart, rule_in_words
 
 if TYPE_CHECKING:
@@ -160,8 +160,9 @@ class BudgetResult(ResultModel):
         return self.verification.capable
 
     def report(self, path: str | Path) -> None:
-        """Write the budget as one self-contained HTML page. Raises `OSError`."""
-        write_whole(Path(path), render_budget(self))
+        """Write the budget as one self-contained HTML page. Raises `RecordError`."""
+        with writing(path) as file:
+            write_whole(file, render_budget(self))
 
     def print_on(self, out: Console) -> None:
         """Print the tables of coefficients, sources, accelerations and verification points, and the notes."""
@@ -262,9 +263,7 @@ def _headline(result: BudgetResult) -> str:
 
 def _coefficient_table(result: BudgetResult) -> Table:
     """Return a table of sources by coefficients, with combined u, effective degrees of freedom and U."""
-    shown = _table("source", *result.order)
-    for row in _by_source(result):
-        shown.add_row(row.head, *row.cells)
+    shown = _table(_by_source(result), "source", *result.order)
     for row in _combined(result):
         shown.add_row(row.head, *row.cells, style="bold" if "dof" not in row.head else None)
     return shown
@@ -279,20 +278,15 @@ def _source_table(result: BudgetResult) -> Table:
 
 def _acceleration_table(result: BudgetResult) -> Table:
     how = "the same voltmeters" if result.acceleration.same_voltmeters else "voltmeters alike"
-    shown = _table("measured |a|", *ACCELERATION_COLUMNS)
+    shown = _table(_by_magnitude(result), "measured |a|", *ACCELERATION_COLUMNS)
     shown.title = f"one reading with {how}, over all directions, µg"
     shown.title_justify = "left"
-    for row in _by_magnitude(result):
-        shown.add_row(row.head, *row.cells)
     return shown
 
 
 def _print_check(result: BudgetResult, out: Console) -> None:
     check = result.verification
-    shown = _table("verification point", *POINT_COLUMNS)
-    for row in _by_point(check):
-        shown.add_row(row.head, *row.cells)
-    out.print(shown)
+    out.print(_table(_by_point(check), "verification point", *POINT_COLUMNS))
     surely = f"CANNOT BE PASSED with {100 * result.probability:.4g} %"
     verdict = "can be passed" if check.capable else surely
     out.print(
@@ -312,8 +306,11 @@ def _monte_carlo_in_words(found: MonteCarloPart) -> str:
     )
 
 
-def _table(first: str, *others: str) -> Table:
-    return table(first, *(f">{heading}" for heading in others), no_wrap=True)
+def _table(rows: Iterable[Row], first: str, *others: str) -> Table:
+    shown = table(first, *(f">{heading}" for heading in others), no_wrap=True)
+    for row in rows:
+        shown.add_row(row.head, *row.cells)
+    return shown
 
 
 # --- rows of the tables, for both terminal and page -----------------------------------------------------

@@ -16,7 +16,13 @@ from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.estimators import find_estimator
 from bench.calibration.intrinsic import intrinsic_of
-from bench.calibration.result import COVERAGE_FACTOR, Calibration, Component, Triangular
+from bench.calibration.result import (
+    COVERAGE_FACTOR,
+    NOT_DETERMINED,
+    Calibration,
+    Component,
+    Triangular,
+)
 from bench.model.geometry import COEFFICIENTS
 from bench.results import parts
 from bench.results.intrinsic import (
@@ -28,11 +34,18 @@ from bench.results.intrinsic import (
 )
 
 
+class ValueMs2Part(ResultModel):
+    """A coefficient of K per m/s²."""
+
+    value: float = Field(description="the estimate")
+    u: Real = Field(description="standard uncertainty; null if the coefficient is zero by convention")
+
+
 class PerMs2Part(ResultModel):
     """K per m/s²: K per g divided by `g_m_s2`, with the uncertainty of local gravity included in `u`."""
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, parts.ValuePart]
+    __pydantic_extra__: dict[str, ValueMs2Part]
 
     unit: str
 
@@ -137,6 +150,16 @@ class TriangularPart(ResultModel):
     T: ArrayWithU
 
 
+class ConventionPart(ResultModel):
+    """What free positions alone do not determine, and the convention in its place."""
+
+    zero: list[str] = Field(
+        description="coefficients that are zero; their rows of `covariance` are zero, too"
+    )
+    signs: Literal["bench file", "positive"]
+    """signs of the scale factors: those of the nominal ones in the bench file, or all positive"""
+
+
 class CertificateReadPart(ResultModel):
     """The certificate from which the result was read (`bench certificate read`)."""
 
@@ -208,6 +231,8 @@ class CalibrateResult(ResultModel):
     outliers: list[OutlierPart]
     free_positions: FreePositionsPart | None
     triangular: TriangularPart | None
+    by_convention: ConventionPart | None = None
+    """what free positions alone do not determine; absent for readings with orientation"""
     source: str = Field(description="run or readings file")
     bench: parts.BenchPart | None = None
     """bench file used; null for a result read from a certificate"""
@@ -232,7 +257,13 @@ def calibrate_result(found: Calibration, **made_from: Any) -> CalibrateResult:
         found,
         per="g",
         coefficients=parts.by_coefficient(
-            parts.CoefficientPart, found, value=found.block.vector, k=COVERAGE_FACTOR
+            parts.CoefficientPart,
+            value=found.block.vector,
+            u=found.determined(found.u),
+            u_readings=found.determined(found.u_readings),
+            U=found.determined(found.U),
+            k=COVERAGE_FACTOR,
+            dof=found.dof,
         ),
         coefficients_per_ms2=_per_ms2(found),
         **joint_members(found),
@@ -246,6 +277,9 @@ def calibrate_result(found: Calibration, **made_from: Any) -> CalibrateResult:
         readings={"used": found.used, "skipped": found.skipped},
         free_positions=_free_positions(found),
         triangular=None if found.triangular is None else _triangular(found.triangular),
+        **(
+            {"by_convention": {"zero": found.zero_by_convention, "signs": found.signs}} if found.signs else {}
+        ),
         **made_from,
     )
 
@@ -253,8 +287,8 @@ def calibrate_result(found: Calibration, **made_from: Any) -> CalibrateResult:
 def _per_ms2(found: Calibration) -> dict[str, Any]:
     """Return K in unit/(m/s²), calculated from K per g and local g; its u includes those of both."""
     values = found.block.vector[:9]
-    u = np.hypot(found.u[:9], values * found.gravity_u) / found.g_m_s2
-    rows = parts.by_name(COEFFICIENTS[:9], parts.ValuePart, value=values / found.g_m_s2, u=u)
+    u = np.hypot(found.determined(found.u)[:9], values * found.gravity_u) / found.g_m_s2
+    rows = parts.by_name(COEFFICIENTS[:9], ValueMs2Part, value=values / found.g_m_s2, u=u)
     return {"unit": f"{found.unit}/(m/s^2)", **rows}
 
 
@@ -333,9 +367,9 @@ def coefficients_table(found: Calibration) -> Table:
     shown = table("coefficient", ">value", ">u", ">U (k=2)", ">u, readings", "")
     rows = (found.block.vector, found.u, found.U, found.u_readings)
     for name, *sizes in zip(COEFFICIENTS, *(row.tolist() for row in rows), strict=True):
-        value, u, *_ = sizes
-        if value == 0.0 and u == 0.0:
-            shown.add_row(name, "0", "", "", "", "by convention")
+        u = sizes[1]
+        if name in found.zero_by_convention:
+            shown.add_row(name, "0", "", "", "", NOT_DETERMINED)
             continue
         shown.add_row(
             name, *(fixed(size, places(u)) for size in sizes), parts.coefficient_unit(name, found.unit)

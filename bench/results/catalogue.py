@@ -237,16 +237,11 @@ def unit_page(result: UnitResult) -> str:
         "unit.html.j2",
         history=result,
         figure=unit_figure(calibrations, inline=True) if calibrations else None,
-        expected=_expected(result.due),
+        two_digits=two_digits,
         rows=coefficient_rows(calibrations),
         headings=[column.replace("_", " ") for column in _RUN_COLUMNS],
         runs=[[_cell(run[column]) for column in _RUN_COLUMNS] for run in reversed(result.runs)],
     )
-
-
-def _expected(due: DuePart | None) -> list[str]:
-    sizes = [due.error_at_last_g, due.error_when_due_g] if due else []
-    return ["–" if size is None else two_digits(size * 1e6) for size in sizes]
 
 
 def unit_figure(calibrations: Sequence[UnitCalibration], *, inline: bool = False) -> str:

@@ -14,6 +14,7 @@ from rich.console import Console
 from bench.base.numbers import concise, quantity, typeset
 from bench.base.result_model import Real, ResultModel, Vector
 from bench.base.tables import print_notes, table
+from bench.base.text import as_typed
 from bench.diagnosis import Diagnosis, NamedEffect
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.mistakes.search import Mistake
@@ -446,7 +447,7 @@ def _form(diagnosis: Diagnosis, model: Path | None, out: Console) -> None:
     for line in lines:
         out.print(f"  {typeset(line)}")
     if diagnosis.form is not None and diagnosis.form.applied and model is not None:
-        out.print(f"  to give it a name: bench accept {model} --name NAME --sentence TEXT")
+        out.print(f"  to give it a name: bench accept {as_typed(model)} --name NAME --sentence TEXT")
 
 
 def print_gap(gap: Gap, out: Console) -> None:

@@ -333,27 +333,17 @@ def _undetermined_part(label: str) -> FoldPart:
 
 def form_part(form: FreeForm) -> FormPart:
     """Return the part of the result on the terms that describe an unnamed effect."""
-    dark = form.dark
+    dark, found = form.dark, form.dark.value if form.dark.there else 0.0
     return FormPart.from_object(
         form,
         terms=[_term_part(term) for term in form.terms],
         gap=FormGapPart.from_object(
             form.gap,
             **_sizes(form.gap),
-            held_out=[
-                FormFoldPart(
-                    what=fold.label, counted=True, before=fold.before.reduced, after=fold.after.reduced
-                )
-                for fold in form.gap.folds
-            ],
+            held_out=[FormFoldPart.from_object(_fold_part(fold)) for fold in form.gap.folds],
         ),
-        dark_uncertainty=dark.value if dark.there else 0.0,
-        dark=DarkPart.from_object(
-            dark,
-            value=dark.value if dark.there else 0.0,
-            u=dark.u if dark.there else None,
-            upper_95=dark.upper,
-        ),
+        dark_uncertainty=found,
+        dark=DarkPart.from_object(dark, value=found, u=dark.u if dark.there else None, upper_95=dark.upper),
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from bench.base.languages import message
 from bench.base.numbers import fixed, quantity, rounded, two_digits, uncertainty
+from bench.base.text import as_typed
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.levels import BY_CHANCE, LISTED_IN_SENTENCE
 from bench.diagnosis.mistakes.search import Mistake
@@ -340,7 +341,8 @@ def what_in_words(diagnosis: Diagnosis) -> str:
 
 def what_to_do(full: FullDiagnosis, files: Files) -> Iterator[str]:
     """Yield a sentence on each step that should follow a diagnosis, with the command to type."""
-    diagnosis, source, model = full.diagnosis, full.source, files.model
+    diagnosis, source = full.diagnosis, as_typed(full.source)
+    model = None if files.model is None else as_typed(files.model)
     if diagnosis.verdict == "mistake":
         yield message("Correct it on the bench and measure again") + (
             message(f"; until then the corrected copy is {files.copy}") if files.copy else ""

@@ -14,6 +14,7 @@ from bench.base.arrays import rms
 from bench.base.numbers import concise, quantity, scale_for, typeset
 from bench.base.result_model import Real, ResultModel
 from bench.base.tables import print_notes
+from bench.base.text import as_typed
 from bench.diagnosis.free_records import OUTLIER, FreeDiagnosis
 from bench.diagnosis.show import CoefficientChange
 from bench.model.effects import CATALOGUE
@@ -110,15 +111,15 @@ def what_in_words(found: FreeDiagnosis) -> str:
 def what_to_do(found: FreeDiagnosis, files: Files) -> Iterator[str]:
     """Yield a sentence on each step that should follow the diagnosis, with the command to type."""
     several = found.records * found.rows.sensors > 1
+    source = "each record" if several else as_typed(found.source)
     if found.apart:
         yield "Measure the outlying positions again, at rest" + (
             f"; until then the corrected copy is {', '.join(map(str, files.copies))}" if files.copies else ""
         )
     for number, model in enumerate(files.models, start=1):
         of = f" of sensor {number}" if len(files.models) > 1 else ""
-        source = "each record" if several else found.source
-        yield f"Use the model{of}: bench calibrate {source} --model {model}"
-        yield f"Test it with new readings{of}: bench confirm NEW --model {model}"
+        yield f"Use the model{of}: bench calibrate {source} --model {as_typed(model)}"
+        yield f"Test it with new readings{of}: bench confirm NEW --model {as_typed(model)}"
     if found.between is not None and (line := found.between.in_bench_file()):
         yield (
             f"{repeats_between(found.between)}. Add this line to the bench file, so that u of calibrations "
@@ -135,7 +136,7 @@ def what_to_do(found: FreeDiagnosis, files: Files) -> Iterator[str]:
     elif found.of_copy == "confounded":
         yield "Measure more positions in all directions, and diagnose both runs: bench diagnose … --together"
     elif found.verdict == "agrees":
-        yield f"Nothing; use the coefficients: bench calibrate {'each record' if several else found.source}"
+        yield f"Nothing; use the coefficients: bench calibrate {source}"
 
 
 def print_found(found: FreeDiagnosis, files: Files, out: Console) -> None:

@@ -125,18 +125,16 @@ class EstimatePart(ValuePart):
     told_by_data: bool = Field(description="whether the readings reduced its prior uncertainty")
 
 
-class ExpandedPart(ValuePart):
-    """A value with its expanded uncertainty."""
+class CoefficientPart(ResultModel):
+    """One of the twelve coefficients, in unit/g or unit.
 
-    U: float = Field(description="expanded uncertainty, k u")
-    unit: str
+    All uncertainties are null for a coefficient that is zero by convention and not determined.
+    """
 
-
-class CoefficientPart(ValuePart):
-    """One of the twelve coefficients, in unit/g or unit; `u` is the combined standard uncertainty."""
-
-    u_readings: float = Field(description="part of u from the readings and the stated errors of the stand")
-    U: float = Field(description="expanded uncertainty, k u")
+    value: float = Field(description="the estimate")
+    u: Real = Field(description="combined standard uncertainty of the value")
+    u_readings: Real = Field(description="part of u from the readings and the stated errors of the stand")
+    U: Real = Field(description="expanded uncertainty, k u")
     k: float
     dof: Real = Field(description="effective degrees of freedom, by which u is widened; null: infinite")
 

@@ -147,13 +147,9 @@ def repeats_line(found: RecordCalibration) -> str:
         if value is not None
     ]
     sizes = []
-    for (channel, unit), size in zip(
-        shown, [] if term is None else term.size.tolist(), strict=term is not None
-    ):
+    for (channel, unit), size in zip(shown, term.size.tolist(), strict=True) if term else ():
         told = f"{1e6 * size:.2g} ppm" if unit == "V/V" else quantity(size, "V")
-        sizes.append(
-            f"{channel} {told}" if term is None or term.name != "scale" else f"{channel} × {size:.2g}"
-        )
+        sizes.append(f"{channel} × {size:.2g}" if term and term.name == "scale" else f"{channel} {told}")
     return repeats_told(found.repeats, "within the record", sizes)
 
 

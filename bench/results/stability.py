@@ -205,8 +205,8 @@ def allan_figure(found: Stability, *, inline: bool = False) -> str:
         below.set_ylabel(f"root of the spectral density / ({scale.unit}/√Hz)")
         figure.legend(loc="outside upper center", ncols=3)
 
-    if inline:
-        return svg_figure(
-            "allan", (6.4, 7.2), draw, "Allan deviation over averaging time, spectrum over frequency"
-        )
-    return svg_file("allan", (6.4, 7.2), draw)
+    if not inline:
+        return svg_file("allan", (6.4, 7.2), draw)
+    return svg_figure(
+        "allan", (6.4, 7.2), draw, "Allan deviation over averaging time, spectrum over frequency"
+    )

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
+import os
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from bench.base.arrays import ARCSEC, CHANNELS, u_of
+from bench.base.arrays import ARCSEC, CHANNELS, Floats, u_of
 from bench.base.languages import language, message, translated
 from bench.base.numbers import (
     aligned,
@@ -25,16 +30,18 @@ from bench.base.numbers import (
 )
 from bench.base.template_texts import environment_for
 from bench.base.text import shown_path, visible
-from bench.calibration import Calibration, Estimate, Noise
+from bench.calibration import Calibration, Estimate
 from bench.calibration.budget.propagation import correlation_of
 from bench.calibration.design import SYMBOLS
 from bench.calibration.intrinsic import Intrinsic
+from bench.calibration.result import NOT_DETERMINED
 from bench.calibration.verification import Verification
 from bench.model.effects import CATALOGUE
 from bench.model.geometry import COEFFICIENTS
 from bench.results.intrinsic import shown_rows
 from bench.results.plots import residual_scale
 from bench.results.verification import optional_probability
+from bench.run.events import RecordError
 
 MEANINGS: Final = {
     "axis_tilt": message("axis tilt"),
@@ -84,13 +91,15 @@ def coefficient_groups(calibration: Calibration) -> list[tuple[str, list[Row]]]:
     vector, u = calibration.block.vector, calibration.u
     scale = scale_for(float(np.max(u)), calibration.unit)
     base = scale_for(1.0, calibration.unit)
-    # with free positions alone some coefficients are zero by convention: value and u are 0
     values = aligned(
         ["0" if v == s == 0.0 else rounded(float(v), float(s)) for v, s in zip(vector, u, strict=True)]
     )
-    of_readings = aligned([uncertainty(float(s) / scale.size) for s in calibration.u_readings])
-    standard = aligned([uncertainty(float(s) / scale.size) for s in u])
-    expanded = aligned([uncertainty(2.0 * float(s) / scale.size) for s in u])
+
+    def column(sizes: Floats) -> list[str]:
+        known = calibration.determined(sizes / scale.size).tolist()
+        return aligned(["–" if math.isnan(size) else uncertainty(size) for size in known])
+
+    of_readings, standard, expanded = map(column, (calibration.u_readings, u, calibration.U))
     groups: list[tuple[str, list[Row]]] = []
     for title, members in (
         (message("Scale factors"), [0, 4, 8]),
@@ -123,8 +132,8 @@ def _in_other_terms(calibration: Calibration, j: int) -> tuple[str, str]:
     if j == own:
         return uncertainty(abs(float(u[j] / vector[j])) * 1e6), "ppm"
     ratio, u_ratio = _ratio(calibration, j, own)
-    if vector[j] == u[j] == 0.0:
-        return message("by convention"), ""
+    if COEFFICIENTS[j] in calibration.zero_by_convention:
+        return NOT_DETERMINED, ""
     if j < 9:
         return concise(ratio / ARCSEC, u_ratio / ARCSEC), "″"
     scale = scale_for(max(abs(ratio), u_ratio), "g")
@@ -323,13 +332,6 @@ def readings(calibration: Calibration) -> tuple[str, list[Row]]:
     return scale.unit, rows
 
 
-def _limits(noise: Noise) -> str:
-    if noise.setting_limits_rad is None:
-        return ""
-    low, high = (limit / ARCSEC for limit in noise.setting_limits_rad)
-    return message(f" (with 95 % between {low:.2g}″ and {high:.2g}″)")
-
-
 def sources(calibration: Calibration) -> dict[str, Any]:
     """Return the table of error sources that readings do not show, and u of gravity; empty without any."""
     if not calibration.sources:
@@ -350,10 +352,14 @@ def sources(calibration: Calibration) -> dict[str, Any]:
 def noise(calibration: Calibration) -> dict[str, str]:
     """Return as text the sizes of noise, each with its origin, and the root mean square of the residuals."""
     of = calibration.noise
+    limits = ""
+    if of.setting_limits_rad is not None:
+        low, high = (limit / ARCSEC for limit in of.setting_limits_rad)
+        limits = message(f" (with 95 % between {low:.2g}″ and {high:.2g}″)")
     return {
         "reading": quantity(of.reading, calibration.unit),
         "setting": f"{uncertainty(of.setting_rad / ARCSEC)}″",
-        "limits": _limits(of),
+        "limits": limits,
         "dof": f"{of.dof:.0f}" if np.isfinite(of.dof) else "",
         "source": of.source,
         "each": ""
@@ -364,6 +370,19 @@ def noise(calibration: Calibration) -> dict[str, str]:
         "rms": quantity(calibration.lack_of_fit.rms, calibration.unit),
         "channels": ", ".join(CHANNELS),
     }
+
+
+@contextmanager
+def writing(path: str | Path) -> Iterator[Path]:
+    """Give the path of a file that a caller in Python named. Raises `RecordError` if it cannot be written there."""
+    if not isinstance(path, str | os.PathLike):
+        raise RecordError(f"path={path!r}: expected the name of a file")
+    try:
+        yield Path(path)
+    except OSError as error:
+        raise RecordError(
+            f"{path}: cannot be written ({error.strerror}); name a file in another folder"
+        ) from error
 
 
 def page(name: str, **content: Any) -> str:

@@ -19,9 +19,9 @@ from bench.results.parts import (
     BenchPart,
     Corrections,
     CovarianceOfReadings,
-    ExpandedPart,
     FitPart,
     UnitPart,
+    ValuePart,
     fit_in_words,
 )
 
@@ -29,12 +29,14 @@ CLOSE: Final = 0.95
 """Correlation above which two terms are reported as hard to separate."""
 
 
-class QuantityPart(ExpandedPart):
+class QuantityPart(ValuePart):
     """An estimated term of an accelerometer.
 
     `u` is the combined standard uncertainty if the result is `combined`, otherwise the part from the readings.
     """
 
+    U: float = Field(description="expanded uncertainty, k u")
+    unit: str
     u_readings: float = Field(description="part of u from the readings and the stated errors of the stand")
     contains: dict[str, float]
     """terms that cannot be separated from this one, with their shares; the estimate is the sum (for K1,
@@ -90,7 +92,9 @@ class TumbleResult(ResultModel):
     model: str
     axes: dict[str, AxisPart] = Field(description="results for each channel")
     order: list[str] = Field(description="channel and name of each quantity, in the order of `covariance`")
-    combined: bool = Field(description="whether u and `covariance` include every source of the bench")
+    combined: bool = Field(
+        description="whether u and `covariance` include every source of the bench that acts on the readings"
+    )
     covariance: Matrix = Field(description="covariance of all quantities of the three channels")
     covariance_readings: CovarianceOfReadings
     noise: TumbleNoisePart

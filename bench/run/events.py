@@ -109,7 +109,7 @@ class Manifest(TypedDict, total=False):
 
 
 class RecordError(Exception):
-    """A run folder cannot be written or holds invalid data; the text says where, why and how to correct it."""
+    """A run or page cannot be written, or a run holds invalid data; the text says where, why and what to do."""
 
 
 def sha256(data: bytes) -> str:

@@ -31,6 +31,8 @@ EFFECTS = "effects.yaml"
 LEARNED = "learned.yaml"
 IMPORTED = "readings.csv"
 VERIFY = "verify"
+CALIBRATE_FILE, VERIFY_FILE, DIAGNOSE_FILE = "calibrate.json", "verify.json", "diagnose.json"
+"""Names of the files with the results of these commands in a run's folder."""
 RESULTS = "results.json"
 """Name of the file that lists the results of a finished run; `made` is null until all results are written."""
 REPORT = "report.html"
@@ -64,9 +66,20 @@ class Run:
             with uncollected():
                 return Plan.from_json(read_json(read_regular(self.folder / PLAN)))
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-            raise RecordError(
-                f"{self.folder / PLAN}: cannot be read ({error}); restore it from a copy"
-            ) from error
+            raise RecordError(f"{self.folder / PLAN}: cannot be read ({error}); {self._remedy()}") from error
+
+    def _remedy(self) -> str:
+        """Return how the plan can be read again: the file may be intact, and of another version of the program."""
+        try:
+            intact = sha256(read_regular(self.folder / PLAN)) == self.manifest["files"][PLAN]
+            version = self.manifest["versions"]["triaxial-bench"]
+        except (OSError, RecordError, KeyError, TypeError):
+            intact = False
+        return (
+            f"the file is intact: use the program that wrote it, version {version}"
+            if intact
+            else "restore it from a copy"
+        )
 
     @property
     def created(self) -> str:

@@ -41,12 +41,12 @@ class Interrupts:
 
     A further signal, or any signal after `hold`, only sets `haste`, which shortens waits for instruments. After
     `release`, a signal raises again, and the second signal ends the program by `end(status)`. Python drops a
-    `KeyboardInterrupt` in a weak reference's callback or in `__del__`; it is raised again afterwards. `any_heard`
-    says whether any instance received a signal. After an `Exception` leaves a nested context, signals are ignored
-    until the outer context ends, so that the error is reported.
+    `KeyboardInterrupt` in a weak reference's callback or in `__del__`; it is raised again afterwards. `heard` is
+    the last signal that any instance received, 0 for none. After an `Exception` leaves a nested context, signals
+    are ignored until the outer context ends, so that the error is reported.
     """
 
-    any_heard: ClassVar[bool] = False
+    heard: ClassVar[int] = 0
     _entered: ClassVar[int] = 0
 
     def __init__(self, numbers: Collection[int] = SIGNALS, end: Callable[[int], object] = os._exit) -> None:
@@ -105,7 +105,7 @@ class Interrupts:
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         again, self._interrupted = self._interrupted, True
-        Interrupts.any_heard = True
+        Interrupts.heard = number
         if self._last_words is not None:
             if again:
                 self._end_at_once(self._last_words)
@@ -132,6 +132,12 @@ class Interrupts:
             return
         self._interrupted = False
         _thread.start_new_thread(_interrupt_soon, ())
+
+
+def stopped_by() -> str:
+    """Return by which signal the program was stopped, in words; without one, it was Ctrl-C."""
+    name = signal.Signals(Interrupts.heard or signal.SIGINT).name
+    return f"stopped by {'Ctrl-C' if name == 'SIGINT' else name}"
 
 
 def _unheard(number: int, frame: FrameType | None) -> None:

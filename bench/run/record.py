@@ -21,7 +21,7 @@ from typing import Any, BinaryIO, Final
 
 from bench.base.computing import uncollected
 from bench.base.files import DISK_FULL, open_regular, read_json, read_regular, write_synced
-from bench.base.text import in_json
+from bench.base.text import as_typed, in_json
 from bench.config.procedure.plan import Plan, Read, Turn
 from bench.readings.reading import Reading
 from bench.run.events import (
@@ -376,7 +376,7 @@ class Record:
         if found.st_size != self._length:
             raise RecordError(
                 f"{self.folder}: another program wrote into {EVENTS}; recording ended; check it with "
-                f"'bench show {self.folder.name} --verify'"
+                f"'bench show {as_typed(self.folder.name)} --verify'"
             )
 
     def whereabouts(self) -> Path | None:

@@ -31,7 +31,7 @@ class PlanProgress:
     `off_since_s` is the bench time of switching off; `warm` says whether the block has warmed up since it was
     switched on. `asked` tracks the open prompt; `answers_heard` is the number of lines already processed in the
     folder's file of answers. `chosen` lists the choices of points made during the run, in order; `left_out` holds
-    the steps that these choices drop.
+    the steps that these choices drop. `resumed_by` names the persons who resumed the run.
     """
 
     done: set[int] = field(default_factory=set)
@@ -52,6 +52,11 @@ class PlanProgress:
     answers_heard: int = 0
     chosen: list[Mapping[str, Any]] = field(default_factory=list)
     left_out: set[int] = field(default_factory=set)
+    resumed_by: list[str] = field(default_factory=list)
+
+    def operators(self, first: object) -> str:
+        """Return the names of the operators, each once: `first`, who began the run, then those who resumed it."""
+        return ", ".join(dict.fromkeys([*([str(first)] if first else []), *self.resumed_by]))
 
     def copy(self) -> PlanProgress:
         """Return a copy that can change independently."""
@@ -63,6 +68,7 @@ class PlanProgress:
         match event.type:
             case EventType.RUN_STARTED | EventType.RUN_RESUMED:
                 self.identities = dict(event.data["instruments"])
+                self.resumed_by += [str(event.data["by"])] if event.data.get("by") else []
             case EventType.STEP_STARTED:
                 self.begun_s[event.step] = event.bench_s
             case EventType.STEP_DONE:

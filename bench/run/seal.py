@@ -20,6 +20,7 @@ from urllib.parse import urlsplit
 
 from bench.base.computing import missing
 from bench.base.files import read_given, read_regular, to_text, write_whole
+from bench.base.text import as_typed
 from bench.run.events import ENDED, MANIFEST, RecordError, sha256
 from bench.run.folder import Run
 
@@ -212,7 +213,7 @@ def private_key(file: Path, passphrase: Callable[[], bytes]) -> Ed25519PrivateKe
     Raises `RecordError` for a file that others may read, and for a file without an Ed25519 key.
     """
     _, ed25519 = _cryptography()
-    key = read_private(file, passphrase, f"Ed25519, PEM; 'bench key {file}' makes one")
+    key = read_private(file, passphrase, f"Ed25519, PEM; 'bench key {as_typed(file)}' makes one")
     if not isinstance(key, ed25519.Ed25519PrivateKey):
         raise RecordError(f"{file}: not an Ed25519 key; 'bench key FILE' makes one")
     return cast("Ed25519PrivateKey", key)

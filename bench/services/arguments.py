@@ -17,7 +17,7 @@ from bench.base.text import shortened, visible
 from bench.config.bench_file.file import BenchFile
 from bench.readings.table import Readings
 from bench.services.bench_selection import BenchTaken
-from bench.services.errors import Refused, sentence
+from bench.services.errors import Refused, expected, in_python, sentence
 from bench.services.requests import shared
 from bench.services.requests.evaluation import Calibrated
 
@@ -127,11 +127,12 @@ def kinds_of(request: type) -> dict[str, Kind]:
 def checked(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Return a decorator that raises `Refused` for an `OSError`, and for an argument of another kind.
 
-    None is accepted if it is the default.
+    Messages of foreseen errors name arguments of Python in place of options. None is accepted if it is the default.
     """
 
     def decorated(function: Callable[P, R]) -> Callable[P, R]:
         signature = inspect.signature(function)
+        flags = [name for name, kind in kinds.items() if kind is FLAG]
 
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -145,6 +146,12 @@ def checked(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
                 return function(*args, **kwargs)
             except OSError as error:
                 raise Refused(sentence(error)) from error
+            except Exception as error:
+                if expected(error):
+                    error.args = tuple(
+                        in_python(one, flags) if isinstance(one, str) else one for one in error.args
+                    )
+                raise
 
         return call
 

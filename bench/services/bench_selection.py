@@ -134,7 +134,7 @@ def origin_of_run(run: Run) -> OriginBeside:
             simulated=run.simulated,
             run=run.name,
             begun=run.created,
-            operator=_as_text(manifest.get("operator")),
+            operator=_as_text(run.history.progress.operators(manifest.get("operator"))),
             procedure=_as_text(manifest.get("procedure")),
             plan_hash=_as_text(manifest.get("plan_hash")),
             unit_under_test=unit and UnitOrigin(type=_as_text(unit["type"]), serial=_as_text(unit["serial"])),

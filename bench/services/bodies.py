@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats, Mask
+from bench.base.text import as_typed
 from bench.diagnosis.mistakes.search import Mistake
 from bench.readings.corrected import MistakeName
 from bench.readings.table import JoinedPart, Readings, all_free, together
@@ -204,7 +205,9 @@ def told_in_words(run: Run) -> list[str]:
     ]
     more = len(named) - len(found)
     found += [f"… and {more} other causes"] if more > 0 else []
-    return [*found, *lines, f"'bench diagnose {run.name}' uses these causes"] if found or lines else []
+    return (
+        [*found, *lines, f"'bench diagnose {as_typed(run.name)}' uses these causes"] if found or lines else []
+    )
 
 
 def _signs(source: Source) -> list[_Named]:

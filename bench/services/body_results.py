@@ -23,6 +23,7 @@ from bench.readings.corrected import as_read
 from bench.readings.csv import format_csv
 from bench.readings.table import Readings
 from bench.results.diagnosis_words import NO_FILES, Files
+from bench.results.tables import writing
 from bench.services.bench_selection import SUFFIX
 from bench.services.bodies import Body
 from bench.services.source import Source
@@ -112,9 +113,10 @@ class ResultWithPage(BodyResult):
         """Return the HTML page."""
 
     def report(self, path: str | Path) -> Path:
-        """Write the self-contained HTML page; return its path. Raises `OSError`."""
-        write_whole(Path(path), self.html())
-        return Path(path)
+        """Write the self-contained HTML page; return its path. Raises `RecordError`."""
+        with writing(path) as file:
+            write_whole(file, self.html())
+            return file
 
     def with_report(self) -> Self:
         """Write the page beside the other files; return the result with its path."""

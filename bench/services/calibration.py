@@ -15,6 +15,7 @@ from bench.base.arrays import Floats
 from bench.base.files import write_whole
 from bench.base.languages import message
 from bench.base.tables import as_html, as_text
+from bench.base.text import as_typed
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate as estimate
 from bench.calibration.estimators import CLOSED_FORM, GLS
@@ -25,6 +26,7 @@ from bench.calibration.temperature import separate_temperatures
 from bench.config.bench_file.learned import PriorFile, load_prior
 from bench.model.effects import TEMPERATURE_EFFECTS
 from bench.model.geometry import COEFFICIENTS, Block
+from bench.readings.corrected import VOLTS
 from bench.readings.table import VERIFICATION, is_record
 from bench.results.calibration import (
     PriorPart,
@@ -34,6 +36,7 @@ from bench.results.calibration import (
     print_calibration,
 )
 from bench.results.parts import coefficient_unit, named
+from bench.results.tables import writing
 from bench.services.errors import Refused
 from bench.services.own_effects import knowing_effects_of
 from bench.services.source import Source, provenance
@@ -162,8 +165,9 @@ def _refuse_other(prior: Prior, found: Calibration, source: Source, path: Path) 
 class Coefficient:
     """A coefficient in `unit` (such as V/g; V for a bias) with its combined standard uncertainty `u`.
 
-    `u_readings` is the part of u from the readings and the stated limits of the stand. `dof` are the
-    effective degrees of freedom of u. u is already widened for a small `dof`, so that `U` is always `k` u.
+    `u_readings` is the part of u from the readings and the stated limits of the stand. Both are NaN for a
+    coefficient that is zero by convention, as free positions alone do not determine it. `dof` are the effective
+    degrees of freedom of u. u is already widened for a small `dof`, so that `U` is always `k` u.
     """
 
     value: float
@@ -197,7 +201,8 @@ class CalibrationResult:
     def coefficients(self) -> dict[str, Coefficient]:
         """The coefficients by name: "Kxx", "Kxy", … "Kzz" in unit/g; "U0x", "U0y", "U0z" in the signals' unit."""
         found = self.calibration
-        columns = (found.block.vector, found.u, found.u_readings, found.dof)
+        u, of_readings = found.determined(found.u), found.determined(found.u_readings)
+        columns = (found.block.vector, u, of_readings, found.dof)
         rows = zip(COEFFICIENTS, *(column.tolist() for column in columns), strict=True)
         return {
             name: Coefficient(value, u, coefficient_unit(name, found.unit), own, dof)
@@ -230,8 +235,8 @@ class CalibrationResult:
     @property
     def temperature_c(self) -> float:
         """Mean temperature of the block in the fitted readings, °C; NaN if it is unknown."""
-        known = self.calibration.fitted.temperature_c
-        return float(np.mean(known[np.isfinite(known)])) if np.isfinite(known).any() else math.nan
+        known = self.calibration.temperatures_c
+        return float(np.mean(known)) if len(known) else math.nan
 
     @property
     def _temperature_effects(self) -> list[str]:
@@ -267,7 +272,7 @@ class CalibrationResult:
 
     @property
     def _said(self) -> tuple[str, ...]:
-        fit = self.calibration.lack_of_fit.diagnose(self.source.name)
+        fit = self.calibration.lack_of_fit.diagnose(as_typed(self.source.name))
         return (*fit, *self.doubts, *self.of_prior, *self.calibration.notes)
 
     @property
@@ -296,8 +301,9 @@ class CalibrationResult:
         ).to_dict()
 
     def report(self, path: str | Path) -> None:
-        """Write the report as one self-contained HTML page. Raises `OSError`."""
-        write_whole(Path(path), report_page(self)[0])
+        """Write the report as one self-contained HTML page. Raises `RecordError`."""
+        with writing(path) as file:
+            write_whole(file, report_page(self)[0])
 
     @cached_property
     def derived(self) -> BlockResult:
@@ -319,11 +325,12 @@ class CalibrationResult:
         `form` is "json", "csv", "c", "excel", "kalibr", "px4" or "ardupilot". The last three are for signals
         in m/s^2; `nominal` are the scale factors (unit/g) by which the signals were converted. No form can
         hold a correction for temperature; a calibration with one is written only if `without_temperature` is
-        true. Raises `Refused` for any other form, and `OSError`.
+        true. Raises `Refused` for any other form, and `RecordError`.
         """
         from bench.services.coefficients import write_form
 
-        return write_form(self.derived, Path(path), form, nominal, without_temperature=without_temperature)
+        with writing(path) as file:
+            return write_form(self.derived, file, form, nominal, without_temperature=without_temperature)
 
     def print_on(self, out: Console) -> None:
         """Print the coefficients, the noise, the fit, and the notes."""
@@ -375,6 +382,7 @@ def calibration_of(
         join_free=join_free,
         join_verification=join_verification,
         known=source.known,
+        nominal=source.bench.unit_under_test.scale_factors.values if source.readings.unit == VOLTS else None,
     )
     signed = sign(found, source.readings, source.bench, source.model, source.traced.day, source.known_meters)
     if prior is None:
@@ -435,32 +443,25 @@ def verification_of(
 
     The options `asked` replace those of run and bench file; `agreed` is the rule if none of these names one.
     """
-    from bench.services.verification import (  # takes long to import
-        NOTHING_ASKED,
-        judged,
-        own_judgement,
-        unsuitable,
-    )
+    from bench.services.verification import judged, own_judgement, unsuitable  # takes long to import
 
-    judgement = own_judgement(source, asked or NOTHING_ASKED, agreed=agreed)
+    judgement = own_judgement(source, asked, agreed)
     if coefficients is None:
         coefficients = calibration_of(source)
         source = coefficients.source
     if isinstance(coefficients, Path):
         from bench.services.coefficients import read_coefficients
 
-        taken = read_coefficients(coefficients, source.readings.unit)
-        return judged(source, judgement, taken, warnings=tuple(unsuitable(taken, str(coefficients), source)))
-    own = coefficients.calibration
-    if own.unit != source.readings.unit:
-        raise Refused(
-            f"coefficients in {own.unit}/g, but the readings are in {source.readings.unit}; use one unit"
-        )
-    taken = coefficients.as_coefficients()
-    if coefficients.source is source:
-        return judged(source, judgement, taken, own)
-    warnings = tuple(unsuitable(taken, coefficients.source.name, source))
-    return judged(source, judgement, taken, warnings=warnings)
+        taken, name = read_coefficients(coefficients, source.readings.unit), str(coefficients)
+    else:
+        taken, name = coefficients.as_coefficients(), coefficients.source.name
+        if taken.unit != source.readings.unit:
+            raise Refused(
+                f"coefficients in {taken.unit}/g, but the readings are in {source.readings.unit}; use one unit"
+            )
+        if coefficients.source is source:
+            return judged(source, judgement, taken, coefficients.calibration)
+    return judged(source, judgement, taken, warnings=tuple(unsuitable(taken, name, source)))
 
 
 def verified(request: Verify, source: Source) -> VerificationResult:

@@ -15,7 +15,7 @@ import numpy as np
 
 from bench.base.arrays import HOUR, Floats, u_of
 from bench.base.files import cache_folder, from_text, read_regular, write_whole
-from bench.base.text import duration
+from bench.base.text import as_typed, duration
 from bench.base.yaml_files import load_document, part
 from bench.calibration.intrinsic import INTRINSIC
 from bench.calibration.result import CalibrationError
@@ -426,7 +426,7 @@ def _in_folder(folder: Path, bench: Bench, real: bool | None) -> tuple[list[Run]
     if not runs:
         raise Refused(
             f"{folder}: no finished run of the check block {section.serial} of {file.name} there; measure it with "
-            f"bench run PROCEDURE --unit {section.serial}"
+            f"bench run PROCEDURE --unit {as_typed(section.serial)}"
         )
     return runs, section, path
 

@@ -199,7 +199,16 @@ def block_result(data: Any, where: str) -> BlockResult:
         certificates=tuple(_certificates(data.get("corrections"))),
         temperature=_temperature(data),
         temperature_c=taken.temperature_c,
+        signs=_signs(data),
     )
+
+
+def _signs(data: Any) -> str:
+    """Return whose signs the scale factors of free positions alone have; "" for readings with orientation."""
+    stated = data.get("by_convention")
+    if isinstance(stated, Mapping):
+        return _text(stated.get("signs")) or "positive"
+    return "" if data.get("triangular") is None else "positive"  # of an earlier version
 
 
 def _temperature(data: Any) -> str:

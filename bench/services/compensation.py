@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.base.arrays import Floats
 from bench.base.files import to_text
-from bench.base.text import repeated
+from bench.base.text import as_typed, repeated
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate
 from bench.calibration.result import SourceOfError
@@ -22,7 +22,7 @@ from bench.calibration.verification import Verification, verify
 from bench.exchange.compensation import c_header, json_test, table_checks, table_csv
 from bench.exchange.result import BlockResult
 from bench.model.geometry import COEFFICIENTS
-from bench.readings.csv import CentrifugePoints, read_centrifuge
+from bench.readings.csv import read_centrifuge
 from bench.results.compensation import CompensateResult, compensate_result
 from bench.results.tumble import TumbleResult, tumble_result
 from bench.services.arguments import python_call
@@ -145,31 +145,32 @@ def _checks(source: Source, model: TemperatureModel) -> Iterator[tuple[float, Ve
         )  # fmt: skip
 
 
-def tumbled(
-    source: Source, terms: Sequence[str], above: CentrifugePoints | None = None
-) -> tuple[TumbleView, TumbleResult]:
-    """Return the tumble of each axis by IEEE 1293, and its result; points `above` 1 g join the fit.
+def tumbled(request: Tumble, loaded: Sequence[Source]) -> Iterator[tuple[TumbleView, TumbleResult]]:
+    """Yield for each source the tumble of each axis by IEEE 1293, and its result.
 
-    Raises `CalibrationError` if the readings do not determine the nonlinear `terms`, such as "K2".
+    Raises `CalibrationError` if the readings do not determine the nonlinear terms of the request.
     """
-    readings = source.readings
-    view = tumble_view(
-        readings,
-        source.model,
-        source.stand_u,
-        source.g_m_s2,
-        terms,
-        assumed_u=source.assumed_u,
-        above=above,
-    )
-    view = combine(view, source.bench, source.model, terms, source.traced.day)
-    notes = [*view.lack_of_fit.diagnose(source.name), *view.notes, *readings.notes, *readings.skipped]
-    return view, tumble_result(view, **source.made_from(), notes=notes)
-
-
-def terms_in(text: str) -> list[str]:
-    """Return the terms of a list such as "K2,K3"."""
-    return [term.strip() for term in text.split(",") if term.strip()]
+    terms = [term.strip() for term in request.terms.split(",") if term.strip()]
+    above = None if request.centrifuge is None else read_centrifuge(Path(request.centrifuge))
+    for source in loaded:
+        readings = source.readings
+        view = tumble_view(
+            readings,
+            source.model,
+            source.stand_u,
+            source.g_m_s2,
+            terms,
+            assumed_u=source.assumed_u,
+            above=above,
+        )
+        view = combine(view, source.bench, source.model, terms, source.traced.day)
+        notes = [
+            *view.lack_of_fit.diagnose(as_typed(source.name)),
+            *view.notes,
+            *readings.notes,
+            *readings.skipped,
+        ]
+        yield view, tumble_result(view, **source.made_from(), notes=notes)
 
 
 def _tumble(request: Tumble) -> list[TumbleResult]:
@@ -178,9 +179,7 @@ def _tumble(request: Tumble) -> list[TumbleResult]:
     `terms` are nonlinear terms such as "K2,K3"; `centrifuge` is a file of points above 1 g that join the fit. The
     other parameters are those of `calibrate`.
     """
-    above = None if request.centrifuge is None else read_centrifuge(Path(request.centrifuge))
-    loaded = load_sources(reading(request, *request.sources))
-    return [tumbled(source, terms_in(request.terms), above)[1] for source in loaded]
+    return [result for _, result in tumbled(request, load_sources(reading(request, *request.sources)))]
 
 
 tumble = python_call(Tumble, _tumble)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from bench.base.computing import quiet, versions
 from bench.base.files import read_given, read_regular, to_text, write_whole
+from bench.base.text import as_typed
 from bench.base.yaml_files import load_validated
 from bench.calibration import CalibrationError
 from bench.calibration.conformity import Statement
@@ -28,7 +29,7 @@ from bench.services.errors import Refused, refusing
 from bench.services.requests import records as asked
 from bench.services.requests.shared import name_to_type, runs_folder
 from bench.services.source import Request, Source, load_sources
-from bench.services.verification import NOTHING_ASKED, VerificationResult
+from bench.services.verification import VerificationResult
 from drivers.clock import utc_now
 
 if TYPE_CHECKING:
@@ -133,7 +134,7 @@ def _evaluated(source: Source) -> dict[str, Any]:
     except CalibrationError as reason:
         return {"no_calibration": str(reason)}
     write_whole(source.output("calibrate", ".json"), to_text(result.to_dict()))
-    page, verdict = report_page(result, NOTHING_ASKED)
+    page, verdict = report_page(result)
     file = source.output("report", ".html")
     write_whole(file, page)
     if verdict is not None:
@@ -229,7 +230,7 @@ def _files(found: Conclusion) -> Iterator[str]:
         yield f"report: {found.report}{notes}"
         yield f"coefficients: {folder / 'calibrate.json'} ('bench calibrate {name}' prints them)"
     if found.chart is not None and not found.chart_unwritten:
-        yield f"chart: {folder / 'chart.json'} ('bench chart {folder.parent} --page FILE' draws it)"
+        yield f"chart: {folder / 'chart.json'} ('bench chart {as_typed(folder.parent)} --page FILE' draws it)"
 
 
 def _next(found: Conclusion) -> Iterator[str]:
@@ -263,7 +264,7 @@ def _run_again(run: Run) -> str:
 def _typed(file: str, kind: str) -> str:
     """Return a file as a user may type it on the command line; a shipped file is typed by its name."""
     path = Path(file)
-    return path.stem if path.parent == shipped_folder(kind) else file
+    return as_typed(path.stem if path.parent == shipped_folder(kind) else file)
 
 
 # --- readings files ---------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
     from bench.base.units import QuantityKind
 
-_OPTION: Final = re.compile(r"--([a-z][a-z-]*)( (?=[0-9.-]))?")
+_OPTION: Final = re.compile(r"'bench [^']*'|--(no-)?([a-z][a-z-]*)( (?=[0-9.-]))?")
+"""A whole command, which stays as typed, or an option."""
 
 
 class Refused(Exception):
@@ -31,16 +32,25 @@ class Refused(Exception):
 
     def __str__(self) -> str:
         """Return the text with the options written as in Python."""
-        return _OPTION.sub(_in_python, self.typed)
+        return in_python(self.typed)
 
 
 class NoCheckBlock(Refused):
     """Raised if a folder of runs contains no run of a check block."""
 
 
-def _in_python(option: re.Match[str]) -> str:
-    name = option[1].replace("-", "_")
-    return f"{name}=" if option[2] else name
+def in_python(text: str, flags: Collection[str] = ()) -> str:
+    """Return a message with the options (--g 9.81) as arguments of Python (g=9.81); `flags` are those of bool."""
+
+    def argument(option: re.Match[str]) -> str:
+        if option[2] is None:
+            return option[0]
+        name = option[2].replace("-", "_")
+        if option[1]:
+            return f"{name}=False"
+        return f"{name}=" if option[3] else f"{name}=True" if name in flags else name
+
+    return _OPTION.sub(argument, text)
 
 
 def expected(error: BaseException) -> bool:

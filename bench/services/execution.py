@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,6 +18,7 @@ from rich.console import Console
 from bench.base.computing import quiet, versions
 from bench.base.files import read_regular, to_text, write_whole
 from bench.base.languages import message
+from bench.base.text import as_typed
 from bench.config.bench_file.file import BenchFile, foreign_drivers, load_bench, missing_drivers
 from bench.config.devices.sections import ControlledChamberForm
 from bench.config.model_file import load_model
@@ -46,7 +48,7 @@ from bench.run.folder import (
     find_run,
 )
 from bench.run.instruments import with_notes
-from bench.run.interrupts import Interrupts
+from bench.run.interrupts import Interrupts, stopped_by
 from bench.run.listening import Asker, ClockWatch, WishListener
 from bench.run.live import LiveSignals
 from bench.run.person import NOBODY_KNOWN, ControlFile, WishAuthor, agree
@@ -62,7 +64,7 @@ from bench.services.bench_selection import bench_for_record, bench_path, why_tak
 from bench.services.errors import Refused
 from bench.services.fitness import agree_to_expired, is_away, refuse_unfit
 from bench.services.own_effects import effects_for_record, knowing_effects_on_record, simulated_truth
-from bench.services.persons import acting_at, operator_of, resumer
+from bench.services.persons import STARTED_FROM, acting_at, operator_of, resumer
 from bench.services.requests.measuring import ResumeRequest, RunRequest
 from bench.services.requests.shared import name_to_type, runs_folder
 from bench.services.traceability import remarks
@@ -225,11 +227,15 @@ def started(
     who = None if away else acting_at(TERMINAL, request.operator, request.laboratory)
     announce(new)
     with Interrupts() as interrupts:
-        with logged_wire(request.wire_log) as wire, WishListener(ControlFile(new.folder)) as wishes:
-            record = new.record(interrupts.shield)
+        with (
+            logged_wire(request.wire_log) as wire,
+            WishListener(ControlFile(new.folder)) as wishes,
+            closing(new.record(interrupts.shield)) as record,
+        ):
             run = Run(new.folder)
             asker = asker_of(run, record, None, out, who)
-            agree_to_expired(run, record, asker)
+            with _to_be_resumed(record):
+                agree_to_expired(run, record, asker)
             carry_out(run, record, out, wire=wire, interrupts=interrupts, wishes=wishes, asker=asker)
         yield Run(new.folder), interrupts
 
@@ -244,7 +250,7 @@ def resumed(
     """
     away = is_away(request.answers, panel=request.panel)
     who = None if away else acting_at(TERMINAL, request.operator)
-    by = resumer("panel" if away else TERMINAL, request.operator)
+    by = resumer(os.environ.get(STARTED_FROM, TERMINAL), request.operator)
     run = unfinished_run(request.name, runs_folder(request.runs), results_too=True)
     refuse_missing_devices(run)
     announce(run)
@@ -259,7 +265,8 @@ def resumed(
                 print("note: the last line of the record was incomplete and was dropped", file=sys.stderr)
             if history.state is not RunState.FINISHED:
                 asker = asker_of(run, record, history, out, who)
-                accept_changes(run, asker, out)
+                with _to_be_resumed(record):
+                    accept_changes(run, asker, out)
                 carry_out(
                     run,
                     record,
@@ -272,6 +279,15 @@ def resumed(
                     resumed_by=by,
                 )
         yield Run(run.folder), interrupts
+
+
+@contextmanager
+def _to_be_resumed(record: Record) -> Iterator[None]:
+    """Turn a signal in the context, at a question before the run, into `Refused` that says how to resume."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise Refused(f"{stopped_by()}; {_kept(record)}") from None
 
 
 def accept_changes(run: Run, asker: Asker | None, out: Console) -> None:
@@ -456,7 +472,7 @@ def _refuse_renamed(record: Record) -> None:
     if place == record.folder:
         return
     now = f"it is {place} now" if place else "it is no longer beside the other runs"
-    again = place or "FOLDER"
+    again = as_typed(place or "FOLDER")
     raise Refused(
         f"{record.folder}: the run is finished, but its folder was moved ({now}); "
         f"'bench resume {again}' computes its results there"

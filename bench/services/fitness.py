@@ -107,8 +107,6 @@ def agree_to_expired(run: Run, record: Record, asker: Asker | None) -> None:
     text = f"{in_words(late)}. Measure nevertheless?"
     try:
         agree(asker, Prompt(id="expired", kind=PromptKind.CONFIRM, text=text, action={"do": "answer"}))
-    except BaseException as error:
-        if isinstance(error, BenchError):
-            record.append(EventType.RUN_ABORTED, 0.0, reason="certificates have expired")
-        record.close()
+    except BenchError:
+        record.append(EventType.RUN_ABORTED, 0.0, reason="certificates have expired")
         raise

@@ -44,6 +44,7 @@ from bench.model.geometry import STAND_ANGLES, Block
 from bench.results.compare import BenchOfSource, CompareResult, compare_result, history_figure, print_compare
 from bench.results.learning import LearnResult, RecordPart, learn_result, print_learned
 from bench.results.monitor import MonitorResult, monitor_figures, monitor_result
+from bench.results.tables import writing
 from bench.services.arguments import python_call
 from bench.services.bench_selection import BenchTaken
 from bench.services.calibration import calibration_of
@@ -129,7 +130,7 @@ class LearningResult:
         return self.result.to_dict()
 
     def write(self, path: str | Path) -> None:
-        """Write the learned file. Raises `OSError`; `Refused` if it exists or too many runs contradict others."""
+        """Write the learned file. Raises `RecordError`; `Refused` if it exists or too many runs contradict."""
         path = Path(path)
         if path.exists():
             raise Refused(f"{path}: exists, and a learned file is not overwritten; name another with --out")
@@ -138,7 +139,8 @@ class LearningResult:
                 f"{path}: not written: more than a third of the runs contradict the others; "
                 "learn from runs of one bench between changes"
             )
-        write_learned(path, self._content(), self.effects)
+        with writing(path):
+            write_learned(path, self._content(), self.effects)
 
     def _content(self) -> dict[str, Any]:
         found, first = self.learned, self.sources[0]

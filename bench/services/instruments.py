@@ -245,9 +245,9 @@ class CommissioningPlan:
     what: str = "commissioning"
 
 
-def free_folder(now: datetime, what: str = "commissioning") -> Path:
+def free_folder(what: str) -> Path:
     """Return the default folder, named after the time, for a session of checks called `what`."""
-    return Path(f"{what}-{now.astimezone():%Y%m%d-%H%M%S}")
+    return Path(f"{what}-{utc_now().astimezone():%Y%m%d-%H%M%S}")
 
 
 def commission(setting: CommissioningPlan) -> dict[str, Any]:

@@ -30,7 +30,7 @@ def morning(
     """Carry out the morning check, simulated without a `person`; return result and folder. Raises `Refused`."""
     path = bench_path(request.bench)
     file = load_bench(path)
-    folder = request.out or free_folder(utc_now(), "morning-check")
+    folder = request.out or free_folder("morning-check")
     course = _course(file, path, request, simulated=person is None)
     what = "morning check"
     plan = CommissioningPlan(file, path, folder, person, request.seed, tell, course=course, what=what)

@@ -30,6 +30,8 @@ from bench.services.validated import laboratory_known, laboratory_needed
 FOLDER: Final = "persons"
 TOKEN: Final = "BENCH_TOKEN"
 KEY: Final = "BENCH_KEY"
+STARTED_FROM: Final = "_BENCH_STARTED_FROM"
+"""Environment variable with the place of the person for whom a program starts this one, such as "panel"."""
 LONGEST_NAME: Final = 60
 ADDED, CHANGED, ENDED = "added", "changed", "ended"
 

@@ -19,6 +19,7 @@ from bench.results.record_calibration import (
     record_calibrate_result,
     render_record_calibration,
 )
+from bench.results.tables import writing
 from bench.services.source import Source, provenance
 
 OF_METERS: Final = (
@@ -72,8 +73,9 @@ class RecordCalibrationResult:
         )  # fmt: skip
 
     def report(self, path: str | Path) -> None:
-        """Write the report as one self-contained HTML page. Raises `OSError`."""
-        write_whole(Path(path), self.html())
+        """Write the report as one self-contained HTML page. Raises `RecordError`."""
+        with writing(path) as file:
+            write_whole(file, self.html())
 
     def print_on(self, out: Console) -> None:
         """Print gain, offset and drift of each channel, and the notes."""

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Final
 
 from bench.base.files import to_text
+from bench.base.text import as_typed
 from bench.base.yaml_files import load_document, part, sha256_of_file
 from bench.config.bench_file.file import BenchFile
 from bench.config.shipped import PROCEDURES, shipped_folder
@@ -181,8 +182,8 @@ def refuse_unvalidated_certificate(laboratory: Path) -> None:
 
 
 def _refuse(laboratory: Path | None, by: str, bench: Path | None) -> None:
-    of_bench = "" if bench is None else f" --bench {bench}"
-    of_laboratory = f" --laboratory {laboratory or 'FILE'}"
+    of_bench = "" if bench is None else f" --bench {as_typed(bench)}"
+    of_laboratory = f" --laboratory {as_typed(laboratory or 'FILE')}"
     way = (
         f"'bench validate{of_bench}{of_laboratory} --out DIR', then "
         f"'bench validate --accept DIR{of_laboratory} --by NAME --reason TEXT'"

@@ -13,15 +13,18 @@ from rich.console import Console
 
 from bench.base.arrays import Floats
 from bench.base.tables import as_html, as_text
+from bench.base.text import as_typed
 from bench.calibration import Calibration, CalibrationError, LackOfFit
 from bench.calibration.budget.sources import hidden_sources
-from bench.calibration.budget.whole import delta_g_contributions, delta_g_elsewhere
+from bench.calibration.budget.whole import delta_g_contributions, delta_g_elsewhere, without_meters
+from bench.calibration.components import note_on_excess
 from bench.calibration.conformity import SIMPLE, DecisionRule, Population
 from bench.calibration.noise import ONE_TEMPERATURE_K, drifted
 from bench.calibration.orientation import StatedOrientation
-from bench.calibration.verification import Verification
+from bench.calibration.verification import Verification, points_of
 from bench.calibration.verification import verify as check
 from bench.config.bench_file.file import BenchFile
+from bench.readings.corrected import VOLTS
 from bench.results import verification as shown
 from bench.run.events import VerdictAsked
 from bench.run.folder import Run
@@ -134,14 +137,15 @@ def judgement_of(
     return judgement
 
 
-def own_judgement(source: Source, *asked: VerdictOptions, agreed: DecisionRule | None = None) -> Judgement:
+def own_judgement(
+    source: Source, asked: VerdictOptions | None = None, agreed: DecisionRule | None = None
+) -> Judgement:
     """Return the basis of a source's verdict: `asked`, else as its run or bench file says.
 
     `agreed` is the decision rule if none of these names a rule.
     """
-    return judgement_of(
-        source.bench, VerdictOptions.of_run(source.run), *asked, default=agreed or _default_of(source.run)
-    )
+    options = (VerdictOptions.of_run(source.run), asked or NOTHING_ASKED)
+    return judgement_of(source.bench, *options, default=agreed or _default_of(source.run))
 
 
 def _default_of(run: Run | None) -> DecisionRule:
@@ -205,7 +209,7 @@ class VerificationResult:
     @property
     def _against(self) -> tuple[str, ...]:
         """Sentences on the lack of fit, if the coefficients were estimated from the same readings."""
-        return () if self.fit is None else self.fit.diagnose(self.source.name)
+        return () if self.fit is None else self.fit.diagnose(as_typed(self.source.name))
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -262,11 +266,14 @@ def judged(
 
     Raises `CalibrationError` if there is no verification point.
     """
-    said: tuple[str, ...] = ()
+    points_of(source.readings)
+    said = without_meters(source.readings.unit)
     if own is None:
-        covariance, said = _of_another_day(taken, source)
+        covariance, of_day = _of_another_day(taken, source)
+        said = (*said, *of_day)
         joint = {"coefficients and readings": covariance}
     else:
+        said = (*said, *note_on_excess(own.noise))
         joint = delta_g_contributions(
             own, source.readings, source.bench, source.model, source.traced.day, source.known_meters
         )
@@ -307,6 +314,8 @@ def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[
         joint = weight * found if same else joint + weight * found
     if taken.same_meters is None:
         said = "the coefficients' uncertainty, from an earlier version, covers its readings alone"
+    elif source.readings.unit != VOLTS:
+        said = ""  # no meters of the bench read these signals
     elif part == 0.0:
         said = "the same meters as at the calibration, on one day: their gain and offset cancel"
     elif part < 1.0:
@@ -320,7 +329,7 @@ def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[
             "gravity", 0.0
         )
         joint = joint + taken.gravity_u**2 + there**2
-    return joint, (said, *_on_temperature(taken, source))
+    return joint, (*filter(None, [said]), *_on_temperature(taken, source))
 
 
 def _on_temperature(taken: Coefficients, source: Source) -> Iterator[str]:

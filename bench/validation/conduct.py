@@ -40,12 +40,7 @@ from bench.services.bench_selection import bench_path
 from bench.services.errors import Refused, refusing, sentence
 from bench.services.requests.documents import BatchCalibrate, Validate
 from bench.services.requests.shared import runs_folder
-from bench.services.validated import (
-    fingerprint,
-    laboratory_known,
-    read_validations,
-    register_beside,
-)
+from bench.services.validated import fingerprint, laboratory_known, read_validations, register_beside
 from bench.validation.machine import description
 from bench.validation.registry import Context, carry_out, every
 from drivers.clock import SystemClock, utc_now

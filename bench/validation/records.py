@@ -237,38 +237,31 @@ def life(context: Context) -> Iterator[Finding]:
     if issued.why is not None:
         return
 
-    def judged(file: Path) -> Any:
-        return verify_certificate(file, None, run.folder.parent, folder / "register")
+    def judged(suffix: str, of: str, expected: str = "refused") -> Finding:
+        file = folder / "register" / f"{issued.number}{suffix}"
+        try:
+            found = verify_certificate(file, None, run.folder.parent, folder / "register")
+        except Refused as refusal:
+            return Finding(expected == "refused", str(refusal), of=of, expected=expected)
+        return Finding(found.accepted == (expected == "accepted"), found.verdict, of=of, expected=expected)
 
     for suffix in (".xml", ".pdf"):
+        yield judged(suffix, f"unchanged {suffix}", "accepted")
         file = folder / "register" / f"{issued.number}{suffix}"
-        found = judged(file)
-        yield Finding(found.accepted, found.verdict, of=f"unchanged {suffix}", expected="accepted")
         content = file.read_bytes()
         at = len(content) // 2
         file.write_bytes(content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :])
-        try:
-            found = judged(file)
-            yield Finding(
-                not found.accepted, found.verdict, of=f"one bit changed in {suffix}", expected="refused"
-            )
-        except Refused as refusal:
-            yield Finding(True, str(refusal), of=f"one bit changed in {suffix}", expected="refused")
+        yield judged(suffix, f"one bit changed in {suffix}")
         file.write_bytes(content)
     number = str(issued.number)
     certificates.revoke(
         RevokeCertificate(number, reason="trial", laboratory=laboratory, authorised_by="A. Example")
     )
-    found = judged(folder / "register" / f"{issued.number}.pdf")
-    yield Finding(not found.accepted, found.verdict, of="revoked", expected="refused")
+    yield judged(".pdf", "revoked")
     lines = folder / "register" / LINES
     content = lines.read_bytes()
     lines.write_bytes(content.replace(b"A. Example", b"B. Example", 1))
-    try:
-        judged(folder / "register" / f"{issued.number}.pdf")
-        yield Finding(False, "taken as whole", of="a changed line of the register", expected="refused")
-    except Refused as refusal:
-        yield Finding(True, str(refusal), of="a changed line of the register", expected="refused")
+    yield judged(".pdf", "a changed line of the register")
     lines.write_bytes(content)
     changed = next(iter(certificates.issue_all([changed_copy(run).name], desk)))
     yield Finding(

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from bench.base.files import to_text
-from bench.results.schemas import RESULTS, model_of
 from docs.generators.markdown import code, table
+from docs.generators.schemas import RESULTS, schema_of
 
 _FIRST: Final = ("calibrate", "verify", "diagnose", "budget")
 
@@ -24,7 +24,7 @@ degrees if the name ends in `_deg`, times in seconds. Uncertainties are standard
 
 def schemas() -> dict[str, dict[str, Any]]:
     """Return the schemas by name, those of most use first."""
-    return {name: model_of(name).schema_of(name) for name in (*_FIRST, *sorted(RESULTS.keys() - set(_FIRST)))}
+    return {name: schema_of(name) for name in (*_FIRST, *sorted(RESULTS.keys() - set(_FIRST)))}
 
 
 def write_schemas(folder: Path) -> None:

@@ -18,7 +18,7 @@ from bench.base.languages import (
     texts_for_scripts,
     translated,
 )
-from bench.base.template_texts import environment_for, texts_in
+from bench.base.template_texts import environment_for
 from bench.run.person import in_english
 from benchmarks import translations
 from drivers.person import Prompt, PromptKind
@@ -147,7 +147,10 @@ TEMPLATE = (
 
 
 def test_texts_of_templates_are_found_without_marks():
-    assert [entry.english for entry in texts_in(TEMPLATE)] == ["Rule: {0} – {1}.", "unit"]
+    assert [entry.english for entry in translations.texts_of_template(TEMPLATE)] == [
+        "Rule: {0} – {1}.",
+        "unit",
+    ]
 
 
 def test_translated_templates_escape_values_and_leave_names(ukrainian):

@@ -254,7 +254,7 @@ def test_a_calibration_refuses_signals_in_two_units_and_a_diagnosis_names_them(r
     assert first.name == "wrong_unit"
     assert first.words.startswith(words)
     assert first.pass_number == where.get("pass_number")
-    assert first.evidence.after < 1e-2 * first.evidence.before or how.get("factor") == 1e-3
+    assert first.misfit_after < 1e-2 * first.misfit_before or how.get("factor") == 1e-3
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from bench.calibration import Noise, calibrate
 from bench.calibration.noise import noise_from_repeats, repeat_groups, scatter_of_repeats
 from bench.model import CATALOGUE, AppliedEffect, Conditions, ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
-from bench.validation.paper_bench import ARCSEC, STAND_U, TRUTH, simulate
+from bench.validation.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, TRUTH, simulate, specific_force
 
 INSTALLATIONS = {"1": INSTALLATION_1, "2": INSTALLATION_2}
 MODEL = ForwardModel(INSTALLATIONS)
@@ -176,3 +176,45 @@ def test_the_closed_form_has_the_lack_of_fit_of_the_model():
     assert closed.lack_of_fit.p == pytest.approx(least_squares.lack_of_fit.p, abs=1e-6)
     assert closed.lack_of_fit.rms == pytest.approx(np.sqrt(np.mean(closed.residuals**2)))
     assert closed.lack_of_fit.rms > 2 * least_squares.lack_of_fit.rms
+
+
+STATED = STAND_U | {"voltmeter_error": 1e-4, "setting_error": SETTING_U_RAD}
+
+
+def of_stated_noise(readings):
+    """The generalised least-squares chi-square of twelve coefficients at the stated sizes, in full, and its dof."""
+    at, phi, signal = readings.installation, readings.angle_rad, readings.signal
+    n, still = len(phi), np.zeros(len(phi))
+    X = np.kron(np.column_stack([specific_force(at, phi), np.ones(n)]), np.eye(3))
+    K = np.linalg.lstsq(X, signal.ravel(), rcond=None)[0].reshape(4, 3).T[:, :3]
+    errors = [(3, row, STATED["setting_error"]) for row in np.eye(n)]
+    sizes = [STATED[name] for name in ("axis_tilt", "zero_offset", "mounting_error")]
+    errors += [(k, at == one, size) for one in "12" for k, size in enumerate(sizes)]
+    V = STATED["voltmeter_error"] ** 2 * np.eye(3 * n)
+    for place, rows, size in errors:
+        angles = [still.copy() for _ in range(4)]
+        angles[place] = 1e-5 * rows
+        slope = ((specific_force(at, phi, *angles) - specific_force(at, phi)) @ K.T).ravel() / 1e-5
+        V += size**2 * np.outer(slope, slope)
+    lower = np.linalg.cholesky(V)
+    rows, left = np.linalg.solve(lower, X), np.linalg.solve(lower, signal.ravel())
+    left -= rows @ np.linalg.lstsq(rows, left, rcond=None)[0]
+    return float(left @ left), 3 * n - 12
+
+
+def test_residuals_without_repeats_are_held_against_the_stated_noise():
+    """Seed 8: a head with 300 arcsec of eccentricity in one pass; a pass as stated says nothing."""
+    for eccentric in (0.0, 300.0):
+        readings = simulate(
+            np.random.default_rng(8), 1e-4, passes=1, eccentricity_rad=(eccentric * ARCSEC, 0.0)
+        )
+        found = calibrate(readings, MODEL, STATED, 9.81)
+        chi2, dof = of_stated_noise(readings)
+        assert found.noise.stated.ratio == pytest.approx(np.sqrt(chi2 / dof), rel=0.01)
+        assert found.noise.stated.p == pytest.approx(
+            2 * min(stats.chi2.sf(chi2, dof), stats.chi2.cdf(chi2, dof)), rel=0.1, abs=1e-12
+        )
+        told = [note for note in found.notes if "repeat passes, and check the head or the model" in note]
+        assert len(told) == (1 if eccentric else 0)
+        assert all(f"the residuals are {np.sqrt(chi2 / dof):.2g} times as large" in note for note in told)
+    assert calibrate(simulate(np.random.default_rng(8), 1e-4), MODEL, STATED, 9.81).noise.stated is None

@@ -363,6 +363,11 @@ def test_readings_that_are_no_voltages_have_no_meters_error(stand):
     readings = tumble(np.random.default_rng(2), 1e-4, Terms())
     view = whole_view(readings, stand, ())
     other = whole_view(replace(readings, unit="counts"), stand, ())
-    assert not other.combined
-    assert "in counts, so u covers these readings alone" in other.notes[0]
-    assert other.u[0] < view.u[0]
+    assert other.combined
+    assert other.notes == (
+        "the readings are in counts, not in volts: u does not contain the errors of this bench's voltmeters",
+    )
+    of_readings = np.sqrt(np.diag(other.covariance_readings))
+    biases = [0, 4, 8]
+    assert np.all(other.u[biases] > 2.0 * of_readings[biases])  # of the block's temperature and K2: no volts
+    assert np.all(other.u[biases] < view.u[biases])

@@ -3,7 +3,7 @@
 import pytest
 
 from bench.calibration.conformity import Statement
-from bench.certificate.dcc.results import _CONFORMITY
+from bench.certificate.dcc.document import _CONFORMITY
 from bench.certificate.laboratory import texts_of
 
 

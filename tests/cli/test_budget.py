@@ -77,7 +77,7 @@ def test_printed_for_a_person(bench):
         "combined u",
         "U (k = 2.00, 95.45 %)",
         "10 g",
-        "rule: non-binary (false acceptance ≤ 5 %): CANNOT BE PASSED with 95.45 %",
+        "rule: non-binary (false acceptance ≤ 5 % a point): CANNOT BE PASSED with 95.45 %",
         "clause 8",
     ):
         assert told in out

@@ -1,5 +1,6 @@
 """The end of a run in the terminal: the verdict first, then where the rest is and what to do next."""
 
+import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -87,6 +88,16 @@ def test_many_looks_are_shortened(concluded):
 def test_a_run_elsewhere_is_named_by_its_path(concluded, monkeypatch):
     monkeypatch.setenv("BENCH_RUNS", "others")
     assert ending(real(concluded))[-2] == "next: bench certificate runs/finished"
+
+
+def test_a_command_to_paste_is_quoted(concluded):
+    spaced = Path("my 'runs'")
+    Path("runs").rename(spaced)
+    found = real(replace(concluded, run=Run(spaced / "finished")))
+    found.run.manifest["procedure"] = "my procedure.yaml"
+    *_, certificate, further = (shlex.split(line.partition(": ")[2]) for line in ending(found)[-2:])
+    assert certificate == ["bench", "certificate", str(spaced / "finished")]
+    assert further[:3] == ["bench", "run", "my procedure.yaml"]
 
 
 # --- export without a name ----------------------------------------------------------------------------

@@ -1,5 +1,6 @@
 """What holds for every command: Ctrl-C, help, quiet, completion, what a mistake is called."""
 
+import codecs
 import io
 import json
 import os
@@ -15,6 +16,8 @@ from rich.console import Console
 from bench.base.computing import heard_by, quiet, tracked
 from bench.cli import app, printing, program
 from bench.cli.app import explain
+from bench.cli.streams import in_ascii
+from bench.config.shipped import find_procedure
 from bench.run.interrupts import Interrupts
 from bench.services.errors import Refused
 from tests.support.commands import printed, refused
@@ -27,7 +30,7 @@ def handler(monkeypatch):
     """Give the handler back: the program never hears Ctrl-C again once it has ended."""
     before = signal.getsignal(signal.SIGINT)
     monkeypatch.setattr(program.os, "_exit", sys.exit)
-    monkeypatch.setattr(Interrupts, "any_heard", False)
+    monkeypatch.setattr(Interrupts, "heard", 0)
     yield
     signal.signal(signal.SIGINT, before)
 
@@ -83,14 +86,68 @@ def test_ctrl_c_as_the_program_leaves_changes_neither_status_nor_what_was_said(h
     assert capsys.readouterr().err == ""
 
 
-def test_a_terminal_that_knows_few_characters_is_shown_escapes(handler, monkeypatch, empty_folder):
+def test_a_terminal_that_knows_few_characters_is_shown_ascii(handler, monkeypatch, empty_folder):
     shown = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(shown, encoding="ascii", write_through=True))
-    monkeypatch.setattr(sys, "argv", ["bench", "check", "quick"])
+    assert status_of(monkeypatch, "check", "quick") == 0
+    assert b" uV/g" in shown.getvalue()
+    assert b"\\" not in shown.getvalue()
+    shown.seek(0)
+    shown.truncate()
+    procedure = find_procedure("quick").read_text(encoding="utf-8")
+    Path("p.yaml").write_text(re.sub(r"(?m)^procedure: .*", "procedure: µ", procedure), encoding="utf-8")
+    assert status_of(monkeypatch, "check", "p.yaml", "--json", "-") == 0
+    assert json.loads(shown.getvalue())["procedure"] == "µ"
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("−2.177071 ± 0.1 µV/g ≤ 3", "-2.177071 +- 0.1 uV/g <= 3"),
+        ("45°00′10″, 20 °C", "45 deg 00 arcmin 10 arcsec, 20 deg C"),
+        ("|Δg|, 3σ, χ²/dof, 10⁻⁵ s⁻¹", "|delta g|, 3 sigma, chi^2/dof, 10^-5 s^-1"),
+        ("Київ", r"\u041a\u0438\u0457\u0432"),
+    ],
+)
+def test_a_character_that_a_terminal_lacks_is_written_in_ascii(text, shown):
+    codecs.register_error("in_ascii", in_ascii)
+    assert text.encode("ascii", "in_ascii").decode() == shown
+
+
+@pytest.fixture
+def unread(monkeypatch, capsys):
+    """Make standard output a pipe whose reader has ended."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w", encoding="utf-8") as stream:
+        monkeypatch.setattr(sys, "stdout", stream)
+        yield
+        sys.stdout.flush()
+
+
+def status_of(monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", ["bench", *arguments])
     with pytest.raises(SystemExit) as end:
         program.main()
-    assert end.value.code == 0
-    assert rb"\xb5V/g" in shown.getvalue()
+    return end.value.code
+
+
+@pytest.mark.slow
+def test_a_run_whose_output_nobody_reads_any_more_goes_on_to_its_verdict(
+    handler, unread, monkeypatch, empty_folder, capsys
+):
+    assert status_of(monkeypatch, "run", "quick", "--dry-run", "--name", "a") == 0
+    assert json.loads((Path("runs") / "a" / "results.json").read_text())["made"]
+    assert status_of(monkeypatch, "verify", "a", "--limit", "1e-6", "--rule", "simple") == 1
+    assert status_of(monkeypatch, "verify", "b") == 2
+    assert [line[:6] for line in capsys.readouterr().err.splitlines()] == ["bench:"]
+
+
+def test_without_a_standard_output_a_command_ends_with_its_status(handler, monkeypatch, empty_folder, capsys):
+    monkeypatch.setattr(sys, "stdout", None)
+    assert status_of(monkeypatch, "instruments", "--bench", "paper-stand", "--json", "-") == 2
+    assert status_of(monkeypatch, "check", "quick", "--json", "-") == 0
+    assert "error of the program" not in capsys.readouterr().err
 
 
 RECORDS = ROOT / "tests" / "data" / "records"

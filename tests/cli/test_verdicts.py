@@ -9,7 +9,7 @@ import pytest
 
 from bench.readings.csv import write_csv
 from bench.readings.table import make_readings
-from bench.validation.paper_bench import U0, K, simulate, specific_force
+from bench.validation.paper_bench import ARCSEC, U0, K, simulate, specific_force
 from tests.cli.test_app import edited_stand
 from tests.support.commands import printed, refused
 from tests.support.schemas import keeps_to
@@ -33,6 +33,21 @@ def told(bench, *arguments):
     result = json.loads(out)
     keeps_to("verify", result)
     return status, result
+
+
+@pytest.mark.slow
+def test_residuals_above_the_stated_noise_are_named_beside_a_verdict(bench):
+    """Seed 2: one pass by a head with 300 arcsec of eccentricity, and four verification points."""
+    one = simulate(np.random.default_rng(2), 1e-4, passes=1, eccentricity_rad=(300 * ARCSEC, 0.0))
+    check = specific_force(["V"] * 4, THETA, psi=np.radians(45.0)) @ K.T + U0
+    table = make_readings(
+        [*one.installation, *["V"] * 4], [1] * (len(one) + 4), [*one.point, 1, 2, 3, 4],
+        np.concatenate([one.angle_rad, THETA]), np.concatenate([one.signal, check]),
+    )  # fmt: skip
+    write_csv(table, Path("one.csv"))
+    for command in ("calibrate", "verify"):
+        said = json.loads(bench(command, "one.csv", "--json", "-")[1])
+        assert sum("repeat passes, and check the head or the model" in note for note in said["notes"]) == 1
 
 
 @pytest.mark.slow

@@ -8,8 +8,8 @@ import pytest
 from jsonschema import Draft202012Validator
 
 import bench as program
-from bench.results.schemas import RESULTS
 from bench.validation.registry import REFERENCE
+from docs.generators.schemas import RESULTS
 from tests.support.pages import ROOT
 from tests.support.schemas import keeps_to, validator
 

@@ -122,3 +122,12 @@ def test_it_speaks_in_its_own_words() -> None:
     meter.open()
     with pytest.raises(InstrumentRefused, match="error -113"):
         meter.configure(SETTINGS)
+
+
+def test_the_number_of_an_error_is_the_first_group_of_its_pattern(monkeypatch) -> None:
+    monkeypatch.setattr(OtherMake, "error_reply", r"NO (\d+)/[A-Z ]+")
+    session = ScriptedSession(OPEN, SET, [(":STAT:QUE?", "NO 7/BAD POINTS"), (":STAT:QUE?", "NO 0/NONE")])
+    meter = other_make(session, session.clock)  # type: ignore[arg-type]
+    meter.open()
+    with pytest.raises(InstrumentRefused, match="error NO 7/BAD POINTS"):
+        meter.configure(SETTINGS)

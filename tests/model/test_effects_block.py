@@ -156,8 +156,7 @@ def test_a_temperature_between_others_is_on_the_line():
         ["1"] * 4,
         np.zeros(4),
         time_s=[0, 100, 200, 300],
-        temperature_c=[np.nan, 21, np.nan, 23],
-        reference_c=21.0,
+        temperature_c=[np.nan, 20, np.nan, 22],
     )
     np.testing.assert_allclose(conditions.warmth_k, [0, 0, 1, 2])
 

@@ -71,6 +71,11 @@ def test_a_run_that_failed_or_misfits_offers_the_diagnosis(runs, judged, file, t
     assert '<button class="primary">Diagnose</button>' in page
 
 
+def test_a_conditional_pass_offers_no_diagnosis(judged):
+    change(judged / "verify.json", passed=False, statement="conditional pass")
+    assert outcome(judged).misfit == ""
+
+
 def test_a_damaged_verdict_is_named_with_the_command_that_makes_it_again(runs, judged):
     change(judged / "verify.json", statement="splendid")
     page = Browser(runs, "anna").get("/runs/run/").text

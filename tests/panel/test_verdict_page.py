@@ -157,12 +157,12 @@ def test_the_certificates_of_this_very_record_are_handed_out(runs, judged, tmp_p
     assert "restore it from a copy" in ben.get("/runs/run/verdict").text
 
 
-def test_a_diagnosis_is_a_process_of_its_own(anna, judged, monkeypatch):
+def test_a_diagnosis_is_a_process_of_its_own(anna, judged, monkeypatch, tmp_path):
     class Started:
         status = None
+        log = tmp_path / "diagnosis.log"
 
-        def last_words(self):
-            return "no disk"
+    Started.log.write_text("no disk")
 
     begun = []
     monkeypatch.setattr("bench.panel.pages.verdict.begin", lambda run: begun.append(run.name) or Started())

@@ -92,7 +92,7 @@ def test_a_verdict_that_is_not_sure_says_so_in_words(calibration):
     unstated = verification_of(calibration, 2.8e-4)
     page = Text(report(calibration, unstated)).text
     assert "– Verification: conditional pass, the customer decides" in page
-    assert "non-binary (false acceptance ≤ 5 %)" in page
+    assert "non-binary (false acceptance ≤ 5 % a point)" in page
     assert "reduce u(Δg) to" in page
     nothing = verification_of(calibration, 1e-5, limit=5e-5)
     page = Text(report(calibration, nothing)).text

@@ -13,6 +13,7 @@ import pytest
 
 from bench.config.procedure.plan import Plan, Wait
 from bench.run.events import EVENTS, MANIFEST, RecordError
+from bench.run.folder import Run
 from bench.run.record import Record, read_history, resume_point
 
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
@@ -59,6 +60,19 @@ def test_a_changed_input_is_found(tmp_path):
     assert read_history(folder).problems == ("plan.json was changed since the run began",)
     with pytest.raises(RecordError, match="cannot be trusted"):
         Record.reopen(folder, lambda: NOON)
+
+
+def test_a_plan_of_another_version_of_the_program_is_intact_and_needs_no_copy(tmp_path):
+    folder, plan = tmp_path / "run", b'{"name": "p", "steps": [{"step": "humidity"}]}'
+    versions = {"triaxial-bench": "9.9"}
+    Record.create(folder, {"name": "run", "versions": versions}, {"plan.json": plan}, lambda: NOON).close()
+    with pytest.raises(
+        RecordError, match=r"'humidity'\); the file is intact: use the program .* version 9\.9$"
+    ):
+        _ = Run(folder).plan
+    (folder / "plan.json").write_bytes(plan[:-1])
+    with pytest.raises(RecordError, match=r"restore it from a copy$"):
+        _ = Run(folder).plan
 
 
 def test_a_changed_manifest_breaks_the_chain(tmp_path):

@@ -1,6 +1,7 @@
 """Signals: held back while an event is written, heard once, real ones against a real process."""
 
 import os
+import shutil
 import signal
 import subprocess
 import time
@@ -11,9 +12,11 @@ import numpy as np
 import pytest
 
 from bench.run.folder import Run
-from bench.run.interrupts import SIGNALS, Interrupts
+from bench.run.interrupts import SIGNALS, Interrupts, stopped_by
 from bench.run.record import read_history
 from benchmarks.campaign import PROGRAM
+from tests.support.commands import refused
+from tests.support.pages import ROOT
 from tests.support.patience import PATIENCE_S, wait_for
 
 LONG = """\
@@ -103,6 +106,20 @@ def test_a_signal_that_python_would_drop_is_raised_again(capsys, dropping, relea
         del kept
         time.sleep(30.0)  # until the signal
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_at_a_question_before_the_run_goes_on_is_named_and_the_way_to_resume(
+    bench, monkeypatch, number
+):
+    shutil.copytree(ROOT / "tests/data/records/interrupted", "runs/one")
+    monkeypatch.setattr(Interrupts, "heard", 0)
+    monkeypatch.setattr("bench.services.execution.accept_changes", lambda *_: os.kill(os.getpid(), number))
+    name = "SIGTERM" if number == signal.SIGTERM else "Ctrl-C"
+    refused(
+        bench("resume", "one"), f"stopped by {name}; ", "kept in runs/one; resume with 'bench resume one'"
+    )
+    assert stopped_by() == f"stopped by {name}"
 
 
 def test_the_handlers_are_given_back():

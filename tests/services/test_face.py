@@ -75,6 +75,20 @@ def test_a_frame_is_read_as_strictly_as_its_file(readings):
     assert len(program.read_readings(frame, skip_bad_rows=True)) == len(frame) - 1
 
 
+def test_a_frame_with_a_column_twice_is_refused_and_a_missing_value_of_pandas_is_an_empty_cell(readings):
+    import pandas as pd
+
+    frame = pd.read_csv("r.csv")
+    with pytest.raises(program.ReadingsError, match="column ux_v appears more than once; keep one"):
+        program.calibrate(pd.concat([frame, 2 * frame[["ux_v"]]], axis=1))
+    missing = frame.convert_dtypes()
+    missing.loc[2, "time_s"] = pd.NA
+    missing.loc[len(missing)] = pd.NA
+    read = program.read_readings(missing)
+    assert np.flatnonzero(np.isnan(read.time_s)).tolist() == [2]
+    assert np.array_equal(read.signal, program.read_readings(readings).signal)
+
+
 @pytest.mark.slow
 def test_a_verification_is_that_of_the_command(bench, readings):
     verdict = program.verify(readings, rule="guarded", limit=2e-4)
@@ -146,6 +160,24 @@ def test_a_page_is_written_where_it_is_asked_for_and_nothing_else_is(readings, c
 def test_what_cannot_be_done_says_why(readings, call, error, text):
     with pytest.raises(error, match=text):
         call()
+
+
+def test_messages_name_arguments_of_python(readings):
+    text = Path("r.csv").read_text().splitlines()
+    Path("bad.csv").write_text("\n".join([*text, text[-1]]) + "\n")
+    with pytest.raises(program.ReadingsError, match=r"skip them with skip_bad_rows=True$"):
+        program.calibrate("bad.csv")
+    program.dry_run("quick", name="a", runs="mine")
+    with pytest.raises(program.RecordError, match=r"exists; choose another with name$"):
+        program.dry_run("quick", name="a", runs="mine")
+
+
+@pytest.mark.parametrize("path", ["no/such/r.html", None])
+def test_a_path_that_cannot_be_written_is_named_in_an_error_of_the_library(readings, path):
+    result = program.calibrate("r.csv")
+    for write in (result.report, lambda to: result.write(to, "c"), program.budget(trials=0).report):
+        with pytest.raises(program.RecordError, match=f"^{path or 'path=None'}: "):
+            write(path)
 
 
 def test_without_gravity_nothing_is_believed(readings):

@@ -8,14 +8,17 @@ import pytest
 
 from bench.certificate.laboratory import load_laboratory
 from bench.panel.access import STATE, Access, Role
+from bench.panel.launching import last_words, start
 from bench.run.events import RecordError
 from bench.run.folder import Run
+from bench.services.bench_selection import origin_of_run
 from bench.services.chain import LINES
 from bench.services.errors import Refused
-from bench.services.persons import FOLDER, KEY, TOKEN, persons, persons_of
+from bench.services.persons import FOLDER, KEY, STARTED_FROM, TOKEN, persons, persons_of
 from bench.services.requests.documents import ChangePersons, PersonsCommand, Right
 from tests.support.certificates import write_files
 from tests.support.commands import printed, refused
+from tests.support.patience import PATIENCE_S
 from tests.support.schemas import keeps_to
 
 RECORDS = Path(__file__).parents[1] / "data" / "records"
@@ -168,6 +171,29 @@ def test_who_resumes_a_run_is_in_its_record(bench, laboratory, monkeypatch, name
     (event,) = (one for one in history.events if one.type == "run_resumed")
     assert (event.data.get("by"), history.problems) == (by, ())
     assert {"by", "role", "where"}.isdisjoint(event.data) == (by is None)
+    began = Run(Path("runs/one")).manifest["operator"]
+    operators = ", ".join(filter(None, dict.fromkeys([began, by])))
+    assert origin_of_run(Run(Path("runs/one"))).origin.operator == operators
+    assert (f"operator: {operators}" in printed(bench("show", "one"))) == bool(operators)
+
+
+@pytest.mark.parametrize("started_from", ["terminal", "panel"])
+def test_who_resumes_at_a_shell_is_at_the_terminal_wherever_the_answers_come_from(
+    bench, empty_folder, monkeypatch, started_from
+):
+    if started_from == "panel":
+        monkeypatch.setenv(STARTED_FROM, "panel")
+    shutil.copytree(RECORDS / "interrupted", "runs/one")
+    assert bench("resume", "one", "--operator", "Anna", "--answers", "folder")[0] == 0
+    (event,) = (one for one in Run(Path("runs/one")).history.events if one.type == "run_resumed")
+    assert event.data["where"] == started_from
+
+
+def test_what_the_panel_starts_knows_that_it_is_from_there(tmp_path):
+    says = f"import os; print(os.environ['{STARTED_FROM}'])"
+    started = start([], tmp_path / "log", program=("-c", says))
+    assert started.process.wait(PATIENCE_S) == 0
+    assert last_words(started.log) == "panel"
 
 
 def test_the_command_lists_and_changes(bench, laboratory):

@@ -5,13 +5,13 @@ from typing import Any
 
 from jsonschema import Draft202012Validator
 
-from bench.results.schemas import model_of
+from docs.generators.schemas import schema_of
 
 
 @cache
 def validator(name: str) -> Draft202012Validator:
     """Return the validator of a JSON schema by name."""
-    return Draft202012Validator(model_of(name).schema_of(name))
+    return Draft202012Validator(schema_of(name))
 
 
 def keeps_to(name: str, result: Any) -> None:

@@ -106,14 +106,9 @@ def sign(
     """Return the calibration with its combined covariance, from readings and from errors that they do not show.
 
     `readings` is the whole table of the calibration, `day` its date, `meters` the learned errors of the voltmeters.
-    For readings in another unit than volts the meters' errors are unknown: only the scatter of the zeros between
-    repeats is added, and a note.
+    For readings in another unit than volts, a note says that errors of voltmeters are left out.
     """
     repeats = tuple(_zero_repeats(calibration, bench))
-    if readings.unit != VOLTS:
-        whole = calibration.covariance + sum((s.covariance for s in repeats), np.zeros((12, 12)))
-        note = NOT_IN_VOLTS.format(unit=readings.unit)
-        return replace(calibration, covariance=whole, sources=repeats, notes=(*calibration.notes, note))
     taken = _taken(calibration, readings, bench)
     of_bench = _acting(calibration, bench, model, day, meters)
     own = tuple(_source(error, taken, calibration.gain) for error in of_bench if error.name != GRAVITY)
@@ -134,7 +129,7 @@ def sign(
     gravity = [error.u for error in of_bench if error.name == GRAVITY]
     signed = replace(
         calibration, covariance=covariance, sources=own, gravity_u=gravity[0] if gravity else 0.0,
-        notes=(*calibration.notes, *_on_roll(roll, covariance)),
+        notes=(*calibration.notes, *_on_roll(roll, covariance), *without_meters(readings.unit)),
     )  # fmt: skip
     return replace(signed, dof=dof_through(signed, np.eye(len(COEFFICIENTS))))
 
@@ -194,9 +189,31 @@ def _on_roll(roll: Floats, covariance: Floats) -> tuple[str, ...]:
     )
 
 
-NOT_IN_VOLTS: Final = (
-    "the readings are in {unit}, so u covers these readings alone, not the errors of this bench's meters"
-)
+OF_METERS: Final = ("voltmeter_gain", "voltmeter_offset", "voltmeter_linearity", "room_temperature")
+"""Sources that act only on readings in volts: errors of the bench's voltmeters."""
+
+
+def without_meters(unit: str) -> tuple[str, ...]:
+    """Return a note that u leaves out the errors of voltmeters, for readings in another `unit` than volts."""
+    if unit == VOLTS:
+        return ()
+    return (
+        message(
+            f"the readings are in {unit}, not in volts: u does not contain the errors of this bench's voltmeters"
+        ),
+    )
+
+
+def acting_sources(
+    unit: str,
+    bench: BenchFile,
+    model: ForwardModel,
+    day: date | None = None,
+    meters: KnownMeters | None = None,
+) -> list[ErrorSource]:
+    """Return the hidden sources that act on readings in `unit`; other arguments as in `hidden_sources`."""
+    found = hidden_sources(bench, model, day, meters)
+    return [error for error in found if unit == VOLTS or error.kind not in OF_METERS]
 
 
 def delta_g_elsewhere(
@@ -216,12 +233,10 @@ def delta_g_elsewhere(
     taken = MeasuredReadings(readings, block, meters_of(bench), np.zeros((len(readings), 3)), calibrated_c)
     by_coefficient, by_signal = modulus_slopes(taken.force[rows], block)
     whole = by_coefficient @ covariance @ by_coefficient.T + np.diag(np.sum((by_signal * noise) ** 2, axis=1))
-    if readings.unit != VOLTS:
-        return np.asarray(whole)
     functionals = np.zeros((len(rows), len(readings), 3))
     functionals[np.arange(len(rows)), rows] = by_signal
     of_block = np.zeros((len(rows), 0))
-    for error in hidden_sources(bench, model, day, meters):
+    for error in acting_sources(readings.unit, bench, model, day, meters):
         if error.name == GRAVITY or (same_meters and error.kind in METERS):
             continue
         parts = parts_of(error, taken, functionals)
@@ -270,8 +285,6 @@ def delta_g_contributions(
         for c, size in enumerate(calibration.drift.size.tolist()):
             drifted = size**2 * gone * np.outer(by_signal[:, c], by_signal[:, c])
             found["drift"] = found.get("drift", 0.0) + drifted
-    if readings.unit != VOLTS:
-        return found
     for error in _acting(calibration, bench, model, day, meters):
         if error.name != GRAVITY:
             parts = parts_of(error, taken, functionals)
@@ -303,7 +316,7 @@ def _acting(
     shown = max((c.size for c in calibration.shared if c.what == "setting"), default=0.0)
     return [
         error
-        for error in hidden_sources(bench, model, day, meters)
+        for error in acting_sources(calibration.unit, bench, model, day, meters)
         if error.kind != "voltmeter_linearity" or error.u > shown
     ]
 

@@ -1,18 +1,56 @@
-"""The complete DCC of a certificate, and its administrative data."""
+"""The DCC of a certificate: its administrative data and its measurement results."""
 
 from __future__ import annotations
 
 import datetime
+import math
 from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 from importlib import metadata
 from typing import Final
 
+import numpy as np
 from lxml import etree
 
-from bench.certificate.content import Before, Certificate, Issue, uncertified
-from bench.certificate.dcc.nodes import NAMESPACES, VERSION, Node, byte_data, node, plain, said
-from bench.certificate.dcc.results import measurement_results
-from bench.certificate.laboratory import Contact, Laboratory, Order, Texts, UnitOrder
+from bench.base.arrays import Floats, u_of
+from bench.calibration.budget.whole import dof_through
+from bench.calibration.conformity import Statement
+from bench.calibration.intrinsic import joint_factor
+from bench.calibration.verification import Verification
+from bench.certificate.content import (
+    Before,
+    Certificate,
+    Condition,
+    Instrument,
+    Issue,
+    RunFindings,
+    Value,
+    Values,
+    rule_said,
+    stated,
+    uncertified,
+)
+from bench.certificate.dcc.nodes import (
+    CELSIUS,
+    DEGREE,
+    NAMESPACES,
+    ONE,
+    SECOND,
+    SI_UNITS,
+    VERSION,
+    VOLT_PER_MS2,
+    Node,
+    byte_data,
+    ellipsoidal,
+    in_languages,
+    node,
+    plain,
+    real,
+    real_list,
+    said,
+)
+from bench.certificate.laboratory import Contact, Laboratory, Order, Texts, UnitOrder, in_each
+from bench.readings.table import Readings
 
 _XSI: Final = "http://www.w3.org/2001/XMLSchema-instance"
 _PLACE: Final = f"{NAMESPACES['dcc']} {NAMESPACES['dcc']}/v{VERSION}/dcc.xsd"
@@ -48,7 +86,7 @@ def document_of(certificate: Certificate) -> bytes:
             node("dcc:statements", *_statements(certificate, order, unit, issue)),
         )
     )
-    root.append(measurement_results(certificate))
+    root.append(_measurement_results(certificate))
     etree.cleanup_namespaces(root, top_nsmap={**NAMESPACES, "xsi": _XSI})
     etree.indent(root, " ")
     return bytes(etree.tostring(root, xml_declaration=True, encoding="UTF-8")) + b"\n"
@@ -136,11 +174,7 @@ def _items(certificate: Certificate, unit: UnitOrder) -> Node:
         node(
             "dcc:item",
             node("dcc:name", plain(item.type)),
-            node(
-                "dcc:description",
-                node("dcc:name", *said(texts, "condition")),
-                plain(unit.condition),
-            ),
+            node("dcc:description", node("dcc:name", *said(texts, "condition")), plain(unit.condition)),
             None if maker is None else node("dcc:manufacturer", node("dcc:name", plain(maker))),
             node("dcc:model", item.type),
             node(
@@ -226,4 +260,274 @@ def _record(certificate: Certificate) -> Node:
         node("dcc:declaration", *about, *sealed),
         node("dcc:data", byte_data(seal)),
         refType="bench_record",
+    )
+
+
+# --- measurement results ------------------------------------------------------------------------------
+
+_LATEX: Final = (
+    r"\vec{U} = K\,\vec{a} + \vec{U}_0,\quad \vec{a} = N\,(\vec{U} - \vec{U}_0),\quad N = K^{-1},\quad "
+    r"\Delta g = |\vec{a}| - 1"
+)
+_CONFORMITY: Final = {
+    Statement.PASS: "pass",
+    Statement.CONDITIONAL_PASS: "conditionalPass",
+    Statement.CONDITIONAL_FAIL: "conditionalFail",
+    Statement.INCONCLUSIVE: "noPass",
+    Statement.NOT_COMPLETE: "noPass",
+    Statement.MISFIT: "noPass",
+    Statement.FAIL: "fail",
+}
+"""The DCC's word for each statement; `noPass` if no statement can be made, and the declaration states why."""
+
+
+def _measurement_results(certificate: Certificate) -> Node:
+    """Return the element of all measurement results; those before an adjustment come first."""
+    parts = [_measured(certificate, certificate.found, "found-")]
+    if certificate.as_found is not None:
+        parts.insert(0, _measured(certificate, certificate.as_found, "before-"))
+    return node("dcc:measurementResults", *parts)
+
+
+def _measured(certificate: Certificate, found: RunFindings, prefix: str) -> Node:
+    texts, before = certificate.texts, found is not certificate.found
+    adjusted = certificate.unit is not None and certificate.unit.adjusted is not None
+    status = ("beforeAdjustment" if before else "afterAdjustment") if adjusted else ""
+    verification = found.verification
+    return node(
+        "dcc:measurementResult",
+        node("dcc:name", *said(texts, "before" if before else "results")),
+        node("dcc:usedMethods", _method(texts, found)),
+        node("dcc:measuringEquipments", *(_instrument(texts, one) for one in found.instruments)),
+        node("dcc:influenceConditions", *(_condition(texts, one, status) for one in found.conditions)),
+        node("dcc:results", *_results(certificate, found, prefix)),
+        node(
+            "dcc:measurementMetaData",
+            _uncertainty(certificate),
+            None if verification is None else _conformity(texts, verification),
+            *(node("dcc:metaData", node("dcc:declaration", plain(note))) for note in found.notes),
+        ),
+        id=f"{prefix}result",
+        refType="bench_before" if before else "bench_found",
+    )
+
+
+def _method(texts: Sequence[Texts], found: RunFindings) -> Node:
+    method = found.method
+    procedure, plan = method.procedure or in_each(texts, "procedure_unknown"), method.plan_hash or "–"
+    told = {"procedure": procedure, "plan": plan, "estimator": method.estimator, "model": method.model}
+    words = said(texts, "method_text", **told)
+    return node(
+        "dcc:usedMethod",
+        node("dcc:name", *said(texts, "method")),
+        node("dcc:description", *words, node("dcc:formula", node("dcc:latex", _LATEX))),
+        node("dcc:norm", "JCGM 100:2008"),
+        node("dcc:norm", "JCGM 106:2012"),
+        refType="bench_method",
+    )
+
+
+def _instrument(texts: Sequence[Texts], one: Instrument) -> Node:
+    held = one.certificate
+    certificate = None
+    if held is not None:
+        until = "" if held.valid_until is None else f", – {held.valid_until}"
+        certificate = node(
+            "dcc:certificate",
+            node("dcc:referral", plain(f"{held.laboratory}, {held.date}{until}")),
+            node("dcc:referralID", held.number),
+            node("dcc:procedure", "none"),
+            node("dcc:value", "none"),
+            node("dcc:inValidityRange", "false" if one.expired else "true"),
+            node("dcc:traceable", "false" if one.foreign else "true"),
+        )
+    told = [("manufacturer", one.serial)] if one.serial else []
+    told += [("other", one.identity)] if one.identity else []
+    known = [node("dcc:identification", node("dcc:issuer", by), node("dcc:value", text)) for by, text in told]
+    return node(
+        "dcc:measuringEquipment",
+        node("dcc:name", plain(one.name)),
+        None if held is not None else node("dcc:description", *said(texts, "no_certificate")),
+        certificate,
+        node("dcc:identifications", *known) if known else None,
+        refType=f"bench_{one.role}",
+    )
+
+
+def _condition(texts: Sequence[Texts], one: Condition, status: str) -> Node:
+    unit = SI_UNITS[one.unit]
+    shown = [real(end, unit, one.u) for end in dict.fromkeys((one.low, one.high))]
+    ends = ["value"] if len(shown) == 1 else ["minimum", "maximum"]
+    quantities = [_quantity(end, quantity, plain(end)) for end, quantity in zip(ends, shown, strict=True)]
+    return node(
+        "dcc:influenceCondition",
+        node("dcc:name", *said(texts, one.key, rail=one.about)),
+        node("dcc:description", plain(one.source)) if one.source else None,
+        node("dcc:status", status) if status else None,
+        node("dcc:data", *quantities),
+        refType=f"bench_{one.key}",
+    )
+
+
+def _results(certificate: Certificate, found: RunFindings, prefix: str) -> Iterator[Node]:
+    texts = certificate.texts
+    for key, values in (
+        ("coefficients", found.coefficients),
+        ("coefficients_si", _per_ms2(found)),
+        ("inverse", found.inverse),
+        ("misalignments", found.misalignments),
+        ("intrinsic", found.intrinsic),
+    ):
+        yield _result(texts, key.removesuffix("_si"), key, prefix, _listed(values, certificate))
+    if found.verification is not None:
+        yield _result(texts, "delta_g", "delta_g", prefix, _checked(texts, found.verification))
+    yield _result(texts, "readings", "readings", prefix, _table(texts, found.result.source.as_read))
+    if found is certificate.found:
+        (result,) = (one for one in certificate.attachments if one.name == "result.json")
+        yield _result(texts, "results", "file", prefix, byte_data(result))
+
+
+def _result(texts: Sequence[Texts], name: str, ref: str, prefix: str, data: Node) -> Node:
+    return node(
+        "dcc:result",
+        node("dcc:name", *said(texts, name)),
+        node("dcc:data", data),
+        id=f"{prefix}{ref}",
+        refType=f"bench_{ref}",
+    )
+
+
+def _per_ms2(found: RunFindings) -> Values:
+    """Return the coefficients with K per m/s² instead of per g; the covariance includes the u of local g."""
+    own = found.result.calibration
+    scale = np.concatenate([np.full(9, 1.0 / own.g_m_s2), np.ones(3)])
+    values = own.block.vector * scale
+    of_g = np.where(np.arange(12) < 9, values, 0.0) * own.gravity_u
+    covariance = own.covariance * np.outer(scale, scale) + np.outer(of_g, of_g)
+    per = {"V": VOLT_PER_MS2, "m/s^2": ONE}.get(own.unit, r"\metre\tothe{-1}\second\tothe{2}")
+    sizes = zip(values.tolist(), u_of(covariance).tolist(), strict=True)
+    dof = dof_through(own, np.diag(scale), of_g**2).tolist()
+    found_per = (
+        Value(
+            one.name, value, u, one.k * u, one.k, nu, SI_UNITS[own.unit] if one.name.startswith("U0") else per
+        )
+        for one, (value, u), nu in zip(found.coefficients.values, sizes, dof, strict=True)
+    )
+    return Values(tuple(found_per), covariance)
+
+
+def _listed(values: Values, certificate: Certificate) -> Node:
+    """Return results as one D-SI list: names, values, U with k, and covariance matrix."""
+    members = values.values
+    spelt = [one.unit if "\\" in one.unit else SI_UNITS[one.unit] for one in members]
+    coverage = certificate.coverage
+    listed = real_list(
+        [one.value for one in members],
+        spelt,
+        [one.name for one in members],
+        ([one.U for one in members], [one.k for one in members], [coverage] * len(members)),
+        ellipsoidal(
+            values.covariance.tolist(), spelt, joint_factor(len(members), level=coverage).k, coverage
+        ),
+    )
+    dof = _freedom(members)
+    return node("dcc:quantity", listed, node("dcc:measurementMetaData", dof) if dof is not None else None)
+
+
+def _freedom(members: Sequence[Value]) -> Node | None:
+    """Return the list of the finite degrees of freedom; None if all are infinite."""
+    finite = [(one.name, one.dof) for one in members if math.isfinite(one.dof)]
+    if not finite:
+        return None
+    listed = real_list([dof for _, dof in finite], [ONE], [f"nu_{name}" for name, _ in finite])
+    return node("dcc:metaData", node("dcc:data", node("dcc:quantity", listed)), refType="bench_dof")
+
+
+def _checked(texts: Sequence[Texts], verification: Verification) -> Node:
+    """Return Δg at the verification points with U and covariance, the limit, the risks, and the statements."""
+    points = verification.points
+    coverage = [math.erf(math.sqrt(2.0))] * len(points)
+    one = [ONE] * len(points)
+    covariance: Floats = verification.covariance
+    delta = real_list(
+        [p.delta_g for p in points],
+        one,
+        [f"pass{p.pass_number}-point{p.point}" for p in points],
+        ([p.U for p in points], [p.k for p in points], coverage),
+        ellipsoidal(covariance.tolist(), one, joint_factor(len(points), level=coverage[0]).k, coverage[0]),
+    )
+    accepted = verification.passed or verification.left_open
+    risks = {
+        "p_false_accept": verification.p_outside if accepted else None,
+        "p_false_reject": 1.0 - verification.p_outside if verification.rejected else None,
+    }
+    statements = " ".join(_CONFORMITY[one] for one in stated(verification)[1])
+    return node(
+        "dcc:list",
+        _quantity("angle", real_list([p.angle_deg for p in points], [DEGREE]), plain("angle")),
+        node(
+            "dcc:quantity",
+            node("dcc:name", *said(texts, "delta_g")),
+            delta,
+            node("dcc:measurementMetaData", node("dcc:metaData", node("dcc:conformityXMLList", statements))),
+            refType="bench_delta_g",
+        ),
+        _quantity("limit", real(verification.limit_g, ONE), *said(texts, "limit")),
+        *(_quantity(key, real(p, ONE), *said(texts, key)) for key, p in risks.items() if p is not None),
+    )
+
+
+def _quantity(ref: str, quantity: Node, *name: Node) -> Node:
+    return node("dcc:quantity", node("dcc:name", *name), quantity, refType=f"bench_{ref}")
+
+
+def _conformity(texts: Sequence[Texts], verification: Verification) -> Node:
+    """Return the overall statement of conformity, with limit and decision rule."""
+    statement, _ = stated(verification)
+    say = partial(in_each, texts)
+    points, limit = len(verification.points), f"{verification.limit_g:g}"
+    told = say("conformity_text", points=points, limit=limit, statement=say(str(statement)))
+    accepted = say("accepted" if verification.passed else "not_accepted")
+    parts = zip(told, rule_said(say, verification.decision), accepted, strict=True)
+    words = in_languages(texts, (f"{whole} {rule}; {verdict}." for whole, rule, verdict in parts))
+    return node(
+        "dcc:metaData",
+        node("dcc:name", *said(texts, "conformity")),
+        node("dcc:norm", "JCGM 106:2012"),
+        node("dcc:norm", "ILAC-G8:09/2019"),
+        node("dcc:declaration", *words),
+        node("dcc:conformity", _CONFORMITY[statement]),
+        refType="bench_conformity",
+    )
+
+
+def _uncertainty(certificate: Certificate) -> Node:
+    k, coverage = f"{certificate.k:g}", f"{100 * certificate.coverage:.4g}"
+    told = said(certificate.texts, "uncertainty_text", k=k, coverage=coverage)
+    return node("dcc:metaData", node("dcc:declaration", *told), refType="bench_uncertainty")
+
+
+def _table(texts: Sequence[Texts], readings: Readings) -> Node:
+    """Return the uncorrected readings, with a list for each column."""
+    unit = SI_UNITS[readings.unit]
+    columns: dict[str, tuple[Floats, str]] = {
+        "series": (readings.series.astype(float), ONE),
+        "pass": (readings.pass_number.astype(float), ONE),
+        "point": (readings.point.astype(float), ONE),
+        "angle": (np.asarray(np.round(np.degrees(readings.angle_rad), 12), dtype=np.float64), DEGREE),
+        "direction": (readings.direction.astype(float), ONE),
+        "time": (readings.time_s, SECOND),
+        "temperature": (readings.temperature_c, CELSIUS),
+        **{f"u{axis}": (readings.signal[:, i], unit) for i, axis in enumerate("xyz")},
+    }
+    labels = node("dcc:charsXMLList", " ".join(readings.installation.tolist()))
+    return node(
+        "dcc:list",
+        node("dcc:name", *said(texts, "readings")),
+        _quantity("installation", labels, plain("installation")),
+        *(
+            _quantity(name, real_list(values.tolist(), [of]), plain(name))
+            for name, (values, of) in columns.items()
+            if not np.isnan(values).all()
+        ),
     )

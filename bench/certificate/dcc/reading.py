@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from bench.base.arrays import Floats
 from bench.base.files import from_text, read_regular
+from bench.base.text import as_typed
 from bench.base.units import VOLTAGE, parse_quantity
 from bench.certificate.dcc.lists import Dimension, NotRead, RealList, files_in, real_lists, said
 from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, Node, tag
@@ -119,14 +120,6 @@ def _shown_coefficients(root: Node) -> tuple[Floats, dict[str, CertifiedCoeffici
     }
 
 
-@dataclass(frozen=True)
-class DocumentReading:
-    """The result in a block's DCC, with the members of `bench calibrate --json`, and notes for the user."""
-
-    result: dict[str, Any]
-    notes: tuple[str, ...]
-
-
 def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
     """Return the (signed) root of a DCC in XML or PDF, and a note. Raises `Refused` if unreadable or not intact."""
     try:
@@ -150,7 +143,8 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
     except NotIntact as error:
         raise Refused(f"{path}: not read, as {error}; {ORIGINAL}") from error
     who = name_of(signed.chain[0])
-    note = f"signed as {who}, intact; whose key that is, 'bench certificate verify {path} --trust FILE' tells"
+    command = f"bench certificate verify {as_typed(path)} --trust FILE"
+    note = f"signed as {who}, intact; whose key that is, '{command}' tells"
     return etree.fromstring(signed.content, parser()), (note,)
 
 
@@ -180,8 +174,10 @@ def has_coefficients(root: Node) -> bool:
     return any(_order(tuple(text.split())) is not None for text in (*words, *members))
 
 
-def coefficients_in(path: Path, g_m_s2: float | None = None, noise: str | None = None) -> DocumentReading:
-    """Return the twelve coefficients in a DCC with their covariance.
+def coefficients_in(
+    path: Path, g_m_s2: float | None = None, noise: str | None = None
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Return the result in a block's DCC, with the members of `bench calibrate --json`, and notes for the user.
 
     `g_m_s2` is the local gravity (m/s²) to which K shall refer, and `noise` the noise of a reading, such as
     "50 uV". Both are needed only if another program made the certificate. Raises `Refused` if the DCC has no
@@ -198,7 +194,7 @@ def coefficients_in(path: Path, g_m_s2: float | None = None, noise: str | None =
         raise Refused(f"{path}: {error}; ask its laboratory to correct it") from error
     own = [one for one in lists if {OURS, "bench_found"} <= one.roles and one.covariance is not None]
     if len(own) == 1:
-        return DocumentReading(_ours(path, root, own[0]), notes)
+        return _ours(path, root, own[0]), notes
     named = [(one, order) for one in lists if (order := _order(one.labels)) is not None]
     if not named:
         there = "; ".join(one.words for one in lists[:6]) or "none"
@@ -260,7 +256,7 @@ def _others(
     notes: tuple[str, ...],
     g_m_s2: float | None,
     noise_v: float | None,
-) -> DocumentReading:
+) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Return the result, with K in V/g, made from the coefficients that another program's document `listed`.
 
     Raises `Refused` if gravity or noise are not given, or if the units or uncertainties in the list do not
@@ -291,7 +287,7 @@ def _others(
     covariance = covariance[np.ix_(order, order)] * np.outer(scale, scale)
     result = _result(root, values, covariance, g_m_s2, noise_v)
     coefficients_of(result, str(path))
-    return DocumentReading({**result, "notes": list(notes)}, notes)
+    return {**result, "notes": list(notes)}, notes
 
 
 def _result(
@@ -329,16 +325,11 @@ _AXIS: Final = ("basic_nominalValue", "basic_referenceValue", "basic_measuredVal
 """Words of refType that mark the column of a table to whose values the errors apply, by good practice of DCCs."""
 
 
-@dataclass(frozen=True)
-class Section:
-    """The section `certificate` of a bench file, as text, and notes for the user."""
+def section_of(path: Path, root: Node) -> tuple[str, tuple[str, ...]]:
+    """Return an instrument's section `certificate` of a bench file, from its DCC, and notes for the user.
 
-    text: str
-    notes: tuple[str, ...]
-
-
-def section_of(path: Path, root: Node) -> Section:
-    """Return an instrument's section `certificate` from its DCC. Raises `Refused` without number or date."""
+    Raises `Refused` without number or date.
+    """
     stated: dict[str, Any] = {**_about(root)}
     lacking = [name for name, text in stated.items() if not text]
     if lacking:
@@ -351,7 +342,7 @@ def section_of(path: Path, root: Node) -> Section:
     values, notes = _values(path, root)
     text = yaml.safe_dump({"certificate": {**stated, **({"values": values} if values else {})}}, sort_keys=False,
                           allow_unicode=True, width=110)  # fmt: skip
-    return Section(text, (*_checked(stated, values), *notes))
+    return text, (*_checked(stated, values), *notes)
 
 
 def _serial(root: Node) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -123,28 +122,19 @@ _STAND_INS: Final = {
 """Minimal replacements for imported schemas that the folder lacks, by file name: namespace and content."""
 
 
-@dataclass(frozen=True)
-class Schemas:
-    """The compiled schemas of a folder; `stood_in` names imported ones that are missing and left empty."""
-
-    folder: Path
-    checker: etree.XMLSchema
-    stood_in: tuple[str, ...]
-
-    def mistakes(self, document: bytes) -> tuple[str, ...]:
-        """Return a sentence for each violation of the schemas in a document."""
-        root = etree.fromstring(document, parser())
-        if self.checker.validate(root):
-            return ()
-        log: Any = self.checker.error_log
-        return tuple(f"line {error.line}: {error.message}" for error in log)
+def against_schemas(schemas: etree.XMLSchema, document: bytes) -> tuple[str, ...]:
+    """Return a sentence for each violation of the schemas in a document."""
+    if schemas.validate(etree.fromstring(document, parser())):
+        return ()
+    log: Any = schemas.error_log
+    return tuple(f"line {error.line}: {error.message}" for error in log)
 
 
-def read_schemas(folder: Path) -> Schemas:
+def read_schemas(folder: Path) -> etree.XMLSchema:
     """Compile dcc.xsd, SI_Format.xsd and the schemas that these two import, found anywhere below a folder.
 
-    Nothing is fetched from a network. Raises `Refused` if one of the two is missing or has another version, or if
-    a schema cannot be read.
+    Nothing is fetched from a network; an imported schema that is missing is left empty. Raises `Refused` if one of
+    the two is missing or has another version, or if a schema cannot be read.
     """
     there = {path.name.lower(): path for path in sorted(folder.rglob("*.xsd"))}
     for name, version in _FILES.items():
@@ -158,8 +148,6 @@ def read_schemas(folder: Path) -> Schemas:
             raise Refused(
                 f"{path}: is version {stated}, but certificates follow {version}; give the schemas of {version}"
             )
-    stood_in: list[str] = []
-
     base: Any = etree.Resolver
 
     class Local(base):  # type: ignore[misc]
@@ -169,7 +157,6 @@ def read_schemas(folder: Path) -> Schemas:
             if path is not None:
                 return self.resolve_filename(str(path), context)
             space, content = _STAND_INS.get(name, ("", ""))
-            stood_in.append(name)
             text = (
                 f'<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" targetNamespace="{space}">{content}'
                 "</xs:schema>"
@@ -179,10 +166,9 @@ def read_schemas(folder: Path) -> Schemas:
     reader = parser()
     reader.resolvers.add(Local())
     try:
-        checker = etree.XMLSchema(etree.parse(str(there["dcc.xsd"]), reader))
+        return etree.XMLSchema(etree.parse(str(there["dcc.xsd"]), reader))
     except (etree.XMLSchemaParseError, etree.XMLSyntaxError, OSError) as error:
         raise Refused(f"--schema {folder}: cannot be used ({error}); download the schemas again") from error
-    return Schemas(folder, checker, tuple(stood_in))
 
 
 def _version_of(path: Path) -> str | None:

@@ -124,13 +124,14 @@ class DriftForm(FileModel):
         return self
 
 
-def _form_of_warm_up(written: Any) -> str:
-    return "warm-up until settled" if isinstance(written, dict | DriftForm) else "time to warm up"
+def written_as(section: type[FileModel], tag: str, plain: str) -> Discriminator:
+    """Return the discriminator of values written as a `section` (`tag`) or as a number or a list (`plain`)."""
+    return Discriminator(lambda written: tag if isinstance(written, dict | section) else plain)
 
 
 WarmUp = Annotated[
     Annotated[SpanS, Tag("time to warm up")] | Annotated[DriftForm, Tag("warm-up until settled")],
-    Discriminator(_form_of_warm_up),
+    written_as(DriftForm, "warm-up until settled", "time to warm up"),
 ]
 
 

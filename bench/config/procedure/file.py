@@ -29,7 +29,7 @@ from bench.base.units import (
     reads,
 )
 from bench.base.yaml_files import FileModel
-from bench.config.bench_file.stand import can_come_about
+from bench.config.bench_file.stand import can_come_about, written_as
 from bench.config.procedure.plan import KINDS, OnFailure, OperatorTime
 from bench.config.procedure.steps import (
     ActionVerb,
@@ -100,10 +100,6 @@ SettleVerb = Annotated[
 ]
 
 
-def _form_of_settling(written: Any) -> str:
-    return "settling of signals" if isinstance(written, dict | SignalSettle) else "time to settle"
-
-
 class FailureSection(FileModel):
     """The handling of a failed turn or reading: how often to repeat it, then whether to stop or continue."""
 
@@ -125,7 +121,7 @@ class ReadingSection(FileModel):
     nplc: Annotated[float, Field(gt=0.0)] = 10.0
     settle: Annotated[
         Annotated[SpanS, Tag("time to settle")] | Annotated[SignalSettle, Tag("settling of signals")],
-        Discriminator(_form_of_settling),
+        written_as(SignalSettle, "settling of signals", "time to settle"),
     ] = 5.0
     on_failure: FailureSection | None = None
 
@@ -257,10 +253,6 @@ class AngleSteps(FileModel):
         return tuple(self.start + i * self.step for i in range(self.count))
 
 
-def _form_of_angles(written: Any) -> str:
-    return "steps of angle" if isinstance(written, dict | AngleSteps) else "list of angles"
-
-
 class TurnVerb(FileModel):
     """Turn through angles and do the steps at each; by default, settle and take one reading.
 
@@ -271,7 +263,7 @@ class TurnVerb(FileModel):
     angles: Annotated[
         Annotated[tuple[Angle, ...], Field(min_length=1), Tag("list of angles")]
         | Annotated[AngleSteps, Tag("steps of angle")],
-        Discriminator(_form_of_angles),
+        written_as(AngleSteps, "steps of angle", "list of angles"),
     ]
     direction: DirectionWord | None = None
     first_point: Positive = 1

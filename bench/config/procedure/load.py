@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from bench.base.computing import uncollected
 from bench.base.files import MEGABYTE
+from bench.base.text import as_typed
 from bench.base.yaml_files import (
     Document,
     FileMistake,
@@ -163,7 +164,7 @@ class _Tree:
         """
         if not mistake.line:
             return f"{path}: {mistake.text}"
-        told = f"this is not YAML in UTF-8; 'bench check {path.name}' shows the line"
+        told = f"this is not YAML in UTF-8; 'bench check {as_typed(path.name)}' shows the line"
         self.mistakes.append(FileMistake(mistake.line, "", told, str(path)))
         return ""
 

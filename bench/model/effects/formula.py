@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Final, Generic, Protocol, TypeVar
@@ -105,33 +105,31 @@ def _refuse_others(node: ast.AST, text: str, deeper: int) -> None:
     """Raise `ExpressionError` for the first forbidden node, or for more than `deeper` further levels of nesting."""
     if deeper == 0:
         raise ExpressionError(f"the expression is nested more than {MOST_NESTED} deep; simplify it")
+    inside: Sequence[ast.expr] | None = None
     match node:
         case ast.Constant(value=bool() | str() | bytes() | complex() | None):
             pass
         case ast.Constant(value=int() | float()) | ast.Name():
-            return
+            inside = ()
         case ast.Attribute(value=ast.Constant(value=int() | float()), attr=unit):
             if unit not in UNITS:
                 raise ExpressionError(
                     f"'{unit}' after a number is not a unit of formulas; choose from {', '.join(UNITS)}"
                 )
-            return
+            inside = ()
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
-            _refuse_others(left, text, deeper - 1)
-            _refuse_others(right, text, deeper - 1)
-            return
+            inside = (left, right)
         case ast.UnaryOp(op=ast.UAdd() | ast.USub(), operand=operand):
-            _refuse_others(operand, text, deeper - 1)
-            return
-        case ast.Compare(left=left, ops=[op], comparators=[right]) if type(op) in _COMPARISONS:
-            _refuse_others(left, text, deeper - 1)
-            _refuse_others(right, text, deeper - 1)
-            return
+            inside = (operand,)
+        case ast.Compare(left=left, ops=[compare], comparators=[right]) if type(compare) in _COMPARISONS:
+            inside = (left, right)
         case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
             _refuse_call(name, len(arguments))
-            for argument in arguments:
-                _refuse_others(argument, text, deeper - 1)
-            return
+            inside = arguments
+    if inside is not None:
+        for one in inside:
+            _refuse_others(one, text, deeper - 1)
+        return
     written = ast.get_source_segment(text, node) if isinstance(node, ast.expr) else None
     raise ExpressionError(
         f"'{written or text}' is not allowed in a formula; use numbers with units, names, + - * / **, "
@@ -333,7 +331,8 @@ class FormulaEffect(Effect):
         variables = variables_of(self.stage)
         for name in names:
             if name not in own and name not in variables:
-                raise ExpressionError(_unknown_name(name, self.stage, variables))
+                known = ", ".join(variables)
+                raise ExpressionError(f"'{name}' is unknown; at the stage '{self.stage}' there are {known}")
         for parameter in self.parameters:
             if parameter.name not in names:
                 raise ExpressionError(
@@ -384,7 +383,12 @@ class FormulaEffect(Effect):
         away = ~np.isfinite(seen.conditions.angle_rad)
         if used.isdisjoint(OF_THE_HEAD):
             away &= _unseen(known.values(), len(away))
-        return self._placed(self._finite(np.broadcast_to(added, shape), away), seen)
+        added = self._finite(np.broadcast_to(added, shape), away)
+        if self.stage is Stage.STAND:
+            placed = np.zeros_like(seen.signal)
+            placed[:, STAND_ANGLES.index(self.adds_to)] = added
+            return placed
+        return added * seen.scale if self.stage is Stage.BLOCK_OUTPUT else added
 
     def _finite(self, added: Floats, away: Mask) -> Floats:
         """Return `added` with 0 for non-finite values in the readings `away`, which have unknown variables.
@@ -404,17 +408,6 @@ class FormulaEffect(Effect):
                 "such as by max(…, 1e-6) in a divisor or a logarithm"
             )
         return added
-
-    def _placed(self, added: Floats, seen: Seen) -> Floats:
-        match self.stage:
-            case Stage.STAND:
-                placed = np.zeros_like(seen.signal)
-                placed[:, STAND_ANGLES.index(self.adds_to)] = added
-                return placed
-            case Stage.BLOCK_OUTPUT:
-                return added * seen.scale
-            case _:
-                return added
 
 
 _WITH_CHANNELS: Final = (Stage.SPECIFIC_FORCE, Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
@@ -473,11 +466,6 @@ def _lagged(course: Floats, time_s: Floats, lag: Floats) -> Floats:
     if whole.ndim == 1:
         return lagged(whole, time_s, float(lag))
     return np.stack([lagged(column, time_s, float(lag)) for column in whole.T], axis=1)
-
-
-def _unknown_name(name: str, stage: Stage, variables: Mapping[str, Variable]) -> str:
-    text = f"'{name}' is unknown; at the stage '{stage}' there are"
-    return f"{text} {', '.join(variables)}"
 
 
 def _unseen(variables: Iterable[Floats], readings: int) -> Mask:

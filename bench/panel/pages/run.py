@@ -51,14 +51,12 @@ async def run(request: Request) -> Response:
     """Show a run in its current state; the script then updates the page."""
     found = run_of(request)
     state = await panel_of(request).followers.state(found.folder)
-    ended = await run_in_threadpool(_outcome, request, found, state) if state["ended"] else None
-    return page(
+    return await _run_page(
         request,
         "run.html.j2",
-        run=found,
-        state=state,
-        outcome=ended,
-        next_unit=next_unit(panel_of(request)),
+        found,
+        state,
+        ended=state["ended"],
         state_json=json.dumps(without_infinity(state)),
     )
 
@@ -67,21 +65,18 @@ async def outcome(request: Request) -> Response:
     """Send the outcome of a run that has ended, as a part of the live page."""
     found = run_of(request)
     state = await panel_of(request).followers.state(found.folder)
-    told = await run_in_threadpool(_outcome, request, found, state)
-    return page(
-        request,
-        "outcome.html.j2",
-        run=found,
-        state=state,
-        outcome=told,
-        next_unit=next_unit(panel_of(request)),
-    )
+    return await _run_page(request, "outcome.html.j2", found, state, ended=True)
 
 
-def _outcome(request: Request, run: Run, state: Mapping[str, Any]) -> Outcome:
-    return outcome_of(
-        run, panel_of(request).runs, alive=state["alive"], finished=state["state"] == "finished"
-    )
+async def _run_page(
+    request: Request, name: str, run: Run, state: Mapping[str, Any], *, ended: bool, **more: Any
+) -> Response:
+    panel = panel_of(request)
+    told: Outcome | None = None
+    if ended:
+        finished = state["state"] == "finished"
+        told = await run_in_threadpool(outcome_of, run, panel.runs, alive=state["alive"], finished=finished)
+    return page(request, name, run=run, state=state, outcome=told, next_unit=next_unit(panel), **more)
 
 
 async def state(request: Request) -> Response:

@@ -21,15 +21,7 @@ from bench.config.shipped import CONFIG, PROCEDURES
 from bench.panel.access import Person, Refusal, Role
 from bench.panel.folder import RunsFolder
 from bench.panel.holding import change, read_holding
-from bench.panel.launching import (
-    WISH,
-    TrialResult,
-    WantedRun,
-    WishFolder,
-    name_of,
-    start,
-    start_run,
-)
+from bench.panel.launching import WISH, TrialResult, WantedRun, WishFolder, name_of, start, start_run
 from bench.panel.own_files import (
     OF_RUN,
     choices,

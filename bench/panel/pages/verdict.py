@@ -15,6 +15,7 @@ from bench.certificate.register import NumberStatus
 from bench.panel.access import Refusal, Role
 from bench.panel.folder import read_page
 from bench.panel.launching import diagnose as begin
+from bench.panel.launching import last_words
 from bench.panel.outcome import previous_calibration
 from bench.panel.own_files import NEXT
 from bench.panel.pages.run import run_of
@@ -45,7 +46,7 @@ def verdict(request: Request) -> Response:
         further=is_plain(run.folder / NEXT),
         unmade=run.results_missing and run.history.state is RunState.FINISHED,
         diagnosing=diagnosing is not None and diagnosing.status is None,
-        not_diagnosed=diagnosing.last_words() if diagnosing is not None and diagnosing.status == 2 else "",
+        not_diagnosed=last_words(diagnosing.log) if diagnosing is not None and diagnosing.status == 2 else "",
     )
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from bench.base.languages import message
 from bench.base.requests import ESTIMATORS_TOLD, Option
+from bench.base.text import as_typed
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -106,8 +107,8 @@ def runs_folder(runs: str | Path | None) -> Path:
 
 
 def name_to_type(run: Path) -> str:
-    """Return what commands call a run: its name if it is in the default folder of runs, else its path."""
-    return run.name if run.parent.absolute() == runs_folder(None).absolute() else str(run)
+    """Return a run as a shell takes it: its name if it is in the default folder of runs, else its path."""
+    return as_typed(run.name if run.parent.absolute() == runs_folder(None).absolute() else run)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -205,6 +205,30 @@ def test_zeros_hold_their_scatter_from_repeat_to_repeat(run, stated, unit):
     assert np.all(added[:9] == 0.0)
 
 
+def test_readings_in_g_lack_only_the_errors_of_the_voltmeters(run):
+    """The same readings in another unit: temperature, K2, K3 and the roll are errors of block and stand."""
+    in_volts, in_g = (
+        sign(calibrate(one, MODEL, STAND_U, 9.81, assumed_u=ASSUMED), one, BENCH, MODEL)
+        for one in (run, dataclasses.replace(run, unit="g", signal=run.signal / 2.0))
+    )
+    assert {s.name for s in in_volts.sources} - {s.name for s in in_g.sources} == {
+        "voltmeter_gain", "voltmeter_offset", "voltmeter_linearity",
+    }  # fmt: skip
+    for one in in_g.sources:
+        np.testing.assert_allclose(
+            4.0 * one.covariance, source(in_volts, one.name).covariance, rtol=1e-3, atol=1e-15
+        )
+    # ±0.5 K and ±180 ppm/K, both rectangular
+    u_temperature = np.sqrt(np.diag(source(in_g, "temperature").covariance))
+    assert u_temperature[0] / abs(in_g.block.K[0, 0]) == pytest.approx(0.5 * 180e-6 / 3.0, rel=1e-3)
+    assert np.all(np.isfinite(in_g.dof))
+    assert in_g.gravity_u == in_volts.gravity_u > 0.0
+    readings = dataclasses.replace(run, unit="g", signal=run.signal / 2.0)
+    volts, g = (delta_g_contributions(a, b, BENCH, MODEL) for a, b in ((in_volts, run), (in_g, readings)))
+    for name in ("temperature", "K2", "K3"):
+        np.testing.assert_allclose(g[name], volts[name], rtol=1e-3, atol=1e-15)
+
+
 def test_one_kind_of_scatter_is_stated():
     with pytest.raises(ValueError, match="state one of restart, drift and scale"):
         ZeroRepeats.model_validate({"restart": ["1 mg"] * 3, "scale": [1, 1, 1]})

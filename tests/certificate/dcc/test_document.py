@@ -175,7 +175,7 @@ def test_nothing_is_conditional_under_a_binary_rule(issued_certificate, rule, wo
     assert said == conformity
     assert ("conditional" in points) == (rule == "non-binary")
     write = Writer(certificate)
-    shown = json.dumps([*proof.verdict_of(certificate.found, write), *proof.pages(certificate, write, [])])
+    shown = json.dumps([*proof.verdict_of(certificate.found, write), *proof.pages(write, [])])
     assert f"g: {word}" in shown
     assert ("conditional pass" in shown) == (rule == "non-binary")
 

@@ -88,9 +88,9 @@ def test_a_gross_mistake_is_found_named_placed_and_put_right(name, scope):
     (mistake,) = result.mistakes
     assert (mistake.installations, mistake.pass_number) == (installations, number)
     assert mistake.p < 1e-50
-    assert mistake.evidence.before > 1.5
+    assert mistake.misfit_before > 1.5
     # 162 standardised residuals, 12 coefficients fitted: 0.96, and 5 standard deviations of 0.055
-    assert mistake.evidence.after < 1.25
+    assert mistake.misfit_after < 1.25
     if name == "reversed_rotation" and scope == "run":
         # nothing but the sign of cross-axis terms and of the bias tells it from channel x reversed
         assert mistake.name == "reversed_polarity"
@@ -168,8 +168,8 @@ def test_a_wrong_setting_is_found_and_its_angle_put_right(size, noise_v):
     assert f"at {round(np.degrees(true) % 360, 4):.8g}° and not at {np.degrees(stated):g}°" in mistake.words
     assert np.cos(true - stated - off) == pytest.approx(1.0, abs=1e-12)
     assert np.delete(result.corrected.angle_rad, row) == pytest.approx(np.delete(readings.angle_rad, row))
-    assert mistake.evidence.after < 1.25
-    assert mistake.evidence.before > mistake.evidence.after
+    assert mistake.misfit_after < 1.25
+    assert mistake.misfit_before > mistake.misfit_after
 
 
 @pytest.mark.slow
@@ -188,7 +188,7 @@ def test_an_outlier_is_found_and_its_reading_left_out():
             good.pass_number[row],
             good.point[row],
         )
-        assert mistake.evidence.after < 1.25
+        assert mistake.misfit_after < 1.25
         if mistake.name == "outlier":
             assert mistake.channels == ("xyz"[channel],)
             place = (good.installation[row], good.pass_number[row], good.point[row])
@@ -316,7 +316,7 @@ def test_two_mistakes_are_found(pair):
     before = {name: np.array(getattr(bad, name)) for name in ("signal", "angle_rad", "installation", "point")}
     result = find(bad)
     assert sorted(m.name for m in result.mistakes) == PAIRS[pair]
-    assert result.mistakes[-1].evidence.after < 1.25
+    assert result.mistakes[-1].misfit_after < 1.25
     for name, column in before.items():  # the record is left as it is
         np.testing.assert_array_equal(getattr(bad, name), column)
 

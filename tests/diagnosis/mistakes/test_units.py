@@ -43,7 +43,7 @@ def test_a_channel_in_another_unit_is_named_with_its_rows_and_put_right(scope, f
     assert ("decimal point" in mistake.words) == (factor not in {1e3, 1e-3})
     assert mistake.p < 1e-6
     # 162 standardised residuals, 12 coefficients fitted: 0.96, and 5 standard deviations of 0.055
-    assert mistake.evidence.after < 0.96 + UNEQUAL * 0.055
+    assert mistake.misfit_after < 0.96 + UNEQUAL * 0.055
     np.testing.assert_allclose(found.corrected.signal, good.signal, rtol=1e-12)
 
 

@@ -1,11 +1,20 @@
-"""The result model of each schema name, from which its JSON schema is generated."""
+"""The JSON schemas of results (draft 2020-12), made from their models."""
 
 from __future__ import annotations
 
+import ast
+import inspect
+import textwrap
 from importlib import import_module
-from typing import Final
+from itertools import pairwise
+from typing import Any, Final
+
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core.core_schema import ModelSchema
 
 from bench.base.result_model import ResultModel
+
+DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 RESULTS: Final = {
     "certificate": "certificate.CertificateResult",
@@ -38,7 +47,7 @@ RESULTS: Final = {
     "learn": "learning.LearnResult",
     "monitor": "monitor.MonitorResult",
     "commission": "records.CommissionResult",
-    "event": "records.EventLine",
+    "event": "docs.generators.events.EventLine",
     "instruments": "records.InstrumentsResult",
     "runs": "records.RunsResult",
     "show": "records.ShowResult",
@@ -57,9 +66,41 @@ RESULTS: Final = {
 """The model of each result by schema name: module (in `bench.results`, or in full) and class."""
 
 
-def model_of(name: str) -> type[ResultModel]:
-    """Return the model class of a result by its schema name. Raises `KeyError` for an unknown name."""
+def schema_of(name: str) -> dict[str, Any]:
+    """Return the JSON schema of a result by its name. Raises `KeyError` for an unknown name."""
     module, _, model = RESULTS[name].rpartition(".")
-    place = module if module.startswith("bench.") else f"bench.results.{module}"
-    found: type[ResultModel] = getattr(import_module(place), model)
+    place = module if "." in module else f"bench.results.{module}"
+    kind: type[ResultModel] = getattr(import_module(place), model)
+    schema = kind.model_json_schema(by_alias=True, schema_generator=_Described)
+    return {
+        "$schema": DIALECT,
+        "$id": f"urn:triaxial-bench:schema:{name}",
+        **schema,
+        "description": " ".join(schema["description"].split()),
+        "title": f"Result of bench {name}",
+    }
+
+
+class _Described(GenerateJsonSchema):
+    """A generator of schemas that takes the text below a member for its description."""
+
+    def model_schema(self, schema: ModelSchema) -> JsonSchemaValue:
+        """Return the schema of a model, with the texts below its members and below those of its base classes."""
+        found, model = super().model_schema(schema), schema["cls"]
+        for kind in (
+            model.__mro__[: model.__mro__.index(ResultModel)] if issubclass(model, ResultModel) else ()
+        ):
+            for name, text in _texts_below(kind).items():
+                found["properties"][model.model_fields[name].alias or name]["description"] = text
+        return found
+
+
+def _texts_below(model: type) -> dict[str, str]:
+    """Return the text below each member in the source of a model."""
+    (source,) = ast.parse(textwrap.dedent(inspect.getsource(model))).body
+    found = {}
+    for member, below in pairwise(source.body if isinstance(source, ast.ClassDef) else ()):
+        match member, below:
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                found[name] = " ".join(text.split())
     return found
