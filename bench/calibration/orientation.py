@@ -73,7 +73,8 @@ class StatedOrientation:
         causes = [*self._causes(rows, agrees)][:MOST_NAMED]
         remedy = (
             message(
-                f", and agree with {' or '.join(causes)}; mount and connect the block as stated, and measure them again"
+                f", and agree with {' or '.join(causes)}; mount and connect the block as stated, then measure "
+                "them again"
             )
             if causes
             else message("; check its mounting and wiring, and the labels and angles of all readings")
@@ -89,7 +90,8 @@ class StatedOrientation:
         """Return the specific force, g, that the nominal stand gives the rows in the installation `label`."""
         conditions = replace(rows, installation=np.full(len(rows), label)).conditions()
         still = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))
-        return self.model.specific_force(conditions, still, Block(np.eye(3), np.zeros(3)))
+        force: Floats = self.model.specific_force(conditions, still, Block(np.eye(3), np.zeros(3)))
+        return force
 
     def _causes(self, rows: Readings, agrees: Callable[[Floats, str], bool]) -> Iterator[str]:
         """Yield the installations and wirings with which all readings agree."""
@@ -106,4 +108,5 @@ class StatedOrientation:
 def _between(one: Floats, other: Floats) -> Floats:
     """Return the angle, rad, between the vectors in corresponding rows of two arrays (n, 3)."""
     across = np.linalg.norm(np.cross(one, other), axis=1)
-    return np.arctan2(across, np.sum(one * other, axis=1))
+    angles: Floats = np.arctan2(across, np.sum(one * other, axis=1))
+    return angles

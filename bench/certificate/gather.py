@@ -46,7 +46,7 @@ from bench.services.bench_selection import origin_beside
 from bench.services.calibration import CalibrationResult, calibration_of, verification_of
 from bench.services.errors import Refused
 from bench.services.source import Request, Source, load_sources
-from bench.services.verification import NOTHING_ASKED, VerdictOptions, VerificationResult
+from bench.services.verification import NOTHING_ASKED, VerdictOptions, VerificationResult, overruled_in
 
 _FIRST_LANGUAGE: Final = "en"
 
@@ -120,6 +120,11 @@ def _missing(certificate: Certificate) -> Iterator[str]:
             "on the day of the run in the bench file before it, or the agreement as "
             "'without_certificates' in the order file"
         )
+    for doubt in found.result.doubts:
+        yield (
+            f"agreement with the data sheet: {doubt}; correct wiring, labels or the bench file's 'scale_factors', "
+            "then measure or import again"
+        )
     calibrated = certificate.calibrated
     if calibrated is None:
         yield (
@@ -161,9 +166,9 @@ def found_by(
         verdict = verification_of(result.source, result, asked, agreed)
     last = run.history.events.last
     # the other notes of a verdict advise the operator and do not belong on a certificate
-    of_all: tuple[str, ...] = ()
+    of_all = overruled_in(run)
     if verdict is not None:
-        of_all = tuple(filter(None, [verdict.verification.contradiction]))
+        of_all += tuple(filter(None, [verdict.verification.contradiction]))
         of_all += global_risk_in_words(verdict.verification)
     record, begun, unit = _record(run), _begun(source), source.bench.unit_under_test
     return RunFindings(

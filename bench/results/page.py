@@ -26,11 +26,13 @@ def render_report(
     notes: Sequence[str],
     skipped: Sequence[str],
     simulated: bool,
+    warnings: Sequence[str] = (),
 ) -> str:
     """Return the report as one self-contained HTML page; the same content always gives the same text.
 
     `compared` is a calibration of the same readings by another estimator; it is ignored if the estimator is the
     same. `provenance` maps names such as "operator" to text, which is shown unchanged.
+    `warnings` stand in the box of the verdict.
     """
     other = compared if compared is not None and compared.estimator != calibration.estimator else None
     return tables.page(
@@ -43,6 +45,7 @@ def render_report(
         notes=notes,
         skipped=skipped,
         simulated=simulated,
+        warnings=warnings,
         own=intrinsic_of(calibration),
         scale=scale_for(1.0, calibration.unit),
         verdict=_verdict(verification),

@@ -18,9 +18,9 @@ from bench.readings.corrected import MistakeName
 from bench.readings.table import JoinedPart, Readings, all_free, together
 from bench.run.causes import STOP_ALARM
 from bench.run.early_warning import watcher_of
-from bench.run.events import EventType
 from bench.run.expectation import CABLINGS, EarlySign, Kind
 from bench.run.folder import Run
+from bench.run.sentences import not_repaired, sentence
 from bench.services.errors import Refused
 from bench.services.own_effects import knowing_effects_in
 from bench.services.requests.evaluation import Diagnose
@@ -187,27 +187,29 @@ def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
 
 
 def told_in_words(run: Run) -> list[str]:
-    """Return sentences on the mistakes that the early warning found in a run, and on warnings overruled."""
+    """Return sentences on the mistakes that the early warning found in a run, and on warnings overruled.
+
+    What was repaired, because the readings were repeated, is only counted.
+    """
     if not run.history.progress.signs:
         return []
-    named: Counter[str] = Counter()
-    lines = []
-    for event in run.history.events:
-        if event.type == EventType.EARLY_SIGN:
-            named.update(event.data["causes"][:1])
-        elif event.type == EventType.WENT_ON:
-            lines.append(
-                f"continued in spite of '{' or '.join(event.data['causes'])}': {event.data['reason']}"
-            )
-    found = [
+    signs, overruled = not_repaired(run.history.events)
+    named = Counter(event.data["causes"][0] for event in signs if event.data["causes"])
+    lines = [
         f"early warning at {times} reading{'s' if times > 1 else ''}: {cause}"
         for cause, times in named.most_common(MOST_TOLD)
     ]
-    more = len(named) - len(found)
-    found += [f"… and {more} other causes"] if more > 0 else []
-    return (
-        [*found, *lines, f"'bench diagnose {as_typed(run.name)}' uses these causes"] if found or lines else []
-    )
+    lines += [f"… and {more} other causes"] if (more := len(named) - len(lines)) > 0 else []
+    lines += [sentence(event) for event in overruled]
+    if lines:
+        lines.append(f"'bench diagnose {as_typed(run.name)}' uses these causes")
+    repaired = run.history.progress.signs - len(signs)
+    if repaired:
+        lines.append(
+            f"early warning at {repaired} reading{'s' if repaired > 1 else ''} that "
+            f"{'were' if repaired > 1 else 'was'} repeated"
+        )
+    return lines
 
 
 def _signs(source: Source) -> list[_Named]:

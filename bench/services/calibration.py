@@ -503,9 +503,10 @@ def report_page(
             None if verdict is None else verdict.verification,
             compared=_closed_form(source),
             provenance=provenance(source),
-            notes=(*result.doubts, *result.calibration.notes, *source.readings.notes),
+            notes=(*result.calibration.notes, *source.readings.notes),
             skipped=source.readings.skipped,
             simulated=source.simulated,
+            warnings=result.doubts if verdict is None else verdict.warnings,
         )
     return page, verdict
 

@@ -181,7 +181,11 @@ def ending(found: Conclusion) -> list[str]:
     if found.no_chart:
         lines.append(f"check block: no control chart: {found.no_chart}")
     lines += _shortened(
-        [f"note: {look}" for look in found.looks], f"bench diagnose {name_to_type(found.run.folder)}"
+        [
+            f"note: {look}"
+            for look in (*(found.calibration.doubts if found.calibration else ()), *found.looks)
+        ],
+        f"bench diagnose {name_to_type(found.run.folder)}",
     )
     return [*lines, *_files(found), *_next(found)]
 
@@ -239,8 +243,13 @@ def _next(found: Conclusion) -> Iterator[str]:
     verification = found.verification
     if found.calibration is None:
         yield f"next: bench show {name}"
-    elif not found.calibration.accepted or (
-        verification is not None and verification.statement in (Statement.MISFIT, Statement.FAIL)
+    elif (
+        not found.calibration.accepted
+        or found.calibration.doubts
+        or (
+            verification is not None
+            and (verification.warnings or verification.statement in (Statement.MISFIT, Statement.FAIL))
+        )
     ):
         yield f"next: bench diagnose {name}"
     elif verification is not None and not verification.passed:

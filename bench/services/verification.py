@@ -19,6 +19,7 @@ from bench.calibration.budget.sources import hidden_sources
 from bench.calibration.budget.whole import delta_g_contributions, delta_g_elsewhere, without_meters
 from bench.calibration.components import note_on_excess
 from bench.calibration.conformity import SIMPLE, DecisionRule, Population
+from bench.calibration.mistakes import implausible
 from bench.calibration.noise import ONE_TEMPERATURE_K, drifted
 from bench.calibration.orientation import StatedOrientation
 from bench.calibration.verification import Verification, points_of
@@ -28,6 +29,7 @@ from bench.readings.corrected import VOLTS
 from bench.results import verification as shown
 from bench.run.events import VerdictAsked
 from bench.run.folder import Run
+from bench.run.sentences import not_repaired, sentence
 from bench.services.coefficients import Coefficients
 from bench.services.errors import Refused
 from bench.services.requests.evaluation import Judging
@@ -160,8 +162,8 @@ def _default_of(run: Run | None) -> DecisionRule:
 class VerificationResult:
     """Δg at the verification points of a source against the limit.
 
-    `warnings` are sentences on unsuitable coefficients, `said` sentences on the uncertainty of coefficients of
-    another calibration. `fit` is the lack-of-fit test of coefficients from the same readings, None for coefficients
+    `warnings` are sentences on unsuitable coefficients and overruled early warnings, `said` sentences on the
+    uncertainty. `fit` is the lack-of-fit test of coefficients from the same readings, None for coefficients
     of another calibration.
     """
 
@@ -268,12 +270,14 @@ def judged(
     """
     points_of(source.readings)
     said = without_meters(source.readings.unit)
+    warnings = (*warnings, *overruled_in(source.run))
     if own is None:
         covariance, of_day = _of_another_day(taken, source)
         said = (*said, *of_day)
         joint = {"coefficients and readings": covariance}
     else:
         said = (*said, *note_on_excess(own.noise))
+        warnings = (*implausible(own, source.bench.unit_under_test.scale_factors.values), *warnings)
         joint = delta_g_contributions(
             own, source.readings, source.bench, source.model, source.traced.day, source.known_meters
         )
@@ -293,6 +297,13 @@ def judged(
         ),
     )
     return VerificationResult(source, verdict, warnings, said, None if own is None else own.lack_of_fit)
+
+
+def overruled_in(run: Run | None) -> tuple[str, ...]:
+    """Return a sentence for each early warning of a run that was overruled, if its readings were not repeated."""
+    if run is None or not run.history.progress.signs:
+        return ()
+    return tuple(sentence(event) for event in not_repaired(run.history.events)[1])
 
 
 def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[str, ...]]:

@@ -2,13 +2,14 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bench.readings.csv import write_csv
-from bench.readings.table import make_readings
+from bench.readings.csv import read_csv, write_csv
+from bench.readings.table import make_readings, stacked
 from bench.validation.paper_bench import ARCSEC, U0, K, simulate, specific_force
 from tests.cli.test_app import edited_stand
 from tests.support.commands import printed, refused
@@ -115,6 +116,64 @@ def test_readings_that_contradict_the_model_are_not_accepted(bench, unit):
     out = printed(bench("calibrate", "unit.csv", "swapped.csv"), note, status=1)
     assert "robust" not in out
     assert bench("report", "swapped.csv")[0] == 1
+
+
+def _whole():
+    return stacked([read_csv(Path(name), ("1", "2", "V")) for name in ("unit.csv", "check.csv")])
+
+
+def _exchanged_labels(rows):
+    labels = {"1": "2", "2": "1", "V": "V"}
+    return replace(rows, installation=np.array([labels[one] for one in rows.installation]))
+
+
+def _exchanged_at_v(rows):
+    at_v = rows.installation == "V"
+    return replace(rows, signal=np.where(at_v[:, None], rows.signal[:, [1, 0, 2]], rows.signal))
+
+
+def _copied(rows):
+    signal, first = rows.signal.copy(), np.flatnonzero((rows.installation == "1") & (rows.pass_number == 1))
+    signal[rows.installation == "V"] = signal[first[1:8:2]]
+    return replace(rows, signal=signal)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("change", "statement", "words"),
+    [
+        (lambda rows: rows, "pass", ""),
+        (_exchanged_labels, "does not fit", "verification points are up to"),
+        (
+            lambda rows: replace(rows, angle_rad=-rows.angle_rad),
+            "does not fit",
+            "check its mounting and wiring",
+        ),
+        (_copied, "does not fit", "and agree with installation 1; mount"),
+        (_exchanged_at_v, "fail", "channels x, y exchanged"),
+    ],
+)
+def test_verification_points_off_their_stated_orientation_verify_nothing(
+    bench, unit, change, statement, words
+):
+    """All but the last keep |a| = 1 g at the points, which therefore pass by themselves."""
+    rows = change(_whole())
+    rows.signal[rows.installation == "V"] = np.round(rows.signal[rows.installation == "V"], 9)
+    write_csv(rows, Path("whole.csv"))
+    status, result = told(bench, "verify", "whole.csv", "--json", "-")
+    assert (status, result["statement"]) == (int(bool(words)), statement)
+    assert any("off the orientation" in note and words in note for note in result["notes"]) == bool(words)
+
+
+@pytest.mark.slow
+def test_another_unit_than_the_data_sheets_stands_beside_the_verdict(bench, unit):
+    rows = _whole()
+    write_csv(replace(rows, signal=1e3 * rows.signal, signal_sd=1e3 * rows.signal_sd), Path("whole.csv"))
+    _, result = told(bench, "verify", "whole.csv", "--json", "-")
+    assert any("perhaps the signals are in mV" in note for note in result["notes"])
+    assert bench("report", "whole.csv")[0] == 0
+    box = Path("report/whole.html").read_text("utf-8").partition('class="facts"')[0]
+    assert "perhaps the signals are in mV" in box
 
 
 @pytest.mark.slow
