@@ -25,8 +25,9 @@ from bench.model.geometry import COEFFICIENTS
 from bench.results import tables
 from bench.results.parts import BenchPart, by_coefficient, by_name
 from bench.results.plots import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, drawn, svg_figure, symbol
-from bench.results.tables import Row, page, writing
+from bench.results.tables import Row, page
 from bench.results.verification import RulePart, rule_in_words
+from bench.run.events import writing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

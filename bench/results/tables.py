@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import math
-import os
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache
-from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -33,15 +29,15 @@ from bench.base.text import shown_path, visible
 from bench.calibration import Calibration, Estimate
 from bench.calibration.budget.propagation import correlation_of
 from bench.calibration.design import SYMBOLS
-from bench.calibration.intrinsic import Intrinsic
 from bench.calibration.result import NOT_DETERMINED
 from bench.calibration.verification import Verification
 from bench.model.effects import CATALOGUE
 from bench.model.geometry import COEFFICIENTS
-from bench.results.intrinsic import shown_rows
 from bench.results.plots import residual_scale
 from bench.results.verification import optional_probability
-from bench.run.events import RecordError
+
+if TYPE_CHECKING:
+    from bench.calibration.intrinsic import Intrinsic
 
 MEANINGS: Final = {
     "axis_tilt": message("axis tilt"),
@@ -150,6 +146,8 @@ def _ratio(calibration: Calibration, j: int, own: int) -> tuple[float, float]:
 
 def nine(own: Intrinsic) -> list[Row]:
     """Return a row for each intrinsic number: value, unit; u from the readings, u, U, their unit."""
+    from bench.results.intrinsic import shown_rows  # only the report needs it
+
     return [Row(symbol(name), *cells) for name, *cells in shown_rows(own)]
 
 
@@ -370,19 +368,6 @@ def noise(calibration: Calibration) -> dict[str, str]:
         "rms": quantity(calibration.lack_of_fit.rms, calibration.unit),
         "channels": ", ".join(CHANNELS),
     }
-
-
-@contextmanager
-def writing(path: str | Path) -> Iterator[Path]:
-    """Give the path of a file that a caller in Python named. Raises `RecordError` if it cannot be written there."""
-    if not isinstance(path, str | os.PathLike):
-        raise RecordError(f"path={path!r}: expected the name of a file")
-    try:
-        yield Path(path)
-    except OSError as error:
-        raise RecordError(
-            f"{path}: cannot be written ({error.strerror}); name a file in another folder"
-        ) from error
 
 
 def page(name: str, **content: Any) -> str:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
 from enum import StrEnum
 from functools import cache, cached_property
@@ -110,6 +112,19 @@ class Manifest(TypedDict, total=False):
 
 class RecordError(Exception):
     """A run or page cannot be written, or a run holds invalid data; the text says where, why and what to do."""
+
+
+@contextmanager
+def writing(path: str | Path) -> Iterator[Path]:
+    """Give the path of a file that a caller in Python named. Raises `RecordError` if it cannot be written there."""
+    if not isinstance(path, str | os.PathLike):
+        raise RecordError(f"path={path!r}: expected the name of a file")
+    try:
+        yield Path(path)
+    except OSError as error:
+        raise RecordError(
+            f"{path}: cannot be written ({error.strerror}); name a file in another folder"
+        ) from error
 
 
 def sha256(data: bytes) -> str:

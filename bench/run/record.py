@@ -91,6 +91,21 @@ class History:
     levelled: list[tuple[float, Levelled]] = field(default_factory=list)
     power: list[tuple[float, str]] = field(default_factory=list)
 
+    def not_repaired(self) -> tuple[list[Event], list[Event]]:
+        """Return early signs, and decisions to go on in spite of one, whose readings were not repeated later."""
+        signs: list[Event] = []
+        overruled: list[Event] = []
+        for event in self.events if self.progress.signs else ():
+            if event.type == EventType.EARLY_SIGN:
+                signs.append(event)
+            elif event.type == EventType.WENT_ON:
+                overruled.append(event)
+            elif event.type == EventType.REDO:
+                signs, overruled = (
+                    [one for one in of if one.step not in event.steps] for of in (signs, overruled)
+                )
+        return signs, overruled
+
     @property
     def readings(self) -> dict[int, Reading]:
         """The readings by step in the order of measurement, without samples; of a repeated step, only the last."""

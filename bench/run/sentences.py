@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -59,22 +59,6 @@ def sentence(event: Event) -> str:
                 f"{name}: {what}" for name, what in data["to_do"].items()
             )
     return _of_somebody(event) or event.type
-
-
-def not_repaired(events: Iterable[Event]) -> tuple[list[Event], list[Event]]:
-    """Return early signs, and decisions to go on in spite of one, whose readings were not repeated afterwards."""
-    signs: list[Event] = []
-    overruled: list[Event] = []
-    for event in events:
-        if event.type == EventType.EARLY_SIGN:
-            signs.append(event)
-        elif event.type == EventType.WENT_ON:
-            overruled.append(event)
-        elif event.type == EventType.REDO:
-            signs, overruled = (
-                [one for one in of if one.step not in event.steps] for of in (signs, overruled)
-            )
-    return signs, overruled
 
 
 def said(event: Event) -> str:

@@ -20,7 +20,6 @@ from bench.run.causes import STOP_ALARM
 from bench.run.early_warning import watcher_of
 from bench.run.expectation import CABLINGS, EarlySign, Kind
 from bench.run.folder import Run
-from bench.run.sentences import not_repaired, sentence
 from bench.services.errors import Refused
 from bench.services.own_effects import knowing_effects_in
 from bench.services.requests.evaluation import Diagnose
@@ -193,7 +192,9 @@ def told_in_words(run: Run) -> list[str]:
     """
     if not run.history.progress.signs:
         return []
-    signs, overruled = not_repaired(run.history.events)
+    from bench.run.sentences import sentence
+
+    signs, overruled = run.history.not_repaired()
     named = Counter(event.data["causes"][0] for event in signs if event.data["causes"])
     lines = [
         f"early warning at {times} reading{'s' if times > 1 else ''}: {cause}"

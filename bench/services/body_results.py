@@ -23,7 +23,7 @@ from bench.readings.corrected import as_read
 from bench.readings.csv import format_csv
 from bench.readings.table import Readings
 from bench.results.diagnosis_words import NO_FILES, Files
-from bench.results.tables import writing
+from bench.run.events import writing
 from bench.services.bench_selection import SUFFIX
 from bench.services.bodies import Body
 from bench.services.source import Source

@@ -36,7 +36,7 @@ from bench.results.calibration import (
     print_calibration,
 )
 from bench.results.parts import coefficient_unit, named
-from bench.results.tables import writing
+from bench.run.events import writing
 from bench.services.errors import Refused
 from bench.services.own_effects import knowing_effects_of
 from bench.services.source import Source, provenance

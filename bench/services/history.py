@@ -44,7 +44,7 @@ from bench.model.geometry import STAND_ANGLES, Block
 from bench.results.compare import BenchOfSource, CompareResult, compare_result, history_figure, print_compare
 from bench.results.learning import LearnResult, RecordPart, learn_result, print_learned
 from bench.results.monitor import MonitorResult, monitor_figures, monitor_result
-from bench.results.tables import writing
+from bench.run.events import writing
 from bench.services.arguments import python_call
 from bench.services.bench_selection import BenchTaken
 from bench.services.calibration import calibration_of

@@ -19,7 +19,7 @@ from bench.results.record_calibration import (
     record_calibrate_result,
     render_record_calibration,
 )
-from bench.results.tables import writing
+from bench.run.events import writing
 from bench.services.source import Source, provenance
 
 OF_METERS: Final = (

@@ -29,7 +29,6 @@ from bench.readings.corrected import VOLTS
 from bench.results import verification as shown
 from bench.run.events import VerdictAsked
 from bench.run.folder import Run
-from bench.run.sentences import not_repaired, sentence
 from bench.services.coefficients import Coefficients
 from bench.services.errors import Refused
 from bench.services.requests.evaluation import Judging
@@ -301,9 +300,12 @@ def judged(
 
 def overruled_in(run: Run | None) -> tuple[str, ...]:
     """Return a sentence for each early warning of a run that was overruled, if its readings were not repeated."""
-    if run is None or not run.history.progress.signs:
+    overruled = [] if run is None else run.history.not_repaired()[1]
+    if not overruled:
         return ()
-    return tuple(sentence(event) for event in not_repaired(run.history.events)[1])
+    from bench.run.sentences import sentence
+
+    return tuple(map(sentence, overruled))
 
 
 def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[str, ...]]:

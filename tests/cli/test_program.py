@@ -16,7 +16,7 @@ from rich.console import Console
 from bench.base.computing import heard_by, quiet, tracked
 from bench.cli import app, printing, program
 from bench.cli.app import explain
-from bench.cli.streams import in_ascii
+from bench.cli.program import in_ascii
 from bench.config.shipped import find_procedure
 from bench.run.interrupts import Interrupts
 from bench.services.errors import Refused
