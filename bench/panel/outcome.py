@@ -84,7 +84,7 @@ def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool) -> Ou
 
 
 def _misfit(found: Results) -> str:
-    """Return why to diagnose a run: readings and model do not fit, or the block failed; "" if neither."""
+    """Return why to diagnose a run: readings and model do not fit, the block failed, or doubt; else ""."""
     fit = found.calibration.fit if found.calibration is not None else ""
     if fit == DOES_NOT_FIT:
         return message("The model does not fit the readings. The diagnosis looks for the missing effect.")
@@ -92,6 +92,8 @@ def _misfit(found: Results) -> str:
         return message("A lack of fit is shown at 1 %. The diagnosis looks for the missing effect.")
     if found.verdict is not None and found.verdict.state == "failed":
         return message("The block did not pass. The diagnosis looks for the cause.")
+    if found.verdict is not None and found.verdict.warnings:
+        return message(f"Do not trust this verdict yet: {found.verdict.warnings[0]}.")
     return ""
 
 

@@ -67,8 +67,8 @@ class PointRow:
 class VerdictTold:
     """The verdict of the verification as shown on a page.
 
-    `state` selects the style of the box, `words` state the outcome; the other members are the worst |Δg| ± U, the
-    limit and the risk.
+    `state` selects the style of the box, `words` state the outcome, `warnings` cast doubt on it; the other members
+    are the worst |Δg| ± U, the limit and the risk.
     """
 
     state: str
@@ -82,6 +82,7 @@ class VerdictTold:
     risk: str
     rows: tuple[PointRow, ...]
     notes: tuple[str, ...]
+    warnings: tuple[str, ...]
     passed: bool
 
 
@@ -170,8 +171,9 @@ def _verdict(told: Mapping[str, Any]) -> VerdictTold:
     statement = _statement(told, str(told.get("rule", "")))
     state = _STATES.get(statement, "none")
     expanded = _expanded(worst) / scale.size
+    warnings = tuple(map(str, told.get("warnings", ())))
     return VerdictTold(
-        state=state,
+        state="conditional" if warnings and state == "passed" else state,
         words=f"{_MARKS.get(state, '–')} {({'pass': 'passed', 'fail': 'failed'}).get(statement, statement)}",
         worst=rounded(abs(float(worst["delta_g"])) / scale.size, expanded),
         expanded=uncertainty(expanded),
@@ -182,6 +184,7 @@ def _verdict(told: Mapping[str, Any]) -> VerdictTold:
         risk=_risk(told),
         rows=tuple(points),
         notes=tuple(map(str, told.get("notes", ()))),
+        warnings=warnings,
         passed=bool(told["passed"]),
     )
 

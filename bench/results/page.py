@@ -48,7 +48,7 @@ def render_report(
         warnings=warnings,
         own=intrinsic_of(calibration),
         scale=scale_for(1.0, calibration.unit),
-        verdict=_verdict(verification),
+        verdict=_verdict(verification, doubted=bool(warnings)),
         fit=_fit(calibration.lack_of_fit),
         measured=_measured(provenance),
         tables=tables,
@@ -69,8 +69,8 @@ STATES: Final = {
 """The style of the verdict box for each statement."""
 
 
-def _verdict(verification: Verification | None) -> dict[str, Any]:
-    """Return the verdict in words; `state` selects the style of its box."""
+def _verdict(verification: Verification | None, *, doubted: bool) -> dict[str, Any]:
+    """Return the verdict in words; `state` selects the style of its box, which is no pass if it is `doubted`."""
     if verification is None:
         return {"state": "none", "word": message("Not verified"), "points": 0}
     worst = verification.worst
@@ -78,8 +78,9 @@ def _verdict(verification: Verification | None) -> dict[str, Any]:
     mark = "✓" if verification.passed else "✗" if verification.rejected else "–"
     words = headline(verification)
     said = f": {words}" if words.startswith("conditional") else f" {words}"
+    state = STATES[verification.statement]
     return {
-        "state": STATES[verification.statement],
+        "state": "conditional" if doubted and state == "passed" else state,
         "word": message(f"{mark} Verification{said}"),
         "worst": rounded(abs(worst.delta_g) / scale.size, worst.u / scale.size),
         "u": uncertainty(worst.u / scale.size),

@@ -92,6 +92,7 @@ class VerifyResult(VerdictPart):
     """
 
     notes: list[str] = Field(description="remarks on the meaning of the statements and on remedies")
+    warnings: list[str] = Field(description="those `notes` that cast doubt on coefficients or readings")
     bench: BenchPart
     corrections: Corrections
 

@@ -222,6 +222,7 @@ class VerificationResult:
         return shown.verify_result(
             self.verification,
             notes=[*self.warnings, *self.said, *self.sentences, *self._against],
+            warnings=[*self.warnings],
             bench=self.source.taken.part(),
             corrections=self.source.traced.parts(),
         )

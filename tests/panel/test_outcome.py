@@ -62,6 +62,7 @@ def test_the_picture_has_each_point_with_its_u_at_its_place(judged):
         ("verify.json", {"passed": False, "statement": "fail"}, "The block did not pass"),
         ("calibrate.json", {"residual": {"p": 1e-5}, "fits": False}, "The model does not fit the readings"),
         ("calibrate.json", {"residual": {"p": 1e-3}}, "A lack of fit is shown at 1 %"),
+        ("verify.json", {"warnings": ["continued in spite of it"]}, "yet: continued in spite of it."),
     ],
 )
 def test_a_run_that_failed_or_misfits_offers_the_diagnosis(runs, judged, file, told, words):
