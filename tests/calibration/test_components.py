@@ -55,9 +55,8 @@ def test_components_of_clean_runs_are_as_rare_as_is_said():
 def test_a_head_whose_zero_moves_between_passes_enters_u():
     """Seeds [47, k], 16 runs: the zero of the head is 10 arcsec off (1 sigma), new in each pass.
 
-    It tilts all readings of a pass alike, which changes Kxy, Kxz, Kyx and Kzx. The draws of the two installations are
-    independent, so the rms of the 64 errors divided by u scatters by 1/8. If each setting is taken to err by itself,
-    it is 2.0.
+    It tilts all readings of a pass alike, which changes Kxy, Kxz, Kyx and Kzx. The two installations draw apart, so
+    the rms of the 64 errors divided by u scatters by 1/8. If each setting is taken to err by itself, it is 2.0.
     """
     found, off = [], []
     for k in range(16):
