@@ -18,7 +18,8 @@ NOT_PROVEN: Final = (
     "that real instruments do as simulated ones: 'bench instruments --commission' and certificates show it",
     "that the block, the head and the stand are as the bench file states: the check block and the budget do",
     "that the clock is right: no time server was asked",
-    "that nobody changed the program later: 'require_validation: true' compares at each run and certificate",
+    "that nobody changed a package's files later: 'require_validation: true' compares the program's files and the "
+    "packages' lists of files",
     "that the laboratory's method suits the customer's purpose (7.2.2): that is the laboratory's judgement",
     "that the random parts would pass with every seed: their seeds are fixed",
 )
