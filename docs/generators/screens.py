@@ -22,7 +22,7 @@ FILES: Final = {"report": "runs/first/report.html", "fault": "runs/bent/report.h
 _SECTION: Final = "section:has(h2:text-is('{}')) {}"
 PLACES: Final = {
     "report-verdict": ("report", "section[aria-label=Verdict]"),
-    "report-coefficients": ("report", _SECTION.format("Model and coefficients", "div.wide >> nth=0")),
+    "report-coefficients": ("report", _SECTION.format("Model and coefficients", "div.wide:has(caption)")),
     "report-residuals": ("report", _SECTION.format("Residuals", "figure >> nth=0")),
     "report-verification": ("report", _SECTION.format("Verification", "figure >> nth=0")),
     "fault-residuals": ("fault", _SECTION.format("Residuals", "figure >> nth=0")),
