@@ -43,8 +43,12 @@ def visible(text: str) -> str:
 
 
 def as_typed(name: object) -> str:
-    """Return a name or path as a shell takes it: in quotes if it has blanks or signs with a meaning."""
-    return shlex.quote(str(name))
+    """Return a name or path as a shell takes it: in quotes if it has blanks or signs with a meaning.
+
+    A path that begins with a dash would be taken for an option, so it begins with "./".
+    """
+    typed = str(name)
+    return shlex.quote(f"./{typed}" if typed.startswith("-") else typed)
 
 
 def shown_path(path: str) -> str:

@@ -77,7 +77,10 @@ class StatedOrientation:
                 "them again"
             )
             if causes
-            else message("; check its mounting and wiring, and the labels and angles of all readings")
+            else message(
+                "; check mounting and wiring, the labels and angles of all readings, and what the bench file "
+                "states for V"
+            )
         )
         off_deg = math.degrees(float(np.max(off_rad[points])))
         where = message(

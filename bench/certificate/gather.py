@@ -120,10 +120,11 @@ def _missing(certificate: Certificate) -> Iterator[str]:
             "on the day of the run in the bench file before it, or the agreement as "
             "'without_certificates' in the order file"
         )
-    for doubt in found.result.doubts:
+    if doubts := found.result.doubts:
         yield (
-            f"agreement with the data sheet: {doubt}; correct wiring, labels or the bench file's 'scale_factors', "
-            "then measure or import again"
+            f"agreement with the data sheet: {'; '.join(doubts)}; correct wiring or labels and measure again; if "
+            "'scale_factors' of the bench file are wrong, correct them, 'bench export' the readings and 'bench "
+            "import' them with this bench file"
         )
     calibrated = certificate.calibrated
     if calibrated is None:

@@ -26,7 +26,8 @@ def monitor_run(name: str, when: datetime, signal: Floats, force: Floats) -> Che
     `signal` (n, 3) was read at the nominal `force` (n, 3), g. The u follows from the scatter of repeats. Raises
     `CalibrationError` if no axis was read both up and down, or no position twice.
     """
-    turned = np.flatnonzero((force.max(axis=0) > LEAST_G) & (force.min(axis=0) < -LEAST_G))
+    up, down = force.max(axis=0, initial=0.0) > LEAST_G, force.min(axis=0, initial=0.0) < -LEAST_G
+    turned = np.flatnonzero(up & down)
     columns = np.column_stack([np.ones(len(force)), force[:, turned]])
     if not len(turned) or len(turned) > 2 or len(force) <= columns.shape[1]:
         raise CalibrationError(

@@ -41,6 +41,7 @@ from bench.history.run_sums import run_fit
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.model.effects import Subsystem
 from bench.model.geometry import STAND_ANGLES, Block
+from bench.readings.table import UNORIENTED
 from bench.results.compare import BenchOfSource, CompareResult, compare_result, history_figure, print_compare
 from bench.results.learning import LearnResult, RecordPart, learn_result, print_learned
 from bench.results.monitor import MonitorResult, monitor_figures, monitor_result
@@ -469,11 +470,15 @@ def monitored(request: asked.Monitor) -> Monitored:
 
 def check_run(source: Source) -> CheckRun:
     """Return a monitor as a run for a chart (day 1970-01-01 if unknown). Raises `CalibrationError`."""
-    conditions = source.readings.conditions()
-    stand = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))
-    force = source.model.specific_force(conditions, stand, Block(np.eye(3), np.zeros(3)))
+    readings = source.readings
+    readings = readings.select(~np.isin(readings.installation, [*UNORIENTED]))
+    force = np.zeros((0, 3))
+    if len(readings):
+        conditions = readings.conditions()
+        stand = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))
+        force = source.model.specific_force(conditions, stand, Block(np.eye(3), np.zeros(3)))
     when = date_of(source.made_at, source.name) or datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
-    return monitor_run(source.name, when, source.readings.signal, force)
+    return monitor_run(source.name, when, readings.signal, force)
 
 
 monitor = python_call(asked.Monitor, monitored)

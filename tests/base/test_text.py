@@ -14,7 +14,7 @@ from rich.text import Text
 
 from bench.base.files import from_text, read_given, read_json, read_regular, to_text, write_whole
 from bench.base.tables import Screen, as_html, table
-from bench.base.text import in_json, visible
+from bench.base.text import as_typed, in_json, visible
 
 ACTS = ["\x1b[2J", *"\x07\x00\x7f\x9b\u202e\u2066\u2028\ufeff\ud800\r\U000e0041"]
 
@@ -25,6 +25,19 @@ def test_what_acts_becomes_an_escape(text):
     assert shown.isprintable()
     assert shown.isascii()
     assert visible(shown) == shown
+
+
+@pytest.mark.parametrize(
+    ("name", "typed"),
+    [
+        ("unit-17", "unit-17"),
+        ("-a b.csv", "'./-a b.csv'"),
+        ("it's.csv", "'it'\"'\"'s.csv'"),
+        ("мій", "'мій'"),
+    ],
+)
+def test_a_name_in_a_command_can_be_pasted(name, typed):
+    assert as_typed(name) == typed
 
 
 def test_what_people_write_stays():

@@ -1,6 +1,7 @@
 """What a certificate says is what the analyses say; what it lacks is told."""
 
 import json
+import re
 import shutil
 from importlib.metadata import version
 from pathlib import Path
@@ -143,6 +144,22 @@ def test_real_instruments_without_certificates_are_missing_unless_that_was_agree
     assert not any(
         "traceability" in text for text in missing(certificate_of("mine", Path("runs"), read[0], agreed))
     )
+
+
+def test_scale_factors_of_another_block_in_the_bench_file_are_missing_once_with_the_way_out(bench, files):
+    """All three channels contradict the bench file; the same readings with the corrected one do not."""
+    right = (RECORDED / "bench.yaml").read_text("utf-8")
+    Path("wrong.yaml").write_text(re.sub(r"-2\.1[48] V/g", "-5 V/g", right), "utf-8")
+    assert bench("export", RECORDED, "--csv", "out.csv")[0] == 0
+    lacking = {}
+    for name, file in (("wrong", "wrong.yaml"), ("right", RECORDED / "bench.yaml")):
+        assert bench("import", "out.csv", "--name", name, "--bench", file)[0] == 0
+        found = missing(certificate_of(name, Path("runs"), *files))
+        lacking[name] = [text for text in found if "data sheet" in text]
+    (text,) = lacking["wrong"]
+    assert text.count("announces -5 V/g") == 3
+    assert "'bench import' them" in text
+    assert lacking["right"] == []
 
 
 def test_a_unit_that_was_adjusted_shows_both(folder, files):

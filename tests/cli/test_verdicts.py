@@ -147,7 +147,7 @@ def _copied(rows):
         (
             lambda rows: replace(rows, angle_rad=-rows.angle_rad),
             "does not fit",
-            "check its mounting and wiring",
+            "what the bench file states for V",
         ),
         (_copied, "does not fit", "and agree with installation 1; mount"),
         (_exchanged_at_v, "fail", "channels x, y exchanged"),

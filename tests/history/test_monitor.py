@@ -7,6 +7,8 @@ import pytest
 
 from bench.calibration.result import CalibrationError
 from bench.history.monitor import monitor_chart, monitor_run
+from bench.services.history import check_run
+from bench.services.source import Request, load_sources
 from bench.validation.paper_bench import U0, K, specific_force
 
 BEGAN = datetime(2026, 3, 1, tzinfo=UTC)
@@ -64,3 +66,21 @@ def test_what_is_no_monitor_is_refused():
     runs = [run(np.random.default_rng(6), 0), run(np.random.default_rng(6), 1, (90, 270))]
     with pytest.raises(CalibrationError, match="different axes"):
         monitor_chart(runs)
+
+
+@pytest.mark.parametrize(("label", "taken"), [("1", True), ("F", False)])
+def test_rows_without_an_orientation_are_no_part_of_a_monitor(tmp_path, label, taken):
+    """A short of the inputs between the positions counts for nothing; free positions alone are refused."""
+    phi = np.radians(np.tile((0, 90, 180, 270), 2))
+    signal = specific_force(["1"] * 8, phi) @ K.T + U0 + np.random.default_rng(5).normal(0.0, NOISE_V, (8, 3))
+    lines = ["installation,pass,point,angle_deg,ux_v,uy_v,uz_v", "S,1,1,,0,0,0"]
+    for row, (angle, volts) in enumerate(zip(np.degrees(phi), signal, strict=True)):
+        at = f"{angle}" if taken else ""
+        lines.append(f"{label},{1 + row // 4},{1 + row % 4},{at}," + ",".join(map(str, volts)))
+    (tmp_path / "one.csv").write_text("\n".join(lines))
+    (source,) = load_sources(Request([str(tmp_path / "one.csv")], tmp_path))
+    if taken:
+        assert check_run(source).names == ("bx", "Sx", "bz", "Sz", "theta_xz")
+    else:
+        with pytest.raises(CalibrationError, match="run monitor-2"):
+            check_run(source)
