@@ -146,6 +146,7 @@ def snapshot(
         "doing": _doing(seen, alive=alive),
         "prompt": None if asked is None else prompt_of(asked, seen, about.installations),
         "refused": None if seen.refused is None else _answer(seen.refused),
+        "unmet": "" if seen.unmet is None else in_words(seen.unmet, seen.plan),
         "answered": None if seen.answered is None else _answer(seen.answered),
         "where": _where(seen, time_left),
         "angle": _angle(seen),
