@@ -18,7 +18,7 @@ from bench.panel.outcome import (
     previous_calibration,
 )
 from bench.panel.results import results_of
-from bench.panel.stream import Follower
+from bench.panel.stream import DISK_NEEDED, Follower
 from bench.run.events import EVENTS, MANIFEST
 from bench.run.folder import RESULTS, Run
 from tests.support.pages import ROOT
@@ -189,6 +189,14 @@ def test_time_left_is_known_at_every_event_of_a_run_and_falls(growing):
 def test_redo_names_the_point_that_it_repeats(growing):
     assert state_after(growing, 3)["redo"] == ""
     assert state_after(growing, 40)["redo"] == "point 6, 225°00′00″, pass 1"
+
+
+def test_a_run_that_a_full_disk_ended_says_to_free_it(growing, monkeypatch):
+    full = shutil.disk_usage(growing)._replace(free=DISK_NEEDED - 1)
+    monkeypatch.setattr("bench.panel.stream.shutil.disk_usage", lambda _: full)
+    alarm = state_after(growing, 40)["alarm"]
+    assert (alarm["cause"], alarm["do"]) == ("The program of this run ended: the disk is full.", "resume")
+    assert alarm["action"].startswith("Free disk space")
 
 
 def test_a_run_whose_program_is_gone_is_an_alarm_and_a_finished_one_is_none(growing):
