@@ -21,7 +21,7 @@ from bench.base.languages import message
 from bench.base.requests import fields_of
 from bench.base.text import visible
 from bench.base.yaml_files import FileMistakes
-from bench.panel.access import Refusal, is_held, private_folder
+from bench.panel.access import Person, Refusal, is_held, private_folder
 from bench.panel.folder import RunsFolder
 from bench.run.events import EVENTS, RecordError, sha256
 from bench.run.folder import Run, checked_name
@@ -50,8 +50,11 @@ class Started:
         return self.process.poll()
 
 
-def start(arguments: Sequence[str], log: Path, *, program: Sequence[str] = BENCH) -> Started:
-    """Start a process that outlives this program, without a shell; its output goes to `log`. Raises `OSError`."""
+def start(arguments: Sequence[str], log: Path, *, program: Sequence[str] = BENCH, role: str = "") -> Started:
+    """Start a process that outlives this program, without a shell; its output goes to `log`. Raises `OSError`.
+
+    `role` is the role of the person for whom it acts.
+    """
     with log.open("wb") as out:
         process = subprocess.Popen(  # noqa: S603 - a program of ours, arguments that were checked
             [sys.executable, *program, *arguments],
@@ -59,7 +62,7 @@ def start(arguments: Sequence[str], log: Path, *, program: Sequence[str] = BENCH
             stdout=out,
             stderr=subprocess.STDOUT,
             start_new_session=True,
-            env={**os.environ, STARTED_FROM: "panel"},
+            env={**os.environ, STARTED_FROM: f"panel {role}".rstrip()},
         )
     # reap the process at its end; otherwise it would stay a zombie
     threading.Thread(target=process.wait, daemon=True).start()
@@ -307,17 +310,12 @@ def start_run(wish: WishFolder, name: str, runs: RunsFolder) -> Run:
     return runs.run(name)
 
 
-def resume_run(run: Run, by: str = "") -> None:
-    """Resume a run for `by`, or make its results, in a process of its own. Raises `Refusal` if it cannot begin."""
+def resume_run(run: Run, by: Person) -> None:
+    """Resume a run for a person, or make its results, in a process of its own. Raises `Refusal`."""
     if is_being_written(run.folder):
         raise Refusal(409, message("a program is carrying out this run now; follow it on the run's page"))
-    started = start(
-        [
-            "resume", str(run.folder.absolute()), f"--runs={_runs(run)}", f"--answers={ANSWERS}",
-            *([f"--operator={by}"] if by else []),
-        ],
-        _output(run),
-    )  # fmt: skip
+    arguments = ["resume", str(run.folder.absolute()), f"--runs={_runs(run)}", f"--answers={ANSWERS}"]
+    started = start([*arguments, f"--operator={by.name}"], _output(run), role=by.role.value)
     wait_until(lambda: is_being_written(run.folder) or not run.results_missing, started)
 
 

@@ -12,6 +12,8 @@ from bench.panel.results import DOES_NOT_FIT, LACK_OF_FIT, Results, VerdictTold,
 from bench.run.events import RecordError
 from bench.run.folder import CALIBRATE_FILE, Run
 
+LONGEST_RESULTS_S: Final = 120.0
+"""Time (s) after the end of a run within which its program computes the results."""
 MOST_CHANGES: Final = 3
 """Number of coefficients that are listed as changed; the comparison command lists all."""
 
@@ -66,13 +68,16 @@ class Outcome:
     picture: Picture | None
 
 
-def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool) -> Outcome:
-    """Return the outcome of a run that ended: `alive` while its program runs, `finished` after all its steps."""
+def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool, age_s: float) -> Outcome:
+    """Return the outcome of a run that ended `age_s` ago: `alive` while its record is open, `finished` at its end.
+
+    Results that are missing long after the end are not being computed: their program was stopped.
+    """
     found = results_of(run)
     state = "ready" if found.calibration is not None else "none"
     # coefficients are written before the verdict: they alone are not the end
     if finished and (alive or run.results_missing):
-        state = "waiting"
+        state = "waiting" if alive or age_s < LONGEST_RESULTS_S else "none"
     done = state == "ready"
     return Outcome(
         state=state,

@@ -130,7 +130,7 @@ class Results:
 def results_of(run: Run) -> Results:
     """Return the results of a run, read from the files in its folder."""
     trouble: list[str] = []
-    verdict = told_by(run, VERIFY_FILE, _verdict, trouble)
+    verdict = told_by(run, VERIFY_FILE, verdict_told, trouble)
     calibration = told_by(run, CALIBRATE_FILE, _calibration, trouble)
     diagnosis = told_by(run, DIAGNOSE_FILE, _diagnosis, trouble)
     there = [name for name in (REPORT, DIAGNOSIS) if is_plain(run.folder / name)]
@@ -163,7 +163,8 @@ def _in_words(probability: Any) -> str:
     return optional_probability(None if probability is None else float(probability))
 
 
-def _verdict(told: Mapping[str, Any]) -> VerdictTold:
+def verdict_told(told: Mapping[str, Any]) -> VerdictTold:
+    """Return the verdict in the JSON result of a verification, as shown on a page."""
     limit = float(told["limit_g"])
     scale = scale_for(limit, "g")
     points = [_point(one, scale.size, limit, str(told.get("rule", ""))) for one in told["points"]]

@@ -44,7 +44,8 @@ class RunView:
 
     `step` is the event with which the current step began; `begun` is the start of the first step
     after the run was begun or resumed. `turn` is the event of the last turn since the block was mounted; `set_c` is
-    the set point (°C) of the chamber. Results of steps are computed from events on demand only, as few are needed.
+    the set point (°C) of the chamber. `unmet` is a wish that was refused since the last answer.
+    Results of steps are computed from events on demand only, as few are needed.
     """
 
     plan: Plan
@@ -58,6 +59,7 @@ class RunView:
     set_c: float | None = None
     slow: Event | None = None
     refused: Event | None = None
+    unmet: Event | None = None
     answered: Event | None = None
     left_safe: dict[str, str] = field(default_factory=dict)
     why: str = ""
@@ -128,7 +130,9 @@ class RunView:
             case EventType.ASKED:
                 self.refused = None
             case EventType.ANSWERED:
-                self.answered = event
+                self.answered, self.unmet = event, None
+            case EventType.WISH_REFUSED:
+                self.unmet = event
             case EventType.ANSWER_REFUSED:
                 self.refused = event
             case _ if event.type in _STOPPED:

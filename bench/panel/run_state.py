@@ -127,7 +127,14 @@ class About:
 
 
 def snapshot(
-    seen: RunView, about: About, time_left: TimeLeft, asked: AskedPrompt | None, *, alive: bool, now: datetime
+    seen: RunView,
+    about: About,
+    time_left: TimeLeft,
+    asked: AskedPrompt | None,
+    *,
+    alive: bool,
+    now: datetime,
+    disk_full: bool = False,
 ) -> dict[str, Any]:
     """Return the snapshot of a run as a JSON object; `asked` is the open question, `alive` if a program runs."""
     latest = seen.latest
@@ -146,6 +153,7 @@ def snapshot(
         "doing": _doing(seen, alive=alive),
         "prompt": None if asked is None else prompt_of(asked, seen, about.installations),
         "refused": None if seen.refused is None else _answer(seen.refused),
+        "unmet": "" if seen.unmet is None else in_words(seen.unmet, seen.plan),
         "answered": None if seen.answered is None else _answer(seen.answered),
         "where": _where(seen, time_left),
         "angle": _angle(seen),
@@ -153,7 +161,7 @@ def snapshot(
         "chamber": _chamber(seen) if about.chamber else None,
         "soak": _soak(seen, about),
         "warnings": [_warning(event) for event in reversed(seen.warnings)],
-        "alarm": alarm_of(seen, asked, alive=alive),
+        "alarm": alarm_of(seen, asked, alive=alive, disk_full=disk_full),
         "redo": _redo_point(seen),
         "doubt": seen.progress.doubt is not None,
         "log": [_line(event, seen) for event in list(seen.last)[: -LOG_LINES - 1 : -1]],
@@ -183,7 +191,9 @@ def _doing(seen: RunView, *, alive: bool) -> str:
     return text[:1].upper() + text[1:]
 
 
-def alarm_of(seen: RunView, asked: AskedPrompt | None, *, alive: bool) -> dict[str, str] | None:
+def alarm_of(
+    seen: RunView, asked: AskedPrompt | None, *, alive: bool, disk_full: bool = False
+) -> dict[str, str] | None:
     """Return the alarm of a run: `cause` in one line, `action` to take, `details`; None if there is no alarm.
 
     `do` is "resume" if the action is to resume the run, else empty. An open question is no alarm; an early
@@ -195,6 +205,13 @@ def alarm_of(seen: RunView, asked: AskedPrompt | None, *, alive: bool) -> dict[s
         cause, details = _first_sentence(seen.why or message("The run failed."))
         return _alarm(cause, message("Remove the cause, then resume the run."), details, "resume")
     if not alive and seen.state in {RunState.RUNNING, RunState.PAUSED, RunState.READY}:
+        if disk_full:
+            return _alarm(
+                message("The program of this run ended: the disk is full."),
+                message("Free disk space, then resume the run: no reading is lost."),
+                "",
+                "resume",
+            )
         return _alarm(
             message("The program of this run ended unexpectedly."),
             message("Resume the run: no reading is lost."),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import shutil
 from collections import deque
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
@@ -135,6 +136,8 @@ def _is_reading(event: Event) -> bool:
     return "reading" in event.data
 
 
+DISK_NEEDED: Final = 1 << 16
+"""Free space (bytes) without which a program cannot continue the record of a run."""
 ALIVE_LOOK_S: Final = 1.0
 """Interval (s) of the check whether a program still carries out the run."""
 
@@ -205,7 +208,13 @@ class Follower:
         if (begun := self._seen.begun) is not None:
             self._time_left.begin(begun.step, begun.bench_s)
         return snapshot(
-            self._seen, self._about, self._time_left, self.prompt, alive=self._alive, now=utc_now()
+            self._seen,
+            self._about,
+            self._time_left,
+            self.prompt,
+            alive=self._alive,
+            now=utc_now(),
+            disk_full=not self._alive and shutil.disk_usage(self._folder).free < DISK_NEEDED,
         )
 
     def _look_for_writer(self, *, at_once: bool) -> bool:

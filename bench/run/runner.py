@@ -349,6 +349,10 @@ class Runner:
                 return self._redo(control, index)
             case Wish.SKIP if self.progress.doubt is not None:
                 return self._refuse(control, index, "first answer the question about the reading in doubt")
+            case Wish.SKIP if isinstance(self.plan.steps[index], Mount):
+                return self._refuse(
+                    control, index, "the block must be mounted before the readings that follow"
+                )
             case Wish.SKIP:
                 last = end_of_point(self.plan, index) - 1
                 self._emit(EventType.SKIPPED, first=index, last=last, **control.reason_and_author())

@@ -31,7 +31,7 @@ FOLDER: Final = "persons"
 TOKEN: Final = "BENCH_TOKEN"
 KEY: Final = "BENCH_KEY"
 STARTED_FROM: Final = "_BENCH_STARTED_FROM"
-"""Environment variable with the place of the person for whom a program starts this one, such as "panel"."""
+"""Environment variable with place and role of the person for whom a program starts this one: "panel operator"."""
 LONGEST_NAME: Final = 60
 ADDED, CHANGED, ENDED = "added", "changed", "ended"
 
@@ -178,8 +178,13 @@ def acting_at(where: str, name: str, laboratory: Path | None = None) -> WishAuth
 
 
 def resumer(where: str, name: str) -> WishAuthor:
-    """Return the author of a resumption for the record; nobody if there is neither `name` nor register."""
-    by = acting_at(where, name)
+    """Return the author of a resumption for the record; nobody if there is neither `name` nor register.
+
+    `where` is a place, or a place and the person's role there, separated by a space.
+    """
+    place, _, role = where.partition(" ")
+    by = acting_at(place, name)
+    by = replace(by, role=role or by.role)
     return by if name or persons_of(laboratory_known(None)) is not None else NOBODY_KNOWN
 
 

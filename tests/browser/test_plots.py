@@ -33,6 +33,11 @@ def told(page, panel):
     return page.request.get(f"{panel.url}/runs/later/plots/data").json()
 
 
+def test_a_rounded_zero_has_no_sign(page):
+    for value, shown in ((-1e-4, "0 ± 645 mV"), (1e-4, "0 ± 645 mV"), (-0.7, "−700 ± 645 mV"), (0.7, "+700 ± 645 mV")):
+        assert page.evaluate(f"BenchDrawing.withU({value}, 0.645, 'V')") == shown
+
+
 def part(page, name="residuals"):
     return page.locator(f'section[data-plots="{name}"]').first
 

@@ -276,7 +276,10 @@ def test_finding_addresses_nothing_and_what_is_found_is_given_to_an_instrument(
 
 
 def test_a_name_that_cannot_be_written_is_a_mistake_before_it_is_written(anna):
-    for name, says in (("hall 3!", "letters, digits"), ("bench-gpib", "there is a bench file bench-gpib already")):
+    for name, says in (
+        ("hall 3!", "letters, digits"),
+        ("bench-gpib", "there is a bench file bench-gpib already"),
+    ):
         page = anna.get(f"/bench/form?start=bench-lan&name={quote(name)}").text
         assert "✗ 1 mistake<" in page
         assert says in page
@@ -307,7 +310,9 @@ def test_an_identified_meter_brings_its_driver(runs, anna):
 def shown_as(page):
     """What each resource found is shown to be, and the resource of each voltmeter."""
     chosen = re.findall(r'name="was:\d" value="(\w*)"', page)
-    selected = [re.findall(r'<option value="(\w+)" selected', one) for one in re.findall(r'id="is:\d".*', page)]
+    selected = [
+        re.findall(r'<option value="(\w+)" selected', one) for one in re.findall(r'id="is:\d".*', page)
+    ]
     assert selected == [[one] if one else [] for one in chosen]
     meters = [rf'id="instruments.voltmeters\[{n}\].resource"[^>]*? value="([^"]*)"' for n in (1, 2, 3)]
     return chosen, [re.search(meter, page)[1] for meter in meters]

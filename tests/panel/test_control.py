@@ -1,5 +1,6 @@
 """Who is in control of a run, and what a person asks of it: answers, wishes, everybody's stop."""
 
+import errno
 import itertools
 import json
 import shutil
@@ -116,6 +117,16 @@ def test_stop_is_everybodys_and_all_else_the_holders(runs, one, alive):
     assert eve.ask("/runs/one/control", do="take")[0] == 403
 
 
+def test_a_wish_that_the_run_refused_is_told_until_the_next_answer(anna, alive):
+    who = {"by": "anna", "role": "operator", "where": "panel"}
+    alive.append("wish_refused", 0.0, wish="redo", why="no point was measured", **who)
+    told = anna.get("/runs/one/state").json()["unmet"]
+    assert told == "redo in the panel by anna is not possible: no point was measured"
+    alive.append("answered", 0.0, id=QUESTION.id, answer="yes", **who)
+    later = (anna.get("/runs/one/state").json()["unmet"] for _ in range(200))
+    assert "" in later
+
+
 def test_nobody_hears_a_wish_for_a_run_that_nobody_carries_out(anna, one):
     anna.ask("/runs/one/control", do="take")
     status, told = anna.ask("/runs/one/wish", wish="pause")
@@ -138,13 +149,30 @@ def test_a_run_is_given_up_for_good_by_who_is_in_control(anna, runs, one):
 
 def test_resuming_takes_control_where_nobody_has_it(anna, runs, one, monkeypatch):
     started = []
-    monkeypatch.setattr("bench.panel.pages.run.resume_run", lambda run, by: started.append((run.name, by)))
+    monkeypatch.setattr(
+        "bench.panel.pages.run.resume_run", lambda run, by: started.append((run.name, by.name))
+    )
     ben = Browser(runs, "ben")
     assert anna.post("/runs/one/resume").headers["location"] == "/runs/one/"
     assert read_holding(one).holder == "anna"
     assert ben.ask("/runs/one/resume")[0] == 403
     assert Browser(runs, "eve", Role.VIEWER).ask("/runs/one/resume")[0] == 403
     assert started == [("one", "anna")]
+
+
+def test_a_file_that_cannot_be_written_is_refused_with_its_remedy(anna, one, alive, monkeypatch):
+    anna.ask("/runs/one/control", do="take")
+    for number, remedy in (
+        (errno.ENOSPC, "free the disk"),
+        (errno.EROFS, "make the folder of the run writable"),
+    ):
+
+        def fails(*_, number=number):
+            raise OSError(number, "why")
+
+        monkeypatch.setattr("bench.panel.pages.run.leave_answer", fails)
+        status, told = anna.ask("/runs/one/answer", id=QUESTION.id, text="yes")
+        assert (status, told["problem"]) == (409, f"it cannot be written (why); {remedy}")
 
 
 def test_taking_over_asks_and_is_answered(anna, runs, one):

@@ -8,11 +8,19 @@ import pytest
 from bench.base.numbers import rounded
 from bench.panel.access import Role
 from bench.panel.folder import RunsFolder
-from bench.panel.outcome import EDGE, LABELS, WIDTH, outcome_of, picture_of, previous_calibration
+from bench.panel.outcome import (
+    EDGE,
+    LABELS,
+    LONGEST_RESULTS_S,
+    WIDTH,
+    outcome_of,
+    picture_of,
+    previous_calibration,
+)
 from bench.panel.results import results_of
-from bench.panel.stream import Follower
+from bench.panel.stream import DISK_NEEDED, Follower
 from bench.run.events import EVENTS, MANIFEST
-from bench.run.folder import Run
+from bench.run.folder import RESULTS, Run
 from tests.support.pages import ROOT
 from tests.support.panel_client import Browser
 
@@ -28,7 +36,9 @@ def serial(folder, number, created):
 
 
 def outcome(folder, **told):
-    return outcome_of(Run(folder), RunsFolder(folder.parent), **{"alive": False, "finished": True, **told})
+    return outcome_of(
+        Run(folder), RunsFolder(folder.parent), **{"alive": False, "finished": True, "age_s": 1.0, **told}
+    )
 
 
 def test_the_page_of_a_finished_run_ends_with_verdict_picture_and_next_steps(runs, judged):
@@ -91,6 +101,22 @@ def test_results_that_are_being_computed_are_waited_for(judged):
         (judged / name).unlink()
     assert outcome(judged).state == "waiting"
     assert outcome(judged, finished=False).state == "none"
+    assert outcome(judged, age_s=LONGEST_RESULTS_S).state == "none"  # their program was stopped
+
+
+def test_a_run_says_whether_its_results_are_missing_or_not_due(runs, judged, anna, monkeypatch):
+    monkeypatch.setattr("bench.panel.outcome.LONGEST_RESULTS_S", 0.0)
+    for name in ("calibrate.json", "verify.json"):
+        (judged / name).unlink()
+    page = anna.get("/runs/run/").text
+    assert "its results are missing" in page
+    assert "Make the results" in anna.get("/runs/run/verdict").text
+    change(judged / RESULTS, made=[])  # as after a procedure that alone gives no calibration
+    page = anna.get("/runs/run/").text
+    assert "This run alone gives no calibration" in page
+    assert "Make the results" not in page
+    assert 'href="/start?like=run">Next unit</a>' in page
+    assert "The run alone gives no calibration" in anna.get("/runs/run/verdict").text
 
 
 def test_the_previous_calibration_is_the_last_one_before_of_the_same_unit(runs, judged):
@@ -163,6 +189,14 @@ def test_time_left_is_known_at_every_event_of_a_run_and_falls(growing):
 def test_redo_names_the_point_that_it_repeats(growing):
     assert state_after(growing, 3)["redo"] == ""
     assert state_after(growing, 40)["redo"] == "point 6, 225°00′00″, pass 1"
+
+
+def test_a_run_that_a_full_disk_ended_says_to_free_it(growing, monkeypatch):
+    full = shutil.disk_usage(growing)._replace(free=DISK_NEEDED - 1)
+    monkeypatch.setattr("bench.panel.stream.shutil.disk_usage", lambda _: full)
+    alarm = state_after(growing, 40)["alarm"]
+    assert (alarm["cause"], alarm["do"]) == ("The program of this run ended: the disk is full.", "resume")
+    assert alarm["action"].startswith("Free disk space")
 
 
 def test_a_run_whose_program_is_gone_is_an_alarm_and_a_finished_one_is_none(growing):

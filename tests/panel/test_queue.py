@@ -49,8 +49,16 @@ def units(browser):
 def found_possible(anna, reply):
     """Say that a check found no obstacle; return the check."""
     wish = anna.client.app.state.panel.wishes.of(reply.headers["location"].rpartition("/")[2])
+    assert 'href="/queue">Back to the queue' in anna.get(reply.headers["location"]).text
     wish.tell(TrialResult("done", check={"problems": [], "dry_run_refuses": []}, tried=0))
     return wish
+
+
+def test_the_queue_begins_with_the_bench_of_the_working_folder(runs, anna):
+    Path("mine.yaml").write_text("name: mine\ninstruments:\n")
+    assert "<option selected>mine.yaml</option>" in anna.get("/queue").text
+    added(anna, "17-042")
+    assert "<option selected>paper-stand</option>" in anna.get("/queue").text  # as the unit before
 
 
 def test_units_stand_in_order_are_moved_and_removed_and_survive_a_restart(runs, anna):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import runpy
 from dataclasses import replace
 from html import unescape
@@ -162,6 +163,27 @@ def test_a_wish_is_started_once(tmp_path):
     wish.mark_started("one")
     with pytest.raises(Refusal, match="already started"):
         wish.mark_started("two")
+
+
+def test_the_trial_says_its_own_verdict_and_the_choice_is_kept_for_another(anna, started, judged):
+    wish = begun(anna, unit="17-042", operator="Ann B.", dry_run="yes")
+    verdict = json.loads((judged / "verify.json").read_text())
+    check = {"problems": [], "hints": [], "dry_run_refuses": [], "steps": 1, "operator_actions": 1,
+             "procedure": "quick", "bench": "b", "expected_s": 60.0, "longest_s": 60.0}  # fmt: skip
+    doubtful = verdict | {"passed": False, "statement": "conditional pass"}
+    for verification, says in (
+        (verdict, "✓ passed, worst"),
+        (doubtful, "conditional pass, worst"),
+        (None, "not accepted: see the output"),
+    ):
+        wish.tell(TrialResult("done", check=check, tried=1, result={"verification": verification}))
+        page = unescape(anna.get(f"/start/{wish.id}").text)
+        assert says in page
+        assert "does not pass" not in page
+    form = anna.get(re.search(r'href="([^"]*)">Change the choice', page)[1]).text
+    for kept in ('value="quick" required checked', "<option selected>paper-stand<", 'value="17-042"',
+                 'value="Ann B."', 'name="dry_run" type="checkbox" value="yes" checked'):  # fmt: skip
+        assert kept in form
 
 
 def test_old_wishes_are_forgotten(tmp_path):

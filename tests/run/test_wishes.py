@@ -90,6 +90,14 @@ def test_skip_leaves_the_point_out_with_its_reason(tmp_path):
     assert history.state == "finished"
 
 
+def test_a_mounting_cannot_be_skipped_as_the_readings_after_it_rely_on_it(tmp_path):
+    history, keys, _ = listening(tmp_path, {poll_at("m2"): RunControl(Wish.SKIP, "later")})
+    assert keys == READS
+    (refused,) = (e for e in history.events if e.type == "wish_refused")
+    assert "must be mounted" in refused.data["why"]
+    assert not [e for e in history.events if e.type == "skipped"]
+
+
 def test_abort_ends_the_run_for_good_with_the_bench_closed(tmp_path):
     with pytest.raises(RunAborted):
         listening(tmp_path, {poll_at("r11"): RunControl(Wish.ABORT, "wrong block")})

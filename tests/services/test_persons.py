@@ -177,23 +177,31 @@ def test_who_resumes_a_run_is_in_its_record(bench, laboratory, monkeypatch, name
     assert (f"operator: {operators}" in printed(bench("show", "one"))) == bool(operators)
 
 
-@pytest.mark.parametrize("started_from", ["terminal", "panel"])
+@pytest.mark.parametrize(
+    ("started_from", "where", "role"),
+    [
+        ("", "terminal", "supervisor"),
+        ("panel", "panel", "supervisor"),
+        ("panel operator", "panel", "operator"),
+    ],
+)
 def test_who_resumes_at_a_shell_is_at_the_terminal_wherever_the_answers_come_from(
-    bench, empty_folder, monkeypatch, started_from
+    bench, empty_folder, monkeypatch, started_from, where, role
 ):
-    if started_from == "panel":
-        monkeypatch.setenv(STARTED_FROM, "panel")
+    if started_from:
+        monkeypatch.setenv(STARTED_FROM, started_from)
     shutil.copytree(RECORDS / "interrupted", "runs/one")
     assert bench("resume", "one", "--operator", "Anna", "--answers", "folder")[0] == 0
     (event,) = (one for one in Run(Path("runs/one")).history.events if one.type == "run_resumed")
-    assert event.data["where"] == started_from
+    assert (event.data["by"], event.data["where"], event.data["role"]) == ("Anna", where, role)
 
 
 def test_what_the_panel_starts_knows_that_it_is_from_there(tmp_path):
     says = f"import os; print(os.environ['{STARTED_FROM}'])"
-    started = start([], tmp_path / "log", program=("-c", says))
-    assert started.process.wait(PATIENCE_S) == 0
-    assert last_words(started.log) == "panel"
+    for role, told in (("", "panel"), ("operator", "panel operator")):
+        started = start([], tmp_path / "log", program=("-c", says), role=role)
+        assert started.process.wait(PATIENCE_S) == 0
+        assert last_words(started.log) == told
 
 
 def test_the_command_lists_and_changes(bench, laboratory):

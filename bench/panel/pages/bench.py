@@ -224,7 +224,9 @@ def _assign(values: dict[str, str], given: Mapping[str, str], found: Findings) -
     twice = [target for target, number in wanted.items() if number > 1]
     if not twice:
         return ""
-    return message(f"Two of the instruments found are chosen as {' and as '.join(twice)}. Choose one of them.")
+    return message(
+        f"Two of the instruments found are chosen as {' and as '.join(twice)}. Choose one of them."
+    )
 
 
 def _assigned(values: Mapping[str, str]) -> dict[str, tuple[str, str]]:

@@ -20,7 +20,7 @@ from bench.config.shipped import CONFIG, PROCEDURES
 from bench.panel.access import Person, Refusal, Role
 from bench.panel.folder import RunRow
 from bench.panel.own_files import choices, chosen_bench, chosen_procedure, offered
-from bench.panel.pages.start import printable, wished
+from bench.panel.pages.start import first_bench, printable, wished
 from bench.panel.queue import DUTY, OFF_DUTY, SWITCHED_ON, DayNote, QueueItem, new_item
 from bench.panel.shared import Panel, acting, looking, page, panel_of
 from bench.run.events import RecordError
@@ -81,6 +81,7 @@ async def queue(request: Request) -> Response:
         may=person.role is not Role.VIEWER,
         procedures=list(choices(PROCEDURES)),
         bench_files=list(choices(CONFIG)),
+        first_bench=await run_in_threadpool(first_bench, panel.runs),
         **shown,
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import AsyncIterator, Callable, Mapping
+from datetime import datetime
 from typing import Any, Final, TypeVar
 from urllib.parse import quote
 
@@ -11,6 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response, StreamingResponse
 
+from bench.base.files import DISK_FULL
 from bench.base.languages import message
 from bench.base.numbers import without_infinity
 from bench.panel.access import Person, Refusal, Role
@@ -75,7 +77,15 @@ async def _run_page(
     told: Outcome | None = None
     if ended:
         finished = state["state"] == "finished"
-        told = await run_in_threadpool(outcome_of, run, panel.runs, alive=state["alive"], finished=finished)
+        age = datetime.fromisoformat(state["now"]) - datetime.fromisoformat(state["last_time"])
+        told = await run_in_threadpool(
+            outcome_of,
+            run,
+            panel.runs,
+            alive=state["alive"],
+            finished=finished,
+            age_s=abs(age.total_seconds()),
+        )
     return page(request, name, run=run, state=state, outcome=told, next_unit=next_unit(panel), **more)
 
 
@@ -192,7 +202,7 @@ async def resume(request: Request) -> Response:
     person, _ = await acting(request, Role.OPERATOR)
     run = panel_of(request).runs.run(request.path_params["name"])
     await _doing(_hold, run, person)
-    await _doing(resume_run, run, person.name)
+    await _doing(resume_run, run, person)
     return _done(request, run, message("it continues"))
 
 
@@ -227,7 +237,11 @@ async def _doing(work: Callable[..., Told], *given: object) -> Told:
     try:
         return await run_in_threadpool(work, *given)
     except OSError as error:
-        raise Refusal(409, message(f"it cannot be written ({error.strerror}); free the disk")) from error
+        if error.errno in DISK_FULL:
+            raise Refusal(409, message(f"it cannot be written ({error.strerror}); free the disk")) from error
+        raise Refusal(
+            409, message(f"it cannot be written ({error.strerror}); make the folder of the run writable")
+        ) from error
 
 
 def _done(request: Request, run: Run, what: str) -> Response:

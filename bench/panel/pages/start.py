@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, Final
-from urllib.parse import quote
+from urllib.parse import quote, urlencode
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -30,6 +30,7 @@ from bench.panel.own_files import (
     offered_procedures,
     own_files,
 )
+from bench.panel.results import verdict_told
 from bench.panel.shared import Panel, acting, operator, page, panel_of
 from bench.run.events import MANIFEST, RecordError
 from bench.run.sentences import duration
@@ -54,8 +55,8 @@ def form(request: Request) -> Response:
     """
     person = operator(request)
     given = {name: request.query_params.get(name, "")[:LONGEST] for name in (*FORM, "after", "like")}
-    given["operator"] = person.name
-    given["bench"] = given["bench"] or os.environ.get("BENCH_FILE", "") or _last_bench(panel_of(request).runs)
+    given["operator"] = given["operator"] or person.name
+    given["bench"] = given["bench"] or first_bench(panel_of(request).runs)
     if given["like"]:
         given |= _files_of(panel_of(request).runs.run(given["like"]).manifest)
     after = None
@@ -128,17 +129,26 @@ def found(request: Request) -> Response:
     """Show the findings of check and dry run so far."""
     operator(request)
     wish = panel_of(request).wishes.of(request.path_params["wish"])
-    told = wish.found()
+    told, asked = wish.found(), wish.wanted()
+    verification = (told.result or {}).get("verification")
     return page(
         request,
         "started.html.j2",
         wish=wish,
-        wanted=wish.wanted().request,
+        wanted=asked.request,
         found=told,
         times=_times(told),
         working=told.stage != "done" and (wish.at_work() or _just_begun(wish)),
         started=wish.started(),
+        verdict=verification and verdict_told(verification),
+        back="/queue" if asked.queued else f"/start?{urlencode(_choice(asked.request))}",
     )
+
+
+def _choice(wanted: RunRequest) -> dict[str, str]:
+    """Return what was chosen for a run, by the names of the form's fields, without what was left empty."""
+    named = _files_of(vars(wanted)) | {name: str(getattr(wanted, name) or "") for name in FORM[2:]}
+    return {name: {"True": "yes"}.get(text, text) for name, text in named.items() if text}
 
 
 async def go(request: Request) -> Response:
@@ -190,8 +200,10 @@ def _files_of(manifest: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
-def _last_bench(runs: RunsFolder) -> str:
-    """Return the bench file of the latest run, if the form offers it; else the first one of the working folder."""
+def first_bench(runs: RunsFolder) -> str:
+    """Return the bench file chosen at first: of BENCH_FILE, of the latest run, else of the working folder."""
+    if named := os.environ.get("BENCH_FILE", ""):
+        return named
     first = next(iter(own_files(CONFIG)), "paper-stand")
     last = max(runs.runs(), key=lambda run: (run.folder / MANIFEST).stat().st_mtime, default=None)
     try:

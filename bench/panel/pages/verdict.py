@@ -44,6 +44,7 @@ def verdict(request: Request) -> Response:
         certificates=certificates,
         trouble=trouble,
         further=is_plain(run.folder / NEXT),
+        finished=run.history.state is RunState.FINISHED,
         unmade=run.results_missing and run.history.state is RunState.FINISHED,
         diagnosing=diagnosing is not None and diagnosing.status is None,
         not_diagnosed=last_words(diagnosing.log) if diagnosing is not None and diagnosing.status == 2 else "",

@@ -79,7 +79,7 @@
     const cut = lost(), going = state.alive && !state.ended;
     for (const button of WISHES) {
       const wish = button.dataset.wish;
-      const heardIn = wish === "pause" ? state.state === "running" : wish === "continue" ? state.state === "paused" : wish === "redo" ? state.redo !== "" : true;
+      const heardIn = wish === "pause" ? state.state === "running" : wish === "continue" ? state.state === "paused" : wish.startsWith("redo") ? state.redo !== "" : wish === "skip" ? !state.doubt && (state.prompt || {}).do !== "mount" : true;
       button.disabled = cut || !going || !heardIn || (wish !== "stop" && !holding());
       if (wish === "pause") button.hidden = state.state === "paused";
       if (wish === "continue") button.hidden = state.state !== "paused";
@@ -237,7 +237,8 @@
     return false;
   };
 
-  const AGAIN = { abort: [_("Give up the run"), () => _("Give it up for good: press again")], redo: [_("Redo the point"), () => _(`Redo ${state.redo}: press again`)] };
+  const AGAIN = { abort: [_("Give up the run"), () => _("Give it up for good: press again")], redo: [_("Redo the point"), () => _(`Redo ${state.redo}: press again`)],
+    "redo-pass": [_("Redo the pass"), () => _("All points of this pass again: press again")] };
   for (const button of WISHES) {
     button.addEventListener("click", () => {
       const wish = button.dataset.wish, reason = ["skip", "abort"].includes(wish) ? $("reason").value.trim() : "";
@@ -250,7 +251,11 @@
         return;
       }
       sureOf = "";
-      post("wish", { wish, reason }).then((taken) => { if (taken) $("reason").value = ""; });
+      post("wish", { wish, reason }).then((taken) => {
+        if (!taken) return;
+        $("reason").value = "";
+        if (document.activeElement === button) button.blur();  /* the question that follows is typed at once */
+      });
     });
   }
   $("reasoned").addEventListener("submit", (event) => event.preventDefault());
@@ -344,6 +349,7 @@
     const notes = [];
     if (!state.alive && !state.ended && me.role !== "viewer" && holder() && !holding()) notes.push(_(`${holder()} is in control: ask for control, then resume.`));
     if (prompt && !holding()) notes.push(holder() ? _(`${holder()} answers here, or somebody at the terminal.`) : _("Take control to answer here; the terminal answers too."));
+    if (state.unmet) notes.push(`${_(state.unmet)}.`);
     if (state.refused && state.refused.why) notes.push(_(`Not accepted: “${state.refused.answer}” – ${state.refused.why}.`));
     else if (state.answered) notes.push(_(`Last answer: “${state.answered.answer}”${state.answered.by ? ` by ${state.answered.by}` : ""}${state.answered.place ? ` (${state.answered.place})` : ""}.`));
     if (state.why && !state.alarm) notes.push(state.why);

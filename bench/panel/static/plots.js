@@ -30,7 +30,8 @@ const BenchDrawing = (() => {
     for (const [prefix, size] of [["", 1], ["m", 1e-3], ["µ", 1e-6]]) if (largest >= size) return { size, unit: prefix + unit };
     return { size: 1e-9, unit: `n${unit}` };
   };
-  const signed = (text) => (text.startsWith("-") ? `−${text.slice(1)}` : `+${text}`);
+  const unsigned = (text) => text.replace(/^-(?=[0.]*$)/, "");  /* no zero has a sign */
+  const signed = (text) => (Number(text) === 0 ? unsigned(text) : text.startsWith("-") ? `−${text.slice(1)}` : `+${text}`);
   const plain = (value) => (value < 0 ? "−" : "") + Math.abs(Number(value.toPrecision(6)));
 
   /* A value with two digits of its uncertainty: "−12.3 ± 4.5 µV". */
@@ -42,7 +43,7 @@ const BenchDrawing = (() => {
   };
 
   /* An angle with a true minus, and none before nought. */
-  const degrees = (angle, places) => `${angle.toFixed(places).replace(/^-(?=[0.]*$)/, "").replace("-", "−")}°`;
+  const degrees = (angle, places) => `${unsigned(angle.toFixed(places)).replace("-", "−")}°`;
   const timeUnit = (seconds) => (seconds > 7200 ? ["h", 3600] : ["min", 60]);
   const place = (point) => {
     const told = point.angle === null ? [] : [degrees(point.angle, 4)];
