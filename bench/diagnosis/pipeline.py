@@ -26,7 +26,7 @@ from bench.diagnosis.levels import BY_CHANCE, LISTED, LISTED_IN_SENTENCE, MOSTLY
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.mistakes.search import Mistake, MistakesLeaveTooLittle
 from bench.diagnosis.multi_run_system import find_mistakes_in_each, with_blocks
-from bench.diagnosis.naming import FamilyOdds, FoundEffect, Naming, Scored, name, same_signature
+from bench.diagnosis.naming import FamilyOdds, FoundEffect, Naming, Scored, find, name, same_signature
 from bench.diagnosis.next_measurement import Proposal, propose
 from bench.diagnosis.noise_grid import RATIOS, digit_of
 from bench.diagnosis.noise_kinds import NoiseFinding, noise_findings, noise_kinds
@@ -249,8 +249,8 @@ def _form(prepared: Prepared, estimated: _Estimated) -> FreeForm | None:
         candidates = whitened.candidates
     among = partial(is_form, candidates)
     begun = [one for one in named if one not in tied]
-    search = partial(name, begun=begun, among=among)
-    found = search(whitened, data, prepared.limit)
+    found = name(whitened, data, prepared.limit, begun=begun, among=among)
+    search = partial(find, begun=begun, among=among)
     noise = noise_size(whitened, data, found.columns)
     form_gap = measure_gap(linear, whitened, found, noise, prepared.limit, prepared.setting_rad, search)
     instead = () if patterns else tuple(one.variant.family for one in tied)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Final
 
 import numpy as np
@@ -39,20 +40,24 @@ class ModulusPoint:
 class Simulation:
     """A model fitted to readings, and the bench simulated with it at the same angles, times and temperatures.
 
-    `calibration` has the estimates. `test` compares the readings with a simulation without noise. `repeated` is
-    the calibration of one simulation with noise (seed `SEED`). `effects` are the effects of the model with the
-    values and u estimated here. `points` are the errors at the verification points, which are independent of the
-    fit. If `joined`, some effect shows at no other readings, and the fit therefore includes the verification
-    points.
+    `calibration` has the estimates. `test` compares the readings with a simulation without noise. `effects` are
+    the effects of the model with the values and u estimated here. `points` are the errors at the verification
+    points, which are independent of the fit. If `joined`, some effect shows at no other readings, and the fit
+    therefore includes the verification points. `repeat` computes `repeated`.
     """
 
     model: ForwardModel
     calibration: Calibration
     test: LackOfFit
-    repeated: Calibration
     effects: tuple[AppliedEffect, ...]
     points: tuple[ModulusPoint, ...]
     joined: bool
+    repeat: Callable[[], Calibration]
+
+    @cached_property
+    def repeated(self) -> Calibration:
+        """The calibration of one simulation with noise (seed `SEED`)."""
+        return self.repeat()
 
     @property
     def tested(self) -> bool:
@@ -184,11 +189,11 @@ def _simulate(
         model=bench,
         calibration=calibrate(readings, model, stand_u, g_m_s2, join_verification=joined),
         test=_test(problem, fit, rows.signal - still),
-        # the simulated noise is independent in every reading, so repeats share no error
-        repeated=calibrate(noisy, weak, stand_u, g_m_s2, find_shared=False),
         effects=effects,
         points=_points(readings, problem, fit),
         joined=joined,
+        # the simulated noise is independent in every reading, so repeats share no error
+        repeat=partial(calibrate, noisy, weak, stand_u, g_m_s2, find_shared=False),
     )
 
 
