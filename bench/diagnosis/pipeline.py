@@ -541,10 +541,23 @@ def _shown(
     """Yield, for each block, the simulations with the effects that were found in it."""
     readings = diagnosis.mistakes.corrected
     if readings.block is None:
-        yield show(readings, model, diagnosis.applied, stand_u, g_m_s2, diagnosis.in_part)
+        yield show(
+            readings, model, diagnosis.applied, stand_u, g_m_s2, diagnosis.in_part, _slow(diagnosis.linear)
+        )
         return
     for number in np.unique(readings.block):
         own = readings.select(readings.block == number)
         mounts = {str(mount) for mount in own.conditions().mounts}
         applied = [a for a in diagnosis.applied if not a.installations or mounts & set(a.installations)]
         yield show(own, model, tuple(applied), stand_u, g_m_s2)
+
+
+def _slow(linear: LinearSystem) -> Floats | None:
+    """Return the signals (n, 3, k) of the slow noise found, for one standard deviation of each of k components."""
+    if not linear.slow_channels:
+        return None
+    rows, own = linear.rows, linear.setting >= 0
+    signals = np.zeros((len(linear.readings), 3, linear.of_noise))
+    of_noise = linear.random[own, linear.random.shape[1] - linear.of_noise :]
+    signals[rows.reading[own], rows.channel[own]] = of_noise
+    return signals
