@@ -17,7 +17,7 @@ from scipy import special
 from bench.base.arrays import Floats, Ints, Mask, rms
 from bench.base.computing import tracked
 from bench.base.languages import message
-from bench.diagnosis.candidates import Candidates, replace_columns
+from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.evidence import Data, Threshold, Whitened
 from bench.diagnosis.levels import BY_CHANCE, INSEPARABLE, LEAST_FREEDOM, MOSTLY, OFTEN
 from bench.diagnosis.linear import MODULUS, LinearSystem, Rows
@@ -367,7 +367,7 @@ def _fold(
     found.
     """
     part, candidates = restrict(linear, ~held), whitened.candidates
-    kept = replace_columns(candidates, candidates.columns[~held])
+    kept = replace(candidates, columns=candidates.columns[~held])
     predict = partial(_held_out, linear, candidates, noise, held)
     before = predict(())
     if not most:

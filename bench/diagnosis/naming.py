@@ -269,9 +269,8 @@ def find(
         found.append(scored.best(among))
         if len(found) > 1:
             kept = free if among is not None else 0
-            found = needed(
-                whitened, data, _re_examine(whitened, data, found, threshold, among, kept), threshold, kept
-            )
+            found = _re_examine(whitened, data, found, among, kept)
+            found = needed(whitened, data, found, threshold, kept)
             if found == list(begun):
                 break
     return found
@@ -285,7 +284,6 @@ def _re_examine(
     whitened: Whitened,
     data: Data,
     found: list[FoundEffect],
-    threshold: Threshold,
     among: Among | None,
     kept: int,
 ) -> list[FoundEffect]:

@@ -185,9 +185,10 @@ def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whi
 
 
 def _wide(linear: LinearSystem) -> Mask:
-    """Return the mask (q,) of wide `random` columns: nonzero in many rows, or in more rows than a run has.
+    """Return the mask (q,) of wide `random` columns: nonzero in more than the fraction `FEW` of the rows, or than
+    a run has.
 
-    A wide column is fitted: as a covariance, it would join all its rows in one dense block.
+    A wide column is fitted: as a covariance, it would join all its rows in one dense block. Both give the same.
     """
     most = min(FEW, 1.0 / len(np.unique(linear.readings.run))) * len(linear)
     return np.asarray(np.count_nonzero(linear.random, axis=0) > most)
