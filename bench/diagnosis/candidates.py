@@ -271,11 +271,6 @@ def is_form(candidates: Candidates, family: str) -> bool:
     return candidates.variants[candidates.of_family(family)[0]].term is not None
 
 
-def replace_columns(candidates: Candidates, columns: Floats) -> Candidates:
-    """Return the same variants with other `columns` (N, P), for example those of only some of the rows."""
-    return Candidates(columns, candidates.kinds, candidates.scale, candidates.variants)
-
-
 def without_copies(candidates: Candidates, white: Whitener) -> Candidates:
     """Return the candidates without the unnamed patterns that an effect of the catalogue reproduces.
 
@@ -295,7 +290,7 @@ def without_copies(candidates: Candidates, white: Whitener) -> Candidates:
     explained = np.add.reduceat((np.concatenate(bases) @ left) ** 2, starts, axis=0)
     same[unnamed] = np.any(explained >= (1.0 - ALIKE) * np.sum(left**2, axis=0), axis=0)
     kept = tuple(v for v in candidates.variants if v.named or not all(same[c] for c in v.columns))
-    return Candidates(candidates.columns, candidates.kinds, candidates.scale, kept)
+    return replace(candidates, variants=kept)
 
 
 MountSets = Callable[[LinearSystem, Effect], Iterator[tuple[tuple[str, ...], ...]]]

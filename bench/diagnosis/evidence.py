@@ -101,7 +101,8 @@ class Whitened:
 
     def among(self, ratio: int, columns: Sequence[int]) -> Floats:
         """Return the Gram matrix (k, k) of the k `columns` at the noise ratio with the index `ratio`."""
-        return np.asarray(self.products.among(np.array(columns, dtype=np.int64))[ratio])
+        at = slice(ratio, ratio + 1)
+        return np.asarray(self.products.among(np.array(columns, dtype=np.int64), at)[0])
 
     @cached_property
     def square(self) -> Floats:
@@ -243,7 +244,7 @@ class Search:
         projected out. `ratio` is the index of the noise ratio.
         """
         chosen = np.array(columns, dtype=np.int64)
-        across = sizes @ self.whitened.products.across(chosen)[ratio]
+        across = sizes @ self.whitened.products.across(chosen, slice(ratio, ratio + 1))[0]
         return np.asarray(across - (self.half[ratio][:, chosen] @ sizes) @ self.half[ratio])
 
     def left_over(self, data: Data) -> Data:

@@ -17,11 +17,11 @@ from scipy import special
 from bench.base.arrays import Floats, Ints, Mask, rms
 from bench.base.computing import tracked
 from bench.base.languages import message
-from bench.diagnosis.candidates import Candidates, replace_columns
+from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.evidence import Data, Threshold, Whitened
 from bench.diagnosis.levels import BY_CHANCE, INSEPARABLE, LEAST_FREEDOM, MOSTLY, OFTEN
 from bench.diagnosis.linear import MODULUS, LinearSystem, Rows
-from bench.diagnosis.naming import ALIAS, Naming, name
+from bench.diagnosis.naming import ALIAS, FoundEffect, Naming, find
 from bench.diagnosis.noise_grid import RATIOS, coupled, make_noise_grid, make_whitener
 from bench.diagnosis.posterior import NoiseSize, posterior, predicted_error
 
@@ -249,7 +249,7 @@ def thirds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
         yield message(f"every third setting, set {number + 1}"), third == number
 
 
-FoldSearch = Callable[[Whitened, Data, Threshold, int], Naming]
+FoldSearch = Callable[[Whitened, Data, Threshold, int], Sequence[FoundEffect]]
 """Searches the readings that are not held out; the last argument is the largest number of effects."""
 
 
@@ -260,7 +260,7 @@ def measure_gap(
     noise: NoiseSize,
     threshold: Threshold,
     setting_rad: float,
-    search: FoldSearch = name,
+    search: FoldSearch = find,
     parts: Sequence[tuple[str, Mask]] = (),
 ) -> Gap:
     """Hold out each set of rows in turn, search the other rows for effects, and predict the rows held out.
@@ -367,16 +367,20 @@ def _fold(
     found.
     """
     part, candidates = restrict(linear, ~held), whitened.candidates
-    kept = replace_columns(candidates, candidates.columns[~held])
+    kept = replace(candidates, columns=candidates.columns[~held])
+    predict = partial(_held_out, linear, candidates, noise, held)
+    before = predict(())
+    if not most:
+        return Fold(label, {}, before, before)
     grid = make_noise_grid(part, whitened.grid.sigma, setting_rad, near_ratios(linear, noise))
     rest = Whitened.of(replace(grid, known=whitened.grid.known), kept)
     found = search(rest, rest.reduce(part.response[:, None]), threshold, most)
     rest.forget()
-    predict = partial(_held_out, linear, candidates, noise, held)
-    before, after = predict(()), predict(found.columns)
+    columns = [i for one in found for i in one.variant.columns]
+    after = predict(columns)
     gains: dict[str, float] = {}
-    for one in found.found:
-        without = predict(tuple(i for i in found.columns if i not in one.variant.columns))
+    for one in found:
+        without = predict([i for i in columns if i not in one.variant.columns])
         family = one.variant.family
         gains[family] = max(without.chi2 - after.chi2, gains.get(family, -np.inf))
     return Fold(label, gains, before, after)

@@ -238,6 +238,23 @@ def name(
     begun: Sequence[FoundEffect] = (),
     among: Among | None = None,
 ) -> Naming:
+    """Return the effects that `find` finds in one data set, with the odds of the families in place of each."""
+    found = find(whitened, data, threshold, most, begun, among)
+    scored = Scored.beside(whitened, data, _columns(found))
+    beside = (Scored.beside(whitened, data, _columns(found, but=i)) for i in range(len(found)))
+    return Naming(
+        tuple(in_place(given, one, among) for given, one in zip(beside, found, strict=True)), scored.total
+    )
+
+
+def find(
+    whitened: Whitened,
+    data: Data,
+    threshold: Threshold,
+    most: int = MOST_EFFECTS,
+    begun: Sequence[FoundEffect] = (),
+    among: Among | None = None,
+) -> list[FoundEffect]:
     """Return the effects that act in one data set and that the model lacks.
 
     Effects are added to those in `begun` until the odds that some family is missing fall below the threshold, or
@@ -245,23 +262,18 @@ def name(
     families.
     """
     found, free = list(begun), len(begun)
-    while True:
+    while len(found) < most + free:
         scored = Scored.beside(whitened, data, _columns(found))
-        if scored.total < threshold.value or len(found) == most + free:
+        if scored.total < threshold.value:
             break
         found.append(scored.best(among))
         if len(found) > 1:
             kept = free if among is not None else 0
-            found = needed(
-                whitened, data, _re_examine(whitened, data, found, threshold, among, kept), threshold, kept
-            )
+            found = _re_examine(whitened, data, found, among, kept)
+            found = needed(whitened, data, found, threshold, kept)
             if found == list(begun):
                 break
-    scored = Scored.beside(whitened, data, _columns(found))
-    beside = (Scored.beside(whitened, data, _columns(found, but=i)) for i in range(len(found)))
-    return Naming(
-        tuple(in_place(given, one, among) for given, one in zip(beside, found, strict=True)), scored.total
-    )
+    return found
 
 
 def _columns(found: Sequence[FoundEffect], but: int | None = None) -> list[int]:
@@ -272,7 +284,6 @@ def _re_examine(
     whitened: Whitened,
     data: Data,
     found: list[FoundEffect],
-    threshold: Threshold,
     among: Among | None,
     kept: int,
 ) -> list[FoundEffect]:

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from bench.base.arrays import Floats, Ints, Mask
 from bench.calibration.design import FIXED
-from bench.diagnosis.levels import LEAST_FREEDOM, MOSTLY, NEGLIGIBLE
+from bench.diagnosis.levels import FEW, LEAST_FREEDOM, NEGLIGIBLE
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.readings.table import Readings
 
@@ -185,11 +185,12 @@ def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whi
 
 
 def _wide(linear: LinearSystem) -> Mask:
-    """Return the mask (q,) of wide `random` columns: nonzero in most rows, or in more rows than a run has.
+    """Return the mask (q,) of wide `random` columns: nonzero in more than the fraction `FEW` of the rows, or than
+    a run has.
 
-    A wide column is fitted: as a covariance, it would join all its rows in one dense block.
+    A wide column is fitted: as a covariance, it would join all its rows in one dense block. Both give the same.
     """
-    most = min(MOSTLY, 1.0 / len(np.unique(linear.readings.run))) * len(linear)
+    most = min(FEW, 1.0 / len(np.unique(linear.readings.run))) * len(linear)
     return np.asarray(np.count_nonzero(linear.random, axis=0) > most)
 
 
@@ -209,14 +210,13 @@ class RowBlocks:
 def _blocks(linear: LinearSystem, wide: Mask, sigma: float) -> list[RowBlocks]:
     """Return, for each size, the blocks of rows joined by a setting or by a column outside the mask `wide` (q,)."""
     local = linear.random[:, ~wide] / sigma
+    mine = np.where(linear.setting >= 0, linear.setting, linear.settings + np.arange(len(linear)))
     row, column = np.nonzero(local)
-    oriented = np.flatnonzero(linear.setting >= 0)
-    ends = np.concatenate([column, local.shape[1] + linear.setting[oriented]])
-    row = np.concatenate([row, oriented])
-    size = len(linear) + local.shape[1] + linear.settings
-    edges = coo_array((np.ones(len(row)), (row, len(linear) + ends)), shape=(size, size))
-    _, label = connected_components(edges, directed=False)
-    mine = label[: len(linear)]
+    if len(row):
+        first = int(mine.max()) + 1
+        size = first + local.shape[1]
+        edges = coo_array((np.ones(len(row)), (mine[row], first + column)), shape=(size, size))
+        mine = connected_components(edges, directed=False)[1][mine]
     order = np.argsort(mine, kind="stable")
     starts = np.flatnonzero(np.diff(mine[order], prepend=-1))
     by_size: dict[int, list[Ints]] = {}
@@ -228,7 +228,7 @@ def _blocks(linear: LinearSystem, wide: Mask, sigma: float) -> list[RowBlocks]:
 def _row_blocks(linear: LinearSystem, local: Floats, rows: Ints) -> RowBlocks:
     """Return the blocks `rows` (b, n) with their covariances, to which the columns `local` (N, k) contribute."""
     apart = np.eye(rows.shape[1]) * linear.relative[rows][:, :, None] ** 2
-    for number, own in enumerate(rows):
+    for number, own in enumerate(rows) if local.shape[1] else ():
         joined = local[own]
         joined = joined[:, np.any(joined, axis=0)]
         apart[number] += joined @ joined.T
@@ -288,6 +288,9 @@ def _as_slice(rows: Ints) -> slice | Ints:
     return slice(first, first + len(rows)) if one_by_one else rows
 
 
+EVERY: Final = slice(None)
+
+
 @dataclass(frozen=True)
 class ColumnProducts:
     """Scalar products of P whitened columns, computed on demand from the columns.
@@ -298,21 +301,21 @@ class ColumnProducts:
 
     white: Floats
 
-    def across(self, columns: Ints) -> Floats:
+    def across(self, columns: Ints, at: slice = EVERY) -> Floats:
         """Return the scalar products of k columns with all P columns, shape (ratios, k, P).
 
-        `columns` (k,) are their indices.
+        `columns` (k,) are their indices; `at` selects ratios.
         """
-        return np.swapaxes(self.white[:, :, columns], 1, 2) @ self.white
+        return np.swapaxes(self.white[at][:, :, columns], 1, 2) @ self.white[at]
 
-    def among(self, columns: Ints) -> Floats:
+    def among(self, columns: Ints, at: slice = EVERY) -> Floats:
         """Return the Gram matrices of sets of p columns, shape (ratios, …, p, p).
 
-        `columns` (…, p) has the indices of each set in its last axis.
+        `columns` (…, p) has the indices of each set in its last axis; `at` selects ratios.
         """
         if columns.shape[-1] == 1:
-            return np.asarray(self._square[:, columns[..., 0], None, None])
-        chosen = np.moveaxis(self.white[:, :, columns], 1, -2)
+            return np.asarray(self._square[at][:, columns[..., 0], None, None])
+        chosen = np.moveaxis(self.white[at][:, :, columns], 1, -2)
         return np.asarray(np.swapaxes(chosen, -1, -2) @ chosen)
 
     @cached_property
@@ -329,19 +332,13 @@ class GramProducts:
 
     gram: Floats
 
-    def across(self, columns: Ints) -> Floats:
-        """Return the scalar products of k columns with all P columns, shape (ratios, k, P).
+    def across(self, columns: Ints, at: slice = EVERY) -> Floats:
+        """Return the scalar products of k columns with all P columns, as `ColumnProducts.across` does."""
+        return np.asarray(self.gram[at][:, columns])
 
-        `columns` (k,) are their indices.
-        """
-        return np.asarray(self.gram[:, columns])
-
-    def among(self, columns: Ints) -> Floats:
-        """Return the Gram matrices of sets of p columns, shape (ratios, …, p, p).
-
-        `columns` (…, p) has the indices of each set in its last axis.
-        """
-        return np.asarray(self.gram[:, columns[..., :, None], columns[..., None, :]])
+    def among(self, columns: Ints, at: slice = EVERY) -> Floats:
+        """Return the Gram matrices of sets of p columns, as `ColumnProducts.among` does."""
+        return np.asarray(self.gram[at][:, columns[..., :, None], columns[..., None, :]])
 
 
 # --- the noise, from repeats ----------------------------------------------------------------------

@@ -382,9 +382,10 @@ def _in_channels(
 
 
 def _waves(linear: LinearSystem, channel: int) -> Floats:
-    """Return draws (N, waves) of 1/f noise in one channel, of unit root mean square over the readings.
+    """Return draws (N, waves + 1) of 1/f noise in one channel, of unit root mean square about their mean.
 
-    There are no draws if the channel has too few readings, or all at one time.
+    The last is the mean over the run, as large as the slowest wave: only the u of a bias shows it. There are no
+    draws if the channel has too few readings, or all at one time.
     """
     own = np.flatnonzero((linear.setting >= 0) & (linear.rows.channel == channel))
     time = linear.conditions.elapsed_s[linear.rows.reading[own]]
@@ -393,8 +394,9 @@ def _waves(linear: LinearSystem, channel: int) -> Floats:
         return np.zeros((len(linear), 0))
     k = np.arange(1, WAVES + 1)
     waves = np.cos(np.pi * k * (time[:, None] - time.min()) / span) / np.sqrt(k)
-    columns = np.zeros((len(linear), WAVES))
-    columns[own] = waves / np.sqrt(np.mean(np.sum(waves**2, axis=1)))
+    columns = np.zeros((len(linear), WAVES + 1))
+    mean = np.full((len(own), 1), np.sqrt(0.5))
+    columns[own] = np.hstack([waves, mean]) / np.sqrt(np.mean(np.sum(waves**2, axis=1)))
     return columns
 
 

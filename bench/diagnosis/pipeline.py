@@ -26,7 +26,7 @@ from bench.diagnosis.levels import BY_CHANCE, LISTED, LISTED_IN_SENTENCE, MOSTLY
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.mistakes.search import Mistake, MistakesLeaveTooLittle
 from bench.diagnosis.multi_run_system import find_mistakes_in_each, with_blocks
-from bench.diagnosis.naming import FamilyOdds, FoundEffect, Naming, Scored, name, same_signature
+from bench.diagnosis.naming import FamilyOdds, FoundEffect, Naming, Scored, find, name, same_signature
 from bench.diagnosis.next_measurement import Proposal, propose
 from bench.diagnosis.noise_grid import RATIOS, digit_of
 from bench.diagnosis.noise_kinds import NoiseFinding, noise_findings, noise_kinds
@@ -249,8 +249,8 @@ def _form(prepared: Prepared, estimated: _Estimated) -> FreeForm | None:
         candidates = whitened.candidates
     among = partial(is_form, candidates)
     begun = [one for one in named if one not in tied]
-    search = partial(name, begun=begun, among=among)
-    found = search(whitened, data, prepared.limit)
+    found = name(whitened, data, prepared.limit, begun=begun, among=among)
+    search = partial(find, begun=begun, among=among)
     noise = noise_size(whitened, data, found.columns)
     form_gap = measure_gap(linear, whitened, found, noise, prepared.limit, prepared.setting_rad, search)
     instead = () if patterns else tuple(one.variant.family for one in tied)
@@ -541,10 +541,23 @@ def _shown(
     """Yield, for each block, the simulations with the effects that were found in it."""
     readings = diagnosis.mistakes.corrected
     if readings.block is None:
-        yield show(readings, model, diagnosis.applied, stand_u, g_m_s2, diagnosis.in_part)
+        yield show(
+            readings, model, diagnosis.applied, stand_u, g_m_s2, diagnosis.in_part, _slow(diagnosis.linear)
+        )
         return
     for number in np.unique(readings.block):
         own = readings.select(readings.block == number)
         mounts = {str(mount) for mount in own.conditions().mounts}
         applied = [a for a in diagnosis.applied if not a.installations or mounts & set(a.installations)]
         yield show(own, model, tuple(applied), stand_u, g_m_s2)
+
+
+def _slow(linear: LinearSystem) -> Floats | None:
+    """Return the signals (n, 3, k) of the slow noise found, for one standard deviation of each of k components."""
+    if not linear.slow_channels:
+        return None
+    rows, own = linear.rows, linear.setting >= 0
+    signals = np.zeros((len(linear.readings), 3, linear.of_noise))
+    of_noise = linear.random[own, linear.random.shape[1] - linear.of_noise :]
+    signals[rows.reading[own], rows.channel[own]] = of_noise
+    return signals

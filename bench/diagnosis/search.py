@@ -21,7 +21,6 @@ from bench.diagnosis.candidates import (
     Candidates,
     Column,
     make_candidates,
-    replace_columns,
     with_terms,
     without_copies,
 )
@@ -290,7 +289,7 @@ def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepa
     told = with_terms(make_candidates(again, prepared.repeats.sigma, absent=task.absent), again)
     if told.kinds != candidates.kinds:
         return None
-    told = replace_columns(candidates, told.columns)
+    told = replace(candidates, columns=told.columns)
     back = told.columns[:, columns] @ sizes
     about = in_the_noise_of(linear, replace(again, readings=readings, response=again.response + back))
     whitened, data = task.whiten(about, told, prepared.repeats.sigma)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Final
 
 import numpy as np
@@ -39,20 +40,24 @@ class ModulusPoint:
 class Simulation:
     """A model fitted to readings, and the bench simulated with it at the same angles, times and temperatures.
 
-    `calibration` has the estimates. `test` compares the readings with a simulation without noise. `repeated` is
-    the calibration of one simulation with noise (seed `SEED`). `effects` are the effects of the model with the
-    values and u estimated here. `points` are the errors at the verification points, which are independent of the
-    fit. If `joined`, some effect shows at no other readings, and the fit therefore includes the verification
-    points.
+    `calibration` has the estimates. `test` compares the readings with a simulation without noise. `effects` are
+    the effects of the model with the values and u estimated here. `points` are the errors at the verification
+    points, which are independent of the fit. If `joined`, some effect shows at no other readings, and the fit
+    therefore includes the verification points. `repeat` computes `repeated`.
     """
 
     model: ForwardModel
     calibration: Calibration
     test: LackOfFit
-    repeated: Calibration
     effects: tuple[AppliedEffect, ...]
     points: tuple[ModulusPoint, ...]
     joined: bool
+    repeat: Callable[[], Calibration]
+
+    @cached_property
+    def repeated(self) -> Calibration:
+        """The calibration of one simulation with noise (seed `SEED`)."""
+        return self.repeat()
 
     @property
     def tested(self) -> bool:
@@ -110,22 +115,25 @@ def show(
     stand_u: Mapping[str, float],
     g_m_s2: float,
     in_part: tuple[AppliedEffect, ...] = (),
+    slow: Floats | None = None,
 ) -> ModelComparison:
     """Return simulations of the bench with the model, and with the effects `added` to it.
 
     `readings` are corrected for mistakes. `stand_u` is as in `diagnose`; `g_m_s2` is the local gravity. The added
     effects were found in these readings, and are therefore estimated again without their earlier u. `in_part` are
-    possible parts of the effects with other shapes; these keep their prior u. Raises `CalibrationError` if the
-    readings do not determine the coefficients.
+    possible parts of the effects with other shapes; these keep their prior u. `slow` (n, 3, k) are the signals of
+    slow noise that the diagnosis found, for one standard deviation of each of its k components. The u of the
+    coefficients includes it, unless the calibration finds a drift itself. Raises `CalibrationError` if the readings
+    do not determine the coefficients.
     """
     stand = {name: u for name, u in stand_u.items() if name != "setting_error"}
-    before = _simulate(readings, model, stand, g_m_s2)
+    before = _simulate(readings, model, stand, g_m_s2, slow)
     if not added:
         return ModelComparison(before, None)
     fresh = tuple(replace(one, u={}) for one in added)
     names = " + ".join(dict.fromkeys(label(one) for one in added))
     extended = replace(model, effects=(*model.effects, *fresh, *in_part), name=f"{model.name} + {names}")
-    return ModelComparison(before, _simulate(readings, extended, stand, g_m_s2))
+    return ModelComparison(before, _simulate(readings, extended, stand, g_m_s2, slow))
 
 
 def label(applied: AppliedEffect) -> str:
@@ -164,7 +172,11 @@ def contradicted(stated: Sequence[AppliedEffect], estimated: Sequence[AppliedEff
 
 
 def _simulate(
-    readings: Readings, model: ForwardModel, stand_u: Mapping[str, float], g_m_s2: float
+    readings: Readings,
+    model: ForwardModel,
+    stand_u: Mapping[str, float],
+    g_m_s2: float,
+    slow: Floats | None,
 ) -> Simulation:
     problem, fit = _fitted(readings, model, stand_u, join_verification=False)
     joined = len(readings.verification()) > 0 and _hardly_told(problem, fit)
@@ -180,15 +192,23 @@ def _simulate(
     still = bench.readings(fit.block, problem.conditions, stand)
     noisy = replace(rows, signal=_noisy(bench, problem, fit, stand))
     weak = replace(model, effects=tuple(replace(a, u={}) for a in effects))
+    calibration = calibrate(readings, model, stand_u, g_m_s2, join_verification=joined)
+    if slow is not None and calibration.drift is None:
+        moved = np.einsum("pnc,nck->pk", calibration.gain, slow)
+        calibration = replace(
+            calibration,
+            covariance=calibration.covariance + moved @ moved.T,
+            covariance_readings=calibration.covariance_readings + moved @ moved.T,
+        )
     return Simulation(
         model=bench,
-        calibration=calibrate(readings, model, stand_u, g_m_s2, join_verification=joined),
+        calibration=calibration,
         test=_test(problem, fit, rows.signal - still),
-        # the simulated noise is independent in every reading, so repeats share no error
-        repeated=calibrate(noisy, weak, stand_u, g_m_s2, find_shared=False),
         effects=effects,
         points=_points(readings, problem, fit),
         joined=joined,
+        # the simulated noise is independent in every reading, so repeats share no error
+        repeat=partial(calibrate, noisy, weak, stand_u, g_m_s2, find_shared=False),
     )
 
 

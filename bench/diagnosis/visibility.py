@@ -71,6 +71,7 @@ def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, 
     half = half_power(whitened, threshold.value)
     candidates = whitened.candidates
     found: dict[str, dict[str, Smallest]] = {}
+    seen: set[tuple[int, ...]] = set()
     for variant in candidates.variants:
         sized = [p for p in CATALOGUE[variant.family].parameters if p.is_size] if variant.named else []
         for unit in dict.fromkeys(p.unit for p in sized) if len(sized) > 1 else ():
@@ -82,9 +83,11 @@ def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, 
                     cells.setdefault((kind.channel, kind.mounts), {})[kind.parameter] = column
             known = found.setdefault(variant.family, {})
             for own in (own for own in cells.values() if len(own) == len(of)):
-                one = _smallest_of(
-                    whitened.among(ratio, list(own.values())), [of[name] for name in own], half
-                )
+                columns = tuple(own.values())
+                if columns in seen:
+                    continue  # another variant has the same parameters in this channel
+                seen.add(columns)
+                one = _smallest_of(whitened.among(ratio, columns), [of[name] for name in own], half)
                 best = known.get(unit)
                 if one is not None and (best is None or (one.part, one.size) < (best.part, best.size)):
                     known[unit] = one
@@ -256,10 +259,10 @@ class ReadingDesign:
             least = min(least, float(left @ left))
         return least / 2.0
 
-    def visible(self, forms: Sequence[Form]) -> float:
-        """Return the signal-to-noise ratio of an effect of plausible size in the form that shows best.
+    def visible(self, form: Form) -> float:
+        """Return the signal-to-noise ratio of an effect of plausible size in this form.
 
         It is the length of the change of the readings in units of the noise, with free unknowns projected
         out.
         """
-        return max((float(np.linalg.norm(self.seen(form), 2)) for form in forms), default=0.0)
+        return float(np.linalg.norm(self.seen(form), 2))

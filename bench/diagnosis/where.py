@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -62,16 +61,24 @@ def find_places(
     looks = list(_looks(linear))
     white = grid.white[ratio] @ np.concatenate([columns for *_, columns in looks], axis=1)
     left = grid.white[ratio] @ linear.response
-    starts = np.cumsum([0, *(columns.shape[1] for *_, columns in looks)])
-    seen = [white[:, first:last] for first, last in pairwise(starts)]
-    whole = [float(np.linalg.norm(columns, axis=0).min()) for columns in seen]
+    wide = np.array([columns.shape[1] for *_, columns in looks])
+    starts = np.cumsum(wide) - wide
+    alike = [np.flatnonzero(wide == many) for many in np.unique(wide)]
+    seen = [np.moveaxis(white[:, starts[own][:, None] + np.arange(wide[own[0]])], 1, 0) for own in alike]
+    whole = np.empty(len(looks))
+    for own, columns in zip(alike, seen, strict=True):
+        whole[own] = np.linalg.norm(columns, axis=1).min(axis=1)
     places: list[ResidualPattern] = []
     while len(places) < LISTED:
-        bases = [np.linalg.qr(columns) for columns in seen]
-        square = np.array([np.sum((q.T @ left) ** 2) for q, _ in bases]) / sigma**2
-        # leave out patterns that the earlier ones explain
-        told = np.array([np.min(np.diag(r) ** 2) for _, r in bases]) <= INSEPARABLE * np.square(whole)
-        wide = np.diff(starts)
+        bases: dict[int, tuple[Floats, Floats]] = {}
+        square, told = np.empty(len(looks)), np.empty(len(looks), dtype=bool)
+        for own, columns in zip(alike, seen, strict=True):
+            q, r = np.linalg.qr(columns)
+            bases.update(zip(own.tolist(), zip(q, r, strict=True), strict=True))
+            square[own] = np.sum((np.swapaxes(q, 1, 2) @ left) ** 2, axis=1) / sigma**2
+            # leave out patterns that the earlier ones explain
+            least = np.min(np.diagonal(r, axis1=1, axis2=2) ** 2, axis=1)
+            told[own] = least <= INSEPARABLE * whole[own] ** 2
         p_each = np.where(told, np.inf, special.fdtrc(wide, freedom, square / wide))
         # if p underflows, the size of the statistic decides
         best = int(np.lexsort((-square / wide, p_each))[0])

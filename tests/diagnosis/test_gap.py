@@ -112,7 +112,7 @@ def gap_of(one, family, mounts=()):
     form = next(v for v in one.candidates.variants if (v.family, v.mounts) == (family, mounts))
     naming = Naming((FoundEffect(form, 100.0, 100.0, 10.0),), -1.0)
     limit = OneThreshold().threshold(one.linear, one.whitened, SETTING_U_RAD)
-    return measure_gap(one.linear, one.whitened, naming, NOISE, limit, SETTING_U_RAD, lambda *_: naming)
+    return measure_gap(one.linear, one.whitened, naming, NOISE, limit, SETTING_U_RAD, lambda *_: naming.found)
 
 
 @pytest.fixture(scope="module")

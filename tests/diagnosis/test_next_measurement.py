@@ -159,7 +159,7 @@ def applied(one, size):
 def test_each_tie_of_the_papers_design_is_settled_by_the_block_that_is_made_for_it(one, other, blocks, rho):
     before = design()
     assert subspace_angles(before.seen((one,)), before.seen(other)).min() < np.arccos(0.999)
-    found = [applied(one, rho / before.visible([(one,)]))]
+    found = [applied(one, rho / before.visible((one,)))]
     assert before.divergence(found, [other]) < 2.0
     for name in blocks:
         after = design(name)
@@ -170,7 +170,7 @@ def test_each_tie_of_the_papers_design_is_settled_by_the_block_that_is_made_for_
 def test_one_reference_voltage_cannot_tell_a_square_term_from_its_own_error():
     """A reference whose value is known to 1e-4 alone: with both signs the error of the value drops out."""
     one, other, _, rho = TIES[-1]
-    found = [applied(one, rho / design().visible([(one,)]))]
+    found = [applied(one, rho / design().visible((one,)))]
     assert design("inputs").divergence(found, [other]) < 1.0
 
 
@@ -199,7 +199,7 @@ def test_the_distance_is_that_of_generalised_least_squares():
     assert design_.divergence(found, [forms[0]]) == pytest.approx(left([asymmetry], vector), rel=1e-5)
     nearest = min(left([asymmetry], vector), left(cubic, vector))
     assert design_.divergence(found, forms) == pytest.approx(nearest, rel=1e-5)
-    assert design_.visible([(forms[0][0],)]) == pytest.approx(math.sqrt(2 * left([], asymmetry)), rel=1e-5)
+    assert design_.visible((forms[0][0],)) == pytest.approx(math.sqrt(2 * left([], asymmetry)), rel=1e-5)
 
 
 def test_an_effect_has_every_shape_and_channel_everywhere():

@@ -7,7 +7,7 @@ import pytest
 
 from bench.diagnosis.evidence import null_responses
 from bench.diagnosis.noise_grid import RATIOS
-from bench.diagnosis.noise_kinds import larger_scatter, noise_hypotheses, residuals, slow_noise
+from bench.diagnosis.noise_kinds import WAVES, larger_scatter, noise_hypotheses, residuals, slow_noise
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.search import SearchTask, find_effects
 from bench.validation.paper_bench import SETTING_U_RAD, STAND_U
@@ -62,7 +62,10 @@ def test_what_is_random_holds_slow_noise(made):
     (slow, *_) = next(each for each in drawn(made, 20, 5, 3.0) if each)
     own = (made.linear.setting >= 0) & np.isin(made.linear.rows.channel, slow.channels)
     assert not np.any(slow.columns[~own])
-    np.testing.assert_allclose(np.sqrt(np.mean(np.sum(slow.columns[own] ** 2, axis=1))), slow.size)
+    of_channels = slow.columns[own].reshape(np.count_nonzero(own), len(slow.channels), WAVES + 1)
+    waves, mean = of_channels[:, :, :-1], of_channels[:, :, -1]
+    np.testing.assert_allclose(np.sqrt(np.mean(np.sum(waves**2, axis=(1, 2)))), slow.size)
+    np.testing.assert_allclose(np.sqrt(2.0) * mean.max(), waves.max())
 
 
 def test_slow_noise_too_small_in_each_channel_is_found_in_all(made):

@@ -1,5 +1,7 @@
 """Simulation beside bench: what is simulated again, how it is tested, and what a rival would change."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -36,6 +38,23 @@ def test_without_effects_it_is_what_calibrate_and_verify_give():
         assert mine.delta_g == pytest.approx(theirs.delta_g, abs=1e-12)
         # one size of the noise for all channels there, one for each here
         assert mine.u == pytest.approx(theirs.u, rel=0.1)
+
+
+def test_u_includes_slow_noise_by_what_a_refit_of_each_of_its_components_changes():
+    readings = paper_run(np.random.default_rng(6))
+    time = readings.conditions().elapsed_s[:, None] / 1e4
+    slow = np.zeros((len(readings), 3, 2))
+    slow[:, 0] = 20e-6 * np.hstack([np.ones_like(time), time])
+    slow[~readings.is_oriented] = 0.0
+    plain = show(readings, MODEL, (), STAND, G).before.calibration
+    wide = show(readings, MODEL, (), STAND, G, slow=slow).before.calibration
+    moved = [
+        calibrate(replace(readings, signal=readings.signal + slow[:, :, k]), MODEL, STAND, G).block.vector
+        for k in range(2)
+    ]
+    expected = plain.u**2 + np.sum((np.array(moved) - plain.block.vector) ** 2, axis=0)
+    assert np.allclose(wide.u, np.sqrt(expected), rtol=0.02)
+    assert wide.u[9] > 20e-6 > 3 * plain.u[9]  # a constant is indistinguishable from the bias
 
 
 @pytest.mark.slow

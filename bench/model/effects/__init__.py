@@ -107,6 +107,9 @@ class Catalogue(Mapping[str, Effect]):
                 return effect
         raise KeyError(name)
 
+    def __contains__(self, name: object) -> bool:
+        return name in self._known or any(effect.name == name for effect in _OWN.get())
+
     def __iter__(self) -> Iterator[str]:
         yield from self._known
         yield from (effect.name for effect in _OWN.get())
