@@ -12,7 +12,7 @@ import numpy as np
 from bench.base.arrays import ARCSEC, Floats, least_squares, rms, u_of
 from bench.base.languages import message
 from bench.calibration import gls, mistakes, outliers
-from bench.calibration.components import SharedErrorFit, heavy_tails, notes_on_noise, take_in
+from bench.calibration.components import SharedErrorFit, heavy_tails, notes_on_noise, rounding_of, take_in
 from bench.calibration.design import FIXED, FreeRows, Problem, make_problem
 from bench.calibration.estimators import ESTIMATORS, GLS, ROBUST, find_estimator
 from bench.calibration.free import first_guess_free, triangular
@@ -93,20 +93,21 @@ def calibrate(
     refit = partial(gls.fit, problem, rows.signal, start, noise, resolution)
     fit, found, notes = _fitted(problem, rows.signal, refit, by, chosen)
     require_told(fit.noise)
-    fit_test = gls.lack_of_fit(problem, fit)
-    tails = heavy_tails(problem, fit)
+    rounding = rounding_of(problem, fit, resolution)
+    fit_test = gls.lack_of_fit(problem, fit, rounding)
+    tails = heavy_tails(problem, fit) if rounding is None else float("nan")
     digits = ROUNDING * float(np.max(np.abs(rows.signal), initial=0.0))
     fit_test = replace(fit_test, rms=rms(fit.residuals), rounding=digits)
     accepted = (
         fit_test.accepted()
     )  # if not, large residuals of settings come from a wrong model, not from outliers
-    floor = gls.noise_floor(rows.signal, resolution, problem.free)
     alone = fit.covariance
     if not accepted:
         notes = () if by.drops_outliers else _on_moving_positions(problem, fit, refit, chosen)
     # outliers that explain a misfit are no errors that readings share
     searched = find_shared and (accepted or not notes)
-    shared = take_in(problem, fit, readings.unit, floor) if searched else SharedErrorFit(fit)
+    floor = gls.noise_floor(rows.signal, resolution, problem.free)
+    shared = take_in(problem, fit, readings.unit, floor, rounding) if searched else SharedErrorFit(fit)
     fit = shared.fit
     if by.gain is not None:
         fit = linear_estimate(problem, rows.signal, fit, by.gain(problem, rows), shared.covariance)

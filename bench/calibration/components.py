@@ -14,12 +14,19 @@ from bench.base.languages import message
 from bench.base.numbers import scale_for
 from bench.calibration.design import Problem
 from bench.calibration.gls import Fit, finish
-from bench.calibration.noise import LEAST_REPEATS, repeat_groups, scatter_of_repeats
+from bench.calibration.noise import (
+    LEAST_REPEATS,
+    SharedRounding,
+    repeat_groups,
+    rounding_variance,
+    scatter_of_repeats,
+)
 from bench.calibration.result import BiasWander, Component, Noise, NoisePrior, widening
 from bench.model.conditions import Conditions
 from bench.stats.reml import Mixed, Projection, asked_for, maximise
-from bench.stats.repeats_likelihood import DIGITS
 
+SMOOTHED: Final = 2.0
+"""Above this multiple of the variance of rounding, repeats share less than 1 % of the noise variance."""
 ASKED_P: Final = 0.01
 """Familywise significance level for adding a variance component."""
 SOME: Final = 0.2
@@ -34,6 +41,7 @@ NOISE: Final = "noise"
 SETTING: Final = "setting error"
 ANGLE: Final = "angle of a setting"
 PASS_ANGLE: Final = "angle of a pass"
+ROUNDED: Final = "rounding"
 DRIFT: Final = "drift"
 
 
@@ -68,13 +76,17 @@ class _Term:
     """The size of a random effect of 1: by channel in the unit of the signal, or one angle for all, rad."""
 
 
-def take_in(problem: Problem, fit: Fit, unit: str, floor: float = 0.0) -> SharedErrorFit:
+def take_in(
+    problem: Problem, fit: Fit, unit: str, floor: float = 0.0, rounding: SharedRounding | None = None
+) -> SharedErrorFit:
     """Return the fit after adding the variance components that its readings share.
 
-    None are added if the repeats are too few, the signals are more than `MOST_SIGNALS`, or the noise is only
-    rounding to the last digit. `floor` (unit of the signal) is the lower limit of the noise.
+    None are searched for if the repeats are too few, the signals are more than `MOST_SIGNALS`, or the noise hardly
+    exceeds its lower limit `floor` (unit of the signal). A `rounding` error that repeats share is then added.
     """
     try:
+        if rounding is not None:
+            return _rounded(problem, fit, rounding, unit)
         return _searched(problem, fit, unit, floor)
     except np.linalg.LinAlgError:
         return SharedErrorFit(fit)
@@ -84,7 +96,7 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> SharedErro
     conditions, n = problem.conditions, len(problem.conditions)
     if not 0 < 3 * n <= MOST_SIGNALS or fit.noise.source != "repeats":
         return SharedErrorFit(fit)
-    if fit.noise.reading**2 <= DIGITS * floor**2:  # rounding repeats exactly, as if shared
+    if _is_rounded(fit.noise, floor):
         return SharedErrorFit(fit)
     basic = _basic(fit)
     base = len(basic)
@@ -102,6 +114,35 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> SharedErro
     wander = np.where(found_drifts > 0, found_drifts, open_to)
     # one run shows little of a random walk, and the channels are alike: none gets less than the rms of all three
     return replace(shared, wander=np.maximum(wander, rms(wander)))
+
+
+def rounding_of(problem: Problem, fit: Fit, resolution: float) -> SharedRounding | None:
+    """Return the error of rounding to `resolution` that repeats share; None if their noise smooths it away."""
+    digit = resolution / np.sqrt(12.0)
+    large = 3 * len(problem.conditions) > MOST_SIGNALS
+    if large or fit.noise.source != "repeats" or not _is_rounded(fit.noise, digit):
+        return None
+    conditions = problem.conditions
+    # equal angles have equal signals, and so does a whole turn later; the angle read back differs by arcseconds
+    turn = np.round(np.degrees(conditions.angle_rad) * 100.0).astype(np.int64) % 36000
+    return SharedRounding(_labels(conditions.mount, turn), rounding_variance(fit.noise.by_channel, digit))
+
+
+def _is_rounded(noise: Noise, floor: float) -> bool:
+    return bool(noise.by_channel.min() ** 2 <= SMOOTHED * floor**2)
+
+
+def _rounded(problem: Problem, fit: Fit, rounding: SharedRounding, unit: str) -> SharedErrorFit:
+    """Return the fit whose covariance contains the rounding error that repeats share."""
+    basic, further = _basic(fit), len(fit.system.free.left)
+    shared = _by_group(rounding.groups, np.sqrt(rounding.variance), range(3), further)
+    found = _mixed(problem, fit, [*(t.columns for t in basic), shared])
+    wider = widening(fit.noise.reading_dof) ** 2
+    variances = np.array([wider, wider, wider, wider * (fit.noise.setting_rad > 0), 1.0])
+    covariance = replace(found, known=np.zeros_like(found.known)).covariance(variances)
+    size = float(np.sqrt(rounding.variance.mean()))
+    component = Component(ROUNDED, "all", size, unit, fit.noise.dof, 0.0)
+    return SharedErrorFit(finish(problem, fit, covariance, fit.noise), (component,), covariance=covariance)
 
 
 def _taken_in(
@@ -454,7 +495,11 @@ def _on_components(components: Sequence[Component], unit: str) -> Iterator[str]:
             sizes = f"{own[0].size:.2g} {unit}"
         else:
             sizes = ", ".join(f"{c.channels} {c.size:.2g} {unit}" for c in own)
-        if what == DRIFT:
+        if what == ROUNDED:
+            yield message(
+                f"the last digit of the signals is coarse: repeats share a rounding error ({sizes}); u includes it"
+            )
+        elif what == DRIFT:
             yield message(
                 f"the biases appear to drift over the run by {sizes} rms about their means; u includes it"
             )

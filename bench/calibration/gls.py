@@ -22,6 +22,7 @@ from bench.calibration.noise import (
     LEAST_REPEATS,
     LikelihoodResiduals,
     RepeatedNoise,
+    SharedRounding,
     noise_from_repeats,
     noise_from_residuals,
     repeat_groups,
@@ -398,13 +399,19 @@ def whitened_rows(
     return np.vstack(blocks), np.concatenate(targets), scale
 
 
-def lack_of_fit(problem: Problem, result: Fit) -> LackOfFit:
-    """Test the residuals of a fit against the scatter of repeats (F test), or against given noise (chi-square)."""
+def lack_of_fit(problem: Problem, result: Fit, rounding: SharedRounding | None = None) -> LackOfFit:
+    """Test the residuals of a fit against the scatter of repeats (F test), or against given noise (chi-square).
+
+    A `rounding` error that repeats share counts as noise.
+    """
     # a stated prior adds as much to the misfit as its unknown takes away; a weak prior adds nothing
     unknowns = len(problem.active) + len(result.shifts) + sum(not e.stated for e in problem.effects)
     unknowns -= len(result.modulus)
     groups = _groups_without(problem, result.shifts)
-    return misfit_test(result.misfit, result.residuals, result.slope, result.noise, groups, unknowns)
+    misfit = result.misfit
+    if rounding is not None:
+        misfit -= rounding.relief(result.residuals, result.slope, result.noise)
+    return misfit_test(misfit, result.residuals, result.slope, result.noise, groups, unknowns)
 
 
 def misfit_test(

@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from scipy import special
+from scipy import linalg, special
 
 from bench.base.arrays import Floats, Ints, least_squares, quadratic_forms, rms, unit_vectors
 from bench.calibration.result import CalibrationError, Noise, NoisePrior
@@ -216,6 +216,40 @@ class RepeatScatter:
             float(np.abs(a - b).sum()) <= SAME_SCATTER * float(np.abs(b).sum())
             for a, b in ((self.matrix, other.matrix), (self.slope, other.slope))
         )
+
+
+@dataclass(frozen=True)
+class SharedRounding:
+    """The rounding error that readings of equal signals share: `groups` (n,), `variance` (3,) in x, y and z."""
+
+    groups: Ints
+    variance: Floats
+
+    def relief(self, residuals: Floats, slope: Floats, noise: Noise) -> float:
+        """Return by how much chi-square of `residuals` (n, 3) falls when the shared error is part of the noise."""
+        fall, size = 0.0, noise.by_channel**2
+        for group in np.unique(self.groups):
+            rows = np.flatnonzero(self.groups == group)
+            angle = noise.setting_rad * slope[rows]
+            alone = linalg.block_diag(*(np.diag(size) + angle[:, :, None] * angle[:, None, :]))
+            whole = alone + np.kron(np.ones((len(rows), len(rows))), np.diag(self.variance))
+            left = residuals[rows].ravel()
+            fall += float(left @ (np.linalg.solve(alone, left) - np.linalg.solve(whole, left)))
+        return fall
+
+
+def rounding_variance(noise: Floats, floor: float) -> Floats:
+    """Return the variance of the rounding error that repeats share, for noise sizes (k,) that include rounding.
+
+    `floor` is the standard deviation of rounding: the last digit divided by root 12. The mean of many repeats keeps
+    the harmonics of the rounding error that the noise does not smooth away (B. Widrow and I. Kollar, Quantization
+    Noise, 2008, chapter 4). The result falls from floor^2 without noise to zero for noise above half a digit.
+    """
+    step2 = 12.0 * floor**2
+    own = np.maximum(np.square(noise) - floor**2, 0.0)
+    order2 = np.arange(1.0, 200.0) ** 2
+    left = np.exp(-4.0 * np.pi**2 * np.outer(own / step2, order2)) / order2
+    return np.asarray(step2 / (2.0 * np.pi**2) * left.sum(axis=1))
 
 
 def repeat_groups(conditions: Conditions) -> Ints:

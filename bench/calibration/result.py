@@ -247,7 +247,8 @@ class Component:
     """A variance component that readings share; `size` is its standard deviation in `unit` (rad for an angle).
 
     `what` is the kind ("setting", "visit", "pass", …); `channels` are the channels concerned; `dof`, the degrees
-    of freedom of `size`. `p` is the p-value, adjusted for all candidate components.
+    of freedom of `size`. `p` is the p-value, adjusted for all candidate components; 0 for "rounding", which is
+    computed from the last digit.
     """
 
     what: str
