@@ -7,6 +7,9 @@ from datetime import UTC, datetime
 from importlib import metadata
 from typing import Any
 
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
 from bench.services.validated import packages
 
 
@@ -37,8 +40,25 @@ def bill(epoch_s: int) -> dict[str, Any]:
             "component": _component(program, "application"),
         },
         "components": wanted,
-        "dependencies": [{"ref": _reference(program), "dependsOn": [one["bom-ref"] for one in wanted]}],
+        "dependencies": _dependencies(program, others),
     }
+
+
+def _dependencies(
+    program: metadata.Distribution, others: list[metadata.Distribution]
+) -> list[dict[str, Any]]:
+    """Return which package needs which: with its extras for the program, as installed for the others."""
+    known = {canonicalize_name(one.name): _reference(one) for one in (program, *others)}
+    found = []
+    for one in (program, *others):
+        stated = map(Requirement, one.requires or ())
+        needed = {
+            known.get(canonicalize_name(each.name), "")
+            for each in stated
+            if one is program or each.marker is None or each.marker.evaluate({"extra": ""})
+        }
+        found.append({"ref": _reference(one), "dependsOn": sorted(needed - {""})})
+    return found
 
 
 def licences(found: dict[str, Any]) -> str:

@@ -67,7 +67,7 @@ def plug_ins(bench: BenchFile) -> dict[str, str]:
 
     Drivers count if the bench file names one: all files of BENCH_DEVICES, and the distributions that have drivers.
     """
-    found = {}
+    found: dict[str, str] = {}
     if foreign_drivers(bench):
         for folder in filter(None, os.environ.get(FOLDERS, "").split(os.pathsep)):
             found |= dict(_files_of(Path(folder).expanduser(), Path(folder).name))

@@ -33,6 +33,12 @@ def test_the_bill_names_every_package_with_its_licence_and_is_the_same_each_time
     assert all(re.fullmatch(r"pkg:pypi/[a-z0-9.-]+@\S+", one["purl"]) for one in found["components"])
     assert found["metadata"]["timestamp"] == "2023-11-14T22:13:20Z"
     assert "not stated" not in licences(found)
+    needs = {one["ref"].partition("@")[0]: one["dependsOn"] for one in found["dependencies"]}
+    assert len(needs) == len(found["components"]) + 1
+    assert {one["bom-ref"] for one in found["components"]} >= {one for each in needs.values() for one in each}
+    core = next(one["bom-ref"] for one in found["components"] if one["name"] == "pydantic_core")
+    assert core in needs["pkg:pypi/pydantic"]
+    assert core not in needs["pkg:pypi/triaxial-bench"]
 
 
 def test_a_manifest_knows_a_program_by_the_paths_of_an_installation(tmp_path):

@@ -38,12 +38,15 @@ def morning(bench):
 def test_a_good_morning_is_one_green_line_within_five_minutes(morning):
     result, by_check, out = morning("bench-motorised", "--reference", "2")
     assert out.splitlines()[-1].startswith("✓ bench-motorised is ready, ")
-    assert {"identity", "self-test", "noise, inputs shorted", "reference", "home and back"} == by_check.keys()
+    assert {
+        "identity", "self-test", "noise, inputs shorted", "reference", "home and back", "check block",
+    } == by_check.keys()  # fmt: skip
+    assert out.splitlines()[-1].endswith("check block not checked: the bench file states none")
     assert result["took_s"] < 300.0
     assert "<title>Morning check of" in Path("m/commissioning.html").read_text(encoding="utf-8")
 
 
-BY_HAND = {
+BY_HAND = {"check block",
     "identity", "home", "self-test", "away and back", "noise, inputs shorted", "reference", "home and back",
 }  # fmt: skip
 
@@ -152,7 +155,8 @@ def test_skipped_inputs_end_no_other_check(morning, evenings):
     result, by_check, out = morning(by_hand(60))
     assert result["ended"] == ""
     assert by_check["inputs"]["said"] == "no shorts here"
-    assert by_check.keys() == (BY_HAND | {"inputs"}) - {"noise, inputs shorted", "reference"}
+    assert by_check.keys() == (BY_HAND | {"inputs"}) - {"noise, inputs shorted"}
+    assert by_check["reference"]["said"] == "no --reference is given"
     assert "inputs not checked: no shorts here" in out.splitlines()[-1]
 
 

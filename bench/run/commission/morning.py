@@ -86,7 +86,9 @@ class MorningCourse:
             _meanwhile(evening, jobs, partial(evening.carry_out, TURN, head, look))
         for job in jobs:
             job.wait_and_carry_out(evening)
-        if self.reference_v is not None:
+        if self.reference_v is None:
+            evening.note(Finding(REFERENCE, BENCH, State.SKIPPED, "no --reference is given"))
+        else:
             self._reference(evening, self.reference_v)
         block = (
             f"check block {self.serial} in installation {self.installation}" if self.serial else "the block"
@@ -96,8 +98,7 @@ class MorningCourse:
                 with_head(RETURN, look=partial(_moved, evening, form, stands))
             elif returned_rad:
                 with_head(RETURN, look=partial(_back, evening, stands, returned_rad[0]))
-        if self.serial:
-            evening.note(self._check_block(stands))
+        evening.note(self._check_block(stands))
 
     def _reference(self, evening: CommissioningSession, volts: float) -> None:
         text = f"Take the shorts off and connect the reference of {volts:g} V to all inputs. Done?"
@@ -106,6 +107,8 @@ class MorningCourse:
 
     def _check_block(self, stands: list[_Stand]) -> Finding:
         """Return the finding on the check block at the last of two stands."""
+        if not self.serial:
+            return Finding(CHECK_BLOCK, BENCH, State.SKIPPED, "the bench file states none")
         if self.judge is None or len(stands) < 2:
             why = self.no_chart or "not measured, because the head did not return"
             return Finding(CHECK_BLOCK, self.serial, State.SKIPPED if self.no_chart else State.COULD_NOT, why)
