@@ -226,7 +226,7 @@ def wrong_installation(context: Context) -> Iterator[Context]:
         object.__setattr__(INSTALLATION_2, "block_from_platform", before)
 
 
-REF, STAT, WIRE, MACHINES = "reference data", "statistics", "instruments", "machine"
+REF, STAT, WIRE, MACHINES, OUT = "reference data", "statistics", "instruments", "machine", "results given out"
 GEOMETRY: Final = "bench.model.geometry"
 PROPAGATION: Final = "bench.calibration.budget.propagation"
 CHARTS: Final = "bench.stats.control_charts"
@@ -301,6 +301,8 @@ INSTRUMENTS: Final = (
     edit("errors of the meter not read", "voltmeter|settings", WIRE, f"{SCPI}.configure",
          "self._refuse(troubles,", "self._refuse([],"),
     edit("dialect: a command that there is not", "voltmeter", WIRE, METER, "VOLT:DC:NPLC {", "VOLT:DC:PLC {"),
+    edit("dialect: a range too high", "voltmeter", WIRE, METER, "CONF:VOLT:DC {settings.range_v",
+         "CONF:VOLT:DC {10.0 * settings.range_v"),
     edit("dialect: trigger from the bus", "voltmeter", WIRE, METER, "TRIG:SOUR IMM", "TRIG:SOUR BUS"),
     edit("dialect: a sample too many", "voltmeter", WIRE, METER, "SAMP:COUN {settings.samples}",
          "SAMP:COUN {settings.samples + 1}"),
@@ -314,6 +316,20 @@ INSTRUMENTS: Final = (
          "drivers.instruments.manual:ManualHead._turned", "HeadPosition(angle_rad", "HeadPosition(-angle_rad"),
     edit("garbled replies accepted", "voltmeter", WIRE, "drivers.wire.visa:MessageSession.query",
          "reply) is not None", "reply) != 1"),
+)  # fmt: skip
+
+OUTPUTS: Final = (
+    edit("sign of U in a certificate", "certificate", "certificates", "bench.certificate.gather:_values",
+         "k * row.u", "-k * row.u"),
+    edit("names exchanged in a DCC", "certificate", "certificates", "bench.certificate.dcc.document:_listed",
+         "[one.name for one in members],",
+         '[{"Kxy": "Kyx", "Kyx": "Kxy"}.get(one.name, one.name) for one in members],'),
+    edit("a wrong unit in an export", "exports", OUT, "bench.exchange.forms:csv_text", "row.unit])",
+         '"m" + row.unit])'),
+    edit("a two-sided quantile for the guard band", "conformity", OUT, "bench.calibration.conformity:_quantile",
+         "special.ndtri(level)", "special.ndtri(0.5 * (1.0 + level))"),
+    edit("scale of an autopilot not inverted", "exports", OUT, "bench.exchange.autopilots:diagonal",
+         "1.0 / np.diag(sensor.M)", "np.diag(sensor.M)"),
 )  # fmt: skip
 
 RECORDS: Final = (
@@ -370,4 +386,4 @@ MACHINE: Final = (
     data_edit("a damaged set of an accelerometer", "accelerometers", REF, "innalabs-24.csv", "0.99", "0.98"),
 )  # fmt: skip
 
-FAULTS: Final = (*ARITHMETIC, *INSTRUMENTS, *RECORDS, *MACHINE)
+FAULTS: Final = (*ARITHMETIC, *INSTRUMENTS, *OUTPUTS, *RECORDS, *MACHINE)

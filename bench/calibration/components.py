@@ -33,6 +33,7 @@ WAVES: Final = 8
 NOISE: Final = "noise"
 SETTING: Final = "setting error"
 ANGLE: Final = "angle of a setting"
+PASS_ANGLE: Final = "angle of a pass"
 DRIFT: Final = "drift"
 
 
@@ -179,21 +180,23 @@ def _basic(fit: Fit) -> list[_Term]:
 
 
 def _further(conditions: Conditions, fit: Fit) -> Iterator[_Term]:
-    """Yield the candidate components: setting, angle and visit for all channels; pass and drift per channel."""
+    """Yield the candidate components: setting, its angle, visit and a pass's angle for all channels; pass and
+    drift per channel.
+    """
     settings = repeat_groups(conditions)
     passes = _labels(conditions.mount, conditions.pass_number)
     visits = _visits(conditions)
     n, further = len(conditions), len(fit.system.free.left)
-    sizes = fit.noise.by_channel
+    sizes, angle = fit.noise.by_channel, _angle(fit)
     if np.bincount(settings).max() > 1:
         yield _Term("setting", "all", _by_group(settings, sizes, range(3), further), sizes)
-        size = _angle(fit)
-        yield _Term(ANGLE, "all", _along(settings, fit, size, further), np.array([size]))
+        yield _Term(ANGLE, "all", _along(settings, fit, angle, further), np.array([angle]))
     if len(np.unique(visits)) < n and np.bincount(visits).max() > 1:
         yield _Term("visit", "all", _by_group(visits, sizes, range(3), further), sizes)
     if len(np.unique(passes)) > len(conditions.mounts):
         for c in range(3):
             yield _Term("pass", CHANNELS[c], _by_group(passes, sizes, [c], further), sizes[[c]])
+        yield _Term(PASS_ANGLE, "all", _along(passes, fit, angle, further), np.array([angle]))
     shapes = _walk(conditions.elapsed_s)
     if shapes.shape[1]:
         for c in range(3):
@@ -292,7 +295,7 @@ def _shared(
     final = finish(problem, fit, covariance, noise)
     found = tuple(
         Component(t.what, t.channels, float(np.sqrt(size)) * rms(t.unit_of),
-                  "rad" if t.what == ANGLE else unit, float(nu), float(p))
+                  "rad" if t.what in _SHARED_ANGLES else unit, float(nu), float(p))
         for t, size, nu, p in zip(terms[base:], theta[base:], dof[base:], chance[base:], strict=True)
         if size > 0
     )  # fmt: skip
@@ -365,7 +368,9 @@ _SHARED_BY: Final = {
     ANGLE: message("the readings at a setting (installation and point) in all passes"),
     "visit": message("the readings of one stay at a setting"),
     "pass": message("the readings of one pass"),
+    PASS_ANGLE: message("the readings of one pass"),
 }
+_SHARED_ANGLES: Final = frozenset({ANGLE, PASS_ANGLE})
 
 
 def notes_on_noise(
@@ -443,7 +448,7 @@ def _on_prior(prior: NoisePrior, unit: str) -> str:
 def _on_components(components: Sequence[Component], unit: str) -> Iterator[str]:
     for what in dict.fromkeys(c.what for c in components):
         own = [c for c in components if c.what == what]
-        if what == ANGLE:
+        if what in _SHARED_ANGLES:
             sizes = message(f"{own[0].size / ARCSEC:.2g} arcsec of the head")
         elif own[0].channels == "all":
             sizes = f"{own[0].size:.2g} {unit}"

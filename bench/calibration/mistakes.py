@@ -173,8 +173,8 @@ def refuse_singular(block: Block, u: Floats | None = None) -> None:
     dead = [axis for axis, k, s in zip("xyz", length, least, strict=True) if not k > NO_ANSWER * s]
     if dead:
         raise CalibrationError(
-            f"channel {', '.join(dead)} does not respond to the acceleration; check its cable and the supply of "
-            "the block"
+            f"the readings do not show that channel {', '.join(dead)} responds to acceleration; check cable and "
+            "supply, or find wrong readings with 'bench diagnose'"
         )
     unit = block.K / length[:, None]
     if np.linalg.svd(unit, compute_uv=False)[-1] >= COPLANAR:

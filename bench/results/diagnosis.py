@@ -532,7 +532,10 @@ def _limits_of_sight(full: FullDiagnosis, out: Console) -> None:
             out.print(f"  {', '.join(names)}: {why}")
     if diagnosis.verdict == "agrees":
         sizes = words.smallest_found(diagnosis)
-        out.print("Size that half of all such runs would find; a smaller effect would probably be missed:")
+        out.print(
+            "Size that half of all such runs would find where the effect shows best; in other channels, "
+            "installations or forms a larger effect may be missed:"
+        )
         listed = table("  effect", "size", "effect", "size")
         half = (len(sizes) + 1) // 2
         for left, right in zip_longest(sizes[:half], sizes[half:], fillvalue=("", "")):

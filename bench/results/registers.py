@@ -77,13 +77,13 @@ class NotedRemedy(ResultModel):
 
 
 class Failure(ResultModel):
-    """A failure that the record of a run states."""
+    """A failure that the record of a run states, or a failed validation."""
 
     number: str
-    run: str
+    run: str = Field(description="name of the run; for a validation, of its folder")
     event: int = Field(description="number of the event in the record; 0 if the record cannot be read")
     time: str = Field(description="civil time of the event")
-    kind: str = Field(description="type of the event, or `damaged`")
+    kind: str = Field(description="type of the event, `damaged` or `validation`")
     said: str = Field(description="the event as a sentence")
     simulated: bool
     state: str = Field(description="open, remedied or closed")

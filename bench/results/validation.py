@@ -18,7 +18,8 @@ NOT_PROVEN: Final = (
     "that real instruments do as simulated ones: 'bench instruments --commission' and certificates show it",
     "that the block, the head and the stand are as the bench file states: the check block and the budget do",
     "that the clock is right: no time server was asked",
-    "that nobody changed the program later: 'require_validation: true' compares at each run and certificate",
+    "that nobody changed a package's files later: 'require_validation: true' compares the program's files and the "
+    "packages' lists of files",
     "that the laboratory's method suits the customer's purpose (7.2.2): that is the laboratory's judgement",
     "that the random parts would pass with every seed: their seeds are fixed",
 )
@@ -65,14 +66,17 @@ class ValidatedBench(ResultModel):
     name: str
     file: str
     sha256: str
+    plug_ins: dict[str, str] = Field(
+        {}, description="SHA-256 of each of your own drivers and effects, by path"
+    )
 
 
 class ChangedRun(ResultModel):
-    """A past run whose recomputed coefficients differ from the stored ones."""
+    """A past run whose recomputed coefficients, or their u, differ from the stored ones."""
 
     run: str
     largest_change_in_u: float
-    largest_change_of: str = Field(description="coefficient with the largest change")
+    largest_change_of: str = Field(description="coefficient with the largest change; `u` if that is its u")
     verdict_stored: str | None
     verdict: str | None
 
@@ -105,6 +109,7 @@ class ValidationResult(ResultModel):
     not_proven: list[str]
     accepted_before: str
     """number of the accepted validation with which this one was compared"""
+    failure: str = Field("", description="number of a failed validation in the register of failures")
     files: list[str] = Field([], description="files that were written")
 
     @property
@@ -144,6 +149,8 @@ class ValidationResult(ResultModel):
         if self.against is not None:
             self._print_against(self.against, out)
         out.print(self.headline, style="bold")
+        if self.failure:
+            out.print(f"in the register of failures: {self.failure}")
         for file in self.files:
             out.print(f"  {file}")
         if self.files and not any(file.endswith(".pdf") for file in self.files):

@@ -92,18 +92,23 @@ class History:
     power: list[tuple[float, str]] = field(default_factory=list)
 
     def not_repaired(self) -> tuple[list[Event], list[Event]]:
-        """Return early signs, and decisions to go on in spite of one, whose readings were not repeated later."""
-        signs: list[Event] = []
-        overruled: list[Event] = []
+        """Return early signs, and decisions to go on in spite of one, whose wrong readings were not taken again."""
+        steps: dict[tuple[int, str, int, int], int] = {}
+        found: list[tuple[int, Event]] = []  # each with the step of the reading at fault
         for event in self.events if self.progress.signs else ():
-            if event.type == EventType.EARLY_SIGN:
-                signs.append(event)
+            if event.type == EventType.STEP_DONE and event.data.get("reading") and (one := event.reading):
+                steps[one.place] = event.step
+                found = [kept for kept in found if kept[0] != event.step]
+            elif event.type == EventType.EARLY_SIGN:
+                wrong = event.data.get("wrong")
+                found.append((steps.get(tuple(wrong), event.step) if wrong else event.step, event))
             elif event.type == EventType.WENT_ON:
-                overruled.append(event)
-            elif event.type == EventType.REDO:
-                signs, overruled = (
-                    [one for one in of if one.step not in event.steps] for of in (signs, overruled)
-                )
+                doubt = next((at for at, sign in reversed(found) if sign.data.get("confident")), event.step)
+                found.append((doubt, event))
+        signs, overruled = (
+            [event for _, event in found if event.type == kind]
+            for kind in (EventType.EARLY_SIGN, EventType.WENT_ON)
+        )
         return signs, overruled
 
     @property

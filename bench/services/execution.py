@@ -68,6 +68,7 @@ from bench.services.persons import STARTED_FROM, acting_at, operator_of, resumer
 from bench.services.requests.measuring import ResumeRequest, RunRequest
 from bench.services.requests.shared import name_to_type, runs_folder
 from bench.services.traceability import remarks
+from bench.services.validated import refuse_unvalidated_resumption
 from bench.services.verification import NOTHING_ASKED, VerdictOptions, judgement_of
 from drivers.clock import Haste, utc_now
 from drivers.interfaces import BenchError
@@ -264,6 +265,8 @@ def resumed(
             if history.torn and not quiet.get():
                 print("note: the last line of the record was incomplete and was dropped", file=sys.stderr)
             if history.state is not RunState.FINISHED:
+                with knowing_effects_on_record(run):
+                    refuse_unvalidated_resumption(run)
                 asker = asker_of(run, record, history, out, who)
                 with _to_be_resumed(record):
                     accept_changes(run, asker, out)

@@ -77,14 +77,13 @@ def refuse_unfit(bench: BenchFile, path: Path, request: RunRequest, *, away: boo
     if late and (
         bench.expired == "refuse" or (bench.expired == "ask" and not away and not sys.stdin.isatty())
     ):
-        why = (
-            "refuses such runs (expired: refuse)"
+        why, way = (
+            ("refuses such runs (expired: refuse)", "let a person decide (expired: ask)")
             if bench.expired == "refuse"
-            else "asks, and there is no terminal"
+            else ("asks, and there is no terminal", "begin the run at a terminal, or with --answers folder")
         )
         raise Refused(
-            f"{in_words(late)}; {path} {why}; have it calibrated and state the new certificate, or let a person "
-            "decide (expired: ask)"
+            f"{in_words(late)}; {path} {why}; have it calibrated and state the new certificate, or {way}"
         )
 
 

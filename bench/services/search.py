@@ -70,7 +70,7 @@ def identified(resource: str, what: str = "") -> FoundResource:
     try:
         identity = _identity(resource)
     except BenchError as error:
-        return FoundResource(resource, what, failure=str(error))
+        return FoundResource(resource, what, failure=str(error).removeprefix(f"{resource}: "))
     device = _device_of(identity)
     driver = device.name if device else ""
     shows = failure = interface = ""

@@ -19,10 +19,14 @@ from typing import Any, ClassVar, Final
 from bench.base.files import to_text
 from bench.base.text import as_typed
 from bench.base.yaml_files import load_document, part, sha256_of_file
-from bench.config.bench_file.file import BenchFile
+from bench.config.bench_file.file import BenchFile, foreign_drivers, load_bench
+from bench.config.devices import FOLDERS
+from bench.config.devices.registry import GROUP
+from bench.config.formulas import files_of_environment
 from bench.config.shipped import PROCEDURES, shipped_folder
 from bench.results.validation import PackagePart, ProgramFingerprint
 from bench.run.events import sha256
+from bench.run.folder import BENCH, Run
 from bench.services.chain import Chain, Entry, first_head
 from bench.services.errors import Refused
 
@@ -41,13 +45,42 @@ _REQUIREMENT: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 def own_files() -> dict[str, str]:
     """Return the SHA-256 of each file of the program, by its path: its packages and the shipped procedures."""
+    return {
+        path: digest
+        for name, folder in [
+            *((name, _ROOT / name) for name in _OURS),
+            (PROCEDURES, shipped_folder(PROCEDURES)),
+        ]
+        for path, digest in _files_of(folder, name)
+    }
+
+
+def _files_of(folder: Path, name: str) -> Iterator[tuple[str, str]]:
+    """Yield path (which begins with `name`) and SHA-256 of each file in a folder, except compiled code."""
+    for file in sorted(folder.rglob("*")):
+        if file.is_file() and file.suffix not in _NO_CODE and "__pycache__" not in file.parts:
+            yield f"{name}/{file.relative_to(folder).as_posix()}", sha256(file.read_bytes())
+
+
+def plug_ins(bench: BenchFile) -> dict[str, str]:
+    """Return the SHA-256 of the laboratory's own drivers and effects with which a bench runs, by path or name.
+
+    Drivers count if the bench file names one: all files of BENCH_DEVICES, and the distributions that have drivers.
+    """
     found = {}
-    places = [(name, _ROOT / name) for name in _OURS] + [(PROCEDURES, shipped_folder(PROCEDURES))]
-    for name, folder in places:
-        for file in sorted(folder.rglob("*")):
-            if file.is_file() and file.suffix not in _NO_CODE and "__pycache__" not in file.parts:
-                found[f"{name}/{file.relative_to(folder).as_posix()}"] = sha256(file.read_bytes())
-    return found
+    if foreign_drivers(bench):
+        for folder in filter(None, os.environ.get(FOLDERS, "").split(os.pathsep)):
+            found |= dict(_files_of(Path(folder).expanduser(), Path(folder).name))
+        for one in (entry.dist for entry in metadata.entry_points(group=GROUP)):
+            if one is not None:
+                found[one.name] = sha256((one.read_text("RECORD") or "").encode())
+    effects = [Path(one).expanduser() for one in files_of_environment()]
+    return found | {one.name: sha256(one.read_bytes()) for one in effects if one.is_file()}
+
+
+def digest_of(found: dict[str, str]) -> str:
+    """Return one SHA-256 for all `plug_ins`; "" if there are none."""
+    return sha256(to_text(found).encode()) if found else ""
 
 
 def packages() -> Iterator[metadata.Distribution]:
@@ -122,10 +155,12 @@ class Validations(Chain):
         name = Path(bench_file).name
         return next((one for one in reversed(self.standing()) if one.data["bench"] == name), None)
 
-    def accepts(self, program: str, bench_sha256: str | None) -> bool:
-        """Return whether a valid validation covers this program and bench file (None: any bench file)."""
+    def accepts(self, program: str, bench_sha256: str | None, own: str | None = None) -> bool:
+        """Return whether a valid validation covers program, bench file and plug-ins, by hash (None: any)."""
         return any(
-            one.data["fingerprint"] == program and bench_sha256 in (None, one.data["bench_sha256"])
+            one.data["fingerprint"] == program
+            and bench_sha256 in (None, one.data["bench_sha256"])
+            and own in (None, one.data.get("plug_ins", ""))
             for one in self.standing()
         )
 
@@ -172,7 +207,14 @@ def refuse_unvalidated_run(bench: BenchFile, path: Path, laboratory: Path | None
     laboratory = laboratory_known(laboratory)
     if bench.require_validation or demanded_by(laboratory):
         by = path if bench.require_validation else laboratory
-        _refuse(laboratory, str(by), path)
+        _refuse(laboratory, str(by), path, digest_of(plug_ins(bench)))
+
+
+def refuse_unvalidated_resumption(run: Run) -> None:
+    """Raise as `refuse_unvalidated_run` if a real run would be continued by a program that is not validated."""
+    if not run.simulated:
+        copy = run.folder / BENCH
+        refuse_unvalidated_run(load_bench(copy), copy)
 
 
 def refuse_unvalidated_certificate(laboratory: Path) -> None:
@@ -181,7 +223,7 @@ def refuse_unvalidated_certificate(laboratory: Path) -> None:
         _refuse(laboratory, str(laboratory), None)
 
 
-def _refuse(laboratory: Path | None, by: str, bench: Path | None) -> None:
+def _refuse(laboratory: Path | None, by: str, bench: Path | None, own: str | None = None) -> None:
     of_bench = "" if bench is None else f" --bench {as_typed(bench)}"
     of_laboratory = f" --laboratory {as_typed(laboratory or 'FILE')}"
     way = (
@@ -196,10 +238,12 @@ def _refuse(laboratory: Path | None, by: str, bench: Path | None) -> None:
     register = read_validations(laboratory)
     digest = None if bench is None else sha256_of_file(bench)
     program = fingerprint().fingerprint
-    if register.accepts(program, digest):
+    if register.accepts(program, digest, own):
         return
     if not register.standing():
         why = "no validation was accepted yet"
+    elif register.accepts(program, digest):
+        why = f"a driver or effect of your own, loaded with {bench}, was changed since, or never validated"
     elif register.accepts(program, None):
         why = f"the bench file {bench} was changed since, or never validated"
     else:

@@ -18,12 +18,14 @@ from bench.services.validated import (
     ACCEPTED,
     WITHDRAWN,
     Validations,
+    digest_of,
     fingerprint,
     laboratory_needed,
     read_validations,
     register_beside,
 )
 from bench.validation.conduct import RESULT, damage_of
+from bench.validation.machine import compared
 from drivers.clock import utc_now
 
 
@@ -40,8 +42,11 @@ def accept(request: Validate, folder: Path) -> ValidationRegisterResult:
         raise Refused(
             f"{folder}: {len(result.failed)} checks failed ({names}); mend what they name and validate again"
         )
-    if fingerprint().fingerprint != result.program.fingerprint:
-        raise Refused(f"{folder}: the program was changed since, or is another; validate again, then accept")
+    here = fingerprint()
+    if here.fingerprint != result.program.fingerprint:
+        changed = compared(here.files, result.program.files)
+        what = "packages, Python or platform" if changed.passed else changed.found
+        raise Refused(f"{folder}: the program was changed since ({what}); validate again, then accept")
     with opened(Validations(register_beside(laboratory))) as register:
         digest = sha256(content)
         if any(one.data.get("result_sha256") == digest for one in register.standing()):
@@ -53,6 +58,7 @@ def accept(request: Validate, folder: Path) -> ValidationRegisterResult:
             "fingerprint": result.program.fingerprint,
             "bench": Path(result.bench.file).name,
             "bench_sha256": result.bench.sha256,
+            "plug_ins": digest_of(result.bench.plug_ins),
             "result_sha256": register.keep(content),
             "changes": [one.name for one in result.changes],
         }

@@ -35,12 +35,29 @@ from bench.results.validation import (
     render_validation,
 )
 from bench.run.events import sha256
-from bench.run.seal import Seal, private_key, read_public_key, sign, signed, write_seal
+from bench.run.seal import (
+    SEAL,
+    Seal,
+    is_signed,
+    private_key,
+    public_key,
+    read_public_key,
+    sign,
+    signed,
+    write_seal,
+)
 from bench.services.bench_selection import bench_path
 from bench.services.errors import Refused, refusing, sentence
 from bench.services.requests.documents import BatchCalibrate, Validate
 from bench.services.requests.shared import runs_folder
-from bench.services.validated import fingerprint, laboratory_known, read_validations, register_beside
+from bench.services.validated import (
+    fingerprint,
+    laboratory_known,
+    plug_ins,
+    read_validations,
+    register_beside,
+)
+from bench.validation.failures import note_validation
 from bench.validation.machine import description
 from bench.validation.registry import Context, carry_out, every
 from drivers.clock import SystemClock, utc_now
@@ -50,7 +67,7 @@ PAGE: Final = "validation.html"
 PDF: Final = "validation.pdf"
 DEFAULT_BENCH: Final = "paper-stand"
 THRESHOLD_U: Final = 0.1
-"""Largest change of a coefficient of a past run, in its u, that is not listed."""
+"""Largest change of a coefficient of a past run, or of its u, that is not listed, in units of the stored u."""
 
 
 def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationResult:
@@ -72,7 +89,7 @@ def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationR
         released = request.release, request.release_key
         context = Context(bench, Path(scratch), request.quick, accepted, tuple(places), *released)
         checks = carry_out(context, every())
-        name = _bench_name(context)
+        name, own = _bench_parts(context)
     part: AgainstPart | None = None
     if request.against is not None:
         part = against(request, request.against, folder / "against")
@@ -85,18 +102,28 @@ def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationR
         cpu_s=round(_cpu_s() - cpu_s, 1),
         false_alarm=sum(one.p_false for one in every()),
         program=fingerprint(),
-        bench=ValidatedBench(name=name, file=str(bench), sha256=sha256_of_file(bench)),
+        bench=ValidatedBench(name=name, file=str(bench), sha256=sha256_of_file(bench), plug_ins=own),
         machine=description(),
         checks=checks,
         against=part,
         not_proven=list(NOT_PROVEN),
         accepted_before=number,
     )
+    if result.failed and laboratory is not None:
+        result = result.model_copy(update={"failure": _noted(laboratory, folder, result)})
     written, seal = _write(result, folder, began)
     if key is not None:
         seal = signed(seal, *sign(key, seal.signed_bytes))
     written.append(str(write_seal(folder, seal)))
     return result.model_copy(update={"files": written})
+
+
+def _noted(laboratory: Path, folder: Path, result: ValidationResult) -> str:
+    """Return the number of a failed validation in the register of failures, or why it is not there."""
+    try:
+        return note_validation(laboratory, folder.name, result)
+    except Refused as why:  # a folder that cannot be written must not cost the result
+        return str(why)
 
 
 def _check_release(request: Validate) -> None:
@@ -114,11 +141,12 @@ def _bench(request: Validate) -> Path:
     return bench_path(named) if named else find_bench(DEFAULT_BENCH)
 
 
-def _bench_name(context: Context) -> str:
+def _bench_parts(context: Context) -> tuple[str, dict[str, str]]:
+    """Return the name of the bench and its plug-ins."""
     try:
-        return context.bench.name
+        return context.bench.name, plug_ins(context.bench)
     except Exception:  # a bench file with mistakes: the checks that need it say so
-        return context.bench_path.stem
+        return context.bench_path.stem, {}
 
 
 def _cpu_s() -> float:
@@ -191,23 +219,35 @@ def _rows(request: BatchCalibrate) -> list[dict[str, Any]]:
     with asked_of(request.out) as ask:
         return rows_of(
             ask,
-            "SELECT run, failed, estimator_stored, largest_change_in_u, largest_change_of, verdict_stored, "
-            "verdict, verdict_differs FROM changes ORDER BY run",
+            "SELECT run, failed, estimator_stored, largest_change_in_u, largest_change_of, least_u_ratio, "
+            "most_u_ratio, verdict_stored, verdict, verdict_differs FROM changes ORDER BY run",
         )
+
+
+def _largest(row: dict[str, Any]) -> tuple[float, str]:
+    """Return the largest change of a coefficient or of a u, in units of the stored u, and what changed.
+
+    It is infinite for results that cannot be compared.
+    """
+    change = row["largest_change_in_u"]
+    if change is None or math.isnan(change):
+        return math.inf, "unknown"
+    ratios = (row[name] for name in ("least_u_ratio", "most_u_ratio"))
+    of_u = max((abs(ratio - 1.0) for ratio in ratios if ratio is not None), default=0.0)
+    return (of_u, "u") if of_u > change else (change, row["largest_change_of"])
 
 
 def _differs(row: dict[str, Any]) -> bool:
     """Return whether a result changed by more than the threshold, has another verdict, or cannot be compared."""
-    change = row["largest_change_in_u"]
-    return change is None or change > THRESHOLD_U or bool(row["verdict_differs"])
+    return _largest(row)[0] > THRESHOLD_U or bool(row["verdict_differs"])
 
 
 def _changed(row: dict[str, Any]) -> ChangedRun:
-    change = row["largest_change_in_u"]
+    change, of = _largest(row)
     return ChangedRun(
         run=row["run"],
-        largest_change_in_u=-1.0 if change is None or math.isnan(change) else change,
-        largest_change_of=row["largest_change_of"] or "unknown",
+        largest_change_in_u=change if math.isfinite(change) else -1.0,
+        largest_change_of=of,
         verdict_stored=row["verdict_stored"],
         verdict=row["verdict"],
     )
@@ -225,7 +265,7 @@ def _of_past_runs(part: AgainstPart) -> ValidationCheck:
         clause="7.11.2",
         did="Recompute past runs by the estimators of their stored results.",
         source="",
-        expected=f"no coefficient changed by more than {part.threshold_u:g} u, no verdict",
+        expected=f"no coefficient, and no u, changed by more than {part.threshold_u:g} u; no verdict changed",
         found=words,
         passed=not (runs or part.failed),
         where=", ".join([*runs, *part.failed][:5]),
@@ -303,8 +343,12 @@ def _shown(told: Any, *, plain: bool = False) -> Any:
 
 
 def damage_of(folder: Path, seal: Seal) -> list[str]:
-    """Return a sentence for each file of a validation that is missing or differs from what was sealed."""
+    """Return a sentence for each file of a validation that differs from its seal, and for a wrong signature."""
     wrong = []
+    if seal.signature:
+        key = public_key(seal.public_key, str(folder / SEAL))
+        if not is_signed(key, seal.signature, seal.signed_bytes):
+            wrong.append(f"{folder / SEAL}: not signed with the key that it names")
     for name, digest in seal.files.items():
         try:
             if sha256((folder / name).read_bytes()) != digest:

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Final
 from bench.base.text import visible
 from bench.certificate.laboratory import load_laboratory
 from bench.results.registers import Failure, FailuresResult, NotedRemedy
+from bench.results.validation import ValidationResult
 from bench.run.events import EventType, RecordError
 from bench.run.folder import Run, all_runs
 from bench.run.sentences import sentence
@@ -22,7 +23,7 @@ from bench.services.validated import laboratory_needed
 from drivers.clock import utc_now
 
 FOLDER: Final = "failures"
-SEEN, NOTED, DAMAGED = "seen", "noted", "damaged"
+SEEN, NOTED, DAMAGED, VALIDATION = "seen", "noted", "damaged", "validation"
 KINDS: Final = frozenset(
     {
         EventType.RUN_FAILED, EventType.RUN_ABORTED, EventType.RUN_INTERRUPTED, EventType.STEP_FAILED,
@@ -74,12 +75,33 @@ def failures(request: Failures) -> FailuresResult:
         known = register.keys()
         for data in _in_records(runs_folder(request.runs)):
             if (data["created"], data["run"], data["event"]) not in known:
-                number = f"F{data['when'][:4] or utc_now().year}-{len(register.seen) + 1:04d}"
-                register.append(Entry(SEEN, number, civil_now(), "bench failures", data))
+                _append(register, data, "bench failures")
                 new += 1
         if request.number is not None:
             _note(register, request, laboratory)
         return _result(register, request.year, new)
+
+
+def note_validation(laboratory: Path, name: str, result: ValidationResult) -> str:
+    """Note a failed validation, by the name of its folder, in the register; return its number. Raises `Refused`."""
+    data = {
+        "run": name,
+        "created": result.began,
+        "event": 0,
+        "when": result.began,
+        "kind": VALIDATION,
+        "said": visible(f"{result.headline}: {', '.join(one.name for one in result.failed)}"),
+        "simulated": False,
+    }
+    with opened(FailureRegister(laboratory.absolute().parent / FOLDER)) as register:
+        return _append(register, data, "bench validate")
+
+
+def _append(register: FailureRegister, data: dict[str, Any], by: str) -> str:
+    """Append a failure that a program found to the register; return its number."""
+    number = f"F{data['when'][:4] or utc_now().year}-{len(register.seen) + 1:04d}"
+    register.append(Entry(SEEN, number, civil_now(), by, data))
+    return number
 
 
 def _in_records(runs: Path) -> Iterator[dict[str, Any]]:

@@ -31,7 +31,7 @@ from bench.base.yaml_files import sha256_of_file
 from bench.readings.csv import read_csv
 from bench.run.seal import is_signed, read_public_key
 from bench.services.errors import sentence
-from bench.services.validated import DISTRIBUTION, fingerprint, packages
+from bench.services.validated import DISTRIBUTION, fingerprint, packages, plug_ins
 from bench.validation.registry import Context, Finding
 from bench.validation.registry import check as enter
 from drivers.clock import SystemClock, utc_now
@@ -359,6 +359,14 @@ def bench_as_accepted(context: Context) -> Finding:
     digest, before = sha256_of_file(context.bench_path), context.accepted["bench"]["sha256"]
     found = f"SHA-256 {digest[:12]}…" + ("" if digest == before else f", accepted was {before[:12]}…")
     return Finding(digest == before, found, where=str(context.bench_path))
+
+
+@compare("own drivers and effects", "7.11.2", "as accepted")
+def plug_ins_as_accepted(context: Context) -> Finding:
+    """Compare the laboratory's own drivers and effects with the accepted validation."""
+    if context.accepted is None:
+        return Finding(True, _NOTHING)
+    return compared(plug_ins(context.bench), context.accepted["bench"].get("plug_ins", {}))
 
 
 @compare("machine", "6.4.4", "as accepted")

@@ -3,6 +3,7 @@
 import re
 from html import unescape
 from pathlib import Path
+from urllib.parse import quote
 
 import pytest
 
@@ -274,6 +275,14 @@ def test_finding_addresses_nothing_and_what_is_found_is_given_to_an_instrument(
     assert [m.resource for m in load_bench(Path("config/mine.yaml")).instruments.voltmeters][1] == LAN
 
 
+def test_a_name_that_cannot_be_written_is_a_mistake_before_it_is_written(anna):
+    for name, says in (("hall 3!", "letters, digits"), ("bench-gpib", "there is a bench file bench-gpib already")):
+        page = anna.get(f"/bench/form?start=bench-lan&name={quote(name)}").text
+        assert "✗ 1 mistake<" in page
+        assert says in page
+    assert "✓ no mistake" in anna.get("/bench/form?start=bench-lan").text  # there is no name yet
+
+
 def test_an_identified_meter_brings_its_driver(runs, anna):
     search = Search(runs / ".panel" / "search")
     search.path.mkdir(parents=True)
@@ -295,6 +304,38 @@ def test_an_identified_meter_brings_its_driver(runs, anna):
     assert "K 34461A, shows +1 V" in page
 
 
+def shown_as(page):
+    """What each resource found is shown to be, and the resource of each voltmeter."""
+    chosen = re.findall(r'name="was:\d" value="(\w*)"', page)
+    selected = [re.findall(r'<option value="(\w+)" selected', one) for one in re.findall(r'id="is:\d".*', page)]
+    assert selected == [[one] if one else [] for one in chosen]
+    meters = [rf'id="instruments.voltmeters\[{n}\].resource"[^>]*? value="([^"]*)"' for n in (1, 2, 3)]
+    return chosen, [re.search(meter, page)[1] for meter in meters]
+
+
+def test_the_form_shows_what_each_resource_is_and_refuses_two_of_a_kind(runs, anna):
+    found = [f"TCPIP0::192.0.2.{n}::5025::SOCKET" for n in (41, 42, 43)]
+    search = Search(runs / ".panel" / "search")
+    search.path.mkdir(parents=True)
+    search.tell(Findings(IDENTIFY, resources=[FoundResource(one).to_json() for one in found]))
+    own = {f"resource:{number}": one for number, one in enumerate(found)}
+
+    def sent(now, before=("", "", ""), typed=("", "", "")):
+        names = {f"instruments.voltmeters[{n}].resource": text for n, text in enumerate(typed, 1)}
+        rows = {f"{key}:{n}": one for key, two in (("is", now), ("was", before)) for n, one in enumerate(two)}
+        form = {"file": "", "start": "bench-lan", "new_name": "mine", "sha256": "", "do": "show"}
+        return anna.post("/bench/form", **form, **own, **rows, **names).text
+
+    assert shown_as(sent("xyz")) == (["x", "y", "z"], found)
+    assert shown_as(sent("yxz", "xyz", found)) == (["y", "x", "z"], [found[1], found[0], found[2]])
+    by_hand = [LAN, *found[1:]]  # what is typed holds where the choice is as it was
+    assert shown_as(sent("xyz", "xyz", by_hand)) == (["", "y", "z"], by_hand)
+    assert shown_as(sent("xyy", "xyz", found)) == (["x", "", "y"], [found[0], found[2], ""])
+    twice = sent("xxz", typed=found)
+    assert "Two of the instruments found are chosen as x" in twice
+    assert shown_as(twice)[0] == ["", "", "z"]
+
+
 @pytest.mark.parametrize(
     "typed", ["rm -rf", "$(id)", "TCPIP0", "\n".join(f"GPIB0::{number}::INSTR" for number in range(31))]
 )
@@ -312,7 +353,7 @@ def test_what_is_no_resource_is_not_addressed(runs, started, typed):
 def test_a_resource_that_does_not_answer_is_one_with_its_failure(runs):
     told = carried_out(Findings(IDENTIFY, done=False, order=["TCPIP0::127.0.0.1::1::SOCKET"]))
     assert told.done
-    assert "refused the connection" in told.resources[0]["failure"]
+    assert told.resources[0]["failure"].startswith("TCPIP0::127.0.0.1::1::SOCKET refused the connection")
 
 
 def test_the_results_of_a_test_stand_at_the_instruments(runs, anna, started):

@@ -255,3 +255,27 @@ def test_a_history_keeps_what_going_on_needs_and_no_sample(tmp_path):
     lines = (tmp_path / "run" / EVENTS).read_bytes()
     assert history.head == hashlib.sha256(lines.splitlines()[-1]).hexdigest()
     assert history.length == len(lines)
+
+
+@pytest.mark.parametrize(("again", "left"), [((), 1), ((1,), 1), ((0,), 0), ((0, 1), 0)])
+def test_a_sign_stands_until_the_reading_at_fault_was_taken_again(tmp_path, again, left):
+    """The second reading shows that the first is wrong: taking the second one again mends nothing."""
+    record = Record.create(tmp_path / "run", {}, {}, lambda: NOON)
+    record.append("run_started", 0.0, step=0, instruments={})
+
+    def read(step):
+        record.append("step_done", 1.0, step=step, reading=READING | {"point": step + 1})
+
+    read(0)
+    read(1)
+    sure = {"confident": True, "wrong": [1, "1", 1, 1]}
+    record.append("early_sign", 2.0, step=1, sentence="x", causes=["slip"], **sure)
+    record.append("early_sign", 2.0, step=1, sentence="noisy", causes=["noise"], confident=False, wrong=None)
+    record.append("went_on", 3.0, step=1, causes=["slip"], reason="late")
+    record.append("redo", 4.0, first=0, last=1)
+    for step in again:
+        read(step)
+    record.close()
+    signs, overruled = read_history(tmp_path / "run").not_repaired()
+    assert [sign.data["sentence"] for sign in signs] == ["x"] * left + ["noisy"] * (1 not in again)
+    assert len(overruled) == left

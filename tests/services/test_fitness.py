@@ -63,6 +63,8 @@ def test_an_expired_certificate_is_treated_as_the_file_says(
     with pytest.raises(Refused, match=words) as refusal:
         refuse_unfit(load_bench(file), file, RunRequest("quick"), away=away)
     assert "voltmeter.x" in str(refusal.value)
+    assert ("expired: ask" in str(refusal.value)) == (policy == "refuse")
+    assert ("--answers folder" in refusal.value.typed) == (policy == "ask")
     assert "expired on 2026-10-01" in str(refusal.value)
 
 

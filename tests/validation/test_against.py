@@ -58,6 +58,19 @@ def test_the_runs_of_a_changed_estimator_are_listed_and_no_others(past_runs):
     assert [one.largest_change_in_u for one in found.changed] == pytest.approx([0.5, 0.5], rel=1e-6)
 
 
+def test_a_run_whose_u_alone_changed_is_listed(past_runs):
+    """No coefficient moves, but the u of each is a fifth larger."""
+    with edited(
+        "bench.calibration.calibrate:calibrate",
+        "birge**2 * fit.covariance",
+        "birge**2 * 1.44 * fit.covariance",
+    ):
+        found = against(Validate(), past_runs, Path("out"))
+    assert sorted(names(found)) == ["a", "b", "c", "d"]
+    assert {one.largest_change_of for one in found.changed} == {"u"}
+    assert [one.largest_change_in_u for one in found.changed] == pytest.approx([0.2] * 4, abs=0.01)
+
+
 def test_changed_runs_wait_for_acceptance(bench, past_runs, monkeypatch):
     from bench.validation import conduct
 

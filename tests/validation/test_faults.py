@@ -12,6 +12,9 @@ SHORT = (
     "x and y exchanged in files",
     "covariance of the solver off by 1e-6",
     "wrong g in the bench file",
+    "a wrong unit in an export",
+    "a two-sided quantile for the guard band",
+    "scale of an autopilot not inverted",
 )
 """Faults of several families that are found at once."""
 

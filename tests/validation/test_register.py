@@ -6,17 +6,26 @@ import os
 import shutil
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from bench.base.yaml_files import sha256_of_file
+from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
+from bench.run.events import EVENTS
+from bench.run.folder import Run
 from bench.services import validated
 from bench.services.chain import LINES, Entry, opened
 from bench.services.errors import Refused
+from bench.services.execution import new_run
+from bench.services.requests.measuring import RunRequest
 from bench.services.validated import ACCEPTED, WITHDRAWN, Validations
 from bench.validation.records import write_files
+from bench.validation.registry import Context, carry_out, every
 from benchmarks.validation_campaign import append_for_ever
+from tests.support.commands import refused
 
 FORK = multiprocessing.get_context("fork")
 
@@ -96,17 +105,12 @@ class FINGERPRINT:
 
 
 def refusal(laboratory, bench):
-    from bench.config.bench_file.file import load_bench
-
     with pytest.raises(Refused) as refused:
         validated.refuse_unvalidated_run(load_bench(bench), bench, laboratory)
     return refused.value.typed
 
 
 def test_a_demanding_laboratory_refuses_until_somebody_accepted(demanding):
-    from bench.base.yaml_files import sha256_of_file
-    from bench.config.bench_file.file import load_bench
-
     laboratory, bench = demanding
     said = refusal(laboratory, bench)
     assert "no validation was accepted yet" in said
@@ -138,9 +142,56 @@ def test_a_bench_file_can_demand_it_too(demanding, bench):
     assert (status, err) == (0, "")
 
 
-def test_who_demands_nothing_is_not_asked(tmp_path, monkeypatch):
-    from bench.config.bench_file.file import load_bench
+def test_a_real_run_is_not_continued_by_a_program_that_nobody_validated(
+    demanding, bench, empty_folder, monkeypatch
+):
+    laboratory, file = demanding
+    monkeypatch.setattr(os, "isatty", lambda _: True)
+    monkeypatch.setenv("BENCH_LABORATORY", str(laboratory))
+    folder = validated.register_beside(laboratory)
+    with opened(Validations(folder)) as register:
+        register.append(entry("1", "f" * 64, sha256_of_file(file)))
+    new = new_run(RunRequest("quick", str(file), name="real"))
+    new.record().close()
+    with opened(Validations(folder)) as register:
+        register.append(entry("1", "f" * 64, sha256_of_file(file), WITHDRAWN))
+        register.append(entry("2", "older program", sha256_of_file(file)))
+    before = (new.folder / EVENTS).read_bytes()
+    said = refused(bench("resume", "real"), "the program was changed since 2 was accepted")
+    assert f"--bench {new.folder / 'bench.yaml'}" in said
+    assert (new.folder / EVENTS).read_bytes() == before
+    dry = new_run(RunRequest("quick", str(file), name="dry", dry_run=True))
+    dry.record().close()
+    validated.refuse_unvalidated_resumption(Run(dry.folder))
 
+
+OWN = Path(__file__).parents[2] / "docs" / "examples" / "turnwell"
+
+
+def test_a_driver_of_the_laboratory_is_part_of_what_was_validated(demanding, tmp_path, monkeypatch):
+    laboratory, file = demanding
+    drivers = shutil.copytree(OWN, tmp_path / "drivers")
+    monkeypatch.setenv("BENCH_DEVICES", str(drivers))
+    monkeypatch.setattr(validated, "foreign_drivers", lambda _: {"turnwell": "a file"})
+    own = validated.plug_ins(load_bench(file))
+    assert own
+    assert all(name.startswith("drivers/") for name in own)
+    data = {**entry("1", "f" * 64, sha256_of_file(file)).data, "plug_ins": validated.digest_of(own)}
+    with opened(Validations(validated.register_beside(laboratory))) as register:
+        register.append(replace(entry("1"), data=data))
+    validated.refuse_unvalidated_run(load_bench(file), file, laboratory)
+    one = next(drivers.rglob("*.py"))
+    one.write_text(one.read_text(encoding="utf-8") + "\n", encoding="utf-8")
+    assert "a driver or effect of your own" in refusal(laboratory, file)
+    accepted = {"bench": {"plug_ins": own}}
+    (row,) = carry_out(
+        Context(file, tmp_path, accepted=accepted),
+        [one for one in every() if one.name == "own drivers and effects"],
+    )
+    assert (row.passed, row.where) == (False, f"changed: drivers/{one.relative_to(drivers).as_posix()}")
+
+
+def test_who_demands_nothing_is_not_asked(tmp_path, monkeypatch):
     monkeypatch.delenv("BENCH_LABORATORY", raising=False)
     laboratory, _ = write_files(tmp_path)
     validated.refuse_unvalidated_run(load_bench(find_bench("bench-lan")), find_bench("bench-lan"), laboratory)

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from bench.run.events import sha256
 from bench.run.seal import read_seal
-from bench.validation import conduct, registry
+from bench.validation import acceptance, conduct, registry
 from bench.validation.records import write_files
 from bench.validation.registry import TABLE, Check, Finding
 from tests.support.commands import printed, refused
@@ -94,6 +95,49 @@ def test_a_failed_check_names_its_place_and_cannot_be_accepted(bench, few, labor
         bench("validate", "--accept", "v", "--laboratory", laboratory, *BY),
         "1 checks failed (a broken thing)",
     )
+
+
+def test_a_failed_validation_is_in_the_register_of_failures(bench, few, laboratory):
+    few.append(Check("a broken thing", "machine", "7.11.2", "to work", broken))
+    lab = ("--laboratory", laboratory)
+    printed(bench("validate", "--out", "v", *lab), "in the register of failures: F", status=1)
+    number = json.loads(Path("v/validation.json").read_text(encoding="utf-8"))["failure"]
+    note = ("--number", number, "--state", "remedied", "--remedy", "mended", "--by", "A. Example")
+    printed(bench("failures", *lab, *note, "--json", "f.json"), "a broken thing", "0 of them new")
+    (one,) = json.loads(Path("f.json").read_text(encoding="utf-8"))["failures"]
+    assert (one["number"], one["kind"], one["run"], one["state"]) == (number, "validation", "v", "remedied")
+
+
+def test_a_register_of_failures_that_cannot_be_written_does_not_cost_the_result(bench, few, laboratory):
+    few.append(Check("a broken thing", "machine", "7.11.2", "to work", broken))
+    Path("failures").write_text("no folder", encoding="utf-8")
+    printed(bench("validate", "--out", "v", "--laboratory", laboratory), "failures: cannot be", status=1)
+    assert Path("v/seal.json").is_file()
+
+
+def test_a_signed_seal_that_was_edited_cannot_be_accepted(bench, few, laboratory):
+    Path("keys").mkdir(mode=0o700)
+    printed(bench("key", "keys/lab.pem"))
+    printed(bench("validate", "--out", "v", "--key", "keys/lab.pem"))
+    file, seal = Path("v/validation.html"), Path("v/seal.json")
+    before = sha256(file.read_bytes())
+    file.write_bytes(file.read_bytes() + b" ")
+    text = seal.read_text(encoding="utf-8").replace(before, sha256(file.read_bytes()))
+    seal.write_text(text, encoding="utf-8")
+    refused(
+        bench("validate", "--accept", "v", "--laboratory", laboratory, *BY),
+        "not signed with the key that it names",
+    )
+
+
+def test_what_was_changed_between_validation_and_acceptance_is_named(bench, few, laboratory, monkeypatch):
+    printed(bench("validate", "--out", "v"))
+    here = acceptance.fingerprint()
+    files = {**here.files, "bench/new.py": "0"}
+    now = here.model_copy(update={"fingerprint": "0", "files": files})
+    monkeypatch.setattr(acceptance, "fingerprint", lambda: now)
+    accept = ("validate", "--accept", "v", "--laboratory", laboratory, *BY)
+    refused(bench(*accept), "changed since (new: bench/new.py)")
 
 
 def test_a_result_that_was_edited_cannot_be_accepted(bench, few, laboratory):

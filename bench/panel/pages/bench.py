@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -134,7 +135,7 @@ class BenchForm(EditedFile):
                     raise Refusal(400, message(f"{name}: use printable characters only"))
                 self.values[name] = text.strip()
         search = search_of(panel)
-        _assign(self.values, given, search.found())
+        self.refusal = _assign(self.values, given, search.found())
         self.values = completed(self.values, _values(self.base.text))
         self._judge()
         self.further = given.get("further", "")
@@ -178,6 +179,7 @@ class BenchForm(EditedFile):
             searching=search.at_work(),
             certificates=_known_certificates(self.file),
             targets=TARGETS,
+            chosen={resource: target for resource, (target, _) in _assigned(self.values).items()},
             tested=tested,
             results=_by_place(self.file, results),
             procedures=list(choices("procedures")),
@@ -194,17 +196,49 @@ def _values(text: str) -> dict[str, str]:
         ) from error
 
 
-def _assign(values: dict[str, str], given: Mapping[str, str], found: Findings) -> None:
-    """Assign found resources to the instruments that the person chose for them."""
-    for number, row in enumerate(found.resources):
-        target = given.get(f"is:{number}", "")
-        if target in TARGETS and given.get(f"resource:{number}") == row["resource"]:
+def _assign(values: dict[str, str], given: Mapping[str, str], found: Findings) -> str:
+    """Assign found resources to the instruments that the person chose for them; return a refusal, "" for none.
+
+    `was:N` is the choice that the form showed for resource N. Where the choice is unchanged, the typed values hold.
+    A resource that changes its instrument leaves the one before without a resource.
+    """
+    changed = [
+        (row, target)
+        for number, row in enumerate(found.resources)
+        if given.get(f"resource:{number}") == row["resource"]
+        and (target := given.get(f"is:{number}", "")) != given.get(f"was:{number}", "")
+    ]
+    before = _assigned(values)
+    for row, _ in changed:
+        if row["resource"] in before:
+            values[f"{before[row['resource']][1]}.resource"] = ""
+    wanted = Counter(target for _, target in changed if target in TARGETS)
+    for row, target in changed:
+        if wanted[target] == 1:
             place = _place_of(target, values)
             values[f"{place}.resource"] = row["resource"]
             if row["driver"]:
                 values[f"{place}.driver"] = row["driver"]
             if row.get("interface"):
                 values[f"{place}.interface"] = row["interface"]
+    twice = [target for target, number in wanted.items() if number > 1]
+    if not twice:
+        return ""
+    return message(f"Two of the instruments found are chosen as {' and as '.join(twice)}. Choose one of them.")
+
+
+def _assigned(values: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+    """Return what each resource in the values is: its target and the path of its instrument."""
+    number = number_of_meters(dict(values))
+    places = {f"instruments.{role}": role for role in ("head", "chamber")}
+    for index, signal in enumerate("xyz"[:number]):
+        place = dotted((*METERS_PLACE, index))
+        places[place] = "scanner" if number == 1 else values.get(f"{place}.channels", signal)
+    return {
+        resource: (target, place)
+        for place, target in places.items()
+        if (resource := values.get(f"{place}.resource", ""))
+    }
 
 
 def _place_of(target: str, values: dict[str, str]) -> str:

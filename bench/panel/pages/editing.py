@@ -78,6 +78,8 @@ class EditedFile(ABC):
         asked = request.query_params
         state = cls._begun(asked.get("file", ""), asked.get("start", ""), asked.get("name", "").strip())
         state._open(asked)
+        if state.name:
+            state._judge_name()
         return state._shown(request)
 
     @classmethod
@@ -91,18 +93,23 @@ class EditedFile(ABC):
         panel = panel_of(request)
         state = cls._begun(given.get("file", ""), given.get("start", ""), given.get("new_name", "").strip())
         state._take(panel, given)
-        wanted = given.get("do") == "write" and not state.refusal
+        state._judge_name()
+        wanted = given.get("do") == "write" and not state.refusal and "new_name" not in state.placed.at
         if wanted and state._write(panel, person, given.get("sha256", "")):
             return RedirectResponse(state._address, status_code=303)
         return state._shown(request)
 
+    def _judge_name(self) -> None:
+        """Add the mistake in the name of a new file to its field."""
+        if self.start:
+            try:
+                new_path(self.KIND, self.name)
+            except Refusal as refusal:
+                self.placed.at.setdefault("new_name", []).append(refusal.text)
+
     def _write(self, panel: Panel, person: Person, expected_sha256: str) -> bool:
         """Write the text if it has no mistakes and nobody else changed the file; return whether it was written."""
-        try:
-            path = new_path(self.KIND, self.name) if self.start else self.base.path
-        except Refusal as refusal:
-            self.placed.at.setdefault("new_name", []).append(refusal.text)
-            return False
+        path = new_path(self.KIND, self.name) if self.start else self.base.path
         if not self._may_be_written(path):
             return False
         self.text = signed(self.text, person.name, utc_now())
