@@ -26,6 +26,8 @@ myst_enable_extensions = ["deflist", "colon_fence", "attrs_inline"]
 myst_heading_anchors = 3
 # a link to a page, a heading or a file of ours that is not there is a warning, and every warning an error
 nitpicky = True
+# quotes and ellipses are set, dashes are not: `--dry-run` in a text from the program stays an option
+smartquotes_action = "qe"
 
 html_theme = "furo"
 html_title = f"Calibration bench {release}"

@@ -209,7 +209,9 @@ class Store:
             if noted["format"] != FORMAT or noted["command"] not in COLUMNS:
                 raise ValueError(f"format {noted['format']}")
         except FileNotFoundError:
-            raise Refused(f"{self.folder}: no batch there (no {BATCH} in it)") from None
+            raise Refused(
+                f"{self.folder}: no batch there (no {BATCH} in it); name the folder of a batch"
+            ) from None
         except (OSError, ValueError, KeyError, TypeError) as problem:
             raise Refused(f"{file}: cannot be read ({problem}); name another folder with --out") from None
         return noted

@@ -166,7 +166,7 @@ def measured_of(table: CoefficientTable) -> tuple[ComparedCalibrations, Mask, tu
         known &= there
     if not known.any():
         told = f" ({'; '.join(notes)})" if notes else ""
-        raise Refused(f"no calibration of a known unit on a known bench matches{told}")
+        raise Refused(f"no calibration of a known unit on a known bench matches{told}; change the conditions")
     kept = table.of(known).per(STANDARD_GRAVITY)
     simulated = kept.simulated
     if simulated.any() and not simulated.all():

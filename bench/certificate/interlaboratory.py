@@ -143,7 +143,9 @@ def evaluate_kit(
     ]
     for code, result in given.items():
         if kit.stop(code).seal and seal_of(result) != kit.stop(code).seal:
-            problems.append(f"{code}: {result} is not the file that was sealed")
+            problems.append(
+                f"{code}: {result} is not the file that was sealed; ask the laboratory for that file"
+            )
     if problems:
         raise Refused("\n".join(problems))
     there = {s.code: _read(Path(given[s.code]), g_m_s2) for s in kit.stops}

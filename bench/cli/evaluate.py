@@ -216,10 +216,10 @@ def tumble(
 def diagnose(
     request: Diagnose,
     together: Annotated[
-        bool, typer.Option("--together", help="Several sources are one body of data, of one bench.")
+        bool, typer.Option("--together", help="Diagnose all sources, of one bench, as one system.")
     ] = False,
     json: JsonOption = None,
-    strict: Annotated[bool, typer.Option("--strict", help="A discrepancy found is not accepted.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Exit status 1 if anything is found.")] = False,
 ) -> int:
     """Find the effect that explains why readings and model disagree.
 
@@ -257,7 +257,8 @@ def carried_out(request: Diagnose, target: str | None, *, together: bool) -> lis
 def confirm(request: Confirm, json: JsonOption = None) -> int:
     """Test a diagnosed model on new readings.
 
-    The result shows how far the model closes the gap. Exit status 1 unless it is confirmed.
+    State how much better the model predicts the new readings. Exit status 1 unless the model
+    is confirmed.
     """
     one_thread()
     from bench.services.confirmation import confirmation_of

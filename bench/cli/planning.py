@@ -26,15 +26,15 @@ def check(
     request: Check,
     json: JsonOption = None,
     every_step: Annotated[
-        bool, typer.Option("--all", help="List each step, not runs of equal ones.")
+        bool, typer.Option("--all", help="List each step; otherwise equal steps share a line.")
     ] = False,
     instruments: Annotated[
-        bool, typer.Option("--instruments", help="Then open the bench's instruments, too.")
+        bool, typer.Option("--instruments", help="Also open the instruments of the bench.")
     ] = False,
 ) -> int:
     """Check a procedure against a bench; list its steps and time.
 
-    Touch no instrument, but with --morning: prove the bench before the day's work.
+    With --morning, check the bench itself before the day's work.
     """
     if request.morning:
         return _morning(request, json)

@@ -165,8 +165,8 @@ class Autopilot:
             *form.comment_lines(),
             *([f"the axes of the vector a are {NOT_DETERMINED}"] if result.signs else []),
         ] + [
-            f"{name.format(axis)} = {value:.4g} is outside {low:g} to {high:g}, which {self.name} allows: "
-            "remove more before it, in the electronics or with other scale factors (--nominal)"
+            f"{name.format(axis)} = {value:.4g} is outside {low:g} to {high:g}, the limits of {self.name}; "
+            "correct more of it in the electronics, or state other scale factors (--nominal)"
             for name, values, (low, high) in limits
             for axis, value in axis_rows(values)
             if not low <= value <= high

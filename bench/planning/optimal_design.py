@@ -83,7 +83,7 @@ def coefficient_goals(asked: Mapping[str, float]) -> list[Goal]:
     for name, size in asked.items():
         if name not in {*COEFFICIENTS, "all", "K", "U0"}:
             known = ", ".join(COEFFICIENTS)
-            raise CalibrationError(f"no coefficient {name!r}; there are {known}, and K, U0, all")
+            raise CalibrationError(f"no coefficient {name!r}; choose from {known}, K, U0, all")
         _require_positive(name, size)
         if name in COEFFICIENTS:
             sizes[name] = size

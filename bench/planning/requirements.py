@@ -292,7 +292,7 @@ def of_delta_g(*, reading: bool) -> Target:
 def of_coefficient(name: str) -> Target:
     """Return the target for the coefficient `name`. Raises `CalibrationError` for an unknown name."""
     if name not in COEFFICIENTS:
-        raise CalibrationError(f"no coefficient {name!r}; there are {', '.join(COEFFICIENTS)}")
+        raise CalibrationError(f"no coefficient {name!r}; choose from {', '.join(COEFFICIENTS)}")
     index = COEFFICIENTS.index(name)
     return lambda budget: np.array([[c.u[index] ** 2 for c in budget.contributions]])
 

@@ -281,7 +281,7 @@ class PlannedPoints:
             f"{found.settings} settings in {len(found.mountings)} mountings on {found.bench}: about "
             f"{duration(found.time_s)}, warm-up and verification points included"
         )
-        out.print("u is the combined one, which 'bench calibrate' will sign; 'bench budget' has its parts")
+        out.print("u is the combined one, which 'bench calibrate' will state; 'bench budget' has its parts")
         if self.learned:
             out.print("the plan uses the limits of the bench file, not what was learned of this bench")
         if not found.lack_of_fit_tested:

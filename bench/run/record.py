@@ -336,7 +336,7 @@ class Record:
         program is writing the run, or if the record was changed.
         """
         if not (folder / MANIFEST).is_file():
-            raise RecordError(f"{folder}: not a run (no {MANIFEST} in it)")
+            raise RecordError(f"{folder}: not a run (no {MANIFEST} in it); 'bench runs' lists the runs")
         record = cls(folder, now, shield)
         try:
             history = trusted(read_history(folder), folder)

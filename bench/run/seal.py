@@ -239,7 +239,9 @@ def read_private(file: Path, passphrase: Callable[[], bytes], wanted: str) -> An
     try:
         return serialization.load_pem_private_key(pem, passphrase() if b"ENCRYPTED" in pem else None)
     except (ValueError, TypeError) as error:
-        raise RecordError(f"{file}: not a private key ({wanted}), or a wrong passphrase") from error
+        raise RecordError(
+            f"{file}: not a private key ({wanted}), or a wrong passphrase; try again, or name another file"
+        ) from error
 
 
 def sign(key: Ed25519PrivateKey, message: bytes) -> tuple[str, bytes]:

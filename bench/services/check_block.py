@@ -334,7 +334,7 @@ def _reference(path: Path, g_m_s2: float) -> Reference:
         data = from_text(read_regular(path).decode())
     except (OSError, ValueError) as error:
         raise Refused(
-            f"check_block: reference: {path}: not a result of 'bench calibrate --json' ({error})"
+            f"check_block: reference: {path}: not a result of 'bench calibrate --json' ({error}); name one"
         ) from error
     found = coefficients_of(data[0] if isinstance(data, list) and data else data, str(path))
     when = date_of(found.made_at, str(path))

@@ -83,7 +83,7 @@ def _rows(option: Any) -> Iterator[tuple[str, str, str]]:
     names = ", ".join(code(name) for name in (*option.opts, *option.secondary_opts))
     value = "" if option.is_flag else f" {code(option.metavar or _kind(option))}"
     shown = "" if default is None or option.is_flag or callable(default) or default == () else code(default)
-    environment = f"; also {code(option.envvar)}" if option.envvar else ""
+    environment = f" Also {code(option.envvar)}." if option.envvar else ""
     yield f"{names}{value}", f"{help_text}{environment}", "required" if option.required else shown
 
 

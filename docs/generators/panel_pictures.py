@@ -89,10 +89,13 @@ def _take(runs: Path, folder: Path) -> None:
 
 
 def _shoot(page: Any, folder: Path, name: str) -> None:
-    """Take a page in both themes."""
+    """Take a page in both themes, without the empty part below its content."""
+    size = page.viewport_size
+    low = page.evaluate("Math.ceil(document.querySelector('main').getBoundingClientRect().bottom)")
+    clip = {"x": 0, "y": 0, "width": size["width"], "height": min(size["height"], low)}
     for scheme in SCHEMES:
         page.emulate_media(color_scheme=scheme)
-        page.screenshot(path=folder / f"{name}-{scheme}.png", animations="disabled")
+        page.screenshot(path=folder / f"{name}-{scheme}.png", animations="disabled", clip=clip)
 
 
 def _walk(page: Any, address: str, run: Any, folder: Path) -> None:

@@ -66,7 +66,8 @@ def test_verdicts_that_would_be_different_are_told_counted_and_listed_and_shown_
     assert row["verdict"].startswith("failed")
     assert bench("batch", "show", "out", "--json", "told.json") == (1, out, "")
     keeps_to("batch", json.loads(Path("told.json").read_text()))
-    assert bench("batch", "show", "nothing")[2] == "bench: nothing: no batch there (no batch.json in it)\n"
+    refusal = "bench: nothing: no batch there (no batch.json in it); name the folder of a batch\n"
+    assert bench("batch", "show", "nothing")[2] == refusal
     err = refused(calibrate(bench, "--limit", "1e-6", "--estimator", "robust"))
     assert err.startswith(
         "bench: out: its batch was started differently: --estimator was gls; use the same options"

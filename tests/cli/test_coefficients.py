@@ -93,7 +93,7 @@ def test_free_positions_in_counts_have_the_scale_factors_that_are_asked_for(benc
     asked = "--g 9.81744 --out . --as ardupilot --nominal 4063,4040,4065"
     out = printed(bench("coefficients", REFERENCE / "xsens-38.csv", *asked.split()))
     assert "S = (4063.0, 4040.0, 4065.0) counts/g" in Path("xsens-38-ardupilot.param").read_text()
-    assert "INS_ACCOFFS_X = 79.95 is outside -3.5 to 3.5, which ArduPilot allows" in out
+    assert "INS_ACCOFFS_X = 79.95 is outside -3.5 to 3.5, the limits of ArduPilot" in out
 
 
 @pytest.mark.parametrize(

@@ -43,7 +43,7 @@ def test_goals_against_draws():
 def test_named_coefficients_win_over_groups():
     goals = {g.name: g.asked for g in coefficient_goals({"all": 1e-4, "Kyx": 2e-5, "U0": 3e-5})}
     assert (goals["Kxx"], goals["Kyx"], goals["U0z"]) == (1e-4, 2e-5, 3e-5)
-    with pytest.raises(CalibrationError, match="no coefficient 'Kxw'; there are Kxx"):
+    with pytest.raises(CalibrationError, match="no coefficient 'Kxw'; choose from Kxx"):
         coefficient_goals({"Kxw": 1e-5})
 
 

@@ -105,7 +105,7 @@ class InstrumentsRequest:
     """Options of `bench instruments`: test or commission the instruments of a bench."""
 
     bench: BenchNameField = None
-    discover: bool = option(False, "List the resources of the interfaces; address no instrument.")
+    discover: bool = option(False, "List the addresses on the interfaces; send nothing to an instrument.")
     commission: bool = option(False, "Commission new hardware step by step.")
     out: Path | None = option(
         None, "With --commission: folder for page and wire log (default: new).", metavar="DIR", rare=True

@@ -61,7 +61,7 @@ LatestField = Annotated[
     Option("Run, by name or path (default: the latest unfinished run).", argument=True, completes="runs"),
 ]
 ModelField = Annotated[
-    str | Path | None, Option("Model file with effects beside the paper's terms.", rare=True)
+    str | Path | None, Option("Model file: effects to add to the paper's model.", rare=True)
 ]
 LimitField = Annotated[float | None, Option("Limit of |Δg| in g, instead of the bench file's.")]
 RuleField = Annotated[
