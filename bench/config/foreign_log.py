@@ -41,7 +41,10 @@ SCATTER: Final[Mapping[str, str]] = {REFERENCE_V: REFERENCE_SD_V} | {
 }
 """The columns of a readings file that have a column of scatter, with its name."""
 TIME: Final = "time_s"
-KELVIN: Final = 273.15
+TEMPERATURES: Final[Mapping[str, tuple[float, float]]] = {
+    "degC": (1.0, 0.0), "K": (1.0, -273.15), "degF": (5.0 / 9.0, -160.0 / 9.0),
+}  # fmt: skip
+"""The units of temperature in a log, with factor and summand of their conversion to °C."""
 MOST_PREVIEWED: Final = 5
 
 
@@ -59,6 +62,7 @@ def _listed(value: Any) -> Any:
 class LogColumn(FileModel):
     """Columns of a log; their mean becomes one column of the readings file.
 
+    With a `time_format`, the cells of several columns of time (date and time of day) are joined by a blank instead.
     The scatter of several columns is kept for a signal (`ux_sd_v`) and for `reference_v` (`reference_sd_v`) alone.
     `unit` is the unit in the log. `add`, in the unit of the readings file, is added to the mean.
     """
@@ -112,15 +116,20 @@ def _factor(name: str, unit: str | None) -> float:
     if unit is None:
         return 1.0
     if name.endswith("_c"):
-        if plain_unit(unit) not in {"degC", "K"}:
-            raise ValueError(f"{name} is a temperature: its unit is degC or K")
-        return 1.0
+        if plain_unit(unit) not in TEMPERATURES:
+            raise ValueError(f"{name} is a temperature: its unit is degC, K or degF")
+        return TEMPERATURES[plain_unit(unit)][0]
     size, dimension = unit_of(plain_unit(unit))
     if wanted is None or dimension != unit_of(wanted)[1]:
         raise ValueError(
             f"the unit {unit} of {name} cannot be converted to {wanted or '1'}; state another unit"
         )
     return size
+
+
+def _summand(name: str, unit: str | None) -> float:
+    """Return what to add to a temperature in `unit`, times its factor, for °C; 0 for other quantities."""
+    return TEMPERATURES[plain_unit(unit)][1] if unit is not None and name.endswith("_c") else 0.0
 
 
 @dataclass(frozen=True)
@@ -168,6 +177,8 @@ def convert_log(
         )
     header = [cell.strip() for cell in rows[0]]
     _require(path, header, mapping)
+    if len(rows) == 1:
+        raise ReadingsError(f"{path}: no row follows its header; give a log with rows")
     reader = _Rows(header, mapping)
     made, bad = [], []
     for (number, _), cells in zip(lines[1:], rows[1:], strict=True):
@@ -220,6 +231,9 @@ class _Rows:
             name: sd for name, at in self._at.items() if len(at) > 1 and (sd := SCATTER.get(name))
         }
         self._factor = {name: _factor(name, column.unit) for name, column in mapping.columns.items()}
+        self._add = {
+            name: column.add + _summand(name, column.unit) for name, column in mapping.columns.items()
+        }
         self._began: float | None = None
         self._latest = -math.inf
         self.names = [*mapping.constants, *mapping.columns, *self._scatter.values()]
@@ -230,18 +244,18 @@ class _Rows:
             raise ValueError(f"expected {len(self._header)} cells as in the header, got {len(cells)}")
         values, scatter = [], []
         for name, column in self.mapping.columns.items():
-            numbers = [self._number(name, self._header[k], cells[k].strip()) for k in self._at[name]]
-            mean = statistics.fmean(numbers) + column.add
-            if name.endswith("_c") and column.unit == "K":
-                mean -= KELVIN
+            if name == TIME and self.mapping.time_format is not None:
+                joined = " ".join(cells[k].strip() for k in self._at[name])
+                numbers = [self._since_begin(" and ".join(column.columns), joined)]
+            else:
+                numbers = [self._number(name, self._header[k], cells[k].strip()) for k in self._at[name]]
+            mean = statistics.fmean(numbers) + self._add[name]
             values.append("" if math.isnan(mean) else repr(mean))
             if name in self._scatter:
                 scatter.append(repr(statistics.stdev(numbers)))
         return [*self.mapping.constants.values(), *values, *scatter]
 
     def _number(self, name: str, column: str, cell: str) -> float:
-        if name == TIME and self.mapping.time_format is not None:
-            return self._since_begin(column, cell)
         if not cell and name != TIME:
             return math.nan
         if self.mapping.decimal == "," and "." in cell:

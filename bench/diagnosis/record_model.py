@@ -12,12 +12,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
 from scipy import linalg, ndimage, special
 
-from bench.base.arrays import HOUR, MINUTE, Floats, Ints, Mask, least_squares
+from bench.base.arrays import CHANNELS, HOUR, MINUTE, Floats, Ints, Mask, least_squares
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.candidates import Candidates, Column, Variant
 from bench.diagnosis.evidence import LOG_SIZE_WEIGHTS, SIZES
@@ -36,6 +37,8 @@ BINS: Final = 300
 """Largest number of means that a record is reduced to; slow effects need no more."""
 LEAST: Final = 30
 """Least number of means from which noise and effects can be separated: they give the noise to 13 %."""
+ROUNDING: Final = 1e-12
+"""Larger than the rounding errors of a mean, and less than the noise of any meter, as a fraction of the signal."""
 OF_MEDIAN: Final = 1.0 / float(special.ndtri(0.75))
 """Standard deviation of a normal distribution, as a multiple of its median absolute deviation."""
 
@@ -137,9 +140,24 @@ def make_record(readings: Readings) -> Record:
         meter_c=None if warmth is None else mean(warmth),
     )
     at_inputs, size = mean(reference_v), _relative(spread[begin:])
-    return Record(
+    record = Record(
         readings.source, tuple(channels), means[begin:], at_inputs, size, conditions, used, tuple(notes)
     )
+    if wrong := list(without_noise(record)):
+        raise CalibrationError(f"{readings.source}: {'; '.join(wrong)}")
+    return record
+
+
+def without_noise(record: Record) -> Iterator[str]:
+    """Yield a sentence for each channel without noise, or else for each pair of channels with the same noise."""
+    left, names = record.beside_trend, [f"u{CHANNELS[channel]}_v" for channel in record.channels]
+    least = ROUNDING * float(np.abs(record.deviation_v + record.reference_v[:, None]).max())
+    still = [name for name, one in zip(names, left.T, strict=True) if np.ptp(one) <= least]
+    for name in still:
+        yield f"{name} minus {REFERENCE_V} has no noise; give the readings with all digits of the meter"
+    for (one, a), (other, b) in combinations(zip(names, left.T, strict=True), 2):
+        if not still and np.ptp(a - b) <= least:
+            yield f"{one} and {other} have the same noise; give the readings of one meter once"
 
 
 def groups_of(time_s: Floats) -> list[Ints]:
@@ -283,8 +301,12 @@ class Noise:
         return np.asarray((self.vectors.T @ columns) / self.sd[:, None])
 
     def drawn(self, rng: np.random.Generator, count: int) -> Floats:
-        """Return `count` random samples of the noise as columns, (n, count), V."""
-        return np.asarray(self.vectors @ (self.sd[:, None] * rng.standard_normal((len(self.slow), count))))
+        """Return `count` random samples of the noise as columns, (n, count), V.
+
+        The factor of the covariance is the symmetric root, as the signs of eigenvectors vary between machines.
+        """
+        drawn = self.vectors.T @ rng.standard_normal((len(self.slow), count))
+        return np.asarray(self.vectors @ (self.sd[:, None] * drawn))
 
     @property
     def white(self) -> float:

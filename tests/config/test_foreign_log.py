@@ -157,3 +157,33 @@ def test_an_hour_repeated_is_resolved_by_the_utc_offset(tmp_path, form):
 def test_a_clock_that_is_set_or_an_older_row_is_no_change_of_the_clock(tmp_path, third):
     log, rows = log_in_kyiv("iso", times=("03:54:00", "03:57:00", third, "04:00:00"))
     assert convert_log(Path("log"), log, mapping(tmp_path, rows)).rows == 4
+
+
+@pytest.mark.parametrize("unit", ["degF", "°F"])
+def test_a_temperature_in_fahrenheit_is_converted(tmp_path, unit):
+    rows = f"log_columns: 1\ncolumns:\n  time_s: t\n  room_c: {{columns: [a, b], unit: {unit}, add: 0.5}}\n"
+    made = convert_log(Path("log"), b"t,a,b\n0,31,33\n1,211,213\n", mapping(tmp_path, rows))
+    assert [float(row.split(",")[1]) for row in made.text.splitlines()[1:]] == pytest.approx([0.5, 100.5])
+
+
+def test_a_temperature_in_another_unit_is_refused_with_the_units_there_are(tmp_path):
+    with pytest.raises(
+        FileMistakes, match="meter_temperature_c is a temperature: its unit is degC, K or degF"
+    ):
+        mapping(tmp_path, MAPPING.replace("unit: K", "unit: mV"))
+
+
+@pytest.mark.parametrize("form", ["%d.%m.%Y %H:%M", "iso"])
+def test_date_and_time_of_day_in_two_columns_are_one_time(tmp_path, form):
+    rows = f"log_columns: 1\ntime_format: '{form}'\ncolumns: {{time_s: [day, time], ux_v: v}}\n"
+    days = ("2024-12-31", "2025-01-01") if form == "iso" else ("31.12.2024", "01.01.2025")
+    log = f"time,v,day\n23:59,1,{days[0]}\n00:01,2,{days[1]}\n".encode()
+    made = convert_log(Path("log"), log, mapping(tmp_path, rows))
+    assert [float(row.split(",")[0]) for row in made.text.splitlines()[1:]] == [0.0, 120.0]
+    with pytest.raises(ReadingsError, match="log, line 2, column day and time: expected a time as"):
+        convert_log(Path("log"), b"time,v,day\n,1,\n", mapping(tmp_path, rows))
+
+
+def test_a_log_without_rows_is_refused(tmp_path):
+    with pytest.raises(ReadingsError, match="log: no row follows its header; give a log with rows"):
+        convert_log(Path("log"), LOG[: LOG.index("2024")].encode(), mapping(tmp_path))

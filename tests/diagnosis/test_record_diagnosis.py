@@ -6,8 +6,9 @@ import pytest
 from bench.base.arrays import rms
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.confirm import confirm_record
+from bench.diagnosis.record_calibration import calibrate_record
 from bench.diagnosis.record_diagnosis import diagnose_record
-from bench.diagnosis.record_model import courses_of, make_courses, make_record
+from bench.diagnosis.record_model import Noise, courses_of, make_courses, make_record, slow_kernels
 from bench.diagnosis.record_search import RecordWork
 from bench.model.effects import CATALOGUE
 from bench.readings.csv import read_csv
@@ -42,6 +43,38 @@ def test_a_meter_in_an_air_bath_follows_its_temperature_late(tmp_path):
     # the two inputs of the meter part by 0.4 µV between 27.3 and 27.8 h
     assert (jump.name, jump.channels) == ("voltmeter_move", ("y",))
     assert jump.parameters[-1].value == pytest.approx(27.55, abs=0.25)
+
+
+def write_record(folder, *signals):
+    """Write a record at 1 V with these signals, V, every 10 s."""
+    file = folder / "record.csv"
+    header = ",".join(["installation,time_s,reference_v", *(f"u{c}_v" for c in "xyz"[: len(signals)])])
+    each = enumerate(np.transpose(signals).tolist())
+    rows = (",".join(["R", f"{10 * i}", "1", *map(repr, row)]) for i, row in each)
+    file.write_text("\n".join([header, *rows]) + "\n")
+    return read_csv(file, ())
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_record_without_noise_is_refused_in_a_sentence(tmp_path):
+    noise = 1.0 + np.random.default_rng(3).normal(0.0, 1e-6, 60)
+    for signals, told in (
+        ([np.full(60, 1.000003)], "ux_v minus reference_v has no noise; give the readings with all digits"),
+        ([noise, 1.0 + 1e-9 * np.arange(60)], "uy_v minus reference_v has no noise"),
+        ([noise, noise], "ux_v and uy_v have the same noise; give the readings of one meter once"),
+    ):
+        with pytest.raises(CalibrationError, match=told):
+            make_record(write_record(tmp_path, *signals))
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_meter_of_few_digits_is_calibrated_without_a_comparison_of_parts(tmp_path):
+    """Its reading stays the same in the second fifth of the record."""
+    signal = np.round(1.0 + np.random.default_rng(3).normal(0.0, 0.4e-6, 200), 6)
+    signal[30:90] = 1.0
+    found = calibrate_record(write_record(tmp_path, signal))
+    assert found.repeats is None
+    assert abs(found.channels[0].gain.value - 1.0) < 2.0 * found.channels[0].gain.u
 
 
 @pytest.mark.slow
@@ -196,3 +229,17 @@ def test_a_record_needs_no_pass_no_point_and_one_signal(tmp_path):
 def test_a_record_that_cannot_be_evaluated_says_why(tmp_path, rows, told):
     with pytest.raises(CalibrationError, match=told):
         make_record(record_of(tmp_path, rows))
+
+
+def test_drawn_noise_does_not_depend_on_the_signs_of_eigenvectors():
+    """LAPACK chooses them differently on other machines; the covariance of the samples is the noise's."""
+    variance, vectors = np.linalg.eigh(next(slow_kernels(np.arange(40.0))))
+    signs = np.where(np.arange(40) % 3 == 0, -1.0, 1.0)
+    one, other = (
+        Noise(variance, v, 5.0, 2.0).drawn(np.random.default_rng(4), 20000)
+        for v in (vectors, vectors * signs)
+    )
+    assert np.allclose(one, other, rtol=0.0, atol=1e-12)
+    expected = 2.0 * (np.eye(40) + 5.0 * next(slow_kernels(np.arange(40.0))))
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    assert np.abs(np.cov(one) - expected).max() < (5.0 / np.sqrt(20000.0) * np.sqrt(2.0) * scale).max()
