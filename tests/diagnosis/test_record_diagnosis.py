@@ -152,7 +152,7 @@ def test_a_confirmation_allows_for_an_unknown_lag_as_the_diagnosis_does(of_twin,
 def test_u_of_a_jump_allows_for_the_lag_of_an_effect_beside_it(tmp_path):
     record = make_record(read_csv(twin(tmp_path, 5, jump_v=2e-6), ()))
     work = RecordWork.of(record, make_courses(record))
-    finds, limit = work.search()
+    work, finds, limit = work.search()
     jump, thermal = courses = [one.variant for one in finds]
     (mean, u_lag, *_), (*_, alone) = (work.shaped(courses, number) for number in (1, 0))
     (lag,) = dict(mean.shape).values()
