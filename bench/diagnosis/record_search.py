@@ -179,11 +179,11 @@ class RecordWork:
         return total, families + self.candidates.log_prior[:, None]
 
     def search(self) -> tuple[RecordWork, list[FoundEffect], Threshold]:
-        """Return the effects found, the strongest first, the threshold of the search, and the work with their columns.
+        """Return the work with columns of the effects found, these effects, the strongest first, and the threshold.
 
-        Each effect found has its most likely shape, so that no further effect describes the rest that a shape of the
-        grid would leave. The threshold is simulated from the noise of this very record, with fewer data sets than for runs, as
-        each is scored with every kind of slow noise.
+        Each effect has its most likely shape. With a shape of the grid, a second effect could be found in what
+        the first one leaves. The threshold is simulated from the noise of this very record, with fewer data sets
+        than for runs, as each is scored with every kind of slow noise.
         """
         rng = np.random.default_rng(SEED)
         nulls = [noise.drawn(rng, NULLS // len(self.trials.slow)) for noise in self.noises([])]
@@ -211,9 +211,9 @@ class RecordWork:
         return work, finds, limit
 
     def with_close_shapes(self, courses: Sequence[Variant], number: int) -> tuple[RecordWork, list[Variant]]:
-        """Return the likely shapes of the course `number`, the most likely first, and the work with their columns.
+        """Return the work with columns for the likely shapes of the course `number`, and a course for each shape.
 
-        All other `courses` are in the model. A course whose shape has no continuous parameter is returned alone, and
+        The most likely shape is the first. All other `courses` are in the model. A course whose shape has no continuous parameter is returned alone, and
         so is a jump.
         """
         course, parameter = courses[number], self._parameter(courses[number])

@@ -114,6 +114,19 @@ def test_self_heating_after_switching_on_is_named_with_its_size(tau_min, tmp_pat
 
 
 @pytest.mark.slow
+def test_a_time_constant_between_those_of_the_grid_is_one_effect(tmp_path):
+    """The grid has 45 and 60 min: what either leaves of 200 µV is far more than the noise."""
+    found = diagnose_record(read_csv(switched_on(tmp_path, 3252, 200e-6, 52), ()))
+    (heating,) = found.effects
+    size, tau = heating.parameters
+    assert abs(size.value - 200.0) < 3.3 * size.u
+    assert abs(tau.value - 52) < 3.3 * tau.u
+    assert tau.u < 2.0
+    assert found.gap.shrinks
+    assert found.gap.after < 1.5
+
+
+@pytest.mark.slow
 def test_a_record_that_starts_warm_names_nothing(tmp_path):
     assert diagnose_record(read_csv(switched_on(tmp_path, 3200, 0.0, 30), ())).effects == ()
 
