@@ -213,8 +213,8 @@ class RecordWork:
     def with_close_shapes(self, courses: Sequence[Variant], number: int) -> tuple[RecordWork, list[Variant]]:
         """Return the work with columns for the likely shapes of the course `number`, and a course for each shape.
 
-        The most likely shape is the first. All other `courses` are in the model. A course whose shape has no continuous parameter is returned alone, and
-        so is a jump.
+        The most likely shape is the first. All other `courses` are in the model. A jump, or a course whose shape
+        has no continuous parameter, is returned alone.
         """
         course, parameter = courses[number], self._parameter(courses[number])
         if parameter is None or course.family == MOVE:
