@@ -231,7 +231,9 @@ class _Rows:
             name: sd for name, at in self._at.items() if len(at) > 1 and (sd := SCATTER.get(name))
         }
         self._factor = {name: _factor(name, column.unit) for name, column in mapping.columns.items()}
-        self._add = {name: column.add + _summand(name, column.unit) for name, column in mapping.columns.items()}
+        self._add = {
+            name: column.add + _summand(name, column.unit) for name, column in mapping.columns.items()
+        }
         self._began: float | None = None
         self._latest = -math.inf
         self.names = [*mapping.constants, *mapping.columns, *self._scatter.values()]

@@ -190,11 +190,16 @@ def _levels_apart(record: Record) -> bool:
 
 
 def _parts(record: Record, several_levels: bool) -> Repeats | None:
-    """Return the comparison of equal parts of a record; None if it is too short, or a part lacks a level or noise."""
+    """Return the comparison of equal parts of a record.
+
+    It is None if the record is too short, or a part lacks a level or noise.
+    """
     if len(record) < FOLDS * LEAST:
         return None
     parts = [_part(record, rows) for rows in np.array_split(np.arange(len(record)), FOLDS)]
-    if several_levels and not all(map(_levels_apart, parts)) or any(any(without_noise(part)) for part in parts):
+    if several_levels and not all(map(_levels_apart, parts)):
+        return None
+    if any(any(without_noise(part)) for part in parts):
         return None
     each = [_channels(part, np.zeros((0, *part.deviation_v.shape)), [], several_levels) for part in parts]
     shown = [[one for c in channels for one in (c.gain, c.offset_v) if one] for channels in each]

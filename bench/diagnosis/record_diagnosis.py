@@ -87,7 +87,7 @@ def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -
     """
     record = make_record(readings)
     work = RecordWork.of(record.less(record.added_by(effects)), make_courses(record))
-    finds, limit = work.search()
+    work, finds, limit = work.search()
     gap, rivals = measure_record_gap(work, finds)
     why = why_unconfirmed(gap)
     named = (
@@ -166,10 +166,11 @@ def measure_record_gap(work: RecordWork, finds: Sequence[FoundEffect]) -> tuple[
         family = course.family
         masks = list(_excursions(work, course))
         others = [one.variant for i, one in enumerate(finds) if i != number]
+        fine, close = work.with_close_shapes([one.variant for one in finds], number)
         # a jump keeps its time, as a gap hides it
-        shapes = [course] if family == MOVE else work.shapes_of(family)
+        shapes = [course] if family == MOVE else [*work.shapes_of(family), *close]
         for label, rows in masks if len(masks) > 1 else ():
-            before, after = (_predicted(work, others, trials, rows, noises) for trials in ((), shapes))
+            before, after = (_predicted(fine, others, trials, rows, noises) for trials in ((), shapes))
             folds.append(Fold(label, {family: before.chi2 - after.chi2}, before, after))
     size = NoiseSize(noises[0].white / len(work.parts) ** 0.5, 0.0, len(work.record) - 2)
     gap = Gap(tuple(folds), size, "V", tuple(one.variant.family for one in finds))

@@ -149,7 +149,7 @@ def make_record(readings: Readings) -> Record:
 
 
 def without_noise(record: Record) -> Iterator[str]:
-    """Yield a sentence for each channel, or else pair of channels, without noise: no effect can be compared with it."""
+    """Yield a sentence for each channel without noise, or else for each pair of channels with the same noise."""
     left, names = record.beside_trend, [f"u{CHANNELS[channel]}_v" for channel in record.channels]
     least = ROUNDING * float(np.abs(record.deviation_v + record.reference_v[:, None]).max())
     still = [name for name, one in zip(names, left.T, strict=True) if np.ptp(one) <= least]

@@ -178,19 +178,21 @@ class RecordWork:
         families = Scores(total, np.zeros(0)).families(self.candidates)
         return total, families + self.candidates.log_prior[:, None]
 
-    def search(self) -> tuple[list[FoundEffect], Threshold]:
-        """Return the effects found, the strongest first, and the threshold of the search.
+    def search(self) -> tuple[RecordWork, list[FoundEffect], Threshold]:
+        """Return the work with columns of the effects found, these effects, the strongest first, and the threshold.
 
-        The threshold is simulated from the noise of this very record, with fewer data sets than for runs, as
-        each is scored with every kind of slow noise.
+        Each effect has its most likely shape. With a shape of the grid, a second effect could be found in what
+        the first one leaves. The threshold is simulated from the noise of this very record, with fewer data sets
+        than for runs, as each is scored with every kind of slow noise.
         """
         rng = np.random.default_rng(SEED)
         nulls = [noise.drawn(rng, NULLS // len(self.trials.slow)) for noise in self.noises([])]
         limit = fit_tail(special.logsumexp(self.log_odds([], nulls)[1], axis=0))
         finds: list[FoundEffect] = []
+        work = self
         while len(finds) < MOST_EFFECTS:
             known = [one.variant for one in finds]
-            forms, families = self.log_odds(known, [self.signal[:, k : k + 1] for k in self.parts])
+            forms, families = work.log_odds(known, [self.signal[:, k : k + 1] for k in self.parts])
             total = float(special.logsumexp(families))
             if total <= max(limit.value, 0.0):
                 break
@@ -198,13 +200,52 @@ class RecordWork:
             first, *others = holding(odds)
             best = max(self.candidates.of_family(first), key=lambda member: forms[member, 0])
             variant, evidence = self.candidates.variants[best], float(forms[best, 0])
-            size, u = self.sizes([*known, variant], len(known))
+            work, close = work.with_close_shapes([*known, variant], len(known))
+            variant = close[0]
+            size, u = work.sizes([*known, variant], len(known))
             finds.append(
                 FoundEffect(
                     variant, evidence, total, float(np.linalg.norm(size / u)), tuple(others), odds=tuple(odds)
                 )
             )
-        return finds, limit
+        return work, finds, limit
+
+    def with_close_shapes(self, courses: Sequence[Variant], number: int) -> tuple[RecordWork, list[Variant]]:
+        """Return the work with columns for the likely shapes of the course `number`, and a course for each shape.
+
+        The most likely shape is the first. All other `courses` are in the model. A jump, or a course whose shape
+        has no continuous parameter, is returned alone.
+        """
+        course, parameter = courses[number], self._parameter(courses[number])
+        if parameter is None or course.family == MOVE:
+            return self, [course]
+        values, columns = self._along(courses, number, self._tried(course, parameter))
+        order = np.argsort(-self._scored(courses, number, columns)[0])
+        of, own = self.candidates, list(course.columns)
+        begin = of.columns.shape[1] + len(own) * np.arange(len(order))
+        more = replace(
+            of,
+            columns=np.column_stack([of.columns, np.repeat(columns[:, order], len(own), axis=1)]),
+            kinds=(*of.kinds, *([of.kinds[k] for k in own] * len(order))),
+            scale=np.concatenate([of.scale, np.tile(of.scale[own], len(order))]),
+        )
+        shapes = [
+            replace(course, columns=tuple(range(at, at + len(own))), shape=((parameter, value),))
+            for at, value in zip(begin.tolist(), values[order].tolist(), strict=True)
+        ]
+        return replace(self, candidates=more), shapes
+
+    @staticmethod
+    def _parameter(course: Variant) -> str | None:
+        """Return the name of the continuous parameter of the shape of a course; None if there is none."""
+        names = dict(course.shape)
+        parameter = next((p for p in CATALOGUE[course.family].parameters if p.name in names), None)
+        return None if parameter is None or parameter.unit == "1" else parameter.name
+
+    def _tried(self, course: Variant, parameter: str) -> list[float]:
+        """Return the values of the shape parameter of a course in the grid, in rising order."""
+        family = self.shapes_of(course.family)
+        return sorted(one.shape[0][1] for one in family if parameter in dict(one.shape))
 
     # --- estimates ------------------------------------------------------------------------------------
 
@@ -248,15 +289,13 @@ class RecordWork:
 
         All other `courses` are in the model and keep their shapes.
         """
-        course = courses[number]
-        names = dict(course.shape)
-        parameter = next((p for p in CATALOGUE[course.family].parameters if p.name in names), None)
+        course, parameter = courses[number], self._parameter(courses[number])
         family = self.shapes_of(course.family)
-        if parameter is None or parameter.unit == "1":
+        if parameter is None:
             columns = self._columns(self.candidates, family)
             return Forms(columns, *self._scored(courses, number, columns))
-        own = sorted((one for one in family if parameter.name in dict(one.shape)), key=lambda one: one.shape)
-        tried = [one.shape[0][1] for one in own]
+        own = sorted((one for one in family if parameter in dict(one.shape)), key=lambda one: one.shape)
+        tried = self._tried(course, parameter)
         if course.family == MOVE:
             values, columns = np.array(tried), self._columns(self.candidates, own)
         else:
@@ -268,7 +307,7 @@ class RecordWork:
         of_values = special.softmax(log[:count])
         # each value counts as the part of the interval between two tried values that it stands for
         log[:count] += np.log(np.gradient(np.interp(values, tried, np.arange(len(tried)))))
-        return Forms(columns, log, size, variance, parameter.name, values, of_values)
+        return Forms(columns, log, size, variance, parameter, values, of_values)
 
     def _along(
         self, courses: Sequence[Variant], number: int, tried: Sequence[float]

@@ -109,10 +109,10 @@ each row. Lines that begin with `comment` are ignored, also before the header. W
 a decimal comma; the separator must then be another character. Numbers must not have separators of thousands: with
 `decimal: ","` a point is refused, otherwise a comma. The program lists a cell that is no number with line and
 column, and imports nothing; `--skip-bad-rows` leaves such rows out. An empty cell stays empty, but a time is
-required. Without `time_format` times are numbers; with `iso` or a format of `strptime` they become seconds since
-the first row. For a date and a time of day in two columns write `time_s: [date, time]`. Times without a UTC offset are taken as UTC. If the clock was changed during the log, write times in
-UTC or with their offset (`%z`): an hour that is repeated is refused, but an hour that is left out cannot be
-distinguished from a pause.
+required. Without `time_format` times are numbers; with `iso` or a format of `strptime` they become seconds
+since the first row. For a date and a time of day in two columns write `time_s: [date, time]`. Times without a
+UTC offset are taken as UTC. If the clock was changed during the log, write times in UTC or with their offset
+(`%z`): an hour that is repeated is refused, but an hour that is left out cannot be distinguished from a pause.
 """
 
 

@@ -167,7 +167,9 @@ def test_a_temperature_in_fahrenheit_is_converted(tmp_path, unit):
 
 
 def test_a_temperature_in_another_unit_is_refused_with_the_units_there_are(tmp_path):
-    with pytest.raises(FileMistakes, match="meter_temperature_c is a temperature: its unit is degC, K or degF"):
+    with pytest.raises(
+        FileMistakes, match="meter_temperature_c is a temperature: its unit is degC, K or degF"
+    ):
         mapping(tmp_path, MAPPING.replace("unit: K", "unit: mV"))
 
 

@@ -49,7 +49,8 @@ def write_record(folder, *signals):
     """Write a record at 1 V with these signals, V, every 10 s."""
     file = folder / "record.csv"
     header = ",".join(["installation,time_s,reference_v", *(f"u{c}_v" for c in "xyz"[: len(signals)])])
-    rows = (",".join(["R", f"{10 * i}", "1", *map(repr, row)]) for i, row in enumerate(np.transpose(signals).tolist()))
+    each = enumerate(np.transpose(signals).tolist())
+    rows = (",".join(["R", f"{10 * i}", "1", *map(repr, row)]) for i, row in each)
     file.write_text("\n".join([header, *rows]) + "\n")
     return read_csv(file, ())
 
@@ -113,6 +114,19 @@ def test_self_heating_after_switching_on_is_named_with_its_size(tau_min, tmp_pat
 
 
 @pytest.mark.slow
+def test_a_time_constant_between_those_of_the_grid_is_one_effect(tmp_path):
+    """The grid has 45 and 60 min: what either leaves of 200 µV is far more than the noise."""
+    found = diagnose_record(read_csv(switched_on(tmp_path, 3252, 200e-6, 52), ()))
+    (heating,) = found.effects
+    size, tau = heating.parameters
+    assert abs(size.value - 200.0) < 3.3 * size.u
+    assert abs(tau.value - 52) < 3.3 * tau.u
+    assert tau.u < 2.0
+    assert found.gap.shrinks
+    assert found.gap.after < 1.5
+
+
+@pytest.mark.slow
 def test_a_record_that_starts_warm_names_nothing(tmp_path):
     assert diagnose_record(read_csv(switched_on(tmp_path, 3200, 0.0, 30), ())).effects == ()
 
@@ -151,7 +165,7 @@ def test_a_confirmation_allows_for_an_unknown_lag_as_the_diagnosis_does(of_twin,
 def test_u_of_a_jump_allows_for_the_lag_of_an_effect_beside_it(tmp_path):
     record = make_record(read_csv(twin(tmp_path, 5, jump_v=2e-6), ()))
     work = RecordWork.of(record, make_courses(record))
-    finds, limit = work.search()
+    work, finds, limit = work.search()
     jump, thermal = courses = [one.variant for one in finds]
     (mean, u_lag, *_), (*_, alone) = (work.shaped(courses, number) for number in (1, 0))
     (lag,) = dict(mean.shape).values()
@@ -235,7 +249,8 @@ def test_drawn_noise_does_not_depend_on_the_signs_of_eigenvectors():
     variance, vectors = np.linalg.eigh(next(slow_kernels(np.arange(40.0))))
     signs = np.where(np.arange(40) % 3 == 0, -1.0, 1.0)
     one, other = (
-        Noise(variance, v, 5.0, 2.0).drawn(np.random.default_rng(4), 20000) for v in (vectors, vectors * signs)
+        Noise(variance, v, 5.0, 2.0).drawn(np.random.default_rng(4), 20000)
+        for v in (vectors, vectors * signs)
     )
     assert np.allclose(one, other, rtol=0.0, atol=1e-12)
     expected = 2.0 * (np.eye(40) + 5.0 * next(slow_kernels(np.arange(40.0))))
