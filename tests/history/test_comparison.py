@@ -317,7 +317,7 @@ def test_one_set_of_readings_written_and_read_again_is_recognised(bench, tmp_pat
 
 
 def test_the_uncertainty_of_gravity_counts_between_places_and_cancels_in_one():
-    """S and the offsets b = U0/S differ between two places by u of both g, no angle does; in one place g cancels."""
+    """S and b = U0/S differ between two places by u of both g, no angle does; in one place g cancels."""
     here = replace(snapshot(TRUTH, g_m_s2=9.80), gravity_u=3e-5)
     factor = np.where(np.arange(12) < 9, 9.83 / 9.80, 1.0)
     elsewhere = replace(snapshot(TRUTH * factor, 50, g_m_s2=9.83), gravity_u=4e-5)
@@ -328,7 +328,7 @@ def test_the_uncertainty_of_gravity_counts_between_places_and_cancels_in_one():
 
 
 def test_calibrations_in_one_place_share_the_error_of_its_gravity():
-    """The mean over ten calibrations in one place keeps the whole u of g; over ten places a tenth of its variance."""
+    """The mean of ten calibrations in one place keeps all of u(g); in ten places, a tenth of its variance."""
     taken = [replace(snapshot(TRUTH, g_m_s2=9.81), gravity_u=5e-5) for _ in range(10)]
     spread = [replace(one, g_m_s2=9.81 + k / 1e6) for k, one in enumerate(taken)]
     mean = np.full((9, 10), 0.1)

@@ -68,5 +68,7 @@ def test_what_is_no_monitor_is_refused():
 
 def test_too_few_runs_for_limits_are_refused_in_a_sentence():
     rng = np.random.default_rng(7)
-    with pytest.raises(CalibrationError, match="^2 runs; name 3 or more, the first of which set the limits$"):
+    with pytest.raises(
+        CalibrationError, match=r"^2 runs; name 3 or more, the first of which set the limits$"
+    ):
         monitor_chart([run(rng, day) for day in range(2)])
