@@ -19,6 +19,7 @@ from bench.base.text import listed
 from bench.calibration.budget.whole import dof_through
 from bench.calibration.result import COVERAGE_FACTOR, Calibration, Derived, through
 from bench.model.geometry import COEFFICIENTS, Block
+from bench.readings.table import FREE, VERIFICATION
 
 INTRINSIC: Final = ("Sx", "Sy", "Sz", "theta_xy", "theta_xz", "theta_yz", "bx", "by", "bz")
 """Names of the nine intrinsic numbers, in the order of every vector and table."""
@@ -30,6 +31,8 @@ HELD: Final = 0.1
 The change of K has the relative size 1.
 """
 JOINT_LEVEL: Final = 0.95
+JOINED: Final = {VERIFICATION: "the joined verification points", FREE: "the free positions"}
+"""Readings that join a fit by their modulus, in words, by their installation."""
 
 
 def intrinsic_unit(name: str, unit: str) -> str:
@@ -136,13 +139,22 @@ def _mounting(found: Calibration, held: tuple[str, ...]) -> str:
     if found.triangular is not None:
         return f"{turned}; no stand enters free positions, which determine all nine and no more"
     if not held:
-        return f"{turned}, and these readings determine all nine"
+        return f"{turned}, and {_determined_by(found)} determine all nine"
     one = len(held) == 1
     return (
         f"{turned}; turns of the installations against each other change {listed(held)}, which "
         f"{'stays' if one else 'stay'} as uncertain as the bench file's limits: joined verification points, free "
         f"positions or a remount by 90° determine {'it' if one else 'them'}"
     )
+
+
+def _determined_by(found: Calibration) -> str:
+    """Return in words which readings were used: the installations, and those that joined by their modulus."""
+    installations = list(dict.fromkeys(found.fitted.installation.tolist()))
+    used = [f"installation{'s' * (len(installations) > 1)} {listed(installations)}"]
+    joined = set() if found.free is None else set(found.free.installation.tolist())
+    used += [name for label, name in JOINED.items() if label in joined]
+    return " with ".join([used[0], *([listed(used[1:])] if used[1:] else [])])
 
 
 # --- joint statements -------------------------------------------------------------------------------

@@ -94,7 +94,7 @@ static const double {prefix}_check[{upper}_CHECKS][{rows.shape[1]}] = {{
 {listed}
 }};
 
-/* Returns how many of the check vectors are not met to {TOLERANCE:g} g: 0 when this file is as it was written. */
+/* Returns how many check vectors are not met to {TOLERANCE:g} g: 0 when all numbers for a are as written. */
 static inline int {prefix}_self_test(void)
 {{
     int i, k, wrong, failed = 0;

@@ -90,7 +90,7 @@ def c_header(result: BlockResult) -> str:
             *result.head(),
             f"a = N (U - U0): a in local g, U in {result.unit}.",
             *picture(result.unit),
-            "coefficients_self_test() returns 0 when this file is as it was written.",
+            "coefficients_self_test() returns 0 when N, U0 and the check vectors are as they were written.",
             "U of the coefficients: "
             + ", ".join(f"{row.name} {row.U:.2g}" for row in numbers.rows if row.determined),
         ]

@@ -48,8 +48,10 @@ class Snapshot:
     due to a one-u error of the block's nonlinearity K2 or K3; this error is the same in every calibration of
     the block. `wander` (3,) is the rms wander of each bias about its mean in the run. `dof` is the smallest
     effective degrees of freedom of the nine intrinsic numbers. `temperature_c` is the temperature at which the
-    coefficients hold, °C, NaN if unknown. A snapshot in the nine intrinsic numbers has
-    arrays of nine instead of twelve; the biases come last in both.
+    coefficients hold, °C, NaN if unknown. `gravity_u` is the relative standard uncertainty of `g_m_s2`, which
+    `covariance` does not include until `per` converts the scale factors to another g; `of_gravity` (12,) is then
+    the error due to one u of g, the same in all calibrations at the `place` with that g. A snapshot in the nine
+    intrinsic numbers has arrays of nine instead of twelve; the biases come last in both.
     """
 
     name: str
@@ -66,18 +68,31 @@ class Snapshot:
     wander: Floats | None = None
     dof: float = np.inf
     temperature_c: float = np.nan
+    gravity_u: float = 0.0
+    of_gravity: Floats | None = None
+    place: float = np.nan
 
-    def per(self, g_m_s2: float) -> Snapshot:
-        """Return the snapshot with its scale factors in unit/g for a local g of `g_m_s2` (m/s²)."""
+    def per(self, g_m_s2: float, gravity_u: float = 0.0) -> Snapshot:
+        """Return the snapshot with its scale factors in unit/g for a g of `g_m_s2` (m/s²), known to `gravity_u`.
+
+        The covariance then includes the errors of both values of g, which all scale factors share. For the same
+        g, as of calibrations in one place, there is no such error.
+        """
+        if g_m_s2 == self.g_m_s2:
+            return self
         factor = to_gravity(self.g_m_s2, g_m_s2)
-        both = np.outer(factor, factor)
-        own = None if self.same_meters is None else self.same_meters * both
+        both, vector = np.outer(factor, factor), self.vector * factor
+        of_g = vector * (np.arange(len(vector)) < 9) * np.hypot(self.gravity_u, gravity_u)
+        error = np.outer(of_g, of_g)
         return replace(
             self,
             g_m_s2=g_m_s2,
-            vector=self.vector * factor,
-            covariance=self.covariance * both,
-            same_meters=own,
+            vector=vector,
+            covariance=self.covariance * both + error,
+            same_meters=None if self.same_meters is None else self.same_meters * both + error,
+            gravity_u=gravity_u,
+            of_gravity=of_g,
+            place=self.g_m_s2,
             block_terms=None if self.block_terms is None else self.block_terms * factor[:, None],
         )
 
@@ -95,6 +110,7 @@ class Snapshot:
             same_meters=None if self.same_meters is None else through(J, self.same_meters),
             block_terms=None if self.block_terms is None else J @ self.block_terms,
             wander=None if self.wander is None else np.diag(J[6:, 9:]) * self.wander,
+            of_gravity=None if self.of_gravity is None else J @ self.of_gravity,
         )
 
     @property
@@ -248,7 +264,7 @@ def compare(snapshots: Sequence[Snapshot]) -> Comparison:
     notes = _notes(ordered, dated=dated)
     if free:
         notes = (f"{', '.join(free)}: from free positions alone, so that only the nine are compared", *notes)
-    there = [snapshot.per(ordered[0].g_m_s2) for snapshot in ordered]
+    there = [snapshot.per(ordered[0].g_m_s2, ordered[0].gravity_u) for snapshot in ordered]
     drifts = dated and len(dates) >= LEAST_FOR_DRIFT and max(dates) - min(dates) >= LEAST_SPAN
     when = dates if drifts else []
     nine = _compared(INTRINSIC, [snapshot.in_nine() for snapshot in there], when)
@@ -364,7 +380,7 @@ def _notes(snapshots: Sequence[Snapshot], *, dated: bool) -> tuple[str, ...]:
         listed = ", ".join(f"{g:.6g}" for g in others)
         notes.append(
             f"local gravity differs ({snapshots[0].g_m_s2:.6g} m/s² here, {listed} elsewhere): scale "
-            "factors are converted to the first one's gravity"
+            "factors are converted to the first one's gravity, and u includes the stated u of both"
         )
     notes.append(_on_meters(snapshots))
     return tuple(notes)
@@ -408,7 +424,7 @@ def joint_covariances(snapshots: Sequence[Snapshot]) -> Floats:
     """Return, for each of m numbers, the covariance between n calibrations, (m, n, n).
 
     Calibrations share the gains and offsets of the same meters (less as time passes, and none from `METERS_DRIFT`
-    on), and the K2 and K3 of the same block. All scale factors must be per the same g.
+    on), the K2 and K3 of the same block, and the error of g at one place. All scale factors must be per the same g.
     """
     n = len(snapshots)
     found = np.zeros((len(snapshots[0].vector), n, n))
@@ -417,9 +433,8 @@ def joint_covariances(snapshots: Sequence[Snapshot]) -> Floats:
         found[:, i, i] = np.diag(first.covariance)
         for j in range(i):
             other = snapshots[j]
-            alike = _meter_correlation(first, other) * meters[i] * meters[j] + _shared_block_terms(
-                first, other
-            )
+            alike = _meter_correlation(first, other) * meters[i] * meters[j]
+            alike += _shared_block_terms(first, other) + _shared_gravity(first, other)
             found[:, i, j] = found[:, j, i] = alike
     return found
 
@@ -431,6 +446,7 @@ class Joint:
     `own` (n, 12, 12) is the independent part of each. `meters` (n, 12, 12) are square roots of the covariances due
     to the meters; `alike` (n, n) is the correlation of these errors between calibrations. `terms` (n, 12, q) are
     the errors due to K2 and K3 of the block, shared by all calibrations with the same block index in `block` (n,).
+    `gravity` (n, 12, 1) are those due to g, shared by all with the same index in `place` (n,).
     """
 
     own: Floats
@@ -438,6 +454,8 @@ class Joint:
     alike: Floats
     terms: Floats
     block: Ints
+    gravity: Floats
+    place: Ints
 
     def of_sums(self, weights: Floats) -> Floats:
         """Return the covariance (12, 12) of weighted sums over calibrations; `weights` (12, n), a row per
@@ -448,10 +466,11 @@ class Joint:
         n, size, _ = meters.shape
         mixed = (self.alike @ meters.reshape(n, -1)).reshape(n, size, -1)
         found += np.einsum("nka,nla->kl", meters, mixed, optimize=True)
-        for one in np.unique(self.block):
-            here = self.block == one
-            summed = np.einsum("kn,nkq->kq", weights[:, here], self.terms[here], optimize=True)
-            found += summed @ summed.T
+        for errors, of in ((self.terms, self.block), (self.gravity, self.place)):
+            for one in np.unique(of):
+                here = of == one
+                summed = np.einsum("kn,nkq->kq", weights[:, here], errors[here], optimize=True)
+                found += summed @ summed.T
         return np.asarray(0.5 * (found + found.T))
 
 
@@ -471,8 +490,12 @@ def joint_of(snapshots: Sequence[Snapshot]) -> Joint:
         for s, one in zip(snapshots, listed, strict=True)
     ]
     alike = np.array([[1.0 if a is b else _meter_correlation(a, b) for b in snapshots] for a in snapshots])
-    own = np.array([s.without_meters for s in snapshots]) - terms @ terms.swapaxes(1, 2)
-    return Joint(own, roots, alike, terms, np.array(block, dtype=np.int64))
+    still = np.zeros(size)
+    gravity = np.array([still if s.of_gravity is None else s.of_gravity for s in snapshots])[:, :, None]
+    _, place = np.unique([s.place for s in snapshots], return_inverse=True)
+    own = np.array([s.without_meters for s in snapshots])
+    own = own - terms @ terms.swapaxes(1, 2) - gravity @ gravity.swapaxes(1, 2)
+    return Joint(own, roots, alike, terms, np.array(block, dtype=np.int64), gravity, place)
 
 
 def _meter_correlation(first: Snapshot, other: Snapshot) -> float:
@@ -492,3 +515,9 @@ def _shared_block_terms(first: Snapshot, other: Snapshot) -> Floats:
     if mine is None or theirs is None or (first.block, mine.shape) != (other.block, theirs.shape):
         return np.zeros(len(first.vector))
     return np.asarray(np.sum(mine * theirs, axis=1))
+
+
+def _shared_gravity(first: Snapshot, other: Snapshot) -> Floats:
+    if first.of_gravity is None or other.of_gravity is None or first.place != other.place:
+        return np.zeros(len(first.vector))
+    return np.asarray(first.of_gravity * other.of_gravity)

@@ -18,6 +18,7 @@ from bench.stats.control_charts import ChartDesign
 LEAST_G: Final = 0.9
 """Least specific force, g, upwards and downwards, at which an axis counts as turned."""
 BASELINE: Final = 5
+LEAST_BASELINE: Final = 3
 
 
 def monitor_run(name: str, when: datetime, signal: Floats, force: Floats) -> CheckRun:
@@ -65,4 +66,8 @@ def monitor_chart(runs: Sequence[CheckRun], baseline: int = BASELINE) -> Control
     ordered = sorted(runs, key=lambda run: run.when)
     if len({run.names for run in ordered}) > 1:
         raise CalibrationError("the runs turned different axes; chart runs of one monitor procedure")
+    if len(ordered[:baseline]) < LEAST_BASELINE:
+        raise CalibrationError(
+            f"{len(ordered[:baseline])} runs; name {LEAST_BASELINE} or more, the first of which set the limits"
+        )
     return control_chart(ordered[:baseline], ordered[baseline:], ChartDesign())

@@ -407,7 +407,7 @@ def dated(taken: Coefficients, name: str, dof: float) -> Snapshot:
     return Snapshot(
         name, date_of(taken.made_at, name), taken.block_name, taken.unit, taken.g_m_s2, taken.block.vector,
         taken.covariance, taken.simulated, taken.same_meters, taken.meters, taken.block_terms, taken.wander, dof,
-        taken.temperature_c,
+        taken.temperature_c, taken.gravity_u,
     )  # fmt: skip
 
 

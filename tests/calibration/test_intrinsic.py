@@ -109,7 +109,7 @@ def test_the_result_says_that_the_roll_stays_in_one_angle_until_verification_poi
     assert apart.held == ("theta_yz",)
     assert "theta_yz, which stays as uncertain" in apart.mounting
     assert joined.held == ()
-    assert "these readings determine all nine" in joined.mounting
+    assert "installations 1 and 2 with the joined verification points determine all nine" in joined.mounting
     at = INTRINSIC.index("theta_yz")
     assert joined.u[at] < 0.5 * apart.u[at]
 

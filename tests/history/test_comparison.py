@@ -9,7 +9,8 @@ import pytest
 from scipy import stats
 
 from bench.calibration import CalibrationError, calibrate
-from bench.history.comparison import Snapshot, compare
+from bench.history.comparison import Snapshot, compare, joint_covariances, joint_of
+from bench.history.measured import nine_of
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import write_csv
 from bench.results.compare import compare_result, verdict_of
@@ -313,3 +314,26 @@ def test_one_set_of_readings_written_and_read_again_is_recognised(bench, tmp_pat
     write_csv(simulate(np.random.default_rng(6), 1e-4), tmp_path / "c.csv")
     assert "come from the same readings" in bench("compare", "a.csv", "b.csv")[1]
     assert "come from the same readings" not in bench("compare", "a.csv", "c.csv")[1]
+
+
+def test_the_uncertainty_of_gravity_counts_between_places_and_cancels_in_one():
+    """S and b = U0/S differ between two places by u of both g, no angle does; in one place g cancels."""
+    here = replace(snapshot(TRUTH, g_m_s2=9.80), gravity_u=3e-5)
+    factor = np.where(np.arange(12) < 9, 9.83 / 9.80, 1.0)
+    elsewhere = replace(snapshot(TRUTH * factor, 50, g_m_s2=9.83), gravity_u=4e-5)
+    later = replace(snapshot(TRUTH, 60, g_m_s2=9.80), gravity_u=3e-5)
+    far, near = compare([here, elsewhere, later]).nine.changes
+    of_g = nine_of("", TRUTH, COVARIANCE).values * 5e-5 * np.repeat([1, 0, 1], 3)
+    assert far.u**2 - near.u**2 == pytest.approx(of_g**2, rel=2e-2, abs=2e-2 * np.max(near.u[3:] ** 2))
+
+
+def test_calibrations_in_one_place_share_the_error_of_its_gravity():
+    """The mean of ten calibrations in one place keeps all of u(g); in ten places, a tenth of its variance."""
+    taken = [replace(snapshot(TRUTH, g_m_s2=9.81), gravity_u=5e-5) for _ in range(10)]
+    spread = [replace(one, g_m_s2=9.81 + k / 1e6) for k, one in enumerate(taken)]
+    mean = np.full((9, 10), 0.1)
+    one, many = (joint_of([s.per(9.80665).in_nine() for s in of]).of_sums(mean) for of in (taken, spread))
+    of_g = (nine_of("", TRUTH, COVARIANCE).values[0] * 5e-5 * 9.80665 / 9.81) ** 2
+    assert one[0, 0] - many[0, 0] == pytest.approx(0.9 * of_g, rel=1e-3)
+    by_pair = joint_covariances([s.per(9.80665).in_nine() for s in taken])
+    assert np.mean(by_pair[0]) == pytest.approx(one[0, 0], rel=1e-9)

@@ -106,7 +106,8 @@ def find_mistakes(
     found: list[Mistake] = []
     copies = [readings]
     for _ in range(STEPS):
-        steps = (search.unit, search.map, partial(search.map, verification=True), search.terms)
+        # wiring at V is judged by coefficients of readings whose other mistakes are corrected
+        steps = (search.unit, search.map, search.terms, partial(search.map, verification=True))
         wrong = next(filter(None, (step(copies[-1]) for step in steps)), [])
         if not wrong:
             break
