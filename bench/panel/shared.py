@@ -220,6 +220,23 @@ def wants_json(request: Request) -> bool:
     return "application/json" in asked or "text/event-stream" in asked
 
 
+TITLES: Final = {403: message("You may not do this"), 404: message("This page does not exist")}
+"""Titles of refusals by status; HTTP's own phrases are no words for operators."""
+SECTIONS: Final = frozenset({"/bench", "/procedures", "/queue", "/start"})
+"""Pages to go back to after a refusal on a page below them."""
+
+
+def _back(request: Request) -> str:
+    """Return the page to go back to after a refusal; "" for none but the list of runs."""
+    path, name = request.scope["path"], request.path_params.get("name", "")
+    section = f"/{path.split('/')[1]}"
+    if section == "/runs" and person_of(request) is not None and panel_of(request).runs.holds(name):
+        section = f"/runs/{quote(name)}/"
+    elif section not in SECTIONS:
+        return ""
+    return section if request.method != "GET" or section != path else ""
+
+
 def refused(request: Request, refusal: Refusal) -> Response:
     """Return the response with the reason for a refusal; redirect to the sign-in page if nobody is signed in."""
     if wants_json(request):
@@ -228,8 +245,11 @@ def refused(request: Request, refusal: Refusal) -> Response:
         return RedirectResponse(
             f"/sign-in?next={quote(request.scope['path'], errors='replace')}", status_code=303
         )
-    title = HTTPStatus(refusal.status).phrase
-    return page(request, "refused.html.j2", status=refusal.status, title=title, text=bounded(refusal.text))
+    title = TITLES.get(refusal.status, message("This is not possible"))
+    text = bounded(refusal.text)
+    return page(
+        request, "refused.html.j2", status=refusal.status, title=title, text=text, back=_back(request)
+    )
 
 
 def by_error(request: Request, error: Exception) -> Response:

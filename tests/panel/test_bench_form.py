@@ -275,6 +275,15 @@ def test_finding_addresses_nothing_and_what_is_found_is_given_to_an_instrument(
     assert [m.resource for m in load_bench(Path("config/mine.yaml")).instruments.voltmeters][1] == LAN
 
 
+def test_a_file_that_is_not_yaml_says_where_and_leads_back(anna):
+    Path("config").mkdir()
+    Path("config/bad.yaml").write_text("name: bad\ninstruments: [\n  x: : y\n")
+    page = unescape(anna.get("/bench/form?file=bad").text)
+    assert re.search(r"config/bad.yaml, line 3: this is not YAML: .*; correct it in an editor", page)
+    assert "<h1>This is not possible</h1>" in page
+    assert 'href="/bench">Back' in page
+
+
 def test_a_name_that_cannot_be_written_is_a_mistake_before_it_is_written(anna):
     for name, says in (
         ("hall 3!", "letters, digits"),

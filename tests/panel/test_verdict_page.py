@@ -124,6 +124,8 @@ def test_a_run_without_results_says_so(anna):
     assert [
         anna.get(f"/runs/one/{name}").status_code for name in ("report", "diagnosis", "certificate/x.pdf")
     ] == [404] * 3
+    assert 'href="/runs/one/">Back' in anna.get("/runs/one/view/report").text
+    assert ">Back<" not in anna.get("/runs/none/verdict").text
 
 
 def test_the_certificates_of_this_very_record_are_handed_out(runs, judged, tmp_path):

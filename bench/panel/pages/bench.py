@@ -112,9 +112,9 @@ class BenchForm(EditedFile):
     def _begun(cls, name: str, start: str, new_name: str) -> BenchForm:
         if name:
             base = read_file(own_file(CONFIG, name))
-            return cls(name, "", base, values=_values(base.text))
+            return cls(name, "", base, values=_values(base))
         shipped = read_file(shipped_file(CONFIG, start))
-        values = _values(shipped.text)
+        values = _values(shipped)
         if new_name:
             values["name"] = new_name
         return cls(new_name, start, FileText(shipped.path, shipped.text), values=values)
@@ -136,7 +136,7 @@ class BenchForm(EditedFile):
                 self.values[name] = text.strip()
         search = search_of(panel)
         self.refusal = _assign(self.values, given, search.found())
-        self.values = completed(self.values, _values(self.base.text))
+        self.values = completed(self.values, _values(self.base))
         self._judge()
         self.further = given.get("further", "")
         do = given.get("do", "show")
@@ -187,12 +187,13 @@ class BenchForm(EditedFile):
         )
 
 
-def _values(text: str) -> dict[str, str]:
+def _values(file: FileText) -> dict[str, str]:
     try:
-        return values_of(read_yaml(text).data)
+        return values_of(read_yaml(file.text).data)
     except yaml.YAMLError as error:
+        where = mistakes_in(file.text, file.path)[0][0]
         raise Refusal(
-            409, message("the file is not YAML; 'bench check' shows where: correct it in an editor")
+            409, message(f"{file.path}, line {where.line}: {where.text}; correct it in an editor")
         ) from error
 
 

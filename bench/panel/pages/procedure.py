@@ -31,6 +31,7 @@ from bench.panel.own_files import (
     shipped_files,
 )
 from bench.panel.pages.editing import LONGEST, EditedFile
+from bench.panel.pages.start import first_bench
 from bench.panel.procedure_fields import (
     Row,
     judged,
@@ -173,7 +174,7 @@ class ProcedureTable(EditedFile):
         self.placed.at |= named
         benches = list(choices(CONFIG))
         if self.bench not in benches:
-            self.bench = next(iter(own_files(CONFIG)), "paper-stand")
+            self.bench = first_bench(panel_of(request).runs)
         if procedure is not None:
             self.check = check_beside(procedure, self.bench, panel_of(request).settings.runs)
         return page(request, "procedure_form.html.j2", state=self, benches=benches)

@@ -350,7 +350,7 @@
     if (!state.alive && !state.ended && me.role !== "viewer" && holder() && !holding()) notes.push(_(`${holder()} is in control: ask for control, then resume.`));
     if (prompt && !holding()) notes.push(holder() ? _(`${holder()} answers here, or somebody at the terminal.`) : _("Take control to answer here; the terminal answers too."));
     if (state.unmet) notes.push(`${_(state.unmet)}.`);
-    if (state.refused && state.refused.why) notes.push(_(`Not accepted: “${state.refused.answer}” – ${state.refused.why}.`));
+    if (state.refused && state.refused.why) notes.push(_(`Not accepted: “${state.refused.answer}” – ${state.refused.why.replace(/\.$/, "")}.`));
     else if (state.answered) notes.push(_(`Last answer: “${state.answered.answer}”${state.answered.by ? ` by ${state.answered.by}` : ""}${state.answered.place ? ` (${state.answered.place})` : ""}.`));
     if (state.why && !state.alarm) notes.push(state.why);
     put("told", state.ended ? "" : notes.join(" "));
