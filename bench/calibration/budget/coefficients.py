@@ -365,7 +365,7 @@ def _temperature(source: ErrorSource, seen: AnyReadings) -> _Patterns:
 
 
 def corrected(channel: str) -> str:
-    """Return the key among the factors of "room_temperature" of a channel whose model has the meter's thermal gain."""
+    """Return the factor of "room_temperature" for a channel whose model has the thermal gain of the meter."""
     return f"corrected {channel}"
 
 
