@@ -169,11 +169,12 @@ def test_u_of_a_jump_allows_for_the_lag_of_an_effect_beside_it(tmp_path):
     jump, thermal = courses = [one.variant for one in finds]
     (mean, u_lag, *_), (*_, alone) = (work.shaped(courses, number) for number in (1, 0))
     (lag,) = dict(mean.shape).values()
+    (noise,) = work.noises(courses)
 
     def step(lag_s):
         shapes = [(CATALOGUE[thermal.family], (("lag", lag_s),)), (CATALOGUE[jump.family], jump.shape)]
         fine = RecordWork.of(record, courses_of(record, shapes))
-        return fine.sizes(fine.candidates.variants, 1)[0][0]
+        return fine.fitted(0, fine.candidates.variants, noise)[0][-1]
 
     by_u = (step(lag + u_lag) - step(lag - u_lag)) / 2.0
     by_grid = step(thermal.shape[0][1]) - step(lag)

@@ -10,7 +10,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from bench.base.arrays import Floats, Ints, Mask
+from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.calibration import gls
 from bench.calibration.budget.error_source import NAME as FOUNDATION
 from bench.calibration.budget.error_source import ErrorSource, tilt_patterns
@@ -364,19 +364,26 @@ def _temperature(source: ErrorSource, seen: AnyReadings) -> _Patterns:
     return _unknown_and_recorded(source, seen, seen.conditions.warmth_k - seen.calibrated_k)
 
 
+def corrected(channel: str) -> str:
+    """Return the factor of "room_temperature" for a channel whose model has the thermal gain of the meter."""
+    return f"corrected {channel}"
+
+
 def _room(source: ErrorSource, seen: AnyReadings) -> _Patterns:
     """Return the patterns of meter gains that follow the temperature of the room with a lag.
 
     Without a recorded temperature, the patterns are the principal components of an unknown temperature within its
     limits.
     """
-    conditions = seen.conditions
+    conditions, factors, on = seen.conditions, source.factors or {}, source.on_channels
+    if conditions.meter_c is not None:
+        on = on * [corrected(channel) not in factors for channel in CHANNELS]
     if conditions.meter_c is not None and source.u > 0:
         behind = lagged(conditions.meter_warmth_k, conditions.elapsed_s, source.correlation_s)
         courses = [(behind - behind.mean()) / source.u]
     else:
         courses = list(_unknown(conditions.elapsed_s, source.correlation_s).T)
-    gain, meters = (source.factors or {})["scale"] * seen.signal * source.on_channels, np.array(seen.meters)
+    gain, meters = factors["scale"] * seen.signal * on, np.array(seen.meters)
     return [(gain * course[:, None], meters[None, :]) for course in courses]
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from bench.base.arrays import CHANNELS
 from bench.base.languages import message
 from bench.base.text import exact_duration
-from bench.calibration.budget.coefficients import Setup
+from bench.calibration.budget.coefficients import Setup, corrected
 from bench.calibration.budget.error_source import Common, ErrorSource, foundation_of, learned_sources
 from bench.calibration.budget.meters import KnownMeters, Size, linearity_of, size_of, thermometer_size
 from bench.calibration.design import SYMBOLS, WEAK
@@ -184,21 +184,19 @@ def _voltmeter_sources(
 def _room_source(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]:
     """Yield the gain error of voltmeters that follow the room's temperature with a lag.
 
-    There is no such source unless the bench file states the room's temperature changes. The source acts on the
-    channels whose model has no such effect.
+    There is no such source unless the bench file states the room's temperature changes. `factors` names the
+    channels whose model has such an effect: readings with a temperature are corrected for it.
     """
     room, stated = bench.uncertainty.room_temperature, bench.uncertainty.voltmeter_temperature_coefficient
     known = {c for a in model.effects if a.effect.name == "voltmeter_thermal_gain" for c in a.channels}
-    left = tuple(channel for channel in CHANNELS if channel not in known)
-    if room is None or not left:
+    if room is None:
         return
     coefficient = (GAIN_PER_K if stated is None else stated.to_distribution()).u
     size = Size.stated(room)
     origin = message(f"{size.origin}; {coefficient * 1e6:.3g} ppm/K (1σ), {exact_duration(room.lag)} late")
     source = _of_size("room_temperature", "T room", "K", "time", replace(size, origin=origin))
-    yield replace(
-        source, prior=stated is None, factors={"scale": coefficient}, channels=left, correlation_s=room.lag
-    )
+    factors = {"scale": coefficient, **{corrected(c): 1.0 for c in known}}
+    yield replace(source, prior=stated is None, factors=factors, correlation_s=room.lag)
 
 
 def _of_size(name: str, symbol: str, unit: str, common: Common, size: Size) -> ErrorSource:

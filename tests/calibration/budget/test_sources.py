@@ -10,7 +10,7 @@ import yaml
 from bench.calibration import CalibrationError
 from bench.calibration.budget.coefficients import make_budget, make_setup
 from bench.calibration.budget.propagation import coverage_factor
-from bench.calibration.budget.sources import bench_sources, stand_source
+from bench.calibration.budget.sources import bench_sources, hidden_sources, stand_source
 from bench.config.bench_file.file import FileMistakes, load_bench
 from bench.config.devices.registry import devices
 from bench.config.devices.sections import VoltmeterKind
@@ -296,6 +296,24 @@ def test_a_recorded_temperature_of_the_meters_takes_the_place_of_any_course(tmp_
     assert np.all(make_budget(steady, [source], "closed-form").combined.u == 0.0)
     course = 23.0 + np.arange(len(setup.conditions)) * 0.01
     assert np.any(make_budget(with_meter_c(course), [source], "closed-form").combined.u > 1e-9)
+
+
+def test_a_model_replaces_the_room_only_in_readings_with_a_temperature(tmp_path):
+    """The model corrects channel x; without a temperature there is nothing to correct it with."""
+    room = {"limit": "2 K", "distribution": "normal", "k": 2}
+    setup = paper_setup()
+    gain = AppliedEffect(CATALOGUE["voltmeter_thermal_gain"], {"gain": np.full(3, 1e-6)}, channels=("x",))
+    model = dataclasses.replace(setup.model, effects=(gain,))
+    found = hidden_sources(edited(tmp_path, uncertainty={"room_temperature": room}), model)
+    (source,) = (one for one in found if one.name == "room_temperature")
+    x, y = COEFFICIENTS.index("Kxx"), COEFFICIENTS.index("Kyy")
+    u = make_budget(setup, [source], "closed-form").combined.u
+    assert min(u[x], u[y]) > 1e-7
+    course = 23.0 + np.arange(len(setup.conditions)) * 0.1
+    known = dataclasses.replace(setup.conditions, meter_c=course)
+    u = make_budget(dataclasses.replace(setup, conditions=known), [source], "closed-form").combined.u
+    assert u[x] == 0.0
+    assert u[y] > 1e-7
 
 
 def test_a_correlation_time_is_more_than_nothing(tmp_path):
