@@ -123,3 +123,15 @@ def test_a_channel_that_is_stuck_in_a_pass_is_named_and_its_pass_left_out():
         assert (mistake.name, mistake.channels) == ("stuck_channel", ("xyz"[channel],)), seed
         assert (mistake.installations, mistake.pass_number) == ((label,), number)
         assert len(found.corrected) == len(good) - 9
+
+
+def test_a_stuck_pass_is_left_out_before_wiring_at_the_verification_points_is_judged():
+    """The coefficients that a stuck pass spoils make the right wiring at the points look wrong."""
+    good = run([113, 0])
+    rows = (good.installation == "1") & (good.pass_number == 3)
+    signal = good.signal.copy()
+    signal[rows, 2] = 1.51
+    found = find(replace(good, signal=signal))
+    assert [mistake.name for mistake in found.mistakes] == ["stuck_channel"]
+    points = good.installation == "V"
+    np.testing.assert_array_equal(found.corrected.signal[-points.sum() :], good.signal[points])
