@@ -11,7 +11,7 @@ from scipy import special
 
 from bench.base.arrays import ARCSEC, CHANNELS, HOUR, Floats, Ints, rms
 from bench.base.languages import message
-from bench.base.numbers import scale_for
+from bench.base.numbers import scale_for, two_digits
 from bench.calibration.design import Problem
 from bench.calibration.gls import Fit, finish
 from bench.calibration.noise import (
@@ -41,6 +41,7 @@ NOISE: Final = "noise"
 SETTING: Final = "setting error"
 ANGLE: Final = "angle of a setting"
 PASS_ANGLE: Final = "angle of a pass"
+PASS_GAIN: Final = "gain of a pass"
 ROUNDED: Final = "rounding"
 DRIFT: Final = "drift"
 
@@ -73,7 +74,7 @@ class _Term:
     channels: str
     columns: Floats
     unit_of: Floats
-    """The size of a random effect of 1: by channel in the unit of the signal, or one angle for all, rad."""
+    """The size of a random effect of 1: by channel in the unit of the signal or relative, or one angle, rad."""
 
 
 def take_in(
@@ -104,6 +105,7 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> SharedErro
     theta[base:] = np.where(theta[base:] < HARDLY_ANY, 0.0, theta[base:])
     if not np.any(theta[base:] > 0):
         return SharedErrorFit(fit, wander=open_to)
+    theta = _with_like_gains(terms, theta)
     own = _mixed(problem, fit, [t.columns for t in terms])
     at = Projection.at(own, theta)
     shared = _shared(problem, fit, own, terms, theta, at, chance, base, unit)
@@ -178,6 +180,17 @@ def _taken_in(
     return terms, theta, chance, open_to
 
 
+def _with_like_gains(terms: list[_Term], theta: Floats) -> Floats:
+    """Return the variances (k,) with no gain of a pass below the rms of all channels.
+
+    A channel that one installation turns through gravity has its gain from few passes, and the channels are alike.
+    """
+    squared = np.array([t.unit_of[0] ** 2 if t.what == PASS_GAIN else np.inf for t in terms])
+    gains = np.isfinite(squared)
+    least = np.sum(theta[gains] * squared[gains]) / max(np.sum(gains), 1)
+    return np.asarray(np.maximum(theta, least / squared))
+
+
 def _most_significant(terms: list[_Term], chance: Floats) -> tuple[str, float]:
     """Return the most significant kind and its p-value, adjusted for the number of kinds (Bonferroni).
 
@@ -216,13 +229,13 @@ def _basic(fit: Fit) -> list[_Term]:
         )
         terms.append(_Term(NOISE, CHANNELS[c], columns, np.array([size])))
     size = fit.noise.setting_rad or _angle(fit)
-    along = _along(np.arange(n), fit, size, len(free.left))
+    along = _along(np.arange(n), fit.slope, size, len(free.left))
     return [*terms, _Term(SETTING, "all", along, np.array([size]))]
 
 
 def _further(conditions: Conditions, fit: Fit) -> Iterator[_Term]:
-    """Yield the candidate components: setting, its angle, visit and a pass's angle for all channels; pass and
-    drift per channel.
+    """Yield the candidate components: setting, its angle, visit and a pass's angle for all channels; pass, its
+    gain, and drift per channel.
     """
     settings = repeat_groups(conditions)
     passes = _labels(conditions.mount, conditions.pass_number)
@@ -231,13 +244,18 @@ def _further(conditions: Conditions, fit: Fit) -> Iterator[_Term]:
     sizes, angle = fit.noise.by_channel, _angle(fit)
     if np.bincount(settings).max() > 1:
         yield _Term("setting", "all", _by_group(settings, sizes, range(3), further), sizes)
-        yield _Term(ANGLE, "all", _along(settings, fit, angle, further), np.array([angle]))
+        yield _Term(ANGLE, "all", _along(settings, fit.slope, angle, further), np.array([angle]))
     if len(np.unique(visits)) < n and np.bincount(visits).max() > 1:
         yield _Term("visit", "all", _by_group(visits, sizes, range(3), further), sizes)
     if len(np.unique(passes)) > len(conditions.mounts):
         for c in range(3):
             yield _Term("pass", CHANNELS[c], _by_group(passes, sizes, [c], further), sizes[[c]])
-        yield _Term(PASS_ANGLE, "all", _along(passes, fit, angle, further), np.array([angle]))
+        yield _Term(PASS_ANGLE, "all", _along(passes, fit.slope, angle, further), np.array([angle]))
+        without_bias = fit.system.jacobian[:, :, :9] @ fit.block.K.ravel()
+        for c in np.flatnonzero(without_bias.any(axis=0)).tolist():
+            of_channel = np.where(np.arange(3) == c, without_bias, 0.0)
+            gain = sizes[c] / rms(of_channel[:, c])
+            yield _Term(PASS_GAIN, CHANNELS[c], _along(passes, of_channel, gain, further), np.array([gain]))
     shapes = _walk(conditions.elapsed_s)
     if shapes.shape[1]:
         for c in range(3):
@@ -271,11 +289,11 @@ def _angle(fit: Fit) -> float:
     return rms(fit.noise.by_channel) / max(rms(np.linalg.norm(fit.slope, axis=1)), 1e-300)
 
 
-def _along(groups: Ints, fit: Fit, size: float, further: int) -> Floats:
+def _along(groups: Ints, slope: Floats, size: float, further: int) -> Floats:
     n = len(groups)
     columns = np.zeros((3 * n + further, int(groups.max()) + 1))
     for c in range(3):
-        columns[3 * np.arange(n) + c, groups] = fit.slope[:, c] * size
+        columns[3 * np.arange(n) + c, groups] = slope[:, c] * size
     return columns
 
 
@@ -336,7 +354,7 @@ def _shared(
     final = finish(problem, fit, covariance, noise)
     found = tuple(
         Component(t.what, t.channels, float(np.sqrt(size)) * rms(t.unit_of),
-                  "rad" if t.what in _SHARED_ANGLES else unit, float(nu), float(p))
+                  _UNITS.get(t.what, unit), float(nu), float(p))
         for t, size, nu, p in zip(terms[base:], theta[base:], dof[base:], chance[base:], strict=True)
         if size > 0
     )  # fmt: skip
@@ -410,8 +428,9 @@ _SHARED_BY: Final = {
     "visit": message("the readings of one stay at a setting"),
     "pass": message("the readings of one pass"),
     PASS_ANGLE: message("the readings of one pass"),
+    PASS_GAIN: message("the readings of one pass"),
 }
-_SHARED_ANGLES: Final = frozenset({ANGLE, PASS_ANGLE})
+_UNITS: Final = {ANGLE: "rad", PASS_ANGLE: "rad", PASS_GAIN: "1"}
 
 
 def notes_on_noise(
@@ -489,8 +508,11 @@ def _on_prior(prior: NoisePrior, unit: str) -> str:
 def _on_components(components: Sequence[Component], unit: str) -> Iterator[str]:
     for what in dict.fromkeys(c.what for c in components):
         own = [c for c in components if c.what == what]
-        if what in _SHARED_ANGLES:
+        if what in {ANGLE, PASS_ANGLE}:
             sizes = message(f"{own[0].size / ARCSEC:.2g} arcsec of the head")
+        elif what == PASS_GAIN:
+            by_channel = ", ".join(f"{c.channels} {two_digits(c.size * 1e6)} ppm" for c in own)
+            sizes = message(f"{by_channel} of the scale factor")
         elif own[0].channels == "all":
             sizes = f"{own[0].size:.2g} {unit}"
         else:

@@ -244,7 +244,7 @@ class Triangular:
 
 @dataclass(frozen=True)
 class Component:
-    """A variance component that readings share; `size` is its standard deviation in `unit` (rad for an angle).
+    """A variance component that readings share; `size` is its standard deviation in `unit` (rad; 1 for a gain).
 
     `what` is the kind ("setting", "visit", "pass", …); `channels` are the channels concerned; `dof`, the degrees
     of freedom of `size`. `p` is the p-value, adjusted for all candidate components; 0 for "rounding", which is
