@@ -100,8 +100,8 @@ class Sizes:
     `stated` (rms) is the part of the stated u that is independent between calibrations. `meters` is the part that
     recurs with the same meters and the same g, and so belongs to the bench. `allotment` tests whether units
     were assigned to benches at random. If they were not, `by_chance` is false; the values for benches and
-    excess are then estimated from differences within units only. `scatter` is the reduced chi-square, with `scatter_dof`, of repeated
-    calibrations of a unit on a bench.
+    excess are then estimated from differences within units only. `scatter` is the reduced chi-square, with
+    `scatter_dof`, of repeated calibrations of a unit on a bench.
     """
 
     unit: EstimatedSize
