@@ -50,7 +50,8 @@ def picture(unit: str) -> list[str]:
 
 def own_test(name: str, test: tuple[str, str, str], needs: str = "") -> list[str]:
     """Return how to run the test in an exported file `name`, what it `needs`, and its three lines, marked."""
-    how = f"""test of the numbers that give a, and of the check vectors (not of u and covariances): python -c "$(sed -n 's/^# {MARK}//p' {name})" {name}"""
+    of = "the numbers that give a, and of the check vectors (not of u and covariances)"
+    how = f"""test of {of}: python -c "$(sed -n 's/^# {MARK}//p' {name})" {name}"""
     return [f"{how}{needs}", *(f"{MARK}{line}" for line in test)]
 
 
@@ -75,7 +76,8 @@ def judged(g: str = "1.0", at: int = 3, count: int = COUNT) -> str:
     worst = (
         f"max([abs(p - q) for r in c for p, q in zip(a(r[:{at}]), r[{at}:])] + [9e9] * (len(c) != {count}))"
     )
-    return f"assert {worst} <= {TOLERANCE:g} * {g}, 'FAILED: numbers that give a, or check vectors, are not as written'"
+    failed = "FAILED: numbers that give a, or check vectors, are not as written"
+    return f"assert {worst} <= {TOLERANCE:g} * {g}, {failed!r}"
 
 
 def c_self_test(prefix: str, rows: Floats, call: str) -> str:
