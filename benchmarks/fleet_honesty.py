@@ -54,7 +54,7 @@ def calibrations(unit: Any, when: Any, vector: Floats, bench: Any = "1") -> Comp
     return ComparedCalibrations(
         unit=np.array([f"A {k}" for k in unit]), kind=np.full(n, "A"), bench=np.broadcast_to(bench, n), when=when,
         vector=vector, covariance=np.broadcast_to(np.eye(12), (n, 12, 12)).copy(), meters=np.zeros((n, 12)),
-        signal="V", simulated=True,
+        gravity=np.zeros((n, 12)), place=np.full(n, STANDARD_GRAVITY), signal="V", simulated=True,
     )  # fmt: skip
 
 

@@ -89,9 +89,12 @@ def calibrate(
         model, conditions, {**stand_u, **(assumed_u or {})}, _free_rows(chosen, readings), known
     )
     resolution = (rows if len(rows) else chosen.free).resolution
-    start = first_guess(problem, rows.signal, resolution, nominal)
+    naming = partial(mistakes.naming_deviating, problem, rows)
+    with naming():
+        start = first_guess(problem, rows.signal, resolution, nominal)
     refit = partial(gls.fit, problem, rows.signal, start, noise, resolution)
-    fit, found, notes = _fitted(problem, rows.signal, refit, by, chosen)
+    with naming():
+        fit, found, notes = _fitted(problem, rows.signal, refit, by, chosen)
     require_told(fit.noise)
     rounding = rounding_of(problem, fit, resolution)
     fit_test = gls.lack_of_fit(problem, fit, rounding)
@@ -114,7 +117,8 @@ def calibrate(
     birge = _birge(fit_test, shared)
     covariance = birge**2 * fit.covariance[:FIXED, :FIXED]
     # u widened for a misfit could make a working channel look dead: use u of the noise alone
-    mistakes.refuse_singular(fit.block, u_of(covariance if accepted else alone[:FIXED, :FIXED]))
+    with naming():
+        mistakes.refuse_singular(fit.block, u_of(covariance if accepted else alone[:FIXED, :FIXED]))
     return Calibration(
         estimator=by.name,
         unit=readings.unit,

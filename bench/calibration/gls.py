@@ -30,7 +30,7 @@ from bench.calibration.noise import (
     whiten,
     whiten_back,
 )
-from bench.calibration.result import CalibrationError, LackOfFit, Noise, widening
+from bench.calibration.result import CalibrationError, LackOfFit, Noise, SpoiledFit, widening
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.readings.table import Readings
 
@@ -152,10 +152,10 @@ def _not_converged(problem: Problem, system: System, unknown: int, moved: float)
     names = (*COEFFICIENTS, *problem.names())
     left = rms(system.left) if len(system.left) else rms(system.free.left)
     unit = "" if len(system.left) else " g"
-    return CalibrationError(
+    return SpoiledFit(
         f"the fit did not converge: after {MOST_ITERATIONS} steps {names[unknown]} still moves by {moved:.2g} of "
-        f"its standard uncertainty, and the model leaves {left:.2g}{unit} of the readings (root mean "
-        "square); check for rows of another installation, block or unit"
+        f"its standard uncertainty, and the model leaves {left:.2g}{unit} of the readings (root mean square)",
+        "check for rows of another installation, block or unit",
     )
 
 

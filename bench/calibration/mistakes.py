@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask, least_squares, rms
 from bench.calibration.design import Problem
-from bench.calibration.result import Calibration, CalibrationError
+from bench.calibration.result import Calibration, CalibrationError, SpoiledFit
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block, linear_columns, within_half_turn
 from bench.readings.columns import OVERLOAD
@@ -38,6 +39,12 @@ COPLANAR: Final = 0.02
 ALIKE: Final = 0.999
 NO_ANSWER: Final = 5.0
 
+MOST_NAMED: Final = 3
+LEAST_ABSOLUTE_STEPS: Final = 30
+FAR_OFF: Final = 10.0
+FAR_OFF_OF_SIGNAL: Final = 0.02
+"""A row is far off if it deviates by more than so many medians, and by more than this fraction of the signal."""
+
 FARTHEST_NOMINAL_RAD: Final = np.radians(1.0)
 
 
@@ -59,8 +66,11 @@ def require_numbers(rows: Readings, *, angles: bool) -> None:
 
 
 def _place(rows: Readings, mask: Mask) -> str:
-    i = int(np.argmax(mask))
-    return f"{rows.source}: installation {rows.installation[i]}, pass {rows.pass_number[i]}, point {rows.point[i]}"
+    return f"{rows.source}: {_row_of(rows, int(np.argmax(mask)))}"
+
+
+def _row_of(rows: Readings, i: int) -> str:
+    return f"installation {rows.installation[i]}, pass {rows.pass_number[i]}, point {rows.point[i]}"
 
 
 def refuse_wrong_angle_unit(problem: Problem, signal: Floats, residuals: Floats) -> None:
@@ -172,9 +182,9 @@ def refuse_singular(block: Block, u: Floats | None = None) -> None:
     least = np.zeros(3) if u is None else np.linalg.norm(u[:9].reshape(3, 3), axis=1)
     dead = [axis for axis, k, s in zip("xyz", length, least, strict=True) if not k > NO_ANSWER * s]
     if dead:
-        raise CalibrationError(
-            f"the readings do not show that channel {', '.join(dead)} responds to acceleration; check cable and "
-            "supply, or find wrong readings with 'bench diagnose'"
+        raise SpoiledFit(
+            f"the readings do not show that channel {', '.join(dead)} responds to acceleration",
+            "check cable and supply, or find wrong readings with 'bench diagnose'",
         )
     unit = block.K / length[:, None]
     if np.linalg.svd(unit, compute_uv=False)[-1] >= COPLANAR:
@@ -182,14 +192,46 @@ def refuse_singular(block: Block, u: Floats | None = None) -> None:
     between = np.abs(unit @ unit.T) - np.eye(3)
     i, j = divmod(int(np.argmax(between)), 3)
     if between[i, j] > ALIKE:
-        raise CalibrationError(
-            f"K is singular: channels {'xyz'[i]} and {'xyz'[j]} respond equally; check whether two "
-            "voltmeters are on one accelerometer"
+        raise SpoiledFit(
+            f"K is singular: channels {'xyz'[i]} and {'xyz'[j]} respond equally",
+            "check whether two voltmeters are on one accelerometer",
         )
-    raise CalibrationError(
-        "K is singular: the sensitive axes of the three channels lie in one plane; check which accelerometer "
-        "each channel measures"
+    raise SpoiledFit(
+        "K is singular: the sensitive axes of the three channels lie in one plane",
+        "check which accelerometer each channel measures",
     )
+
+
+@contextmanager
+def naming_deviating(problem: Problem, rows: Readings) -> Iterator[None]:
+    """Name the rows that deviate most in place of the remedy of a `SpoiledFit`, if any deviate strongly."""
+    try:
+        yield
+    except SpoiledFit as error:
+        far = _deviation(problem, rows)
+        if not np.any(far > 1.0):
+            raise
+        count = int(np.count_nonzero(far > 1.0))
+        worst = np.argsort(-far, kind="stable")[: min(MOST_NAMED, count)]
+        named = " and ".join(_row_of(rows, int(i)) for i in np.sort(worst))
+        more = f" ({count} in all)" if count > MOST_NAMED else ""
+        raise CalibrationError(
+            f"{error.args[0]}; these readings are far off: {named}{more}; find the mistake with 'bench diagnose'"
+        ) from error
+
+
+def _deviation(problem: Problem, rows: Readings) -> Floats:
+    """Return how far each row (n,) is off a fit of least absolute deviations, relative to the limit `FAR_OFF`."""
+    if not len(rows):
+        return np.zeros(0)
+    columns, weight = force_columns(problem), np.ones(len(rows))
+    for _ in range(LEAST_ABSOLUTE_STEPS):
+        root = np.sqrt(weight)[:, None]
+        left = rows.signal - columns @ np.linalg.lstsq(root * columns, root * rows.signal)[0]
+        off = np.linalg.norm(left, axis=1)
+        weight = 1.0 / np.maximum(off, 1e-9 * max(float(off.max()), 1e-300))
+    usual = float(np.median(np.linalg.norm(rows.signal, axis=1)))
+    return np.asarray(off / max(FAR_OFF * float(np.median(off)), FAR_OFF_OF_SIGNAL * usual))
 
 
 def at_nominal_angles(rows: Readings) -> Readings:

@@ -17,6 +17,14 @@ from bench.readings.table import Readings
 from bench.stats.repeats_likelihood import LEAST_DOF
 
 
+class SpoiledFit(CalibrationError):
+    """A fit that a few wrong readings may have spoiled: what is wrong with it, and what to check."""
+
+    def __str__(self) -> str:
+        """Return the sentence."""
+        return "; ".join(map(str, self.args))
+
+
 @dataclass(frozen=True)
 class SourceOfError:
     """An error source that the readings do not show, with its `covariance` (12, 12) of the coefficients.

@@ -315,6 +315,7 @@ def _calibration(data: Any, run: int, record: RecordSeen) -> dict[str, Any]:
         "model": text_of(data.get("model")),
         "unit": taken.unit,
         "g_m_s2": taken.g_m_s2,
+        "gravity_u": taken.gravity_u,
         "vector": _packed(taken.block.vector),
         "covariance": _packed(taken.covariance),
         "u_meters": None if shared is None else _packed(shared),

@@ -46,7 +46,7 @@ from bench.services.errors import Refused
 if TYPE_CHECKING:
     from sqlalchemy import ColumnElement, Connection, Engine
 
-SCHEMA: Final = 4
+SCHEMA: Final = 5
 """Version of the tables below. Increment it with every change of them; older catalogues are then rebuilt."""
 
 METADATA: Final = MetaData()
@@ -140,6 +140,7 @@ CALIBRATIONS: Final = Table(
     Column("model", Text),
     Column("unit", Text, nullable=False),
     Column("g_m_s2", Float, nullable=False),
+    Column("gravity_u", Float),
     Column("vector", LargeBinary, nullable=False),
     Column("covariance", LargeBinary, nullable=False),
     Column("u_meters", LargeBinary),
@@ -151,8 +152,9 @@ CALIBRATIONS: Final = Table(
 )
 """Results of `calibrate.json`: `vector` (12,) in `unit`/g, and `covariance` (12, 12).
 
-`u_meters` (12,) is the part of u due to errors that the same meters repeat. `of_record` states whether the result
-names the present head of the record; it is NULL if the result names no head.
+`gravity_u` is the relative u of `g_m_s2`, which `covariance` does not include. `u_meters` (12,) is the part of u
+due to errors that the same meters repeat. `of_record` states whether the result names the present head of the
+record; it is NULL if the result names no head.
 """
 
 VERIFICATIONS: Final = Table(

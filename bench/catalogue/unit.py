@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 INTERVAL_DAYS: Final = 365.0
 """The default calibration interval (days), for units without a sufficient history."""
 MOST_DAYS: Final = 36_525
-METHOD: Final = 1
+METHOD: Final = 2
 """Version of the drift method. Increment it when the method gives other due dates; cached dates then expire."""
 KEPT_AT_ONCE: Final = 20
 """Number of units whose due dates are written at once; an interrupted query resumes from there."""
@@ -276,7 +276,7 @@ def compared_of(catalogue: Catalogue, name: str) -> tuple[CoefficientTable, bool
         if not np.all(same):
             notes.append(f"without {np.sum(~same)} calibrations of signals in another unit")
             kept = kept.of(same)
-        kept = kept.per(float(kept.g_m_s2[-1]))
+        kept = kept.per(float(kept.g_m_s2[-1]), float(kept.gravity_u[-1]))
     return kept, simulated, notes
 
 

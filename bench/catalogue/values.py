@@ -17,7 +17,7 @@ from bench.catalogue.questions import condition_of
 from bench.catalogue.store import CALIBRATIONS, RUNS, Catalogue
 from bench.history.comparison import Snapshot
 from bench.history.equivalence import BenchComparison, compare_benches
-from bench.history.measured import STANDARD_GRAVITY, ComparedCalibrations, coded, to_gravity
+from bench.history.measured import STANDARD_GRAVITY, ComparedCalibrations, coded, of_gravity, to_gravity
 from bench.model.geometry import COEFFICIENTS
 from bench.run.folder import CALIBRATE_FILE
 from bench.services.coefficients import snapshots_in
@@ -35,9 +35,10 @@ class CoefficientTable:
 
     `path`, `unit`, `unit_type`, `bench`, `signal_unit` (n,) are texts, None if not recorded; `when` (n,) is
     datetime64 in UTC, NaT if not recorded. `vector` (n, 12) are the coefficients in `signal_unit` per g =
-    `g_m_s2` (n,), biases in `signal_unit`. `covariance` (n, 12, 12) is the combined covariance. `u_meters`
-    (n, 12) is the part of u from errors that the same meters repeat, NaN if not stated. `simulated` (n,) is
-    False only for runs recorded as real. `left_out` states in sentences which runs of the question are omitted.
+    `g_m_s2` (n,), biases in `signal_unit`. `gravity_u` (n,) is the relative u of this g. `covariance` (n, 12, 12)
+    is the combined covariance, which does not include it. `u_meters` (n, 12) is the part of u from errors that the
+    same meters repeat, NaN if not stated. `simulated` (n,) is False only for runs recorded as real. `left_out`
+    states in sentences which runs of the question are omitted.
     """
 
     path: Texts
@@ -49,6 +50,7 @@ class CoefficientTable:
     covariance: Floats
     u_meters: Floats
     g_m_s2: Floats
+    gravity_u: Floats
     signal_unit: Texts
     simulated: NDArray[np.bool_]
     left_out: tuple[str, ...] = ()
@@ -61,14 +63,28 @@ class CoefficientTable:
         arrays = {name: value[mask] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
         return replace(self, **arrays)  # type: ignore[arg-type]
 
-    def per(self, g_m_s2: float) -> CoefficientTable:
-        """Return the calibrations with scale factors in unit/g for g = `g_m_s2` (m/s²); biases stay the same."""
+    def per(self, g_m_s2: float, gravity_u: float) -> CoefficientTable:
+        """Return the calibrations with scale factors in unit/g for a g of `g_m_s2` (m/s²), known to `gravity_u`.
+
+        The covariance then includes the errors of both values of g, except for calibrations with the same g.
+        """
+        both = np.where(self.g_m_s2 == g_m_s2, 0.0, np.hypot(self.gravity_u, gravity_u))
+        return self._elsewhere(g_m_s2, gravity_u, both)
+
+    def per_standard_g(self) -> CoefficientTable:
+        """Return the calibrations with scale factors in unit/g for standard g, which is exact and of no place."""
+        return self._elsewhere(STANDARD_GRAVITY, 0.0, self.gravity_u)
+
+    def _elsewhere(self, g_m_s2: float, gravity_u: float, both: Floats) -> CoefficientTable:
         factor = to_gravity(self.g_m_s2, g_m_s2)
+        of_g = of_gravity(self.vector * factor, both)
         return replace(
             self,
             g_m_s2=np.full(len(self), g_m_s2),
+            gravity_u=np.full(len(self), gravity_u),
             vector=self.vector * factor,
-            covariance=self.covariance * factor[:, :, None] * factor[:, None, :],
+            covariance=self.covariance * factor[:, :, None] * factor[:, None, :]
+            + of_g[:, :, None] * of_g[:, None, :],
             u_meters=self.u_meters * factor,
         )
 
@@ -86,7 +102,7 @@ def coefficient_table(catalogue: Catalogue, query: Sequence[str]) -> Coefficient
     columns = (
         RUNS.c.path, RUNS.c.unit, RUNS.c.unit_type, RUNS.c.bench, RUNS.c.created, RUNS.c.simulated,
         CALIBRATIONS.c.vector, CALIBRATIONS.c.covariance, CALIBRATIONS.c.u_meters, CALIBRATIONS.c.g_m_s2,
-        CALIBRATIONS.c.unit.label("signal_unit"),
+        CALIBRATIONS.c.gravity_u, CALIBRATIONS.c.unit.label("signal_unit"),
     )  # fmt: skip
     joined = RUNS.join(CALIBRATIONS, CALIBRATIONS.c.run == RUNS.c.id)
     rows = select(*columns).select_from(joined).where(asked, believed)
@@ -109,6 +125,7 @@ def coefficient_table(catalogue: Catalogue, query: Sequence[str]) -> Coefficient
         covariance=covariance.reshape(n, COUNT, COUNT),
         u_meters=np.frombuffer(meters, dtype="<f8").reshape(n, COUNT),
         g_m_s2=np.array([row.g_m_s2 for row in found], dtype=np.float64),
+        gravity_u=np.array([row.gravity_u or 0.0 for row in found], dtype=np.float64),
         signal_unit=_texts(row.signal_unit for row in found),
         simulated=np.array([row.simulated is not False for row in found], dtype=np.bool_),
         left_out=left_out,
@@ -167,7 +184,8 @@ def measured_of(table: CoefficientTable) -> tuple[ComparedCalibrations, Mask, tu
     if not known.any():
         told = f" ({'; '.join(notes)})" if notes else ""
         raise Refused(f"no calibration of a known unit on a known bench matches{told}; change the conditions")
-    kept = table.of(known).per(STANDARD_GRAVITY)
+    taken = table.of(known)
+    kept = taken.per_standard_g()
     simulated = kept.simulated
     if simulated.any() and not simulated.all():
         raise Refused(
@@ -191,6 +209,8 @@ def measured_of(table: CoefficientTable) -> tuple[ComparedCalibrations, Mask, tu
         vector=kept.vector,
         covariance=kept.covariance,
         meters=np.nan_to_num(kept.u_meters),
+        gravity=of_gravity(kept.vector, taken.gravity_u),
+        place=taken.g_m_s2,
         signal=signals[0],
         simulated=bool(simulated.all()),
     )
@@ -224,7 +244,7 @@ def compared(table: CoefficientTable, method: str | None = None) -> BenchCompari
             "covariance: narrow the question, as with after=, or ask for bench fleet effects"
         )
     there = [
-        _snapshot(Path(path), block).per(STANDARD_GRAVITY)
+        _snapshot(Path(path), block).per_standard_g()
         for path, block in zip(paths[rows], measured.unit[rows], strict=True)
     ]
     found = compare_benches(measured.of(rows), there, method)

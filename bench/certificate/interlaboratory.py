@@ -154,7 +154,7 @@ def evaluate_kit(
     units = sorted({one.unit for one in there.values()})
     if len(units) > 1:
         raise Refused(f"results in {', '.join(units)}: compare signals of one unit")
-    nine = [there[code].per(STANDARD_GRAVITY).in_nine() for code in once]
+    nine = [there[code].per_standard_g().in_nine() for code in once]
     values, covariances = (np.array([getattr(one, of) for one in nine]) for of in ("vector", "covariance"))
     drifts = [*_between_pilots(pilots, there), *_between_checks(kit, checks or {})]
     transport = transport_dark([drift for *_, drift in drifts], INTRINSIC)
@@ -185,7 +185,9 @@ _Seen = tuple[str, str, Literal["calibration", "monitor"], Drift]
 def _between_pilots(pilots: Sequence[str], there: Mapping[str, Snapshot]) -> Iterator[_Seen]:
     """Yield the change of the nine numbers from one stop of the pilot to the next; common errors cancel."""
     for first, last in pairwise(pilots):
-        nine = [there[code].per(there[first].g_m_s2).in_nine() for code in (first, last)]
+        nine = [
+            there[code].per(there[first].g_m_s2, there[first].gravity_u).in_nine() for code in (first, last)
+        ]
         covariance = joint_of(nine).of_sums(np.tile([-1.0, 1.0], (len(INTRINSIC), 1)))
         yield first, last, "calibration", Drift(INTRINSIC, nine[1].vector - nine[0].vector, covariance)
 

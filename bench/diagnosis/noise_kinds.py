@@ -255,12 +255,13 @@ def _with_tails(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Nois
         weight = (TAIL_DOF + 1.0) / (TAIL_DOF + square)
     changed = weight < 0.5 * float(np.median(weight))
     readings = len(set(linear.rows.reading[changed].tolist()))
+    less = message("1 reading gets") if readings == 1 else message(f"{readings} readings get")
     return NoiseHypothesis(
         "tails",
         replace(linear, by_row=1.0 / np.sqrt(weight * float(np.mean(1.0 / weight)))),
         LOG_PRIOR["tails"] + _log_odds_of_weights(weight, of_mean, square),
         message(
-            f"the noise has heavier tails than normal noise: {readings} readings get less weight, and only a "
+            f"the noise has heavier tails than normal noise: {less} less weight, and only a "
             "reading far outside these tails counts as an outlier"
         ),
     )

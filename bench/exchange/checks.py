@@ -4,7 +4,7 @@
 
 A test is three lines of Python that need no package except a reader of the form. The test computes the
 corrected accelerations of the check vectors from the numbers in the file. The test fails if one acceleration
-is off by more than `TOLERANCE` of 1 g.
+is off by more than `TOLERANCE` of 1 g. No test reads u, covariances or other numbers that do not give a.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ def picture(unit: str) -> list[str]:
 
 def own_test(name: str, test: tuple[str, str, str], needs: str = "") -> list[str]:
     """Return how to run the test in an exported file `name`, what it `needs`, and its three lines, marked."""
-    how = f"""this file tests itself: python -c "$(sed -n 's/^# {MARK}//p' {name})" {name}"""
+    of = "the numbers that give a, and of the check vectors (not of u and covariances)"
+    how = f"""test of {of}: python -c "$(sed -n 's/^# {MARK}//p' {name})" {name}"""
     return [f"{how}{needs}", *(f"{MARK}{line}" for line in test)]
 
 
@@ -75,7 +76,8 @@ def judged(g: str = "1.0", at: int = 3, count: int = COUNT) -> str:
     worst = (
         f"max([abs(p - q) for r in c for p, q in zip(a(r[:{at}]), r[{at}:])] + [9e9] * (len(c) != {count}))"
     )
-    return f"assert {worst} <= {TOLERANCE:g} * {g}, 'FAILED: this file is not as it was written'"
+    failed = "FAILED: numbers that give a, or check vectors, are not as written"
+    return f"assert {worst} <= {TOLERANCE:g} * {g}, {failed!r}"
 
 
 def c_self_test(prefix: str, rows: Floats, call: str) -> str:

@@ -269,7 +269,7 @@ def _checks(sheet: Worksheet, result: BlockResult) -> None:
     _write(
         sheet,
         [
-            ["this file is"],
+            ["N, U0 and these vectors are"],
             ["check", "Ux", "Uy", "Uz", "ax", "ay", "az", "ax here", "ay here", "az here", "off"],
         ],
     )
@@ -282,7 +282,7 @@ def _checks(sheet: Worksheet, result: BlockResult) -> None:
             sheet[f"{column}{row}"] = "=" + "+".join(terms)
         off = [f"ABS({here}{row}-{told}{row})" for here, told in zip("HIJ", "EFG", strict=True)]
         sheet[f"K{row}"] = f"=MAX({','.join(off)})"
-    sheet["B1"] = f'=IF(MAX(K3:K22)<={TOLERANCE:g},"as it was written","NOT AS IT WAS WRITTEN")'
+    sheet["B1"] = f'=IF(MAX(K3:K22)<={TOLERANCE:g},"as they were written","NOT AS THEY WERE WRITTEN")'
 
 
 # --- for a person -------------------------------------------------------------------------------------

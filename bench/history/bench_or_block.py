@@ -98,10 +98,10 @@ class Sizes:
     """Variance components of one coefficient, as standard deviations: units of a type, benches, excess scatter.
 
     `stated` (rms) is the part of the stated u that is independent between calibrations. `meters` is the part that
-    recurs with the same meters, and so belongs to the bench. `allotment` tests whether units were assigned to
-    benches at random. If they were not, `by_chance` is false; the values for benches and excess are then estimated
-    from differences within units only. `scatter` is the reduced chi-square, with `scatter_dof`, of repeated
-    calibrations of a unit on a bench.
+    recurs with the same meters and the same g, and so belongs to the bench. `allotment` tests whether units
+    were assigned to benches at random. If they were not, `by_chance` is false; the values for benches and
+    excess are then estimated from differences within units only. `scatter` is the reduced chi-square, with
+    `scatter_dof`, of repeated calibrations of a unit on a bench.
     """
 
     unit: EstimatedSize
@@ -221,7 +221,8 @@ def bench_or_block(measured: ComparedCalibrations) -> BenchOrBlock:
         for y, v in zip(measured.vector.T, measured.own_variance.T, strict=True)
     ]
     chosen = _chosen(columns)
-    sizes = _sizes(columns, chosen, np.sqrt(np.mean(measured.meters**2, axis=0)))
+    of_bench = np.sqrt(np.mean(measured.meters**2 + measured.gravity**2, axis=0))
+    sizes = _sizes(columns, chosen, of_bench)
     effect, u = (np.stack(part, axis=1) for part in zip(*(_effects(one) for one, _ in chosen), strict=True))
     effect[crossing.alone()] = np.nan
     told = ~np.isnan(effect)

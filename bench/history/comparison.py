@@ -20,7 +20,7 @@ from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.intrinsic import INTRINSIC
 from bench.calibration.noise import METERS_DRIFT, ONE_TEMPERATURE_K, drifted
 from bench.calibration.result import CalibrationError, through
-from bench.history.measured import nine_of, to_gravity
+from bench.history.measured import STANDARD_GRAVITY, nine_of, of_gravity, to_gravity
 from bench.model.geometry import COEFFICIENTS
 from bench.stats import chi_square, holm
 
@@ -78,11 +78,16 @@ class Snapshot:
         The covariance then includes the errors of both values of g, which all scale factors share. For the same
         g, as of calibrations in one place, there is no such error.
         """
-        if g_m_s2 == self.g_m_s2:
-            return self
+        return self if g_m_s2 == self.g_m_s2 else self._elsewhere(g_m_s2, gravity_u)
+
+    def per_standard_g(self) -> Snapshot:
+        """Return the snapshot with its scale factors in unit/g for standard g, which is exact and of no place."""
+        return self._elsewhere(STANDARD_GRAVITY, 0.0)
+
+    def _elsewhere(self, g_m_s2: float, gravity_u: float) -> Snapshot:
         factor = to_gravity(self.g_m_s2, g_m_s2)
         both, vector = np.outer(factor, factor), self.vector * factor
-        of_g = vector * (np.arange(len(vector)) < 9) * np.hypot(self.gravity_u, gravity_u)
+        of_g = of_gravity(vector, np.hypot(self.gravity_u, gravity_u))
         error = np.outer(of_g, of_g)
         return replace(
             self,

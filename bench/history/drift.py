@@ -171,7 +171,10 @@ def drift_of_unit(measured: ComparedCalibrations) -> OfUnit:
     twelve, nine = (
         history_drift(
             of.when, of.vector, of.variance,
-            np.sqrt(np.min(of.meters**2, axis=0)) if len(benches) == 1 else None,
+            np.sqrt(
+                (len(benches) == 1) * np.min(of.meters**2, axis=0)
+                + (len(set(of.place.tolist())) == 1) * np.min(of.gravity**2, axis=0)
+            ),
         )
         for of in (measured, measured.in_nine())
     )  # fmt: skip

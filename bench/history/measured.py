@@ -28,8 +28,9 @@ class ComparedCalibrations:
 
     `vector` (n, 12) has scale factors in `signal`/g with g = `STANDARD_GRAVITY` and biases in `signal`;
     `covariance` (n, 12, 12) is as stated. `meters` (n, 12) is the part of u that recurs in every calibration with
-    the same meters, zero if not stated. `simulated` is whether all calibrations used simulated instruments. Raises
-    `CalibrationError` for an empty table.
+    the same meters, zero if not stated. `gravity` (n, 12) is the error due to one u of g, which `covariance`
+    includes; all calibrations at a `place` (n,), which is its local g, m/s², share it. `simulated` is whether
+    all calibrations used simulated instruments. Raises `CalibrationError` for an empty table.
     """
 
     unit: Labels
@@ -39,6 +40,8 @@ class ComparedCalibrations:
     vector: Floats
     covariance: Floats
     meters: Floats
+    gravity: Floats
+    place: Floats
     signal: str
     simulated: bool
 
@@ -57,7 +60,8 @@ class ComparedCalibrations:
         """Return the table of selected calibrations, by mask or by index."""
         return ComparedCalibrations(
             self.unit[kept], self.kind[kept], self.bench[kept], self.when[kept], self.vector[kept],
-            self.covariance[kept], self.meters[kept], self.signal, self.simulated,
+            self.covariance[kept], self.meters[kept], self.gravity[kept], self.place[kept], self.signal,
+            self.simulated,
         )  # fmt: skip
 
     def in_nine(self) -> ComparedCalibrations:
@@ -79,6 +83,7 @@ class ComparedCalibrations:
             vector=np.array([one.values for one in own]),
             covariance=np.array([one.covariance for one in own]),
             meters=np.sqrt(np.minimum(variance, [np.diag(one.covariance) for one in own])),
+            gravity=np.array([one.jacobian @ g for one, g in zip(own, self.gravity, strict=True)]),
         )
 
     @property
@@ -88,17 +93,22 @@ class ComparedCalibrations:
 
     @property
     def own_variance(self) -> Floats:
-        """The stated variances (n, 12) minus the part shared by calibrations with the same meters.
+        """The stated variances (n, 12) minus the parts shared by calibrations with the same meters or the same g.
 
         At least the fraction `LEAST_OWN` of the stated variance remains.
         """
-        return np.maximum(self.variance - self.meters**2, LEAST_OWN * self.variance)
+        return np.maximum(self.variance - self.meters**2 - self.gravity**2, LEAST_OWN * self.variance)
 
 
 def to_gravity(g_m_s2: Floats | float, other: float = STANDARD_GRAVITY) -> Floats:
     """Return the factors (…, 12) from coefficients per g of `g_m_s2` (…) to coefficients per g of `other`."""
     ratio = other / np.asarray(g_m_s2)[..., None]
     return np.where(np.arange(len(COEFFICIENTS)) < 9, ratio, 1.0)
+
+
+def of_gravity(vector: Floats, gravity_u: Floats | float) -> Floats:
+    """Return the error (…, 12) of coefficients (…, 12) due to one relative u of g, `gravity_u` (…)."""
+    return np.where(np.arange(len(COEFFICIENTS)) < 9, vector * np.asarray(gravity_u)[..., None], 0.0)
 
 
 def nine_of(name: str, vector: Floats, covariance: Floats) -> Derived:

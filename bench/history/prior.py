@@ -9,7 +9,7 @@ Appl. Genet. Mol. Biol. 4 (2005) 32 (shrinkage); JCGM 101:2008, 6.4.9.4.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -17,7 +17,7 @@ from scipy import special
 
 from bench.base.arrays import Floats, Ints, u_of
 from bench.calibration.result import CalibrationError
-from bench.history.measured import STANDARD_GRAVITY, ComparedCalibrations, coded, to_gravity
+from bench.history.measured import STANDARD_GRAVITY, ComparedCalibrations, coded, of_gravity, to_gravity
 from bench.stats import chi_square
 
 LEAST_UNITS: Final = 6
@@ -60,10 +60,12 @@ class Prior:
     simulated: bool
     notes: tuple[str, ...] = ()
 
-    def per(self, g_m_s2: float) -> tuple[Floats, Floats]:
-        """Return the mean (12,) and the covariance (12, 12), converted to a local g of `g_m_s2`."""
+    def per(self, g_m_s2: float, gravity_u: float = 0.0) -> tuple[Floats, Floats]:
+        """Return the mean (12,) and the covariance (12, 12), converted to a local g, known to `gravity_u`."""
         factor = to_gravity(STANDARD_GRAVITY, g_m_s2)
-        return self.mean * factor, self.covariance * np.outer(factor, factor)
+        mean = self.mean * factor
+        of_g = of_gravity(mean, gravity_u)
+        return mean, self.covariance * np.outer(factor, factor) + np.outer(of_g, of_g)
 
 
 def prior_of(measured: ComparedCalibrations) -> Prior:
@@ -79,6 +81,8 @@ def prior_of(measured: ComparedCalibrations) -> Prior:
         raise CalibrationError(
             f"{len(units)} units of type {kinds[0]}: a prior needs {LEAST_UNITS} or more, each calibrated"
         )
+    of_g = measured.gravity
+    measured = replace(measured, covariance=measured.covariance - of_g[:, :, None] * of_g[:, None, :])
     own, notes = _own(measured, unit)
     means, of_means = _means(measured.vector, own, unit, len(units))
     mean, between, shrunk = _between(means, of_means)
@@ -86,6 +90,7 @@ def prior_of(measured: ComparedCalibrations) -> Prior:
     benches = np.unique(measured.bench)
     alike = measured.covariance.mean(axis=0) - own.mean(axis=0)
     of_mean = (between + of_means.mean(axis=0)) / m + _positive(alike) / len(benches)
+    of_mean += of_g.T @ of_g / len(of_g) / len(np.unique(measured.place))
     return Prior(
         kind=str(kinds[0]),
         signal=measured.signal,
@@ -193,14 +198,17 @@ class Joined:
         return self.p >= CONFLICT_P
 
 
-def join(calibration: Floats, own: Floats, alike: Floats, prior: Prior, g_m_s2: float) -> Joined:
-    """Combine a calibration (12,), per a local g of `g_m_s2`, with a prior by generalised least squares.
+def join(
+    calibration: Floats, own: Floats, alike: Floats, prior: Prior, g_m_s2: float, gravity_u: float = 0.0
+) -> Joined:
+    """Combine a calibration (12,) with a prior by generalised least squares.
 
+    The calibration is per a local g of `g_m_s2`, known to the relative `gravity_u`.
     `own` (12, 12) is the part of the calibration's covariance due to its readings. `alike` (12, 12) is the part
     that readings do not reveal, such as a meter's gain: earlier calibrations shared it, so the prior does not
     reduce it.
     """
-    mean, covariance = prior.per(g_m_s2)
+    mean, covariance = prior.per(g_m_s2, gravity_u)
     gap = calibration - mean
     between = own + covariance
     scale, chi2 = u_of(between), chi_square(gap, between)

@@ -458,9 +458,9 @@ def draw_single(chart: ControlChart, unit: str, figure: Figure) -> None:
     for k, name in enumerate(chart.names):
         axes = grid.flat[k]
         largest = max(float(np.max(chart.shewhart.u[:, k])), 1e-30) * chart.limit_single
-        size, unit = _scale_of(name, largest, unit)
+        size, own = _scale_of(name, largest, unit)
         _coefficient(axes, chart, k, along, shown, size)
-        axes.set_title(f"{symbol(name)} / {unit}")
+        axes.set_title(f"{symbol(name)} / {own}")
         axes.xaxis.get_major_locator().set_params(integer=True)
     figure.supylabel("off the centre", fontsize=8)
     figure.supxlabel("run after the baseline", fontsize=8)

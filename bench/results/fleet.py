@@ -92,9 +92,11 @@ class SizesPart(ResultModel):
     bench: SizePart = Field(description="standard deviation between benches")
     excess: SizePart
     """scatter of the calibrations beyond their stated u, including the drift of units"""
-    stated_u_rms: float = Field(description="rms of stated u without errors that repeat with the same meters")
+    stated_u_rms: float = Field(
+        description="rms of stated u without errors that repeat with the same meters and local gravity"
+    )
     stated_of_meters_rms: float
-    """rms of the stated u of the meters, which is part of the difference between benches"""
+    """rms of the stated u of the meters and of local gravity, which is part of the difference between benches"""
     shares_of_variance: dict[str, float]
     """parts of the variance of one calibration about the mean of its type: unit, bench, excess, stated"""
     allotment: AllotmentPart

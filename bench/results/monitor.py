@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import partial
-from typing import Final
 
 from pydantic import Field
 from rich.console import Console
 
 from bench.base.arrays import u_of
-from bench.base.numbers import fixed, places
+from bench.base.numbers import fixed, places, scale_for
 from bench.base.result_model import ResultModel
 from bench.base.tables import print_notes, table
 from bench.history.control_chart import ControlChart
 from bench.results.control_chart import draw_joint, draw_single
 from bench.results.parts import ValuePart, by_name
 from bench.results.plots import svg_figure
-
-UNITS: Final[Mapping[str, str]] = {"b": "g", "S": "V/g", "t": "deg"}
 
 
 class MonitoredRun(ResultModel):
@@ -36,7 +32,8 @@ class MonitorResult(ResultModel):
     """A series of monitors: the first `baseline` runs set the limits; the later runs are judged."""
 
     order: list[str]
-    """names of the values: bx (g) and Sx (V/g) for each axis that was turned; theta_xz (deg) for two axes"""
+    """names of the values: bx (g) and Sx (`unit`/g) for each axis that was turned; theta_xz (deg) for two axes"""
+    unit: str = Field(description="unit of the signals")
     baseline: int
     limit_t2: float
     runs: list[MonitoredRun]
@@ -44,8 +41,8 @@ class MonitorResult(ResultModel):
     notes: list[str]
 
 
-def monitor_result(chart: ControlChart) -> MonitorResult:
-    """Return the result of a chart of monitors."""
+def monitor_result(chart: ControlChart, unit: str) -> MonitorResult:
+    """Return the result of a chart of monitors with signals in `unit`."""
     verdicts = [None] * len(chart.baseline) + list(chart.verdicts)
     t2 = [None] * len(chart.baseline) + chart.shewhart.t2.tolist()
     runs = [
@@ -57,14 +54,15 @@ def monitor_result(chart: ControlChart) -> MonitorResult:
         for run, verdict, own in zip((*chart.baseline, *chart.later), verdicts, t2, strict=True)
     ]  # fmt: skip
     return MonitorResult(
-        order=chart.names, baseline=len(chart.baseline), limit_t2=chart.limit_t2, runs=runs,
+        order=chart.names, unit=unit, baseline=len(chart.baseline), limit_t2=chart.limit_t2, runs=runs,
         in_control=chart.in_control, notes=chart.notes,
     )  # fmt: skip
 
 
 def print_monitor(result: MonitorResult, on: Console) -> None:
     """Print the numbers of each run, T² and the verdict."""
-    shown = table("run", *(f">{name} / {UNITS[name[0]]}" for name in result.order), ">T²", "")
+    units = {"b": "g", "S": scale_for(0.0, result.unit).per_g, "t": "deg"}
+    shown = table("run", *(f">{name} / {units[name[0]]}" for name in result.order), ">T²", "")
     for run in result.runs:
         cells = [fixed(v.value, places(v.u)) for v in run.values.values()]
         word = {None: "baseline", True: "in control", False: "OUT OF CONTROL"}[run.accepted]
@@ -77,13 +75,13 @@ def print_monitor(result: MonitorResult, on: Console) -> None:
     print_notes(on, result.notes)
 
 
-def monitor_figures(chart: ControlChart) -> dict[str, str]:
+def monitor_figures(chart: ControlChart, unit: str) -> dict[str, str]:
     """Return the charts as SVG by name: the joint statistics, and each number; empty without later runs."""
     if not chart.later:
         return {}
     return {
-        "joint": svg_figure("monitor-joint", (7.4, 5.6), partial(draw_joint, chart, "V"), "T², EWMA and s"),
+        "joint": svg_figure("monitor-joint", (7.4, 5.6), partial(draw_joint, chart, unit), "T², EWMA and s"),
         "single": svg_figure(
-            "monitor-single", (7.4, 4.4), partial(draw_single, chart, "V"), "each number by run"
+            "monitor-single", (7.4, 4.4), partial(draw_single, chart, unit), "each number by run"
         ),
     }

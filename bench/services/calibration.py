@@ -95,7 +95,7 @@ def with_prior(
     prior = read_prior(path)
     _refuse_other(prior, found, source, path)
     alike = found.covariance - found.covariance_readings
-    joined = join(found.block.vector, found.covariance_readings, alike, prior, found.g_m_s2)
+    joined = join(found.block.vector, found.covariance_readings, alike, prior, found.g_m_s2, found.gravity_u)
     notes = []
     if not source.bench.unit_under_test.serial:
         notes.append(

@@ -448,14 +448,19 @@ class Monitored:
     sources: tuple[Source, ...]
 
     @property
+    def unit(self) -> str:
+        """The unit of the signals."""
+        return self.sources[0].readings.unit
+
+    @property
     def result(self) -> MonitorResult:
         """The result for JSON."""
-        return monitor_result(self.chart)
+        return monitor_result(self.chart, self.unit)
 
     def files(self, out: Path) -> Files:
         """Yield description, path and text of each file in `out`."""
         yield "result", out / "monitor.json", to_text(self.result.to_dict())
-        for name, figure in monitor_figures(self.chart).items():
+        for name, figure in monitor_figures(self.chart, self.unit).items():
             yield "chart", out / f"monitor-{name}.svg", figure
 
 
@@ -465,6 +470,9 @@ def monitored(request: asked.Monitor) -> Monitored:
     for source in sources:
         if source.made_at is None:
             raise Refused(f"{source.name}: has no date; use runs, or a file that 'bench export' wrote")
+    units = sorted({source.readings.unit for source in sources})
+    if len(units) > 1:
+        raise Refused(f"signals in {', '.join(units)} cannot be charted together; name runs of one unit")
     return Monitored(monitor_chart([check_run(source) for source in sources], request.baseline), sources)
 
 

@@ -387,3 +387,24 @@ def test_a_setting_of_a_plan_costs_its_turn_its_settling_and_its_reading():
     assert Cost(100.0, 1000.0, 10.0).settings_within(1509.0, 1) == 4
     assert Cost(100.0, 1000.0).settings_within(0.0, 1) == 0
     assert np.isclose(Cost(100.0, 1000.0, 10.0).total_s(3, 2), 2310.0)
+
+
+def in_millivolts(signal):
+    signal[5] *= 1000.0
+
+
+def on_both(signal):
+    signal[[5, 20], 1:] = [[500.0, 500.0], [-400.0, -400.0]]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "what"), [(in_millivolts, "did not converge"), (on_both, "not show that channel y, z")]
+)
+def test_rows_that_spoil_a_fit_are_named(spoil, what):
+    """One row in mV, two rows with other signals on y and z."""
+    readings = simulate(np.random.default_rng(8), 1e-4)
+    spoil(readings.signal)
+    row = f"installation 1, pass {readings.pass_number[5]}, point {readings.point[5]}"
+    refused(
+        readings, f"{what}.*; these readings are far off: {row}.*; find the mistake with 'bench diagnose'$"
+    )

@@ -1,5 +1,6 @@
 """When many units are due; the same catalogue in a PostgreSQL server."""
 
+import json
 import os
 import pwd
 import shutil
@@ -15,10 +16,10 @@ from bench.catalogue import store, unit
 from bench.catalogue.questions import KINDS, answer, run_folders
 from bench.catalogue.store import open_catalogue
 from bench.catalogue.sync import sync
-from bench.catalogue.unit import due_units, unit_history
-from bench.catalogue.values import coefficient_table
+from bench.catalogue.unit import compared_of, due_units, unit_history
+from bench.catalogue.values import coefficient_table, measured_of
 from bench.services.errors import Refused
-from tests.support.laboratory import write_run
+from tests.support.laboratory import VECTOR, U, write_run
 
 DAYS = ("2023-01-10", "2024-01-12", "2025-01-09", "2026-01-11")
 
@@ -206,3 +207,30 @@ def test_a_server_that_is_not_there_is_a_sentence_without_the_password(server):
     with pytest.raises(Refused, match="cannot be used") as refused:
         open_catalogue(gone)
     assert "secret" not in str(refused.value)
+
+
+def test_gravity_counts_between_places_only(catalogue):
+    """Unit 1 goes to a place with another g: u(g) of both places is in the u of what was found in the first."""
+    places = {DAYS[0]: (9.80665, 3e-5), DAYS[1]: (9.80665, 3e-5), DAYS[2]: (9.83, 4e-5)}
+    for day, (g, u) in places.items():
+        file = Path("runs") / f"1-{day}" / "calibrate.json"
+        file.write_text(json.dumps({**json.loads(file.read_text()), "g_m_s2": g, "gravity_u": u}))
+    sync(catalogue, ["runs"])
+    table = coefficient_table(catalogue, ["serial=1"])
+    assert table.gravity_u.tolist() == [3e-5, 3e-5, 4e-5]
+
+    of_g = VECTOR[0] * 9.83 / 9.80665 * 5e-5
+    there, _, _ = compared_of(catalogue, "block A 1")
+    own = U**2 * (9.83 / 9.80665) ** 2
+    assert there.covariance[:, 0, 0] == pytest.approx([own + of_g**2, own + of_g**2, U**2], rel=1e-9)
+    assert there.covariance[:, 9, 9] == pytest.approx(U**2)
+    assert there.covariance[0, 0, 4] == pytest.approx(of_g * VECTOR[4] * 9.83 / 9.80665 * 5e-5)
+
+    measured, _, _ = measured_of(
+        table
+    )  # per standard g, which is no place: u(g) counts for every calibration
+    of_each = measured.vector[:, 0] * table.gravity_u
+    assert measured.own_variance[:, 0] == pytest.approx(
+        measured.variance[:, 0] - of_each**2 - U**2 / 2, rel=1e-3
+    )
+    assert measured.place.tolist() == [9.80665, 9.80665, 9.83]

@@ -5,6 +5,7 @@ import io
 import json
 import os
 import re
+import runpy
 import signal
 import sys
 from importlib import metadata
@@ -303,3 +304,11 @@ def test_the_list_of_runs_shows_verdict_and_a_command_to_copy_at_80_columns(benc
     assert "\n    bench resume open\n" in out
     found = {run["name"]: run["verdict"] for run in json.loads(bench("runs", "--json", "-")[1])["runs"]}
     assert found == {"one": "passed", long: "failed", "open": None}
+
+
+def test_the_package_runs_as_the_program(handler, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["bench", "check", "--help"])
+    with pytest.raises(SystemExit) as end:
+        runpy.run_module("bench", run_name="__main__", alter_sys=False)
+    assert not end.value.code
+    assert "bench check" in capsys.readouterr().out

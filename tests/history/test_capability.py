@@ -1,10 +1,14 @@
 """Priors of types, and the capability of laboratories whose units drift: dense algebra, honest results."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from bench.calibration.result import CalibrationError
+from bench.history.bench_or_block import bench_or_block
 from bench.history.capability import YEAR, capability
+from bench.history.drift import drift_of_unit
 from bench.history.measured import STANDARD_GRAVITY, ComparedCalibrations
 from bench.history.prior import join, prior_of
 from bench.results.fleet import capability_result
@@ -27,7 +31,8 @@ def measured(rng, units, repeats, spread, *, meters=0.0, benches=1, excess=0.0, 
     when = DAY + np.round(np.linspace(0, days, len(unit))).astype("timedelta64[D]")
     table = ComparedCalibrations(
         np.char.add("A ", unit.astype(str)), np.full(len(unit), "A"), np.char.add("b", bench.astype(str)), when,
-        values, covariance, np.full((len(unit), 12), meters), "V", True,
+        values, covariance, np.full((len(unit), 12), meters), np.zeros((len(unit), 12)),
+        np.full(len(unit), STANDARD_GRAVITY), "V", True,
     )  # fmt: skip
     return table, 50.0 + effect[units]
 
@@ -213,3 +218,61 @@ def test_units_with_too_few_runs_to_tell_their_drift_are_told():
     assert not any(one.shown for one in found.spreads)
     # nothing is taken out that is not told: the drift is in the scatter
     assert min(found.scatter) > 1.0
+
+
+GRAVITY_U = 0.1
+
+
+def at_places(table, place, gravity_u=GRAVITY_U):
+    """The table with the error of g at each place in its covariance, as coefficients per standard g have it."""
+    of_g = np.where(np.arange(12) < 9, table.vector * gravity_u, 0.0)
+    covariance = table.covariance + of_g[:, :, None] * of_g[:, None, :]
+    return replace(table, covariance=covariance, gravity=of_g, place=place)
+
+
+def test_the_error_of_gravity_is_one_for_all_benches_of_a_place():
+    """The mean of a prior has all of u(g) from one place, and a quarter of its variance from four."""
+    table, _ = measured(np.random.default_rng(9), 30, 2, 1.0, benches=4)
+    plain = prior_of(table).mean_u
+    mean_square = np.mean((table.vector[:, 0] * GRAVITY_U) ** 2)
+    for places in (1, 2, 4):
+        found = prior_of(at_places(table, 9.8 + np.arange(len(table)) % places))
+        assert found.mean_u[0] ** 2 - plain[0] ** 2 == pytest.approx(mean_square / places)
+        assert found.mean_u[9:] == pytest.approx(plain[9:])
+        assert found.between == pytest.approx(prior_of(table).between)
+
+
+def test_a_prior_of_other_places_has_the_local_gravity_in_it():
+    prior = prior_of(measured(np.random.default_rng(6), 30, 2, 1.0)[0])
+    mean, covariance = prior.per(STANDARD_GRAVITY, 3e-2)
+    assert np.diag(covariance - prior.covariance)[:9] == pytest.approx((mean[:9] * 3e-2) ** 2)
+    true = prior.mean
+    known, unsure = (join(true, np.eye(12), 0 * np.eye(12), prior, STANDARD_GRAVITY, u) for u in (0.0, 3e-2))
+    assert np.all(np.diag(unsure.covariance)[:9] > np.diag(known.covariance)[:9])
+
+
+def test_benches_of_different_places_differ_by_the_errors_of_their_gravity():
+    """Seed 3: this difference belongs to the benches, and is no scatter of calibrations."""
+    rng = np.random.default_rng(3)
+    table, _ = measured(rng, 12, 4, 3.0, benches=4)
+    bench = np.arange(len(table)) % 4
+    error = 1.0 + GRAVITY_U * np.where(np.arange(12) < 9, rng.normal(size=(4, 1)), 0.0)
+    known = at_places(replace(table, vector=table.vector * error[bench]), 9.8 + bench)
+    assert known.own_variance == pytest.approx(table.own_variance)
+    sizes = bench_or_block(known).sizes[0]
+    assert sizes.meters == pytest.approx(np.sqrt(np.mean((known.vector[:, 0] * GRAVITY_U) ** 2)))
+    assert sizes.bench.value < 2.0 * sizes.meters
+    assert sizes.excess.value < 0.5
+
+
+def test_gravity_cancels_in_the_drift_at_one_place_and_counts_between_places():
+    rng = np.random.default_rng(4)
+    table, _ = measured(rng, 1, 8, 1.0, days=1000)
+    table = replace(table, vector=table.vector + 1e4)
+    here, between = (
+        drift_of_unit(at_places(table, 9.8 + at, 5e-4)).drift for at in (np.zeros(8), np.arange(8) % 2)
+    )
+    plain = drift_of_unit(table).drift
+    assert here.u_rate == pytest.approx(plain.u_rate, rel=0.02)
+    assert np.all(between.u_rate[:9] > 1.5 * plain.u_rate[:9])
+    assert here.common[:9] == pytest.approx(np.min(table.vector[:, :9] * 5e-4, axis=0))

@@ -1,12 +1,15 @@
 """Monitors of two and four positions: closed forms of their numbers, false alarms, and what they find."""
 
+import io
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from bench.calibration.result import CalibrationError
 from bench.history.monitor import monitor_chart, monitor_run
+from bench.results.monitor import monitor_result, print_monitor
 from bench.services.history import check_run
 from bench.services.source import Request, load_sources
 from bench.validation.paper_bench import U0, K, specific_force
@@ -92,3 +95,11 @@ def test_too_few_runs_for_limits_are_refused_in_a_sentence():
         CalibrationError, match=r"^2 runs; name 3 or more, the first of which set the limits$"
     ):
         monitor_chart([run(rng, day) for day in range(2)])
+
+
+def test_the_unit_of_the_signals_is_printed():
+    rng, out = np.random.default_rng(8), io.StringIO()
+    result = monitor_result(monitor_chart([run(rng, day) for day in range(4)], 3), "m/s^2")
+    print_monitor(result, Console(file=out, width=200))
+    assert "Sx / (m/s²)/g" in out.getvalue()
+    assert "V/g" not in out.getvalue()

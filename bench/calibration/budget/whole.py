@@ -129,7 +129,7 @@ def sign(
     gravity = [error.u for error in of_bench if error.name == GRAVITY]
     signed = replace(
         calibration, covariance=covariance, sources=own, gravity_u=gravity[0] if gravity else 0.0,
-        notes=(*calibration.notes, *_on_roll(roll, covariance), *without_meters(readings.unit)),
+        notes=(*calibration.notes, *_on_roll(roll, covariance, calibration), *without_meters(readings.unit)),
     )  # fmt: skip
     return replace(signed, dof=dof_through(signed, np.eye(len(COEFFICIENTS))))
 
@@ -169,10 +169,11 @@ def _foundation(readings: Readings, bench: BenchFile) -> TiltRate | None:
     return foundation_of(readings, bench, levelled=readings.conditions().level_rad is not None)
 
 
-def _on_roll(roll: Floats, covariance: Floats) -> tuple[str, ...]:
+def _on_roll(roll: Floats, covariance: Floats, calibration: Calibration) -> tuple[str, ...]:
     """Return advice to measure the third mounting angle if it causes most of the u of a coefficient.
 
-    `roll` (12, 12) is the part of `covariance` (12, 12) that this angle causes.
+    `roll` (12, 12) is the part of `covariance` (12, 12) that this angle causes. If the readings determine the nine
+    intrinsic numbers, no further installation reduces it.
     """
     most = [
         n
@@ -181,12 +182,36 @@ def _on_roll(roll: Floats, covariance: Floats) -> tuple[str, ...]:
     ]
     if not most:
         return ()
+    if _only_turns(calibration):
+        return (
+            message(
+                f"most of u of {listed(most)} comes from the third mounting angle, as a turn common to all "
+                "installations, which changes none of the nine; state a measured mounting_roll in the bench file"
+            ),
+        )
     return (
         message(
             f"most of u of {listed(most)} comes from the third mounting angle, which these installations do "
             "not show; use the procedure remount-90, or state a measured mounting_roll in the bench file"
         ),
     )
+
+
+def _only_turns(calibration: Calibration) -> bool:
+    """Return whether all that the readings do not show turns the block as a whole, so that K K^T and U0 stay."""
+    length = np.linalg.norm(calibration.block.K, axis=1)
+    sheared = [
+        (change[:9].reshape(3, 3) @ calibration.block.K.T) / np.outer(length, length)
+        for change in calibration.unseen().T
+    ]
+    biases = calibration.unseen()[9:] / length[:, None]
+    return all(np.all(np.abs(one + one.T) < TURNED) for one in sheared) and bool(
+        np.all(np.abs(biases) < TURNED)
+    )
+
+
+TURNED: Final = 0.1
+"""Relative change of K K^T, or of a bias in g, below which a change of K of size 1 is a turn of the block."""
 
 
 OF_METERS: Final = ("voltmeter_gain", "voltmeter_offset", "voltmeter_linearity", "room_temperature")
