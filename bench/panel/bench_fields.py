@@ -65,6 +65,8 @@ class Group:
     help: str
     fields: tuple[BenchField, ...]
     section: type[BaseModel] | None = None
+    own: bool = False
+    """Whether the laboratory must state each value itself, such as its gravity; no example can know it."""
 
     @property
     def place(self) -> str:
@@ -84,6 +86,7 @@ def groups_of(values: Values) -> list[Group]:
         ("unit_under_test",),
         first_sentence(UnitUnderTest),
         tuple(fields_in(UnitUnderTest, ("unit_under_test",))),
+        own=True,
     )
     instruments = [
         _instrument(role, ("instruments", role), role.capitalize(), values, required=required)
@@ -103,7 +106,7 @@ def _gravity(values: Values) -> Group:
     elif chosen in FORMS_OF_GRAVITY.values():
         model = Location if chosen == FORMS_OF_GRAVITY["place"] else MeasuredGravity
         told, inner = first_sentence(model), tuple(fields_in(model, GRAVITY))
-    return Group(message("Local gravity"), GRAVITY, told, (choice, *inner))
+    return Group(message("Local gravity"), GRAVITY, told, (choice, *inner), own=True)
 
 
 def _voltmeters(values: Values) -> Iterator[Group]:
@@ -337,6 +340,21 @@ def _exemplify(values: dict[str, str], before: Values, name: str) -> None:
     for place, text in values_of(dict(device.example)).items():
         if not place.startswith(("resource", "channels", "form:")):
             values.setdefault(f"{name}.{place}", {"False": "no", "True": "yes"}.get(text, text))
+
+
+def still_of_example(values: Values, example: Values, groups: Iterable[Group]) -> frozenset[str]:
+    """Return the names of the fields that the laboratory must state itself and that have the value of `example`.
+
+    These are all values of an `own` group, and the resources of the instruments; `example` are the texts of the
+    bench file from which the form began.
+    """
+    return frozenset(
+        one.name
+        for group in groups
+        for one in group.fields
+        if (group.own or one.found) and not one.choices
+        if (text := values.get(one.name, "").strip()) and text == example.get(one.name)
+    )
 
 
 # --- mistakes ---------------------------------------------------------------------------------------

@@ -154,13 +154,45 @@ def test_a_new_bench_is_written_with_what_was_typed_and_is_listed(anna):
     page = anna.get("/bench/form?start=bench-lan&name=mine").text
     assert '<input id="name" name="name" value="mine"' in page
     reply = new(anna, name="mine", **{"instruments.voltmeters[1].resource": LAN})
-    assert reply.headers["location"] == "/bench/form?file=mine&written=1"
+    assert reply.headers["location"] == "/bench/form?file=mine&written=1&example=bench-lan"
     text = Path("config/mine.yaml").read_text("utf-8")
     assert text.startswith("# changed in the panel by anna on 20")
     assert set(comments(SHIPPED["bench-lan"].read_text("utf-8"))) <= set(comments(text))
     assert load_bench(Path("config/mine.yaml")).instruments.voltmeters[0].resource == LAN
     assert "config/mine.yaml" in anna.get("/bench").text
     assert "What is written" in anna.get(reply.headers["location"]).text
+
+
+def still(page):
+    """The fields marked as still the example's, after a check that the line at the top counts them."""
+    names = re.findall(r'id="h-([^"]+)">[^<]*<b class="still">still the example.s value</b>', unescape(page))
+    counted = re.search(r"still have the value of the example bench-lan: (\d+)\.", page)
+    assert int(counted[1] if counted else 0) == len(names)
+    return set(names)
+
+
+def test_what_is_still_the_value_of_the_example_is_marked_until_it_is_changed(runs, anna):
+    page = anna.get("/bench/form?start=bench-lan&name=mine").text
+    assert "✓ no mistake" in page  # it is a note, no mistake
+    example = values_of(read_yaml(SHIPPED["bench-lan"].read_text("utf-8")).data)
+    block = {name for name in example if name.startswith("unit_under_test.") and ".supply." not in name}
+    of_lab = block | {f"instruments.voltmeters[{n}].resource" for n in (1, 2, 3)}
+    of_lab |= {"gravity.latitude", "gravity.height"}
+    assert still(page) == of_lab
+    typed = {"unit_under_test.serial": "17-042", "gravity.latitude": "51 deg"}
+    search = Search(runs / ".panel" / "search")
+    search.path.mkdir(parents=True)
+    found = example["instruments.voltmeters[2].resource"]
+    search.tell(Findings(IDENTIFY, resources=[FoundResource(found).to_json()]))
+    chosen = {"instruments.voltmeters[2].resource"}  # an address that was found is the bench's own
+    reply = new(anna, **typed)
+    page = anna.get(reply.headers["location"]).text
+    assert still(page) == of_lab - set(typed) - chosen
+    again = anna.post("/bench/form", file="mine", example="bench-lan", sha256=hashed(page), do="show",
+                      **{GRAVITY_FORM: "value of gravity", "gravity": "9.81 m/s^2"}).text  # fmt: skip
+    assert still(again) == of_lab - set(typed) - chosen - {"gravity.height"}
+    assert still(anna.get("/bench/form?file=mine").text) == set()  # nobody knows where the file came from
+    assert anna.get("/bench/form?file=mine&example=../mine").status_code == 404
 
 
 @pytest.mark.parametrize(
