@@ -104,7 +104,7 @@ class BenchForm(EditedFile):
     """
 
     KIND = CONFIG
-    MOST_FIELDS = 300
+    MOST_FIELDS = 400
     CHANGED = message("Not written: the file changed since this form was opened. See the difference below.")
 
     values: dict[str, str] = field(default_factory=dict)
