@@ -8,6 +8,7 @@ import re
 import types
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import count
 from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel
@@ -19,8 +20,8 @@ from bench.base.languages import message
 from bench.base.units import AccelerationMS2, QuantityKind, quantity_of, written_quantity
 from bench.base.yaml_files import FileMistake, Place, dotted
 from bench.config.bench_file.file import BenchFile
-from bench.config.bench_file.stand import Location, MeasuredGravity, UnitUnderTest
-from bench.config.devices.device import Role
+from bench.config.bench_file.stand import Location, MeasuredGravity, StandSection, UnitUnderTest
+from bench.config.devices.device import Certificate, RangeValues, Role, VoltmeterCertificate
 from bench.config.devices.registry import devices
 
 GRAVITY_FORM: Final = "form:gravity"
@@ -58,13 +59,19 @@ class BenchField:
 
 @dataclass(frozen=True)
 class Group:
-    """A section of the form with its fields; `section` is the model of an instrument, None for other sections."""
+    """A section of the form with its fields.
+
+    `section` is the model of an instrument or of the stand errors, of which empty fields are folded away; None for
+    other sections.
+    """
 
     title: str
     at: Place
     help: str
     fields: tuple[BenchField, ...]
     section: type[BaseModel] | None = None
+    own: bool = False
+    """Whether the laboratory must state each value itself, such as its gravity; no example can know it."""
 
     @property
     def place(self) -> str:
@@ -84,12 +91,18 @@ def groups_of(values: Values) -> list[Group]:
         ("unit_under_test",),
         first_sentence(UnitUnderTest),
         tuple(fields_in(UnitUnderTest, ("unit_under_test",))),
+        own=True,
     )
     instruments = [
         _instrument(role, ("instruments", role), role.capitalize(), values, required=required)
         for role, required in ONE_ROLE
     ]
-    return [bench, _gravity(values), *_voltmeters(values), *instruments, block]
+    errors = [
+        one for key in StandSection.model_fields for one in _optional(StandSection, key, ("stand",), values)
+    ]
+    told = first_sentence(StandSection)
+    stand = Group(message("Stand errors"), ("stand",), told, tuple(errors), StandSection, own=True)
+    return [bench, _gravity(values), *_voltmeters(values), *instruments, stand, block]
 
 
 def _gravity(values: Values) -> Group:
@@ -103,7 +116,7 @@ def _gravity(values: Values) -> Group:
     elif chosen in FORMS_OF_GRAVITY.values():
         model = Location if chosen == FORMS_OF_GRAVITY["place"] else MeasuredGravity
         told, inner = first_sentence(model), tuple(fields_in(model, GRAVITY))
-    return Group(message("Local gravity"), GRAVITY, told, (choice, *inner))
+    return Group(message("Local gravity"), GRAVITY, told, (choice, *inner), own=True)
 
 
 def _voltmeters(values: Values) -> Iterator[Group]:
@@ -137,8 +150,51 @@ def _instrument(role: Role, at: Place, title: str, values: Values, *, required: 
     device = devices().get(stated)
     if device is None or device not in known:
         return Group(title, at, "", (choice,))
-    inner = fields_in(device.section, at, frozenset({"driver"}))
-    return Group(title, at, first_sentence(device.section), (choice, *inner), device.section)
+    inner = tuple(fields_in(device.section, at, frozenset({"driver"})))
+    certificate = bare(device.section.model_fields["certificate"].annotation)
+    inner = (choice, *inner, *_certificate(certificate, (*at, "certificate"), values))
+    return Group(title, at, first_sentence(device.section), inner, device.section)
+
+
+def _certificate(model: type[Certificate], at: Place, values: Values) -> Iterator[BenchField]:
+    """Yield the fields of an instrument's certificate; none is required before one of them is filled.
+
+    For a voltmeter these include the corrections of each range with their U and k. For another instrument there are
+    fields only if the bench file has its certificate, because the form has none for the table of corrections.
+    """
+    of_meter = issubclass(model, VoltmeterCertificate)
+    if of_meter or within(at, values):
+        yield from _as_begun(fields_in(model, at), at, values)
+    for number in range(_rows(at, values) if of_meter else 0):
+        row = (*at, "values", number)
+        yield from _as_begun(fields_in(RangeValues, row), at, values)
+        for key in ("gain", "offset"):
+            yield from _optional(RangeValues, key, row, values)
+
+
+def _rows(at: Place, values: Values) -> int:
+    """Return the number of ranges in a voltmeter's certificate, at least 1 to be filled."""
+    return next(number for number in count(1) if not within((*at, "values", number), values))
+
+
+def _optional(model: type[BaseModel], key: str, at: Place, values: Values) -> Iterator[BenchField]:
+    """Yield the fields of the section `key` of `model`, whether or not the file may leave the section out."""
+    info = model.model_fields[key]
+    inner = fields_in(bare(info.annotation), (*at, key))
+    return inner if info.is_required() else _as_begun(inner, (*at, key), values)
+
+
+def _as_begun(fields: Iterable[BenchField], at: Place, values: Values) -> Iterator[BenchField]:
+    """Yield the fields of a section that may be left out, required only if one of them is filled."""
+    begun = any(values[name].strip() for name in within(at, values))
+    for one in fields:
+        choices = (("", message("left out")), *one.choices) if one.choices else ()
+        yield replace(one, required=one.required and begun, choices=choices)
+
+
+def within(at: Place, values: Values) -> list[str]:
+    """Return the names of the values in the section at a path."""
+    return [name for name in values if name.startswith(f"{dotted(at)}.")]
 
 
 # --- fields -----------------------------------------------------------------------------------------
@@ -149,8 +205,8 @@ def fields_in(
 ) -> Iterator[BenchField]:
     """Yield the field for each value of a model and of its required sections; `at` is the model's path in the file.
 
-    Certificates, lists and optional sections have no field: the user writes them in the file. `default` is
-    the section that applies if the file has none.
+    Lists and optional sections, such as certificates, have no field here. `default` is the section that applies if
+    the file has none.
     """
     model.model_rebuild()
     for name, info in model.model_fields.items():
@@ -191,7 +247,9 @@ def _fields_of_key(key: str, info: FieldInfo, at: Place, default: Any) -> Iterat
         yield replace(one, help="" if choices else told, choices=choices)
 
 
-_WITHIN: Final = ("serial", "scale_factors", "temperature")
+_WITHIN: Final = (
+    "serial", "scale_factors", "temperature", "certificate", "gain", "offset", *StandSection.model_fields,
+)  # fmt: skip
 """Sections within a section, whose name precedes the label of each of their fields."""
 
 
@@ -199,6 +257,8 @@ def _label(key: str, at: Place) -> str:
     own = key.replace("_", " ")
     if at and at[-1] in _WITHIN:
         return f"{str(at[-1]).replace('_', ' ').capitalize()}: {own}"
+    if at[-2:-1] == ("values",):
+        return f"Certificate: {own}"
     return own if len(own) == 1 else own.capitalize()
 
 
@@ -339,6 +399,21 @@ def _exemplify(values: dict[str, str], before: Values, name: str) -> None:
             values.setdefault(f"{name}.{place}", {"False": "no", "True": "yes"}.get(text, text))
 
 
+def still_of_example(values: Values, example: Values, groups: Iterable[Group]) -> frozenset[str]:
+    """Return the names of the fields that the laboratory must state itself and that have the value of `example`.
+
+    These are all values of an `own` group, and the resources of the instruments; `example` are the texts of the
+    bench file from which the form began.
+    """
+    return frozenset(
+        one.name
+        for group in groups
+        for one in group.fields
+        if (group.own or one.found) and not one.choices
+        if (text := values.get(one.name, "").strip()) and text == example.get(one.name)
+    )
+
+
 # --- mistakes ---------------------------------------------------------------------------------------
 
 
@@ -355,21 +430,24 @@ class Placed:
         return sum(map(len, self.at.values())) + len(self.elsewhere)
 
 
-_MISSING: Final = re.compile(r"'([^']+)' is missing")
+_QUOTED: Final = re.compile(r"'([^']+)'")
+"""A key that a mistake names, such as one that is missing in its section."""
 
 
 def placed(mistakes: Iterable[FileMistake], groups: Iterable[Group]) -> Placed:
     """Return the mistakes by field or, without a field, by group; those of neither are `elsewhere`."""
     groups = list(groups)
-    fields = {one.name for group in groups for one in group.fields}
-    known = fields | {group.place for group in groups if group.at}
+    fields = [one.name for group in groups for one in group.fields]
+    known = {*fields} | {group.place for group in groups if group.at}
     result = Placed()
     for mistake in mistakes:
         place = mistake.place
-        lacking = _MISSING.fullmatch(mistake.text)
-        if lacking is not None:
-            inside = f"{place}.{lacking[1]}".removeprefix(".")
-            place = next((f for f in (inside, f"{inside}.x") if f in fields), place)
+        if (named := _QUOTED.search(mistake.text)) is not None and place not in fields:
+            inside = f"{place}.{named[1]}".removeprefix(".")
+            first = (
+                name for name in fields if name == inside or name.startswith((f"{inside}.", f"{inside}["))
+            )
+            place = next(first, place)
         while place and place not in known:
             place = place[: max(place.rfind("."), place.rfind("["), 0)]
         if place:

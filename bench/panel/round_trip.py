@@ -6,6 +6,7 @@ import io
 import re
 from collections.abc import Callable, Iterable
 from datetime import datetime
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -23,6 +24,7 @@ from bench.panel.bench_fields import (
     listed,
     number_of_meters,
     values_of,
+    within,
 )
 from bench.services.errors import Refused
 from bench.services.persons import checked_name, persons_of
@@ -185,6 +187,11 @@ def _arrange(tree: Any, values: Values, before: Values, groups: list[Group]) -> 
             known = {info.alias or name for name, info in group.section.model_fields.items()}
             for key in [key for key in section if key not in known]:
                 del section[key]
+        certificate = (*group.at, "certificate")
+        if within(certificate, before) and not any(
+            values[name].strip() for name in within(certificate, values)
+        ):
+            _remove(tree, certificate)
 
 
 def _gravity(stated: str) -> Any:
@@ -227,7 +234,7 @@ def _scalar(text: str, before: Any) -> Any:
 
 
 def _remove(tree: Any, at: Place) -> None:
-    """Remove the key at a path, and the sections that become empty."""
+    """Remove the key at a path, and the sections that become empty: of a list, the last row of a certificate."""
     section = tree
     for step in at[:-1]:
         if isinstance(section, dict) and step not in section:
@@ -235,18 +242,21 @@ def _remove(tree: Any, at: Place) -> None:
         section = section[step]
         if not isinstance(section, dict | list):
             return
-    if isinstance(section, dict) and at[-1] in section:
+    last_row = isinstance(section, list) and at[-2:-1] == ("values",) and at[-1] == len(section) - 1
+    if last_row or (isinstance(section, dict) and at[-1] in section):
         del section[at[-1]]
-        if not section and len(at) > 1 and not isinstance(at[-2], int):
+        if not section and len(at) > 1 and (not isinstance(at[-2], int) or at[-3] == "values"):
             _remove(tree, at[:-1])
 
 
 def _reach(tree: Any, at: Place) -> Any:
     """Return the section at a path, after creating each missing section on the path as a one-line mapping."""
     section = tree
-    for step in at:
+    for step, inner in zip_longest(at, at[1:]):
         if isinstance(section, dict) and not isinstance(section.get(step), dict | list):
-            section[step] = _mapping()
+            section[step] = _sequence() if isinstance(inner, int) else _mapping()
+        elif isinstance(section, list) and step == len(section):
+            section.append(_mapping())
         section = section[step]
     return section
 

@@ -7,6 +7,7 @@ from urllib.parse import quote
 
 import pytest
 
+from bench.base.arrays import ARCSEC
 from bench.base.yaml_files import read_yaml
 from bench.config.bench_file.file import load_bench
 from bench.config.shipped import CONFIG
@@ -110,6 +111,96 @@ def test_gravity_with_its_source_is_written_with_its_u():
     assert after.index("# Local gravity") < after.index("gravity: {") < after.index("line_frequency")
 
 
+METER, SECOND = (f"instruments.voltmeters[{n}].certificate" for n in (1, 2))
+CERTIFICATE = {"number": "K-17", "laboratory": "Acme", "date": "2026-03-02", "valid_until": "2027-03-01",
+               "values[1].range": "10 V", "values[1].gain.U": "10 ppm", "values[1].gain.k": "2"}  # fmt: skip
+
+
+def test_a_certificate_typed_in_the_form_is_written_and_taken_out_again():
+    typed = {f"{METER}.{key}": text for key, text in CERTIFICATE.items()}
+    before, after = changed("bench-gpib", **typed)
+    mistakes, file = mistakes_in(after, Path("mine.yaml"))
+    assert mistakes == ()
+    stated = file.instruments.voltmeters[0].certificate
+    assert (stated.number, stated.laboratory, str(stated.date), str(stated.valid_until)) == tuple(
+        list(CERTIFICATE.values())[:4]
+    )
+    assert (stated.of_range(10.0).gain.U, stated.of_range(10.0).gain.k) == (pytest.approx(1e-5), 2.0)
+    assert [meter.certificate for meter in file.instruments.voltmeters[1:]] == [None, None]
+    assert comments(after) == comments(before)
+    values = values_of(read_yaml(after).data)
+    emptied = values | dict.fromkeys(typed, "")
+    assert read_yaml(changed_text(after, emptied, groups_of(emptied))).data == read_yaml(before).data
+    less = values | {f"{METER}.valid_until": "", f"{METER}.number": "K-18"}
+    assert f"number: {CERTIFICATE['number']}" in after
+    assert "valid_until" not in (rest := changed_text(after, less, groups_of(less)))
+    assert mistakes_in(rest, Path("mine.yaml"))[1].instruments.voltmeters[0].certificate.number == "K-18"
+
+
+def test_of_two_ranges_of_a_certificate_the_last_may_be_emptied():
+    typed = {f"{METER}.{key}": text for key, text in CERTIFICATE.items()}
+    second = {f"{METER}.values[2].range": "100 V", f"{METER}.values[2].offset.U": "1 mV",
+              f"{METER}.values[2].offset.k": "2"}  # fmt: skip
+    _, one = changed("bench-gpib", **typed)
+    _, two = changed("bench-gpib", **typed, **second)
+    meter = mistakes_in(two, Path("mine.yaml"))[1].instruments.voltmeters[0]
+    assert [value.range for value in meter.certificate.values] == [10.0, 100.0]
+    emptied = values_of(read_yaml(two).data) | dict.fromkeys(second, "")
+    assert read_yaml(changed_text(two, emptied, groups_of(emptied))).data == read_yaml(one).data
+
+
+def test_the_table_of_a_head_stays_where_its_certificate_is_renewed():
+    table = ", ".join(
+        f"{{angle: {a} deg, correction: 1 arcsec, U: 1 arcsec, k: 2}}" for a in range(0, 360, 45)
+    )
+    text = SHIPPED["bench-gpib"].read_text("utf-8").replace(
+        "enter_accepts_target: no}", "enter_accepts_target: no,\n    certificate: {number: H-1, laboratory: Acme, "
+        f"date: 2025-03-02, values: [{table}]}}}}")  # fmt: skip
+    values = values_of(read_yaml(text).data)
+    assert "instruments.head.certificate.number" in {f.name for g in groups_of(values) for f in g.fields}
+    values |= {
+        "instruments.head.certificate.number": "H-2",
+        "instruments.head.certificate.date": "2026-03-02",
+    }
+    mistakes, file = mistakes_in(changed_text(text, values, groups_of(values)), Path("mine.yaml"))
+    assert mistakes == ()
+    assert file.instruments.head.certificate.number == "H-2"
+    assert len(file.instruments.head.certificate.values) == 8
+
+
+def test_stand_errors_are_changed_with_their_comments_and_optional_ones_come_and_go():
+    before, after = changed("bench-gpib", **{
+        "stand.axis_tilt.limit": "6 arcsec", "stand.setting_error.distribution": "normal",
+        "stand.setting_error.k": "3", "stand.mounting_roll.limit": "", "stand.mounting_roll.distribution": "",
+        "stand.foundation.limit": "2 arcsec", "stand.foundation.distribution": "rectangular"})  # fmt: skip
+    mistakes, file = mistakes_in(after, Path("mine.yaml"))
+    assert mistakes == ()
+    assert file.stand.axis_tilt.limit == pytest.approx(6 * ARCSEC)
+    assert (file.stand.setting_error.distribution, file.stand.setting_error.k) == ("normal", 3.0)
+    assert file.stand.mounting_roll is None
+    assert file.stand.foundation.limit == pytest.approx(2 * ARCSEC)
+    assert sorted(comments(after)) == sorted(comments(before))
+    assert "# shaft against the level" in after
+
+
+def test_mistakes_in_certificates_and_stand_errors_stand_at_their_fields():
+    wrong = {f"{METER}.number": "K-17", f"{METER}.date": "2026-02-30", "stand.zero_offset.limit": "5",
+             "stand.axis_tilt.distribution": "normal", f"{SECOND}.values[1].range": "10 V",
+             "instruments.voltmeters[3].certificate.number": "K-19"}  # fmt: skip
+    _, after = changed("bench-gpib", **wrong)
+    values = values_of(read_yaml(after).data)
+    found = placed(mistakes_in(after, Path("mine.yaml"))[0], groups_of(values))
+    assert found.elsewhere == []
+    assert "'laboratory' is missing" in found.at[f"{METER}.laboratory"]
+    assert "there is no day 2026-02-30" in found.at[f"{METER}.date"][0]
+    assert "'values' is missing" in found.at["instruments.voltmeters[3].certificate.values[1].range"]
+    assert "'number' is missing" in found.at[f"{SECOND}.number"]
+    assert "without a unit" in found.at["stand.zero_offset.limit"][0]
+    assert "state 'k'" in found.at["stand.axis_tilt.k"][0]
+    fields = {one.name for group in groups_of(values) for one in group.fields}
+    assert set(found.at) <= fields
+
+
 def test_the_comment_of_who_changed_it_stands_once():
     once = signed("name: a\n", "anna", utc_now())
     assert re.fullmatch(r"# changed in the panel by anna on \d{4}-\d\d-\d\d\nname: a\n", once)
@@ -154,13 +245,46 @@ def test_a_new_bench_is_written_with_what_was_typed_and_is_listed(anna):
     page = anna.get("/bench/form?start=bench-lan&name=mine").text
     assert '<input id="name" name="name" value="mine"' in page
     reply = new(anna, name="mine", **{"instruments.voltmeters[1].resource": LAN})
-    assert reply.headers["location"] == "/bench/form?file=mine&written=1"
+    assert reply.headers["location"] == "/bench/form?file=mine&written=1&example=bench-lan"
     text = Path("config/mine.yaml").read_text("utf-8")
     assert text.startswith("# changed in the panel by anna on 20")
     assert set(comments(SHIPPED["bench-lan"].read_text("utf-8"))) <= set(comments(text))
     assert load_bench(Path("config/mine.yaml")).instruments.voltmeters[0].resource == LAN
     assert "config/mine.yaml" in anna.get("/bench").text
     assert "What is written" in anna.get(reply.headers["location"]).text
+
+
+def still(page):
+    """The fields marked as still the example's, after a check that the line at the top counts them."""
+    names = re.findall(r'id="h-([^"]+)">[^<]*<b class="still">still the example.s value</b>', unescape(page))
+    counted = re.search(r"still have the value of the example bench-lan: (\d+)\.", page)
+    assert int(counted[1] if counted else 0) == len(names)
+    return set(names)
+
+
+def test_what_is_still_the_value_of_the_example_is_marked_until_it_is_changed(runs, anna):
+    page = anna.get("/bench/form?start=bench-lan&name=mine").text
+    assert "✓ no mistake" in page  # it is a note, no mistake
+    example = values_of(read_yaml(SHIPPED["bench-lan"].read_text("utf-8")).data)
+    block = {name for name in example if name.startswith("unit_under_test.") and ".supply." not in name}
+    of_lab = block | {f"instruments.voltmeters[{n}].resource" for n in (1, 2, 3)}
+    of_lab |= {"gravity.latitude", "gravity.height"}
+    of_lab |= {name for name in example if name.startswith("stand.") and name.endswith(".limit")}
+    assert still(page) == of_lab
+    typed = {"unit_under_test.serial": "17-042", "gravity.latitude": "51 deg"}
+    search = Search(runs / ".panel" / "search")
+    search.path.mkdir(parents=True)
+    found = example["instruments.voltmeters[2].resource"]
+    search.tell(Findings(IDENTIFY, resources=[FoundResource(found).to_json()]))
+    chosen = {"instruments.voltmeters[2].resource"}  # an address that was found is the bench's own
+    reply = new(anna, **typed)
+    page = anna.get(reply.headers["location"]).text
+    assert still(page) == of_lab - set(typed) - chosen
+    again = anna.post("/bench/form", file="mine", example="bench-lan", sha256=hashed(page), do="show",
+                      **{GRAVITY_FORM: "value of gravity", "gravity": "9.81 m/s^2"}).text  # fmt: skip
+    assert still(again) == of_lab - set(typed) - chosen - {"gravity.height"}
+    assert still(anna.get("/bench/form?file=mine").text) == set()  # nobody knows where the file came from
+    assert anna.get("/bench/form?file=mine&example=../mine").status_code == 404
 
 
 @pytest.mark.parametrize(

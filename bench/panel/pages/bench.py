@@ -28,6 +28,7 @@ from bench.panel.bench_fields import (
     groups_of,
     number_of_meters,
     placed,
+    still_of_example,
     values_of,
 )
 from bench.panel.own_files import (
@@ -97,16 +98,20 @@ _OF_FORM: Final = ("form:", "gravity", "instruments.", "unit_under_test.")
 
 @dataclass
 class BenchForm(EditedFile):
-    """The form of a bench file: the typed values and the groups of fields; `further` are resources to be found."""
+    """The form of a bench file: the typed values and the groups of fields; `further` are resources to be found.
+
+    `example` is the name of the shipped file from which the bench file was made in this form; empty if unknown.
+    """
 
     KIND = CONFIG
-    MOST_FIELDS = 300
+    MOST_FIELDS = 400
     CHANGED = message("Not written: the file changed since this form was opened. See the difference below.")
 
     values: dict[str, str] = field(default_factory=dict)
     groups: list[Group] = field(default_factory=list)
     file: BenchFile | None = None
     further: str = ""
+    example: str = ""
 
     @classmethod
     def _begun(cls, name: str, start: str, new_name: str) -> BenchForm:
@@ -117,11 +122,12 @@ class BenchForm(EditedFile):
         values = _values(shipped)
         if new_name:
             values["name"] = new_name
-        return cls(new_name, start, FileText(shipped.path, shipped.text), values=values)
+        return cls(new_name, start, FileText(shipped.path, shipped.text), values=values, example=start)
 
     def _open(self, asked: Mapping[str, str]) -> None:
         if asked.get("written"):
             self.note = message(f"{self.base.path} was written.")
+        self.example = self.start or asked.get("example", "")
         self._judge()
 
     def _take(self, panel: Panel, given: Mapping[str, str]) -> None:
@@ -138,7 +144,7 @@ class BenchForm(EditedFile):
         self.refusal = _assign(self.values, given, search.found())
         self.values = completed(self.values, _values(self.base))
         self._judge()
-        self.further = given.get("further", "")
+        self.further, self.example = given.get("further", ""), self.start or given.get("example", "")
         do = given.get("do", "show")
         if do in {OFFERS, IDENTIFY}:
             try:
@@ -164,13 +170,19 @@ class BenchForm(EditedFile):
 
     @property
     def _address(self) -> str:
-        return f"/bench/form?file={quote(self.name)}&written=1"
+        example = f"&example={quote(self.example)}" if self.example else ""
+        return f"/bench/form?file={quote(self.name)}&written=1{example}"
 
     def _shown(self, request: Request) -> Response:
         search = search_of(panel_of(request))
         found = search.found()
         tested = found.what == TEST and found.bench == str(self.base.path.absolute())
         results = {row["name"]: row for row in found.instruments} if tested else {}
+        offers = [*dict.fromkeys(row["resource"] for row in found.resources)]
+        if self.example:
+            chosen = {**self.values, **{name: "" for name, text in self.values.items() if text in offers}}
+            example = _values(read_file(shipped_file(CONFIG, self.example)))
+            self.still = still_of_example(chosen, example, self.groups)
         return page(
             request,
             "bench_form.html.j2",
@@ -183,7 +195,7 @@ class BenchForm(EditedFile):
             tested=tested,
             results=_by_place(self.file, results),
             procedures=list(choices("procedures")),
-            offers=[*dict.fromkeys(row["resource"] for row in found.resources)],
+            offers=offers,
         )
 
 

@@ -42,6 +42,8 @@ class EditedFile(ABC):
     base: FileText
     text: str = ""
     placed: Placed = field(default_factory=Placed)
+    still: frozenset[str] = frozenset()
+    """The names of the fields that the laboratory must state itself and that still have the example's value."""
     note: str = ""
     refusal: str = ""
     difference: str = ""

@@ -110,11 +110,11 @@
 
   const askedAnew = (prompt) => {
     const typed = $("typed"), old = shownPrompt, sent = sentFor !== "";
-    const same = old && prompt && old.id.split("#")[0] === prompt.id.split("#")[0];  /* the same step asks again */
+    const same = old && prompt && stepOf(old.id) === stepOf(prompt.id);  /* the same step asks again */
     shownPrompt = prompt;
     sentFor = "";
     const wants = prompt && (prompt.kind === "angle" || prompt.kind === "number");
-    if (!same) typed.value = prompt ? sessionStorage.getItem(DRAFT + prompt.id) || "" : "";
+    if (!same) typed.value = draftFor(prompt);
     show("typing", Boolean(wants));
     if (!prompt) { $("buttons").replaceChildren(); return; }
     show("signs", prompt.kind === "angle" && matchMedia("(pointer: coarse)").matches);
@@ -146,11 +146,19 @@
     check();
   };
 
-  /* What is half typed survives a reload of the page. */
+  /* What is half typed survives a reload of the page and a pause, until a question is answered. */
   const DRAFT = `draft:${location.pathname}:`;
+  const stepOf = (id) => id.split("#")[0], eventOf = (id) => Number(id.split("@").pop());
+  const drafts = () => Object.keys(sessionStorage).filter((key) => key.startsWith(DRAFT));
+  const draftFor = (prompt) => {
+    const key = drafts()[0] || "", asked = key.slice(DRAFT.length), answered = (state.answered || {}).id || "";
+    const counts = answered.startsWith("pause@") || eventOf(answered) < eventOf(asked);
+    if (!counts) sessionStorage.removeItem(key);
+    return counts && prompt && stepOf(asked) === stepOf(prompt.id) ? sessionStorage.getItem(key) || "" : "";
+  };
   const keepDraft = () => {
     if (!shownPrompt) return;
-    for (const key of Object.keys(sessionStorage)) if (key.startsWith(DRAFT)) sessionStorage.removeItem(key);
+    for (const key of drafts()) sessionStorage.removeItem(key);
     if ($("typed").value) sessionStorage.setItem(DRAFT + shownPrompt.id, $("typed").value);
   };
 
