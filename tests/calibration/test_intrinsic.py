@@ -160,3 +160,13 @@ def test_a_change_of_any_of_the_nine_is_found_and_none_is_not():
     assert found.shape == (2, 10, 3)
     assert found[:, :9, 0].mean() > 0.9
     assert not found[:, 9].any()
+
+
+def test_the_advice_on_the_roll_agrees_with_what_the_readings_determine(readings):
+    """As of one angle it asks for a remount; as a common turn, which no installation shows, only for its u."""
+    notes = [" ".join(calibrated(readings, join_verification=join).notes) for join in (False, True)]
+    assert "use the procedure remount-90" in notes[0]
+    assert (
+        "third mounting angle, as a turn common to all" in notes[1] or "third mounting angle" not in notes[1]
+    )
+    assert "remount-90" not in notes[1]
