@@ -149,6 +149,11 @@ def test_of_two_ranges_of_a_certificate_the_last_may_be_emptied():
     assert read_yaml(changed_text(two, emptied, groups_of(emptied))).data == read_yaml(one).data
 
 
+def test_a_range_that_the_file_cannot_take_is_refused(anna):
+    assert new(anna, **{f"{METER}.values[2].range": "10 V"}).status_code == 409
+    assert not Path("config").exists()
+
+
 def test_the_table_of_a_head_stays_where_its_certificate_is_renewed():
     table = ", ".join(
         f"{{angle: {a} deg, correction: 1 arcsec, U: 1 arcsec, k: 2}}" for a in range(0, 360, 45)

@@ -158,7 +158,7 @@ class BenchForm(EditedFile):
         self.groups = groups_of(self.values)
         try:
             self.text = changed_text(self.base.text, self.values, self.groups)
-        except (yaml.YAMLError, TypeError, KeyError, AttributeError) as error:
+        except (yaml.YAMLError, TypeError, LookupError, AttributeError) as error:
             raise Refusal(409, message("the form cannot show this file; correct it in an editor")) from error
         mistakes, self.file = mistakes_in(self.text, self.base.path)
         self.placed = placed(mistakes, self.groups)
