@@ -158,14 +158,16 @@ class Desk:
         started: queue.Queue[tuple[Sequence[str], Process] | None] = queue.Queue()
         replies: list[tuple[int, dict[str, Any]]] = []
 
-        def start(arguments: Sequence[str], log: Path) -> Started:
+        def start(arguments: Sequence[str], log: Path, role: str = "") -> Started:
             process = Process()
             started.put((arguments, process))
             return Started(process, log)  # type: ignore[arg-type]
 
         def pressed() -> None:
-            replies.append(self.browser.ask(f"/runs/{name}/{button}"))
-            started.put(None)
+            try:
+                replies.append(self.browser.ask(f"/runs/{name}/{button}"))
+            finally:
+                started.put(None)
 
         said = Said(0, "")
         with mock.patch.object(launching, "start", start):

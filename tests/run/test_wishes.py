@@ -91,7 +91,7 @@ def test_skip_leaves_the_point_out_with_its_reason(tmp_path):
 
 
 def test_a_mounting_cannot_be_skipped_as_the_readings_after_it_rely_on_it(tmp_path):
-    history, keys, _ = listening(tmp_path, {poll_at("m2"): RunControl(Wish.SKIP, "later")})
+    history, keys, _ = listening(tmp_path, {poll_at("r13"): RunControl(Wish.SKIP, "later")})
     assert keys == READS
     (refused,) = (e for e in history.events if e.type == "wish_refused")
     assert "must be mounted" in refused.data["why"]
