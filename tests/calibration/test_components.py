@@ -24,6 +24,21 @@ def wander_of(case):
     return np.array(found)
 
 
+def calibrated(rng, block=(K, U0), angle_rad=0.0, gain=0.0, decimals=15):
+    """Simulate and calibrate a run; angle and gain (1 sigma) are errors that are new in each pass."""
+    installation, pass_number, point, phi = design()
+    mount = np.array([int(label) - 1 for label in installation])
+    at = mount, np.array(pass_number) - 1
+    stand = rng.normal(0.0, [STAND_U[a] for a in ("axis_tilt", "zero_offset", "mounting_error")], (2, 3))
+    turned = rng.normal(0.0, angle_rad, (2, 3))[at] if angle_rad else 0.0
+    scale = 1.0 + (rng.normal(0.0, gain, (2, 3, 3))[at] if gain else 0.0)
+    setting = turned + rng.normal(0.0, SETTING_U_RAD, len(phi))
+    force = specific_force(installation, phi, *stand[mount].T, setting)
+    signal = force @ block[0].T * scale + block[1] + rng.normal(0.0, 3e-5, force.shape)
+    readings = make_readings(installation, pass_number, point, phi, np.round(signal, decimals))
+    return calibrate(readings, MODEL, STAND_U, 9.81)
+
+
 @pytest.mark.slow
 def test_a_walk_is_seen_as_large_as_it_is_and_seldom_taken_for_hardly_any():
     """A walk that ends 200 uV off (1 sigma) is 82 uV rms about its mean; in few runs its own is less than a third.
@@ -56,20 +71,13 @@ def test_components_of_clean_runs_are_as_rare_as_is_said():
 def test_a_head_whose_zero_moves_between_passes_enters_u():
     """Seeds [47, k], 16 runs: the zero of the head is 10 arcsec off (1 sigma), new in each pass.
 
-    It tilts all readings of a pass alike, which changes Kxy, Kxz, Kyx and Kzx. The two installations draw apart, so
-    the rms of the 64 errors divided by u scatters by 1/8. If each setting is taken to err by itself, it is 2.0.
+    It tilts all readings of a pass alike, which changes Kxy, Kxz, Kyx and Kzx. The errors of the two installations
+    are independent, so the rms of the 64 errors divided by u scatters by 1/8. If each setting is taken to err by
+    itself, it is 2.0.
     """
     found, off = [], []
     for k in range(16):
-        rng = np.random.default_rng([47, k])
-        installation, pass_number, point, phi = design()
-        mount = np.array([int(label) - 1 for label in installation])
-        stand = rng.normal(0.0, [STAND_U[a] for a in ("axis_tilt", "zero_offset", "mounting_error")], (2, 3))
-        of_pass = rng.normal(0.0, 10 * ARCSEC, (2, 3))[mount, np.array(pass_number) - 1]
-        setting = of_pass + rng.normal(0.0, SETTING_U_RAD, len(phi))
-        force = specific_force(installation, phi, *stand[mount].T, setting)
-        signal = force @ K.T + U0 + rng.normal(0.0, 3e-5, force.shape)
-        run = calibrate(make_readings(installation, pass_number, point, phi, signal), MODEL, STAND_U, 9.81)
+        run = calibrated(np.random.default_rng([47, k]), angle_rad=10 * ARCSEC)
         found += [component.what for component in run.shared]
         off.append(((run.block.vector - TRUTH) / np.sqrt(np.diag(run.covariance)))[[1, 2, 3, 6]])
     assert found.count(PASS_ANGLE) >= 12
@@ -87,14 +95,7 @@ def test_a_gain_that_changes_between_passes_enters_u():
     """
     found, off = [], []
     for k in range(16):
-        rng = np.random.default_rng([50, k])
-        installation, pass_number, point, phi = design()
-        mount = np.array([int(label) - 1 for label in installation])
-        stand = rng.normal(0.0, [STAND_U[a] for a in ("axis_tilt", "zero_offset", "mounting_error")], (2, 3))
-        gain = 1.0 + rng.normal(0.0, 60e-6, (2, 3, 3))[mount, np.array(pass_number) - 1]
-        force = specific_force(installation, phi, *stand[mount].T, rng.normal(0.0, SETTING_U_RAD, len(phi)))
-        signal = force @ K.T * gain + U0 + rng.normal(0.0, 3e-5, force.shape)
-        run = calibrate(make_readings(installation, pass_number, point, phi, signal), MODEL, STAND_U, 9.81)
+        run = calibrated(np.random.default_rng([50, k]), gain=60e-6)
         found += [component.size for component in run.shared if component.what == PASS_GAIN]
         off.append(((run.block.vector - TRUTH) / np.sqrt(np.diag(run.covariance_readings)))[[0, 4, 8]])
     assert len(found) >= 36
@@ -112,13 +113,8 @@ def test_passes_do_not_average_an_error_of_rounding():
     off, p = [], []
     for k in range(24):
         rng = np.random.default_rng([48, k])
-        installation, pass_number, point, phi = design()
         own_K, own_U0 = K + rng.uniform(-0.01, 0.01, (3, 3)), U0 + rng.uniform(-0.01, 0.01, 3)
-        mount = np.array([int(label) - 1 for label in installation])
-        stand = rng.normal(0.0, [STAND_U[a] for a in ("axis_tilt", "zero_offset", "mounting_error")], (2, 3))
-        force = specific_force(installation, phi, *stand[mount].T, rng.normal(0.0, SETTING_U_RAD, len(phi)))
-        signal = np.round(force @ own_K.T + own_U0 + rng.normal(0.0, 3e-5, force.shape), 3)
-        run = calibrate(make_readings(installation, pass_number, point, phi, signal), MODEL, STAND_U, 9.81)
+        run = calibrated(rng, (own_K, own_U0), decimals=3)
         off.append((run.block.vector - np.r_[own_K.ravel(), own_U0]) / np.sqrt(np.diag(run.covariance)))
         p.append(run.lack_of_fit.p)
     assert 0.7 < np.sqrt(np.mean(np.square(off))) < 1.15
