@@ -192,7 +192,7 @@ def _opened_at_once(path: Path) -> BinaryIO:
         descriptor = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
     except OSError as error:
         if error.errno == errno.ENXIO:
-            raise OSError(errno.ENXIO, "this is a pipe without a reader; start the reader first") from None
+            raise OSError(errno.ENXIO, "the pipe has no reader; start the reader first") from None
         raise
     os.set_blocking(descriptor, True)
     return os.fdopen(descriptor, "wb")

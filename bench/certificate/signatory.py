@@ -157,14 +157,14 @@ def _check(signatory: Signatory, now: datetime) -> None:
     wrong = []
     public = mine.public_key()
     if isinstance(public, rsa.RSAPublicKey) and public.key_size < _LEAST_RSA_BITS:
-        wrong.append(f"its key has {public.key_size} bits; use one of {_LEAST_RSA_BITS} or more")
+        wrong.append(f"its key has {public.key_size} bits; use a key of {_LEAST_RSA_BITS} bits or more")
     try:
         _proves(public, signatory.sign(b"triaxial-bench"), b"triaxial-bench")
     except (InvalidSignature, ValueError, TypeError):
         wrong.append("it belongs to another key; put the certificate of the key first in its chain")
     if not mine.not_valid_before_utc <= now <= mine.not_valid_after_utc:
         since, until = mine.not_valid_before_utc.date(), mine.not_valid_after_utc.date()
-        wrong.append(f"it is valid from {since} to {until}, not now; use a valid one")
+        wrong.append(f"it is valid from {since} to {until}, not now; use one that is valid now")
     try:
         usage = mine.extensions.get_extension_for_class(x509.KeyUsage).value
     except (x509.ExtensionNotFound, ValueError):
@@ -179,7 +179,7 @@ def _check(signatory: Signatory, now: datetime) -> None:
                 f"'{name_of(below)}' was not issued by '{name_of(above)}', the next in the chain; reorder it"
             )
     if wrong:
-        raise Refused(f"the certificate of '{signatory.name}' cannot be signed with: {'; '.join(wrong)}")
+        raise Refused(f"the certificate of '{signatory.name}' cannot be used for signing: {'; '.join(wrong)}")
 
 
 def _proves(public: object, signature: bytes, message: bytes) -> None:

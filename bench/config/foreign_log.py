@@ -205,7 +205,8 @@ def _require(path: Path, header: Sequence[str], mapping: LogColumns) -> None:
     missing = [name for name in dict.fromkeys(wanted) if name not in header]
     if missing:
         raise ReadingsError(
-            f"{path}, line 1: the header lacks {', '.join(missing)}; the log has {', '.join(header)}"
+            f"{path}, line 1: the log lacks the columns {', '.join(missing)} that the mapping names; correct the "
+            f"mapping (the log has {', '.join(header)})"
         )
     for name in wanted:
         if len(at := [str(k) for k, one in enumerate(header, start=1) if one == name]) > 1:

@@ -316,8 +316,8 @@ def judged(
         )
     if not any(effect.verdict for effect in effects):
         raise CalibrationError(
-            "these readings could not show what the model has: at its values it is too small beside their noise "
-            f"({'; '.join(seen)}, in units of noise); measure with the procedure in which it was found, or "
+            "these readings cannot confirm the model: its effects are too small for their noise "
+            f"({'; '.join(seen)}, in units of noise); measure with the procedure in which they were found, or "
             "more passes"
         )
     return tuple(effects)

@@ -139,7 +139,8 @@ def diagnose(
             *(finding.words for finding in findings),
             *(kind.words for kind in kinds),
             *(
-                f"left out: {one.variant.family} (ln odds {one.total:.1f}); held-out readings do not confirm it"
+                f"left out of the model: {one.variant.family} (ln odds {one.total:.1f}), because held-out "
+                "readings do not confirm it; more passes may"
                 for one in weak
             ),
             *assumed(linear),

@@ -107,7 +107,9 @@ def accept_certificate(request: ReadCertificate, section: str) -> str:
     have mistakes.
     """
     if request.into is None or not request.instrument or not request.by:
-        raise Refused("accepting a certificate needs --into FILE, --instrument NAME and --by NAME")
+        raise Refused(
+            "accepting a certificate needs --into FILE, --instrument NAME and --by NAME; add the missing ones"
+        )
     name, path = checked_name(request.by), Path(request.into)
     if (register := persons_of(laboratory_known(None))) is not None:
         register.chosen(name, Right.AUTHORISE, "--by")

@@ -70,7 +70,7 @@ def looking(request: Request) -> Person:
     """Return the signed-in person who requests a page. Raises `Refusal` if nobody is signed in."""
     person = person_of(request)
     if person is None:
-        raise Refusal(401, message("sign in first"))
+        raise Refusal(401, message("nobody is signed in; sign in first"))
     return person
 
 
@@ -109,13 +109,18 @@ async def fields(request: Request, most: int = MOST_FIELDS) -> dict[str, str]:
         elif kind == "application/x-www-form-urlencoded" or not body:
             given = dict(parse_qsl(body.decode(), keep_blank_values=True, max_num_fields=most))
         else:
-            raise Refusal(415, message("send a form or a JSON object"))
+            raise Refusal(
+                415, message("the request is neither a form nor JSON; send a form or a JSON object")
+            )
     except ValueError:
-        raise Refusal(400, message("send a form or valid JSON")) from None
+        raise Refusal(400, message("the request cannot be read; send a form or valid JSON")) from None
     if isinstance(given, dict) and len(given) > most:
         raise Refusal(400, message(f"at most {most} fields are accepted; send fewer"))
     if not isinstance(given, dict) or not all(isinstance(value, str) for value in given.values()):
-        raise Refusal(400, message("send a JSON object whose values are texts"))
+        raise Refusal(
+            400,
+            message("the request's JSON is no object of texts; send a JSON object whose values are texts"),
+        )
     return given
 
 

@@ -284,8 +284,8 @@ def _signal_suffix(path: Path, header: list[str]) -> str:
     missing = [name for name in REQUIRED if name not in header]
     if len(present) > 1:
         raise ReadingsError(
-            f"{path}, line 1: signal columns in different units ({', '.join(present)}); "
-            "use one unit for all three, such as ux_v, uy_v, uz_v"
+            f"{path}, line 1: signal columns in different units ({', '.join(present)}); convert them to one "
+            "unit, such as ux_v, uy_v, uz_v"
         )
     suffix = present[0] if present else "v"
     missing += [f"u{axis}_{suffix}" for axis in "xyz" if f"u{axis}_{suffix}" not in header]
@@ -480,7 +480,9 @@ def read_centrifuge(path: Path) -> CentrifugePoints:
     names = (*FORCES, *UNCERTAIN, *SIGNALS)
     missing = [name for name in names if name not in header]
     if missing:
-        raise ReadingsError(f"{path}, line 1: the header lacks {', '.join(missing)}; points have {EXAMPLE}")
+        raise ReadingsError(
+            f"{path}, line 1: the header lacks {', '.join(missing)}; add these columns: points have {EXAMPLE}"
+        )
     rows, bad = [], []
     for line, cells in body:
         text = dict(zip(header, cells, strict=False))

@@ -244,7 +244,9 @@ def together(parts: Sequence[JoinedPart]) -> Readings:
     units = {part.readings.unit: part.readings.source for part in parts}
     if len(units) > 1:
         each = ", ".join(f"{source} in {unit}" for unit, source in units.items())
-        raise ValueError(f"use one unit for readings evaluated together, not {each}")
+        raise ValueError(
+            f"the readings are in different units ({each}); evaluate the files of each unit separately"
+        )
     ordered, starts, real = _starts(parts)
     tables: list[Readings] = []
     notes: list[str] = []

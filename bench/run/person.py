@@ -517,7 +517,11 @@ def confirm(person: Person, prompt: Prompt) -> None:
             return
         text = message(f"There is no hurry: answer yes when it is done. {prompt.text}")
         put = replace(prompt, id=f"{prompt.id}#wait{wait}", text=text)
-    raise BenchError("operator", f"answered no several times to: {prompt.text}", "do it, then resume the run")
+    raise BenchError(
+        "operator",
+        f"answered no several times to: {prompt.text}",
+        "do what the question asks, then resume the run",
+    )
 
 
 def agree(person: Person, prompt: Prompt) -> None:

@@ -175,7 +175,7 @@ def duration_s(option: str, text: str) -> float:
     """Return the time (s) in the `text` of an option. Raises `Refused` for an invalid time."""
     seconds = quantity(option, text, DURATION, plain=False)
     if seconds < 0:
-        raise Refused(f"{option} {text}: give a time of 0 or more")
+        raise Refused(f"{option} {text}: the time is negative; give a time of 0 or more")
     return seconds
 
 

@@ -181,8 +181,8 @@ def _refuse_below_floor(found: Sequence[Floor]) -> None:
     others = list(dict.fromkeys(f.wanted.name for f in found if f.wanted.name != worst.wanted.name))
     raise Refused(
         f"--until: no number of readings at these points lowers the {worst.wanted.name} below "
-        f"{size_in_words(worst.u, unit)}, and {size_in_words(worst.wanted.goal.asked, unit)} is asked for; "
-        f"what makes it: {parts}"
+        f"{size_in_words(worst.u, unit)}, but {size_in_words(worst.wanted.goal.asked, unit)} is asked for; its "
+        f"main causes: {parts}"
         + (f"; nor the {', '.join(others)}" if others else "")
         + "; relax the goal, or reduce these errors"
     )
@@ -374,8 +374,8 @@ def _hints(bench: BenchFile) -> Iterator[str]:
     for meter in bench.instruments.voltmeters:
         if is_serial(meter.resource) and meter.interface == "lan":
             yield (
-                f"{meter.name}: {meter.resource} is a serial port, where a real meter needs remote mode; "
-                "state 'interface: rs232' (without it, it counts as a meter of 'bench simulate')"
+                f"{meter.name}: {meter.resource} is a serial port, where a real meter needs remote mode; state "
+                "'interface: rs232' (without this line, the program takes it for a meter of 'bench simulate')"
             )
 
 

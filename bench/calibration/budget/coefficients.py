@@ -187,7 +187,8 @@ def make_setup(
     setup = Setup(chain, conditions, about, meters_of(bench))
     if not np.any(setup.fitted):
         raise CalibrationError(
-            f"{plan.name}: has verification points only; a calibration needs installations"
+            f"{plan.name}: the procedure has verification points only, but a calibration needs readings in "
+            "installations of known orientation; choose another procedure"
         )
     return setup
 

@@ -101,7 +101,7 @@ def can_come_about(
         raise ValueError(f"state an interval above 0 and at most {span}")
     if timeout_s > MOST_SAMPLES * interval_s:
         raise ValueError(
-            f"this interval takes more than {MOST_SAMPLES} samples until the timeout; lengthen it"
+            f"the interval would take more than {MOST_SAMPLES} samples until the timeout; lengthen the interval"
         )
     if timeout_s < span_s + interval_s:
         raise ValueError(f"state a timeout of at least {span} and one interval")
@@ -244,7 +244,7 @@ class ErrorSize(FileModel):
         if self.distribution == "normal" and self.k is None:
             raise ValueError("state 'k', the limit of a normal distribution in standard deviations")
         if self.distribution == "rectangular" and self.k is not None:
-            raise ValueError("a rectangular distribution has no 'k'; remove it")
+            raise ValueError("a rectangular distribution has no 'k'; remove 'k'")
         return self
 
     def to_distribution(self) -> Distribution:
@@ -373,7 +373,9 @@ class StatedRule(FileModel):
     @model_validator(mode="after")
     def _band_with_its_rule(self) -> Self:
         if self.rule == "simple acceptance" and self.guard_band is not None:
-            raise ValueError("simple acceptance has no guard band; remove it, or state 'rule: guarded'")
+            raise ValueError(
+                "simple acceptance has no guard band; remove 'guard_band', or state 'rule: guarded'"
+            )
         return self
 
 

@@ -367,7 +367,10 @@ class Certificate(FileModel):
     def _later(cls, until: datetime.date | None, info: ValidationInfo) -> datetime.date | None:
         begun = info.data.get("date")
         if until is not None and begun is not None and until < begun:
-            raise ValueError(f"the certificate is of {begun}: but expired before, on {until}")
+            raise ValueError(
+                f"the certificate expired on {until}, before its own date {begun}; correct one of "
+                "the two dates"
+            )
         return until
 
     def years_until(self, day: datetime.date) -> float:

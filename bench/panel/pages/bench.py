@@ -134,11 +134,16 @@ class BenchForm(EditedFile):
         """Take over the typed values; begin a search if its button was pressed. Raises `Refusal` for odd texts."""
         for text in given.values():
             if len(text) > LONGEST and "\n" not in text:
-                raise Refusal(400, message(f"shorten the field to at most {LONGEST} characters"))
+                raise Refusal(
+                    400,
+                    message(f"the text of a field is too long; shorten it to at most {LONGEST} characters"),
+                )
         for name, text in given.items():
             if name in OF_BENCH or name.startswith(_OF_FORM):
                 if visible(text) != text or not (text.isprintable() or not text):
-                    raise Refusal(400, message(f"{name}: use printable characters only"))
+                    raise Refusal(
+                        400, message(f"{name}: the text has characters that cannot be printed; remove them")
+                    )
                 self.values[name] = text.strip()
         search = search_of(panel)
         self.refusal = _assign(self.values, given, search.found())
@@ -159,7 +164,13 @@ class BenchForm(EditedFile):
         try:
             self.text = changed_text(self.base.text, self.values, self.groups)
         except (yaml.YAMLError, TypeError, LookupError, AttributeError) as error:
-            raise Refusal(409, message("the form cannot show this file; correct it in an editor")) from error
+            raise Refusal(
+                409,
+                message(
+                    "the form cannot show this file, because the file is not valid YAML or a "
+                    "section has the wrong structure; correct the file in an editor"
+                ),
+            ) from error
         mistakes, self.file = mistakes_in(self.text, self.base.path)
         self.placed = placed(mistakes, self.groups)
 
