@@ -383,7 +383,7 @@ def make_table(model: TemperatureModel, reach_g: float, step_k: float | None = N
     if step_k is not None:
         if not (np.isfinite(step_k) and span / MOST_STEPS <= step_k <= span):
             raise CalibrationError(
-                f"a step of {step_k:g} K does not fit a table from {low:.1f} to {high:.1f} °C; state one "
+                f"a step of {step_k:g} K does not fit a table from {low:.1f} to {high:.1f} °C; give a step "
                 f"between {span / MOST_STEPS:.2g} and {span:.3g} K"
             )
         return _table(model, reach_g, int(np.ceil(span / step_k - 1e-9)))

@@ -395,7 +395,7 @@ def handed_out(register: Register, number: str, folder: Path) -> list[Path]:
     entry = issued(register, number).entry
     contents = {name: register.file(name) for name in entry.files}
     if folder.absolute() == register.folder.absolute():
-        raise Refused(f"--out {folder}: that is the register's own folder; name another")
+        raise Refused(f"--out {folder}: this is the register's own folder; name another folder")
     folder.mkdir(parents=True, exist_ok=True)
     for name, content in contents.items():
         write_whole(folder / name, content)

@@ -121,7 +121,9 @@ def certificates_in(file: Path) -> tuple[Certificate, ...]:
         with refusing("check name and permissions", file, verb="read"):
             return tuple(x509.load_pem_x509_certificates(read_given(file)))
     except ValueError as error:
-        raise Refused(f"{file}: it has no X.509 certificate (PEM); give the chain's file") from error
+        raise Refused(
+            f"{file}: the file has no X.509 certificate (PEM); give the file of the certificate chain"
+        ) from error
 
 
 def _in_file(file: Path, chain: Path | None, passphrase: Callable[[], bytes]) -> Signatory:
@@ -227,7 +229,9 @@ def signatory_in_token(
             session.close()  # otherwise the next caller finds the token still logged in
             raise
     except UnicodeDecodeError as error:
-        raise Refused(f"{told}: type the PIN in UTF-8") from error
+        raise Refused(
+            f"{told}: the PIN is not UTF-8 text; set the terminal to UTF-8, and type it again"
+        ) from error
     except pkcs11.exceptions.PKCS11Error as error:
         reason = str(error) or type(error).__name__
         raise Refused(

@@ -117,7 +117,7 @@ def _factor(name: str, unit: str | None) -> float:
         return 1.0
     if name.endswith("_c"):
         if plain_unit(unit) not in TEMPERATURES:
-            raise ValueError(f"{name} is a temperature: its unit is degC, K or degF")
+            raise ValueError(f"the unit {unit} of {name} is no unit of temperature; state degC, K or degF")
         return TEMPERATURES[plain_unit(unit)][0]
     size, dimension = unit_of(plain_unit(unit))
     if wanted is None or dimension != unit_of(wanted)[1]:
@@ -160,7 +160,9 @@ def convert_log(
         raise ReadingsError(f"{path}: not a UTF-8 text file; save it as UTF-8") from error
     separator = {"tab": "\t", "\\t": "\t"}.get(mapping.separator, mapping.separator)
     if len(separator) != 1:
-        raise ReadingsError(f"{path}: the separator of a log is one character or 'tab', not {separator!r}")
+        raise ReadingsError(
+            f"{path}: the separator {separator!r} is not one character; state one character, or 'tab'"
+        )
     lines = [
         (number, line)
         for number, line in enumerate(text.splitlines(), start=1)

@@ -260,8 +260,8 @@ def _refuse_header(path: Path, header: list[str], example: str) -> None:
         raise ReadingsError(f"{path}: empty; expected a header line such as {example}")
     if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
         raise ReadingsError(
-            f"{path}, line 1: separate columns by commas, and write decimals with a dot "
-            "('bench import --columns MAP.yaml' reads other logs)"
+            f"{path}, line 1: the columns are not separated by commas; separate them by commas, and write "
+            "decimals with a dot ('bench import --columns MAP.yaml' reads other logs)"
         )
     twice = sorted(map(shortened, repeated(header)))
     if twice:

@@ -197,7 +197,7 @@ def parse_wish(text: str) -> RunControl:
         known = ", ".join(f"{SIGN}{w.value}" for w in Wish)
         raise ValueError(f"{SIGN}{word} is unknown; type one of {known}") from None
     if wish is Wish.SKIP and not reason.strip():
-        raise ValueError(f"give a reason: {SIGN}skip REASON")
+        raise ValueError(f"a skip needs a reason; type {SIGN}skip REASON")
     return RunControl(wish, reason.strip(), by_person=True)
 
 

@@ -291,7 +291,8 @@ def _parts(
     if files:
         if len(section.reference) > 1:
             raise Refused(
-                "check_block: reference: state one result of 'bench calibrate --json' or runs, not both"
+                "check_block: reference: a result of 'bench calibrate --json' stands beside other entries; "
+                "state this result alone, or runs alone"
             )
         return [], runs, _reference((of_bench or Path()).parent / files[0], g_m_s2)
     if section.reference:

@@ -113,7 +113,8 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
         ) from error
     if not isinstance(theirs, str) or per != "g" or not isinstance(simulated, bool):
         raise Refused(
-            f"{where}: not a result of 'bench calibrate --json': check its members unit, per and simulated"
+            f"{where}: not a result of 'bench calibrate --json' (its members unit, per or simulated are wrong); "
+            "give a file that calibrate wrote"
         )
     if noise < 0 or g_m_s2 <= 0:
         raise Refused(f"{where}: has a negative noise or gravity; calibrate again")

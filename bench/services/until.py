@@ -117,7 +117,7 @@ def stated_aim(texts: Sequence[str], stand: design.Stand, bench: BenchFile) -> A
     for combined, asked_of in sizes.items():
         wanted += [UntilGoal(goal, combined) for goal in design.coefficient_goals(asked_of)]
     if not wanted and limit_s is None:
-        raise Refused(f"--until: give a goal, such as {EXAMPLE}")
+        raise Refused(f"--until: no goal is stated; state one, such as {EXAMPLE}")
     if not wanted:
         return Aim((UntilGoal(design.vector_goal(stand.block, 1.0, NO_GOAL)),), limit_s)
     whole = UntilGoal(design.whole_goal(stand.block, [one.goal for one in wanted]))
@@ -302,7 +302,7 @@ def outlook_until(
 def look_ahead(request: Check) -> Findings:
     """Return the findings of `bench check`: plan and expected outcome. Raises `Refused` with all mistakes."""
     if request.procedure is None:
-        raise Refused("name a procedure to check, or give --morning to check the bench")
+        raise Refused("no procedure is named; name one to check, or check the bench with --morning")
     plan, file = _load(request.procedure, request.bench)
     found = findings_of(plan, file, runs_folder(request.runs))
     if not request.until:

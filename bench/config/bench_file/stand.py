@@ -96,15 +96,15 @@ def can_come_about(
 ) -> None:
     """Raise `ValueError` if no samples meet a criterion: a `size` called `what`, kept in a time called `span`."""
     if size <= 0.0:
-        raise ValueError(f"state a {what} above 0: no two samples are equal")
+        raise ValueError(f"the {what} is not above 0, but no two samples are equal; state one above 0")
     if not 0.0 < interval_s <= span_s:
-        raise ValueError(f"state an interval above 0 and at most {span}")
+        raise ValueError(f"the interval is not between 0 and {span}; state one above 0 and at most {span}")
     if timeout_s > MOST_SAMPLES * interval_s:
         raise ValueError(
             f"the interval would take more than {MOST_SAMPLES} samples until the timeout; lengthen the interval"
         )
     if timeout_s < span_s + interval_s:
-        raise ValueError(f"state a timeout of at least {span} and one interval")
+        raise ValueError(f"the timeout is too short; state at least {span} and one interval")
 
 
 class DriftForm(FileModel):
@@ -242,7 +242,7 @@ class ErrorSize(FileModel):
     @model_validator(mode="after")
     def _k_where_normal(self) -> ErrorSize:
         if self.distribution == "normal" and self.k is None:
-            raise ValueError("state 'k', the limit of a normal distribution in standard deviations")
+            raise ValueError("a normal distribution needs 'k', its limit in standard deviations; add 'k'")
         if self.distribution == "rectangular" and self.k is not None:
             raise ValueError("a rectangular distribution has no 'k'; remove 'k'")
         return self
@@ -326,7 +326,7 @@ class ScaleFactors(FileModel):
     @classmethod
     def _not_zero(cls, scale_v_g: float) -> float:
         if scale_v_g == 0.0:
-            raise ValueError("state a scale factor other than 0")
+            raise ValueError("the scale factor is 0; state another number")
         return scale_v_g
 
     @property
@@ -499,7 +499,10 @@ class ZeroRepeats(FileModel):
     @model_validator(mode="after")
     def _one_of_them(self) -> Self:
         if sum(one is not None for one in (self.restart, self.drift, self.scale)) != 1:
-            raise ValueError("state one of restart, drift and scale, with a size for each channel")
+            raise ValueError(
+                "not one of restart, drift and scale is stated, but none or several; state one, "
+                "with a size for each channel"
+            )
         return self
 
 

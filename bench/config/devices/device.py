@@ -319,7 +319,7 @@ class RangeValues(FileModel):
     @model_validator(mode="after")
     def _says_something(self) -> RangeValues:
         if self.gain is None and self.offset is None:
-            raise ValueError("state 'gain', 'offset' or both for this range")
+            raise ValueError("the range has neither 'gain' nor 'offset'; state one or both")
         if self.offset is not None and abs(self.offset.correction) > LARGEST_GAIN * self.range:
             raise ValueError(
                 f"state a zero correction within 1 % of the range, not {self.offset.correction:g} V"

@@ -291,7 +291,7 @@ class MotorisedHeadForm(HeadForm, WiredForm):
                 f"sides; widen them, or shorten the back-off of {math.degrees(self.backoff):g}°"
             )
         if self.backoff <= self.tolerance:
-            raise ValueError("state a back-off above the tolerance")
+            raise ValueError("the back-off is not above the tolerance; state a larger back-off")
         return self
 
     def travel(self) -> dict[str, float]:
@@ -333,9 +333,9 @@ class ReadOutHeadForm(HeadForm, WiredForm):
     @model_validator(mode="after")
     def _can_be_come_to(self) -> ReadOutHeadForm:
         if self.backoff <= self.tolerance:
-            raise ValueError("state a back-off above the tolerance")
+            raise ValueError("the back-off is not above the tolerance; state a larger back-off")
         if self.settle == 0.0:
-            raise ValueError("state 'settle' above 0 s, because the head must rest for this time")
+            raise ValueError("'settle' is 0 s, but the head must rest for this time; state a time above 0 s")
         if self.hands_free and self.typed:
             raise ValueError("state 'hands_free' or 'typed', not both: typing needs a hand")
         return self
