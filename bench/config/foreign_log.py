@@ -17,6 +17,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -32,7 +33,7 @@ from bench.base.text import shortened
 from bench.base.units import plain_unit, unit_of
 from bench.base.yaml_files import FileModel, Place
 from bench.readings.csv import LISTED_AT_ONCE, ReadingsError
-from bench.readings.table import REFERENCE_SD_V, REFERENCE_V, UNITS
+from bench.readings.table import REFERENCE_SD_V, REFERENCE_V, SCAN_ORDER, TEMPERATURE_SOURCE, UNITS
 
 SUFFIXES: Final[Mapping[str, str]] = {"_v": "V", "_s": "s", "_a": "A"}
 """The SI unit of a column of a readings file, by its suffix; other columns are not converted."""
@@ -41,6 +42,9 @@ SCATTER: Final[Mapping[str, str]] = {REFERENCE_V: REFERENCE_SD_V} | {
 }
 """The columns of a readings file that have a column of scatter, with its name."""
 TIME: Final = "time_s"
+INSTALLATION: Final = "installation"
+TEXTS: Final = (INSTALLATION, SCAN_ORDER, TEMPERATURE_SOURCE)
+"""The columns of a readings file whose cells are texts, taken as they are written in the log."""
 TEMPERATURES: Final[Mapping[str, tuple[float, float]]] = {
     "degC": (1.0, 0.0), "K": (1.0, -273.15), "degF": (5.0 / 9.0, -160.0 / 9.0),
 }  # fmt: skip
@@ -64,7 +68,8 @@ class LogColumn(FileModel):
 
     With a `time_format`, the cells of several columns of time (date and time of day) are joined by a blank instead.
     The scatter of several columns is kept for a signal (`ux_sd_v`) and for `reference_v` (`reference_sd_v`) alone.
-    `unit` is the unit in the log. `add`, in the unit of the readings file, is added to the mean.
+    `unit` is the unit in the log. `add`, in the unit of the readings file, is added to the mean. A label of an
+    installation may be written as a decimal number: 1.0 is 1.
     """
 
     columns: Annotated[tuple[str, ...], BeforeValidator(_listed)]
@@ -89,11 +94,16 @@ class LogColumns(FileModel):
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield place and sentence for a unit that does not fit its column, and a column that a mean has twice."""
+        """Yield place and sentence for a unit that does not fit its column, and columns that make no mean."""
         columns = data.get("columns") if isinstance(data, dict) else None
         for name, value in columns.items() if isinstance(columns, dict) else ():
             unit = value.get("unit") if isinstance(value, dict) else None
             listed = value.get("columns") if isinstance(value, dict) else value
+            if name in TEXTS:
+                several = isinstance(listed, list) and len(listed) != 1
+                if several or (isinstance(value, dict) and {"unit", "add"} & set(value)):
+                    yield ("columns", name), f"{name} is a text; name one column, without 'unit' and 'add'"
+                continue
             for one in _repeated(listed) if isinstance(listed, list) else ():
                 yield ("columns", name), f"the mean has the column {shortened(str(one))} twice; list it once"
             if isinstance(unit, str):
@@ -217,6 +227,11 @@ def _require(path: Path, header: Sequence[str], mapping: LogColumns) -> None:
             )
 
 
+def _text(name: str, cell: str) -> str:
+    """Return a cell of a column of `TEXTS`; a label such as 1.0 becomes 1."""
+    return re.sub(r"^(\d+)[.,]0*$", r"\1", cell) if name == INSTALLATION else cell
+
+
 class _HourRepeatedError(Exception):
     """Local time goes back as if a clock was put back: all times after it may be an hour too early."""
 
@@ -247,6 +262,9 @@ class _Rows:
             raise ValueError(f"expected {len(self._header)} cells as in the header, got {len(cells)}")
         values, scatter = [], []
         for name, column in self.mapping.columns.items():
+            if name in TEXTS:
+                values.append(_text(name, cells[self._at[name][0]].strip()))
+                continue
             if name == TIME and self.mapping.time_format is not None:
                 joined = " ".join(cells[k].strip() for k in self._at[name])
                 numbers = [self._since_begin(" and ".join(column.columns), joined)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -68,6 +69,10 @@ AS_TEXT: Final = (
     *LEVEL_COLUMNS,
 )
 """Documented columns that are kept as text."""
+
+
+_OTHER_UNIT: Final = re.compile(r"u[xyz]_(?!sd_)(\w+)")
+"""Pattern of a column of a signal; its group is the suffix for the unit."""
 
 
 class ReadingsError(ValueError):
@@ -290,11 +295,29 @@ def _signal_suffix(path: Path, header: list[str]) -> str:
     suffix = present[0] if present else "v"
     missing += [f"u{axis}_{suffix}" for axis in "xyz" if f"u{axis}_{suffix}" not in header]
     if missing:
+        hint = "" if present else _on_units(header)
+        if not hint and not set(REQUIRED) & set(header):
+            hint = " ('bench import --columns MAP.yaml' reads other logs)"
         raise ReadingsError(
-            f"{path}, line 1: the header lacks {', '.join(missing)}; expected at least {_example_header()}"
-            + ("" if set(REQUIRED) & set(header) else " ('bench import --columns MAP.yaml' reads other logs)")
+            f"{path}, line 1: the header lacks {', '.join(missing)}; expected at least {_example_header()}{hint}"
         )
     return suffix
+
+
+def _on_units(header: Iterable[str]) -> str:
+    """Return what to do about a signal in a unit that readings files do not take; "" if there is none."""
+    found = next(filter(None, map(_OTHER_UNIT.fullmatch, header)), None)
+    if found is None:
+        return ""
+    read = ", ".join(f"{unit} (ux_{suffix})" for suffix, unit in UNITS.items())
+    mapped = f"{{columns: {found[0]}, unit: {found[1][:-1]}V}}"
+    by_map = (
+        f", or let 'bench import --columns MAP.yaml' convert them, by {found[0][:3]}v: {mapped} in MAP.yaml"
+    )
+    return (
+        f"; signals are read in {read} only, not as {found[0]}: convert them"
+        f"{by_map if found[1].endswith('v') else ''}"
+    )
 
 
 def _example_header() -> str:

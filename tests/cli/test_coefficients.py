@@ -180,7 +180,7 @@ def test_a_result_that_used_temperature_is_written_without_it_only_on_request(be
     (tmp_path / "warm.json").write_text(json.dumps(told))
     status, _, err = bench("coefficients", "warm.json", "--as", "csv")
     assert status == 2
-    assert "used temperature (thermal_bias" in err
+    assert "corrected for temperature (thermal_bias" in err
     assert "--without-temperature" in err
     status, out, _ = bench("coefficients", "warm.json", "--as", "csv", "--without-temperature")
     assert status == 0

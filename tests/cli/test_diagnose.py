@@ -261,7 +261,7 @@ def test_the_copy_of_a_run_stands_in_its_folder_and_tells_where_it_comes_from(be
         (["none.csv"], "none.csv: no such readings file"),
         (["null.csv", "--json", "nowhere/d.json"], "no such folder; create it or name another"),
         (["null.csv", "--model", "null.csv"], "null.csv"),
-        (["null.csv", "counts.csv", "--together"], "use one unit"),
+        (["null.csv", "counts.csv", "--together"], "evaluate the files of each unit separately"),
         (["null.csv", "null.csv"], "two sources would write"),
         (["short.csv"], "short.csv, line 1: the header lacks"),
     ],

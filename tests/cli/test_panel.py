@@ -30,7 +30,7 @@ def test_a_token_is_told_once(bench):
 @pytest.mark.parametrize(
     ("typed", "said"),
     [
-        (["token"], "name the person: bench panel token NAME"),
+        (["token"], "no person is named; give the name: bench panel token NAME"),
         (["revoke", "ben"], "ben: has no token"),
         (["token", "ben", "--role", "king"], "choose from viewer, operator, supervisor"),
         (["link"], "no panel serves this folder"),

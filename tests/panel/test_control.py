@@ -163,8 +163,8 @@ def test_resuming_takes_control_where_nobody_has_it(anna, runs, one, monkeypatch
 def test_a_file_that_cannot_be_written_is_refused_with_its_remedy(anna, one, alive, monkeypatch):
     anna.ask("/runs/one/control", do="take")
     for number, remedy in (
-        (errno.ENOSPC, "free the disk"),
-        (errno.EROFS, "make the folder of the run writable"),
+        (errno.ENOSPC, "free disk space"),
+        (errno.EROFS, "make it writable"),
     ):
 
         def fails(*_, number=number):

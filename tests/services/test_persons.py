@@ -145,7 +145,7 @@ def test_an_operator_is_picked_and_the_record_keeps_what_was_known(bench, labora
         "register": persons_of(laboratory).head,
     }
     said = refused(bench("run", "quick", "--bench", "bench-lan", *more))
-    assert "say --operator NAME, one of: A. Example" in said
+    assert "give --operator NAME, one of: A. Example" in said
 
 
 @pytest.mark.slow

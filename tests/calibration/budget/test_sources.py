@@ -115,7 +115,7 @@ def test_gravity_as_a_number_is_known_to_its_last_digit(tmp_path, written, u):
 
 
 def test_mistakes_in_the_section_are_told(tmp_path):
-    with pytest.raises(FileMistakes, match=r"voltmeter_gain.*'k', the limit of a normal"):
+    with pytest.raises(FileMistakes, match=r"voltmeter_gain.*a normal distribution needs 'k'"):
         edited(tmp_path, uncertainty={"voltmeter_gain": {"limit": "35 ppm", "distribution": "normal"}})
     wrong = {"bias_temperature_coefficient": {"limit": "30 ug", "distribution": "rectangular"}}
     with pytest.raises(FileMistakes, match="temperature coefficient of the bias"):

@@ -51,7 +51,7 @@ def listings():
          '/dev/ttyUSB2::INSTR"\n      interface: rs232\n      serial: {baud_rate: 115200', "",
          "voltmeters[3].serial: expected one of 300, 600, 1200, 2400, 4800, 9600, got '115200'"),
         ("bench-multiplexer", "x: 101, y: 102", "x: 121, y: 102", "inputs:",
-         "a 34901A has only the channels 101 to 120, 201 to 220, 301 to 320, not 121"),
+         "a 34901A has no channel 121; choose from 101 to 120, 201 to 220, 301 to 320"),
         ("bench-multiplexer", "y: 102", "y: 101", "inputs:", "two signals share one channel"),
         ("bench-multiplexer", ", z: 103", "", "voltmeters:", "no voltmeter reads channel z"),
         ("bench-multiplexer", "channel_delay: 0.1 s", "channel_delay: 61 s", "channel_delay:",

@@ -49,11 +49,15 @@ def test_with_seven_bits_no_pseudo_terminal_stands_for_its_port():
             "correct the pattern: the angle in the example is not a number, but 'POS=45'",
         ),
         ("encoder-line", {"errors": {"POS=+999.99999": "none"}}, r"matches the error 'POS=\+999.99999'"),
-        ("encoder-line", {"unit": "counts"}, "state 'counts_per_turn' if, and only if, the unit is counts"),
+        (
+            "encoder-line",
+            {"unit": "counts"},
+            "the unit counts needs 'counts_per_turn', and no other unit takes it",
+        ),
         (
             "encoder-line",
             {"counts_per_turn": 4096},
-            "state 'counts_per_turn' if, and only if, the unit is counts",
+            "the unit counts needs 'counts_per_turn', and no other unit takes it",
         ),
         ("encoder-line", {"request": "POS\r"}, "line ends are stated by"),
     ],

@@ -145,7 +145,7 @@ def test_many_mistakes_are_told_at_once_with_their_lines(mistakes, paper_text, l
          "scale_factors.x: 1 g gives 218 V, but the voltmeters read no more than 12 V"),
         ("-2.177087 V/g", "-11.99 V/g", "simulation.block.K[1]: channel x reaches 12.1 V in a turn"),
         ("-2.177087 V/g, ", "", "simulation.block.K[1]: expected a list of at least 3, got a list of 2"),
-        ("x: -2.18 V/g", "x: 0 V/g", "state a scale factor other than 0"),
+        ("x: -2.18 V/g", "x: 0 V/g", "the scale factor is 0; state another number"),
         ("  V: {axes", "  S: {axes", "installations.S: F (free), S (shorted), R (reference)"),
         ("about: z}", "about: w}", "expected x, y or z, got 'w'"),
         ("turned: 45 deg", "turned: 45", "got '45' without a unit"),
