@@ -246,7 +246,9 @@ class Store:
                 table = parquet.read_table(part, columns=["run", "fingerprint"])
             except (OSError, ValueError, KeyError) as problem:
                 first = str(problem).splitlines()[0]
-                raise Refused(f"{part}: damaged ({first}); delete it: its runs are computed again") from None
+                raise Refused(
+                    f"{part}: damaged ({first}); delete this file, and its runs are computed again"
+                ) from None
             for run, mark in zip(table["run"].to_pylist(), table["fingerprint"].to_pylist(), strict=True):
                 if mark in done.get(run, ()):
                     raise Refused(

@@ -269,7 +269,7 @@ def bodies_of(certificate: Certificate, schemas: etree.XMLSchema | None = None) 
     wrong = [*broken_rules(xml), *(() if schemas is None else against_schemas(schemas, xml))]
     if wrong:
         raise Refused(
-            f"{certificate.number}: its document is not a valid DCC; correct the laboratory and "
+            f"{certificate.number}: the XML of the certificate is not a valid DCC; correct the laboratory and "
             f"order files: {'; '.join(wrong[:5])}"
         )
     return {"xml": xml, "pdf": _body(certificate, xml)}
@@ -384,8 +384,8 @@ def _same(register: Register, number: str, runs: Path, problems: list[str]) -> b
     wrong = [name for name, digest in again.items() if stated[name] != digest]
     if wrong:
         problems.append(
-            f"{number}: its {' and '.join(wrong)}, made again, differs from the issued file; compare the run and "
-            "the program's version with those at issue, and restore what changed"
+            f"{number}: {' and '.join(wrong)} of the certificate, made again, differs from the issued file; "
+            "compare the run and the program's version with those at issue, and restore what changed"
         )
     return not wrong
 

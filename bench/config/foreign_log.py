@@ -182,7 +182,7 @@ def convert_log(
         csv.reader(io.StringIO("\n".join(line for _, line in lines), newline=""), delimiter=separator)
     )
     if not rows:
-        raise ReadingsError(f"{path}: it has no line but comments; give a log with a header and rows")
+        raise ReadingsError(f"{path}: the log has only comments; give a log with a header and rows")
     if len(rows) != len(lines):
         raise ReadingsError(
             f"{path}: a cell in quotes runs over the end of its line; remove the line break, or close the quote"
@@ -190,7 +190,7 @@ def convert_log(
     header = [cell.strip() for cell in rows[0]]
     _require(path, header, mapping)
     if len(rows) == 1:
-        raise ReadingsError(f"{path}: no row follows its header; give a log with rows")
+        raise ReadingsError(f"{path}: the log has a header but no row; give a log with rows")
     reader = _Rows(header, mapping)
     made, bad = [], []
     for (number, _), cells in zip(lines[1:], rows[1:], strict=True):

@@ -324,7 +324,7 @@ def _require_regular(snapshot: Snapshot) -> None:
     u = u_of(snapshot.covariance)
     if not np.all(u > 0) or np.linalg.cond(snapshot.covariance / np.outer(u, u)) > MOST_CONDITION:
         raise CalibrationError(
-            f"{snapshot.name}: its covariance is singular, so not all twelve coefficients were found from "
+            f"{snapshot.name}: the covariance is singular, so not all twelve coefficients were found from "
             "readings; calibrate in installations of known orientation"
         )
 

@@ -161,8 +161,8 @@ def _refuse_other(prior: Prior, found: Calibration, source: Source, path: Path) 
         )
     if unit.serial and name in prior.units:
         raise Refused(
-            f"{path}: {name} is among its units and would count twice; make one without it: bench fleet "
-            f"prior 'type={prior.kind}' 'unit!={name}' --prior-out FILE"
+            f"{path}: the prior includes {name} itself, which would count twice; make a prior without this unit: "
+            f"bench fleet prior 'type={prior.kind}' 'unit!={name}' --prior-out FILE"
         )
 
 

@@ -268,12 +268,13 @@ def _refuse_without_inverse(block: Block, covariance: Floats, where: str) -> Non
     largest = float(np.max(np.abs(block.vector)))
     if not largest < LARGEST or np.max(covariance) > LARGEST**2:
         raise Refused(
-            f"{where}: holds numbers beyond {LARGEST:g}; write it again with 'bench calibrate --json'"
+            f"{where}: the result has numbers beyond {LARGEST:g}; give a result that 'bench calibrate --json' "
+            "wrote"
         )
     scale = float(np.min(np.abs(np.diag(block.K))))
     if scale <= largest / WORST or np.linalg.cond(block.K) > WORST:
         raise Refused(
-            f"{where}: its matrix K cannot be inverted; write it again with 'bench calibrate --json'"
+            f"{where}: the matrix K of the result cannot be inverted; give the result of another calibration"
         )
 
 

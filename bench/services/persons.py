@@ -226,8 +226,10 @@ def _entry(register: Persons, request: ChangePersons, name: str, by: str, token:
     before = register.everyone.get(name)
     present = before is not None and not before.ended
     if present == (request.what is PersonsCommand.ADD):
-        raise Refused(f"{name}: {'is a person of' if present else 'is no person of'} {register.folder}; "
-                      f"{'change or end' if present else 'add'} instead")  # fmt: skip
+        raise Refused(
+            f"{name}: {'already' if present else 'not'} a person in {register.folder}; use 'bench persons "
+            f"{'change' if present else 'add'}'"
+        )
     now, why = civil_now(), {"reason": request.reason or ""}
     if request.what is PersonsCommand.END:
         return Entry(ENDED, name, now, by, why)

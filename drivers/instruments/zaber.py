@@ -240,7 +240,7 @@ class ZaberHead(MotorisedHead):
             raise BadReading(
                 self.name,
                 f"the reply {line!r} to '{text}' has a wrong checksum",
-                "repeat it; if the fault returns, check the cable",
+                "try again; if the fault returns, check the cable",
             )
 
     def _trouble(self, flag: str) -> InstrumentRefused:

@@ -235,5 +235,5 @@ def test_date_and_time_of_day_in_two_columns_are_one_time(tmp_path, form):
 
 
 def test_a_log_without_rows_is_refused(tmp_path):
-    with pytest.raises(ReadingsError, match="log: no row follows its header; give a log with rows"):
+    with pytest.raises(ReadingsError, match="log: the log has a header but no row; give a log with rows"):
         convert_log(Path("log"), LOG[: LOG.index("2024")].encode(), mapping(tmp_path))

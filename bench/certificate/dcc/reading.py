@@ -218,14 +218,17 @@ def _ours(path: Path, root: Node, listed: RealList) -> dict[str, Any]:
     try:
         data = from_text(files_in(root)[_FILE])
     except (NotRead, KeyError) as error:
-        raise Refused(f"{path}: it has no readable {_FILE}; ask the laboratory for the original") from error
+        raise Refused(
+            f"{path}: the certificate has no readable {_FILE}; ask the laboratory for the original"
+        ) from error
     taken = coefficients_of(data, str(path))
     if listed.covariance is None or not (
         np.array_equal(listed.values, taken.block.vector)
         and np.array_equal(listed.covariance, taken.covariance)
     ):
         raise Refused(
-            f"{path}: its {_FILE} and its list state different coefficients; ask the laboratory for the original"
+            f"{path}: {_FILE} and the list of the certificate state different coefficients; ask the laboratory "
+            "for the original"
         )
     told = {name: value for name, value in data.items() if name != "verification"}
     return {**told, "certificate": _about(root)}

@@ -78,7 +78,7 @@ def listings():
         ("bench-motorised", "    axis: 1\n", "    axis: 1\n    identity: (\n", "",
          "head.identity: expected a pattern (a regular expression), got '('"),
         ("bench-rate-table", "tolerance: 5 arcsec ", "tolerance: 1 arcsec ", "tolerance: 5 arcsec",
-         "finer than the 0.0005° (1.8 arcsec)"),
+         "rounds demands to 0.0005° (1.8 arcsec)"),
         ("bench-rate-table", "    output: 1\n    safe: 23 degC\n", "    safe: 90 degC\n", "  chamber:",
          "the safe setting of 90 °C is outside the chamber's -40 to 85 °C"),
         ("bench-gpib", "safe: 23 degC", "safe: 99 degC", "  chamber:", "the safe setting of 99 °C is outside"),
