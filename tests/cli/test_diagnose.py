@@ -170,7 +170,7 @@ def test_what_is_there_again_is_confirmed_and_what_confirms_nothing_is_refused(b
     same = "the model was found in these same readings (first.csv), which cannot confirm it; measure new readings"
     refused(bench("confirm", first, "--model", "diagnose/first-model.yaml"), same)
     Path("empty.yaml").write_text("model_file: 1\nname: nothing\n", encoding="utf-8")
-    refused(bench("confirm", first, "--model", "empty.yaml"), "it has no effects")
+    refused(bench("confirm", first, "--model", "empty.yaml"), "the model has no effects")
 
 
 @pytest.mark.slow

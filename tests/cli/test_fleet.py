@@ -182,7 +182,7 @@ def test_a_calibration_with_the_prior_of_its_type(empty_folder, monkeypatch, ben
     Path("prior.yaml").write_text(yaml.safe_dump(text), encoding="utf-8")
     refused(
         bench("calibrate", "first", "--prior", "prior.yaml"),
-        "is for type 'another', but this unit is of type",
+        "the prior is for units of type 'another', but this unit is of type",
     )
     text["covariance"][0][1] = 1.0
     Path("prior.yaml").write_text(yaml.safe_dump(text), encoding="utf-8")

@@ -212,7 +212,7 @@ def test_what_cannot_be_compared_is_refused():
         compare([snapshot(TRUTH)])
     with pytest.raises(CalibrationError, match=r"in different units \(x in V, y in counts\)"):
         compare([snapshot(TRUTH), snapshot(TRUTH, name="y", unit="counts")])
-    with pytest.raises(CalibrationError, match="y: its covariance is singular"):
+    with pytest.raises(CalibrationError, match="y: the covariance is singular"):
         compare([snapshot(TRUTH), snapshot(TRUTH, name="y", covariance=np.diag([0.0] + [1e-10] * 11))])
 
 

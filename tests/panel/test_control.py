@@ -53,7 +53,7 @@ def lines(file):
 def test_the_holder_answers_the_question_that_stands(anna, one, alive):
     answer = {"id": QUESTION.id, "text": "yes"}
     status, told = anna.ask("/runs/one/answer", **answer)
-    assert (status, told["problem"]) == (403, "nobody is in control; take it first")
+    assert (status, told["problem"]) == (403, "nobody is in control; take control first")
     assert anna.ask("/runs/one/control", do="take")[0] == 200
     assert anna.ask("/runs/one/answer", **answer) == (200, {"done": "answered"})
     who = {"by": "anna", "role": "operator", "where": "panel"}
@@ -211,7 +211,7 @@ def refusal(folder, *what):
 
 def test_taking_over_asks_who_holds(tmp_path):
     change(tmp_path, "take", ANNA)
-    assert refusal(tmp_path, "take", BEN) == (409, "anna is in control; ask for it")
+    assert refusal(tmp_path, "take", BEN) == (409, "anna is in control; ask for control")
     change(tmp_path, "ask", BEN)
     assert read_holding(tmp_path).asking == ("ben",)
     assert refusal(tmp_path, "grant", BEN)[0] == 403

@@ -35,8 +35,8 @@ def test_with_seven_bits_no_pseudo_terminal_stands_for_its_port():
     ("name", "changes", "why"),
     [
         ("heidenhain-nd28x", {"hands_free": "yes", "typed": "yes"}, "typing needs a hand"),
-        ("heidenhain-nd28x", {"backoff": "30 arcsec"}, "state a back-off above the tolerance"),
-        ("heidenhain-nd28x", {"settle": "0 s"}, "state 'settle'"),
+        ("heidenhain-nd28x", {"backoff": "30 arcsec"}, "the back-off is not above the tolerance"),
+        ("heidenhain-nd28x", {"settle": "0 s"}, "'settle' is 0 s"),
         ("heidenhain-nd28x", {"rest": "0 arcsec"}, "no encoder stands still"),
         ("heidenhain-nd28x", {"model": "ND-780"}, "ND-281B"),
         ("mitutoyo-mux10", {"channel": 5}, "channel"),
