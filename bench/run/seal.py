@@ -402,9 +402,9 @@ def read_time_stamp(response: bytes, message: bytes, authority: Path | None) -> 
         decoded = rfc3161.decode_timestamp_response(response)
         info = decoded.tst_info
     except ValueError as error:
-        raise NoTimeStamp("its time stamp is damaged; restore the seal from a copy") from error
+        raise NoTimeStamp("the seal's time stamp is damaged; restore the seal from a copy") from error
     if info.message_imprint.message != hashlib.sha256(message).digest():
-        raise NoTimeStamp("its time stamp belongs to another seal; restore the seal from a copy")
+        raise NoTimeStamp("the time stamp belongs to another seal; restore the seal from a copy")
     if authority is None:
         return TimeStamp(info.gen_time, trusted=False)
     try:
@@ -422,7 +422,7 @@ def read_time_stamp(response: bytes, message: bytes, authority: Path | None) -> 
         builder.build().verify_message(decoded, message)
     except (rfc3161.VerificationError, ValueError) as error:
         raise NoTimeStamp(
-            f"its time stamp was not signed by the authority in {authority} ({error}); give that authority's "
+            f"the time stamp was not signed by the authority in {authority} ({error}); give that authority's "
             "certificate"
         ) from error
     return TimeStamp(info.gen_time, trusted=True)

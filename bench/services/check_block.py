@@ -291,7 +291,7 @@ def _parts(
     if files:
         if len(section.reference) > 1:
             raise Refused(
-                "check_block: reference: a result of 'bench calibrate --json' stands beside other entries; "
+                "check_block: reference: a result of 'bench calibrate --json' is listed with other entries; "
                 "state this result alone, or runs alone"
             )
         return [], runs, _reference((of_bench or Path()).parent / files[0], g_m_s2)

@@ -210,7 +210,7 @@ def test_a_time_stamp_of_something_else_is_told(bench, run, key):
     bench("seal", "one", "--key", key)
     seal = json.loads((run / "seal.json").read_text())
     (run / "seal.json").write_text(json.dumps({**seal, "time_stamp": stamp}))
-    printed(bench("show", "one", "--verify"), "its time stamp belongs to another seal", status=1)
+    printed(bench("show", "one", "--verify"), "the time stamp belongs to another seal", status=1)
 
 
 def of_before(authority):
