@@ -101,7 +101,7 @@ def test_refusals_of_a_prior():
         prior_of(few)
     many, _ = measured(np.random.default_rng(1), 12, 2, 1.0)
     two = ComparedCalibrations(**{**many.__dict__, "kind": np.where(np.arange(24) < 12, "A", "B")})
-    with pytest.raises(CalibrationError, match="name one of A, B"):
+    with pytest.raises(CalibrationError, match=r"several types \(A, B\), but a prior is for one; add type="):
         prior_of(two)
 
 

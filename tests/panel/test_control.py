@@ -172,7 +172,7 @@ def test_a_file_that_cannot_be_written_is_refused_with_its_remedy(anna, one, ali
 
         monkeypatch.setattr("bench.panel.pages.run.leave_answer", fails)
         status, told = anna.ask("/runs/one/answer", id=QUESTION.id, text="yes")
-        assert (status, told["problem"]) == (409, f"it cannot be written (why); {remedy}")
+        assert (status, told["problem"]) == (409, f"the run's folder cannot be written (why); {remedy}")
 
 
 def test_taking_over_asks_and_is_answered(anna, runs, one):

@@ -70,7 +70,7 @@ def listings():
         ("bench-motorised", "maximum: 365 deg\n", "maximum: -4 deg\n", "  head:",
          "between the minimum -5° and the maximum -4° no angle can be approached from both sides"),
         ("bench-motorised", "backoff: 1 deg", "backoff: 4 arcsec", "  head:",
-         "state a back-off above the tolerance"),
+         "the back-off is not above the tolerance"),
         ("bench-motorised", "steps_per_degree: 4266.6667", "steps_per_degree: 10", "  head:",
          "a step of the head is coarser than its tolerance"),
         ("bench-motorised", "steps_per_degree: 4266.6667", "steps_per_degree: 1e7", "  head:",

@@ -151,7 +151,7 @@ def test_many_mistakes_are_told_at_once_with_their_lines(mistakes, paper_text, l
         ("turned: 45 deg", "turned: 45", "got '45' without a unit"),
         ("minimum: -40 degC, maximum: 60 degC", "minimum: 60 degC, maximum: -40 degC",
          "the minimum 60 °C must be below"),
-        ("limit: 90 arcsec, distribution: normal, k: 3", "limit: 90 arcsec, distribution: normal", "state 'k'"),
+        ("limit: 90 arcsec, distribution: normal, k: 3", "limit: 90 arcsec, distribution: normal", "add 'k'"),
         ("limit: 90 arcsec, distribution: normal", "limit: 90 arcsec, distribution: rectangular", "has no 'k'"),
         ("limit: 90 arcsec", "limit: -90 arcsec", "not negative"),
         ("line_frequency: 50 Hz", "line_frequency: 55 Hz", "state 50 Hz or 60 Hz"),
