@@ -117,7 +117,7 @@ EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
 
 
 def missing(error: BaseException) -> str:
-    """Return a sentence that names the missing optional package and its extra; "" for another `error`."""
+    """Return a sentence that names the missing package and the extra with it; "" for another `error`."""
     package = (error.name or "").partition(".")[0] if isinstance(error, ImportError) else ""
     for extra, packages in EXTRAS.items():
         if package in packages:
