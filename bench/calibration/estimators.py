@@ -38,7 +38,7 @@ def find_estimator(asked: str) -> Estimator:
 
 
 def in_a_budget(asked: str) -> Estimator:
-    """Return the estimator that a budget uses instead of the requested one.
+    """Return the estimator that a budget uses in place of the one `asked` for.
 
     Raises `CalibrationError` for an unknown name.
     """

@@ -204,7 +204,7 @@ def refuse_singular(block: Block, u: Floats | None = None) -> None:
 
 @contextmanager
 def naming_deviating(problem: Problem, rows: Readings) -> Iterator[None]:
-    """Name the rows that deviate most in place of the remedy of a `SpoiledFit`, if any deviate strongly."""
+    """Within this context, a `SpoiledFit` names the rows that deviate strongly, if any, instead of its remedy."""
     try:
         yield
     except SpoiledFit as error:
@@ -352,7 +352,7 @@ class WrongUnit:
 
     @property
     def whole(self) -> bool:
-        """Whether all signals are in another unit, so that only the data sheet can show it."""
+        """Whether all signals are in another unit; only the nominal scale factors can show this."""
         return not self.part and len(self.channels) == len(CHANNELS)
 
     @property

@@ -410,7 +410,7 @@ _ASSUMED: Final = ("mounting_roll",)
 def unseen_coefficients(problem: Problem, block: Block) -> Floats:
     """Return d changes (12, d) of the coefficients that readings cannot distinguish from angles of the stand.
 
-    The third mounting angle counts as unknown, too. Scaled: max |change| equals max |K|.
+    The third mounting angle counts as unknown, too. Each change is scaled: its largest element equals that of K.
     """
     if problem.upper:
         return np.zeros((FIXED, 0))

@@ -91,7 +91,7 @@ class ThermalProblem:
         return np.concatenate([by_term, by_angle], axis=2)
 
     def determined(self) -> bool:
-        """Return whether the rows determine all terms if every coefficient has all basis functions."""
+        """Whether the rows determine all terms when every coefficient has all basis functions."""
         force = self.force(self.problem.prior_mean)
         columns = linear_columns(force)
         whole = (columns[:, :, None] * self.basis[:, None, :]).reshape(len(force), -1)
@@ -205,10 +205,10 @@ NEXT: Final = 2
 
 @dataclass(frozen=True)
 class DegreeChoice:
-    """The chosen `degrees` (12,), and `doubts` (2, 12, D + 1): the changes of all terms if one more term is kept.
+    """The chosen `degrees` (12,), and `doubts` (2, 12, D + 1): how far all terms change if one more term is kept.
 
-    `doubts[0]` keeps the next even power of temperature, `doubts[1]` the next odd power. The changes are zero if no
-    term was dropped.
+    `doubts[0]` keeps the next even power of temperature, `doubts[1]` the next odd power. The changes are zero if
+    no term was dropped.
     """
 
     degrees: Ints

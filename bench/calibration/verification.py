@@ -86,8 +86,8 @@ class VerificationPoint:
 class LimitToPass:
     """Two changes, each of which would make a verification pass: another limit of |delta g|, or another u.
 
-    `limit_g` is that limit, g; `u_times` is the factor on u, None if no factor suffices. `point` exceeds its
-    acceptance limit most.
+    `limit_g` is that limit, g; `u_times` is the factor on u, None if no factor suffices. `point` is the one that
+    exceeds its acceptance limit most.
     """
 
     limit_g: float
@@ -310,7 +310,7 @@ def verify(
 
 
 def by_rule(statement: Statement, rule: str, *, passed: bool) -> Statement:
-    """Return the statement under the rule: binary rules state only pass or fail, nothing conditional."""
+    """Return the statement that the rule allows: under a binary rule, a conditional one becomes pass or fail."""
     conditional = statement in {Statement.CONDITIONAL_PASS, Statement.CONDITIONAL_FAIL}
     if rule == NON_BINARY or not conditional:
         return statement

@@ -307,7 +307,7 @@ class AnyReadings(Protocol):
 
     @property
     def calibrated_k(self) -> float:
-        """The temperature for which the coefficients hold, minus the reference temperature of effects, K."""
+        """The temperature for which the coefficients hold, minus the reference temperature of the model, K."""
 
     @property
     def block(self) -> Block:
@@ -365,7 +365,7 @@ def _temperature(source: ErrorSource, seen: AnyReadings) -> _Patterns:
 
 
 def corrected(channel: str) -> str:
-    """Return the factor of "room_temperature" for a channel whose model has the thermal gain of the meter."""
+    """Return the key of `factors` that marks `channel` as corrected for the thermal gain of its meter."""
     return f"corrected {channel}"
 
 

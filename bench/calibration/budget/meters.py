@@ -157,7 +157,7 @@ class JointErrors:
 
     @property
     def root(self) -> tuple[tuple[float, ...], ...]:
-        """Matrix that turns n independent draws of size `u` into errors with this covariance."""
+        """Matrix (n, n) that turns n independent draws of size `u` into errors with this covariance."""
         size, axes = np.linalg.eigh(self.covariance)
         root = axes * np.sqrt(np.maximum(size, 0.0)) / max(self.u, 1e-300)
         return tuple(tuple(row) for row in root.tolist())
@@ -311,8 +311,8 @@ GRADIENT: Final = Distribution(0.2, "rectangular")
 def thermometer_size(bench: BenchFile) -> Size | None:
     """Return the uncertainty of the measured temperature of the block, K.
 
-    It is None for a chamber's thermometer without certificate, because the band of the air temperature, which
-    always counts, is larger.
+    The result is None for a chamber's thermometer without a certificate: its error is smaller than the band of the
+    air temperature, which is always included.
     """
     told_by = bench.instruments.thermometer or bench.instruments.chamber
     certificate = None if told_by is None else told_by.certificate

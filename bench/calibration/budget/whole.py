@@ -135,10 +135,10 @@ def sign(
 
 
 def dof_through(calibration: Calibration, jacobian: Floats, known: float | Floats = 0.0) -> Floats:
-    """Return the effective degrees of freedom (m,) of quantities from a calibration with its combined u.
+    """Return the effective degrees of freedom (m,) of quantities computed from a calibration's coefficients.
 
-    `jacobian` (m, 12) has the derivatives of the quantities; `known` is an additional variance with infinite
-    degrees of freedom.
+    The calibration must have its combined covariance. `jacobian` (m, 12) has the derivatives of the quantities;
+    `known` is an additional variance with infinite degrees of freedom.
     """
     if not calibration.sources:
         return np.full(len(jacobian), np.inf)
