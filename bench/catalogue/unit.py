@@ -259,7 +259,7 @@ def unit_calibrations(catalogue: Catalogue, unit: str) -> list[UnitCalibration]:
 def compared_of(catalogue: Catalogue, name: str) -> tuple[CoefficientTable, bool, list[str]]:
     """Return the comparable calibrations of a unit, whether they are simulated, and notes on any left out.
 
-    Their scale factors are per local g of the last one.
+    The scale factors are per local g of the last calibration.
     """
     kept = coefficient_table(catalogue, [f"unit={name}"])
     notes = [f"without {words}" for words in kept.left_out]

@@ -34,10 +34,10 @@ class CoefficientTable:
     """The calibrations that a question selects, oldest first; those without a date come first.
 
     `path`, `unit`, `unit_type`, `bench`, `signal_unit` (n,) are texts, None if not recorded; `when` (n,) is
-    datetime64 in UTC, NaT if not recorded. `vector` (n, 12) are the coefficients in `signal_unit` per g =
-    `g_m_s2` (n,), biases in `signal_unit`. `gravity_u` (n,) is the relative u of this g. `covariance` (n, 12, 12)
-    is the combined covariance, which does not include it. `u_meters` (n, 12) is the part of u from errors that the
-    same meters repeat, NaN if not stated. `simulated` (n,) is False only for runs recorded as real. `left_out`
+    datetime64 in UTC, NaT if not recorded. `vector` (n, 12) are the coefficients in `signal_unit` per g = `g_m_s2`
+    (n,), biases in `signal_unit`. `gravity_u` (n,) is the relative u of this g. `covariance` (n, 12, 12) is the
+    combined covariance, which does not include `gravity_u`. `u_meters` (n, 12) is the part of u from errors that
+    the same meters repeat, NaN if not stated. `simulated` (n,) is False only for runs recorded as real. `left_out`
     states in sentences which runs of the question are omitted.
     """
 
