@@ -326,9 +326,9 @@ _AXIS: Final = ("basic_nominalValue", "basic_referenceValue", "basic_measuredVal
 
 
 def section_of(path: Path, root: Node) -> tuple[str, tuple[str, ...]]:
-    """Return an instrument's section `certificate` of a bench file, from its DCC, and notes for the user.
+    """Return an instrument's section `certificate` for a bench file, as its DCC states it, and notes.
 
-    Raises `Refused` without number or date.
+    Raises `Refused` if the DCC has no number or no date.
     """
     stated: dict[str, Any] = {**_about(root)}
     lacking = [name for name, text in stated.items() if not text]
