@@ -306,7 +306,7 @@ class MotorisedHeadForm(HeadForm, WiredForm):
         }
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the keys for the simulation, and the speed of the head, deg/s."""
+        """Return the simulation's options: the section's own, and the speed of the head, deg/s."""
         return super().simulation_options(truth) | {"speed_deg_s": math.degrees(self.speed)}
 
 
@@ -362,7 +362,7 @@ class ReadOutHeadForm(HeadForm, WiredForm):
         return {"zero_rad": self.zero, "falling": self.falling}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the keys for the simulation, and the encoder's zero (deg), sense, and whether it is referenced."""
+        """Return the simulation's options: the section's own, the encoder's zero (deg), sense and reference."""
         own = {"zero_deg": math.degrees(self.zero), "falling": self.falling, "referenced": truth.homed}
         return super().simulation_options(truth) | own
 
@@ -447,7 +447,7 @@ class ControlledChamberForm(ChamberForm, WiredForm):
         return self.minimum, self.maximum, self.band
 
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
-        """Return the keys for the simulation, and the lowest and highest set point of the controller, °C."""
+        """Return the simulation's options: the section's own, and the controller's limits of set points, °C."""
         return super().simulation_options(truth) | {"lowest_c": self.minimum, "highest_c": self.maximum}
 
 
@@ -556,5 +556,5 @@ class WiredSupplyForm(SupplyForm, WiredForm):
         return SupplyLimits.of(self.facts, getattr(self, "model", None))
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the keys for the driver, and the settings that the outputs support."""
+        """Return the driver's options: the section's own, and the settings that the outputs support."""
         return super().driver_options() | {"limits": self.limits}
