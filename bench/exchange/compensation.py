@@ -17,7 +17,7 @@ from bench.exchange.checks import POSITIONS, READ_CHECKS, c_self_test, check_lin
 
 
 def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[str]:
-    """Return the header lines of an exported file: the block compensated (`of`), valid range, errors."""
+    """Return the header lines of an exported file: the compensated block `of`, the valid range, and the errors."""
     error = table.error
     return [
         f"Compensation of {of}",
