@@ -112,7 +112,7 @@ class Weighed:
 
 
 def at(body: RunSums, theta: Floats, beliefs: Beliefs) -> LikelihoodPoint:
-    """Return the restricted likelihood at variances (k,), relative to the stated ones; harmonics have no prior."""
+    """Return the restricted likelihood at variances (k,) in units of the stated ones; harmonics have no prior."""
     c, m = body.columns, len(beliefs.precision)
     weighed = Weighed.of(body, theta, m)
     whole = weighed.whole
@@ -136,7 +136,7 @@ def at(body: RunSums, theta: Floats, beliefs: Beliefs) -> LikelihoodPoint:
 
 @dataclass(frozen=True)
 class VarianceEstimate:
-    """The variances (k,) that maximise the restricted likelihood, relative to the stated ones.
+    """The variances (k,), in units of the stated ones, that maximise the restricted likelihood.
 
     `information` (k, k) is the observed information, priors included; `at` is the likelihood at the maximum.
     """
@@ -377,8 +377,8 @@ def learn(
 def told_by_runs(body: RunSums, layout: Layout, free: Beliefs) -> tuple[Beliefs, dict[str, str]]:
     """Return the beliefs in which undetermined variances are fixed at their prior, with reasons by kind of angle.
 
-    Of variances that cannot be separated, those with the smallest stated size are fixed first, so that the
-    others are determined.
+    Among variances that cannot be separated, the one with the smallest stated size is fixed first, and so on until
+    the others are determined.
     """
     beliefs, reasons = free, {}
     for j, kind in enumerate(layout.kinds):
