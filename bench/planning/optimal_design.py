@@ -59,7 +59,7 @@ class Goal:
         return self.u(covariance) / self.asked
 
     def relaxed(self, endless: float) -> Goal:
-        """Return the goal; a loose goal is raised to twice the u that endless readings would give, if it is below.
+        """Return the goal; a loose goal is raised, if necessary, to twice the u that endless readings would give.
 
         `endless` is the variance that endless readings would give.
         """
