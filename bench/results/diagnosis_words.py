@@ -238,8 +238,9 @@ def closed_in_words(
 ) -> str:
     """Return how far a gap closes: "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)".
 
-    `part` is of the reduced chi-square, which weighs each reading by u of its prediction. The root mean square
-    (`before_g`, `after_g`) does not, and may rise if few held-out readings have uncertain predictions.
+    `part` is the closed part of the reduced chi-square, in which each reading is weighted by the u of its
+    prediction. The root mean squares `before_g` and `after_g` are unweighted, and may rise if few held-out
+    readings have uncertain predictions.
     """
     before, after, noise = (
         micro_g(v) if unit == "g" else quantity(v, unit) for v in (before_g, after_g, noise_g)
@@ -416,7 +417,7 @@ def mountings_of(block: ModelComparison) -> str:
 
 
 def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
-    """Return the largest change of a coefficient if `other` is the cause, in words; "" if it is no rival."""
+    """Return the largest change of a coefficient if `other` is the cause, in words; "" if it is not ranked."""
     for rival in ranking:
         if rival.family == other:
             coefficient, in_u = rival.largest_shift

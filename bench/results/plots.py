@@ -291,8 +291,8 @@ def mounts_of(calibration: Calibration) -> list[tuple[Mounting, Mask]]:
 def sd_of_reading(calibration: Calibration, rows: Mask, angle_rad: Floats) -> Floats:
     """Return the standard deviation (m, 3) of a single reading at head angles (m,), in the signal's unit.
 
-    It combines reading noise and setting error times slope du/dphi. The slope is that of a sine and a cosine of
-    the angle, fitted to the readings `rows` of one mounting.
+    The standard deviation combines the reading noise with the setting error times the slope du/dphi. The slope is
+    that of a sine and a cosine of the angle, fitted to the readings `rows` of one mounting.
     """
     angle = calibration.fitted.angle_rad[rows]
     predicted = calibration.fitted.signal[rows] - calibration.residuals[rows]
