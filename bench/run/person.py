@@ -339,7 +339,7 @@ _KEEPS_OPEN: Final = {
 class OpenPrompt:
     """Finds the prompt that is open after the events of a run, which are passed to `take` in order.
 
-    It can be answered only while a program is carrying out the run.
+    The prompt can be answered only while a program is carrying out the run.
     """
 
     _event: Event | None = field(default=None, init=False)

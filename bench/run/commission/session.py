@@ -175,7 +175,7 @@ class CheckEnded(Exception):
 
 
 class PersonBehind:
-    """A `WatchingPerson` in front of another `person`, with whom it shares `meanwhile`, if that one has any."""
+    """A `WatchingPerson` that passes prompts on to another `person`, and `meanwhile` too, if that person has it."""
 
     def __init__(self, person: Person) -> None:
         self._person = person
