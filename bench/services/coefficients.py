@@ -401,7 +401,7 @@ def snapshot_of(data: Any, name: str) -> Snapshot:
 
 
 def dated(taken: Coefficients, name: str, dof: float) -> Snapshot:
-    """Return coefficients as a dated calibration; `dof` are the least degrees of freedom of the nine numbers."""
+    """Return coefficients as a dated calibration; `dof` is the least dof of the nine intrinsic numbers."""
     from bench.history.comparison import Snapshot
 
     return Snapshot(
@@ -447,7 +447,7 @@ def forms_of(names: list[str]) -> list[ExportForm]:
 
 
 def nominal_of(text: str | None, results: list[BlockResult]) -> Floats | None:
-    """Return the scale factors (3,) in unit/g that `--nominal` states. Raises `Refused` if they do not fit."""
+    """Return the scale factors (3,) in unit/g that `--nominal` states. Raises `Refused` for unsuitable ones."""
     if text is None:
         return None
     try:

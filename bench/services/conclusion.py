@@ -83,7 +83,7 @@ class Conclusion:
 
 
 def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
-    """Return the results of a finished run. After a signal, it raises `Refused`; `bench resume` makes them then."""
+    """Return the results of a finished run. Raises `Refused` after a signal; `bench resume` then makes them."""
     kept = f"all readings are kept in {run.folder}"
     again = (
         f"stopped before the results were ready; {kept}, and 'bench resume {name_to_type(run.folder)}' computes "

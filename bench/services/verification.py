@@ -232,7 +232,7 @@ class VerificationResult:
         return self.result().to_dict()
 
     def verdict(self) -> str:
-        """Return the verdict in one line, with what speaks against the coefficients."""
+        """Return the verdict in one line, with the objections to the coefficients, if any."""
         line = shown.verdict_line(self.source.name, self.verification)
         return "; ".join((line, *self._against, *self.warnings))
 
@@ -264,7 +264,7 @@ def judged(
     own: Calibration | None = None,
     warnings: tuple[str, ...] = (),
 ) -> VerificationResult:
-    """Return the verification with the coefficients `taken`; `own` is their calibration by the same readings.
+    """Return the verification with the coefficients `taken`; `own` is their calibration, from the same readings.
 
     Raises `CalibrationError` if there is no verification point.
     """
