@@ -85,7 +85,7 @@ class ManualHead(ByHand):
     def return_to(
         self, target_rad: float, direction: Direction, key: str, *, by_way_of_rad: float
     ) -> HeadPosition:
-        """Ask the person to turn to `by_way_of_rad`, then as `move` does; only the last angle is read.
+        """Ask the person to turn to `by_way_of_rad` without reading it, then to `target_rad` as `move` does.
 
         Raises the errors of `move`.
         """
