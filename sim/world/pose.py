@@ -162,7 +162,8 @@ class HeadFault:
     runs_away: bool = False
 
     def end_rad(self, start_rad: float, target_rad: float) -> tuple[float, bool]:
-        """Return the angle at which a movement with this fault ends, and whether it ends stuck or astray."""
+        """Return the angle at which a movement with this fault ends, and whether the head then is stuck or astray.
+        """
         if self.runs_away:
             return start_rad + math.copysign(_ENDLESS_RAD, start_rad - target_rad), True
         end_rad = target_rad + self.stops_off_rad
