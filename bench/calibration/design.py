@@ -115,7 +115,7 @@ class Problem:
 
     @property
     def active(self) -> Ints:
-        """Indices of the coefficients that are unknown."""
+        """Indices, from 0 to 11, of the coefficients that are unknown."""
         return UPPER if self.upper else np.arange(FIXED)
 
     @property

@@ -111,7 +111,7 @@ def still_channels(signal: Floats) -> list[str]:
 
 
 def refuse_still(signal: Floats) -> None:
-    """Raise `CalibrationError` for a channel whose signal is the same in every reading."""
+    """Raise `CalibrationError` for a channel whose signal (n, 3) is the same in every reading."""
     still = still_channels(signal)
     if still:
         raise CalibrationError(
@@ -156,7 +156,7 @@ def _equal_where_forces_differ(columns: Floats, signal: Floats, sides: Floats) -
 
 
 def refuse_saturated_free(signal: Floats) -> None:
-    """Raise `CalibrationError` if many free positions read equal values at one end of the range."""
+    """Raise `CalibrationError` if many free positions have equal signals (m, 3) at one end of the range."""
     for i, axis in enumerate("xyz"):
         ends = (signal[:, i] == signal[:, i].max(), signal[:, i] == signal[:, i].min())
         there = max(ends, key=np.count_nonzero)

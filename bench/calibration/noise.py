@@ -403,7 +403,7 @@ class LikelihoodResiduals:
         return np.einsum("nip,ni->np", self.columns, unit), length
 
     def likelihood(self, log_sizes: Floats) -> tuple[float, Floats, float]:
-        """Return -2 ln L, its derivatives by the logarithms of reading noise and setting error, and y^T P y."""
+        """Return -2 ln L, its derivatives by `log_sizes`, and y^T P y."""
         along, length = self._along
         p = self.unknowns
         reading, setting = np.exp(2 * log_sizes)

@@ -468,6 +468,6 @@ def misalignments(block: Block, covariance: Floats) -> Derived:
 
 
 def through(jacobian: Floats, covariance: Floats) -> Floats:
-    """Return the covariance of linear combinations, J C J^T for the `jacobian` J, made exactly symmetric."""
+    """Return the covariance (m, m) of linear combinations: J C J^T for `jacobian` J (m, n), exactly symmetric."""
     found = jacobian @ covariance @ jacobian.T
     return np.asarray(0.5 * (found + found.T))

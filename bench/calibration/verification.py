@@ -64,14 +64,14 @@ class VerificationPoint:
 
     @property
     def passed(self) -> bool:
-        """Whether the rule accepts the point; it accepts none if the model does not fit."""
+        """Whether the rule accepts the point; no point is accepted if the model does not fit."""
         return abs(self.delta_g) <= self.accepted_up_to and self.statement is not Statement.MISFIT
 
     @property
     def p_false_accept(self) -> float | None:
-        """Probability of a false acceptance, for an accepted point or a conditional pass still to be decided.
+        """Probability of a false acceptance of an accepted point, or of a conditional pass still to be decided.
 
-        It is None for any other point.
+        None for any other point.
         """
         left_open = self.statement is Statement.CONDITIONAL_PASS and not self.rejected
         return self.p_outside if self.passed or left_open else None

@@ -102,7 +102,7 @@ class Snapshot:
         )
 
     def in_nine(self) -> Snapshot:
-        """Return the snapshot in the nine intrinsic numbers, linearised at its own K.
+        """Return the snapshot in the nine intrinsic numbers, linearised at the K of this snapshot.
 
         Raises `CalibrationError` if they are undefined, as for a block with a dead channel.
         """

@@ -47,7 +47,7 @@ class LearnedSize:
 
 @dataclass(frozen=True)
 class Variance:
-    """A variance component `theta` and its u in units of `unit` squared; if `held`, its prior is kept."""
+    """A variance component `theta` and its u in units of `unit` squared; if `held`, the prior is kept."""
 
     name: str
     theta: float

@@ -160,7 +160,7 @@ def whole_goal(block: Block, goals: Sequence[Goal]) -> Goal:
 
 
 def worst(goals: Sequence[Goal], covariance: Floats) -> Goal:
-    """Return the goal that is furthest from being reached."""
+    """Return the goal that is furthest from being reached with this covariance (12, 12) of the coefficients."""
     return max(goals, key=lambda goal: goal.ratio(covariance))
 
 

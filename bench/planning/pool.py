@@ -340,7 +340,7 @@ class Visits(ExchangeDesign):
     _known: tuple[bytes, Floats] | None = None
 
     def covariance(self, counts: Floats | Ints | None = None) -> Floats:
-        """Return the covariance as in the base class, cached for the present counts."""
+        """Return the covariance (p, p) as the base class does, cached for the present counts."""
         if counts is not None:
             return super().covariance(counts)
         key = self.counts.tobytes()

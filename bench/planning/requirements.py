@@ -173,7 +173,7 @@ class _Candidate:
 
 
 def outlook(settings: Sequence[Setting], model: ForwardModel, block: Block, cost: Cost) -> Outlook:
-    """Return what readings at these settings determine of the coefficients and of `ANGLES` in each mounting.
+    """Return which coefficients, and which `ANGLES` of each mounting, readings at these settings determine.
 
     Effects of the model are unknowns, too. If there are more than `MOST_MOUNTINGS` mountings, only the first in
     each installation is analysed. Raises `KeyError` for an installation that the model lacks.

@@ -335,7 +335,7 @@ def residual_points(
     scale: Scale,
     name: str = "readings",
 ) -> None:
-    """Draw a channel's residuals in a mounting, by pass and direction; `name` makes identifiers unique."""
+    """Draw a channel's residuals (n,) in the rows of a mounting against `along` (n,); `name` makes ids unique."""
     fitted = calibration.fitted
     for number in np.unique(fitted.pass_number[rows]):
         for direction, marker in MARKERS.items():
@@ -361,7 +361,7 @@ def legend_of(grid: Iterator[Axes]) -> tuple[list[Any], list[str]]:
 
 
 def mark_changes(grid: Any, calibration: Calibration, along: Floats, word: str = "installation ") -> None:
-    """Draw a line at each change of mounting, and write `word` and the mounting's name above the line."""
+    """Mark each change of mounting at its place in `along` (n,): a line, with `word` and the mounting above it."""
     conditions = calibration.fitted.conditions()
     starts = [0, *(np.flatnonzero(np.diff(conditions.mount)) + 1)]
     for start in starts:

@@ -47,7 +47,7 @@ class ExpectedPose(NamedTuple):
 def poses(
     model: ForwardModel, block: Block, row: Conditions, installations: Sequence[str], angle_rad: Floats
 ) -> ExpectedPose:
-    """Return the poses of one reading for v combinations of installation and head angle (first axis v).
+    """Return the poses of one reading for v combinations of installation and head angle, rad (first axis v).
 
     `row` has the conditions of the reading. Effects that depend on the block are evaluated at `block`. Raises
     `KeyError` for an installation that the model lacks.
@@ -235,7 +235,7 @@ class ExpectedSignals:
     covariance: Floats
 
     def deviation_rad(self, signals: Floats) -> tuple[float, float]:
-        """Return the head's deviation from the commanded angle, by generalised least squares, and u, rad."""
+        """Return the head's deviation from the commanded angle by `signals` (3,), V, and its u, rad."""
         weighted = np.linalg.solve(self.covariance, self.slope)
         information = float(self.slope @ weighted)
         if information <= 0.0:

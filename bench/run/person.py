@@ -550,7 +550,8 @@ UNTOUCHED: Final = message("untouched")
 def mount_prompt(step: Mount, *, chamber: bool) -> Prompt:
     """Return the prompt to mount the block, with a drawing of the installation if there is one.
 
-    It has no default, so that an accidental Enter confirms nothing. With `chamber`, it asks to close the chamber.
+    The prompt has no default, so that an accidental Enter confirms nothing. With `chamber`, the person must also
+    close the chamber.
     """
     close = message(", close the chamber") if chamber else ""
     again = "" if step.series == 1 else message(f" (visit {step.series})")

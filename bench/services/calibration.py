@@ -440,7 +440,7 @@ def verification_of(
     asked: VerdictOptions | None = None,
     agreed: DecisionRule | None = None,
 ) -> VerificationResult:
-    """Verify a source with coefficients from a file, from a calibration, or (None) from its own readings.
+    """Verify a source with coefficients from a file, from a calibration, or (None) from these same readings.
 
     The options `asked` replace those of run and bench file; `agreed` is the decision rule if none of these names a
     rule.

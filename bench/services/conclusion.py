@@ -143,7 +143,7 @@ def _evaluated(source: Source) -> dict[str, Any]:
 
 
 def charted(run: Run) -> dict[str, Any]:
-    """Return the chart of a check block's run as members of a `Conclusion`; no members for another run."""
+    """Return the chart of a check block's run as members of a `Conclusion`; an empty dict for any other run."""
     bench, path = own_bench(run)
     unit = run.manifest.get("unit_under_test")
     if bench.check_block is None or unit is None:

@@ -179,15 +179,18 @@ class VerificationResult:
 
     @property
     def passed(self) -> bool:
-        """Whether every point was measured and accepted by the rule; none is if the model does not fit."""
+        """Whether every point was measured and accepted by the rule.
+
+        No point is accepted if the model does not fit.
+        """
         return self.verification.passed
 
     @property
     def statement(self) -> str:
         """The overall statement: pass, conditional pass, conditional fail, fail, or why there is none.
 
-        It is "inconclusive" if U exceeds the limit, "not complete" if a point was not measured, and "does not
-        fit" if the readings of the calibration contradict the model.
+        The statement is "inconclusive" if U exceeds the limit, "not complete" if a point was not measured, and
+        "does not fit" if the readings of the calibration contradict the model.
         """
         return str(self.verification.statement)
 

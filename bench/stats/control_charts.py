@@ -137,7 +137,7 @@ class Centre:
         return np.asarray(2.0 * special.stdtr(self.dof, -np.abs(z)))
 
     def p_joint(self, t2: Floats) -> Floats:
-        """Return the p-values of joint statistics `t2`."""
+        """Return the p-values of joint statistics T² `t2`, of the same shape."""
         p = self.dimensions
         if np.isinf(self.dof):
             return np.asarray(special.chdtrc(p, t2))
@@ -353,9 +353,10 @@ class ShortTerm:
 
 
 def short_term(s: Floats, dof: Floats, baseline_s: Floats, baseline_dof: Floats) -> ShortTerm:
-    """Compare standard deviations `s` with those of the baseline, pooled with their degrees of freedom as weights.
+    """Compare standard deviations `s` (n,) with those of the baseline, pooled by their degrees of freedom.
 
-    Source: NIST/SEMATECH e-Handbook, 2.2.3.1 and 2.3.5.1.
+    `s` and `baseline_s` have the degrees of freedom `dof` and `baseline_dof`. Source: NIST/SEMATECH e-Handbook,
+    2.2.3.1 and 2.3.5.1.
     """
     pooled_dof = float(baseline_dof.sum())
     pooled = float(np.sqrt((baseline_dof @ baseline_s**2) / pooled_dof))

@@ -74,7 +74,7 @@ class Setup:
     def stand_slope(self, name: str) -> Floats:
         """Return the derivatives of the readings by the stand angle `name`, V/rad, shape (n, 3).
 
-        Each reading has the derivative by the angle of its own mounting.
+        The derivative of a reading is by the angle in that reading's mounting.
         """
         if name not in self._stand_slopes:
             self._stand_slopes[name] = self._slope(lambda step: (self._angles(name, step), 0.0))

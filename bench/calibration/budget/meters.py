@@ -168,8 +168,9 @@ def joint_errors(
 ) -> JointErrors | str:
     """Return the joint errors of n meters from learned differences, or the reason why these are not used.
 
-    `at` has the index of each meter in `told` (None: not learned); `kept` is the correlation of a meter's
-    error with its error on the day of learning.
+    `at` has the index of each meter in `told` (None: not learned); `prior_u` (n,) are the u by certificates or
+    makers' limits, `certified` (n,) marks the former. `kept` is the correlation of a meter's error with its error
+    on the day of learning.
     """
     n = len(prior_u)
     places = [place if place is not None else -1 for place in at]

@@ -195,9 +195,9 @@ class CommissioningPerson(PersonBehind):
     """A `Person` for commissioning: raises `Skipped` for :skip REASON, `SessionEnded` for :abort."""
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Put the prompt.
+        """Show the prompt and return the answer.
 
-        After a wish other than :skip or :abort, name the accepted wishes and put the prompt again.
+        After a wish other than :skip or :abort, name the accepted wishes and show the prompt again.
         """
         put = prompt
         while True:
