@@ -359,7 +359,7 @@ def changes(before: CalibrationValues | None, now: CalibrationValues) -> Row:
 
 
 def change_in_u(before: CalibrationValues, now: CalibrationValues) -> Floats:
-    """Return the change of each coefficient (12,) divided by its u; NaN for a change without u."""
+    """Return the change of each coefficient (12,) divided by the coefficient's u; NaN where there is no u."""
     moved = now.values - before.values
     unit = np.where(before.u > 0, before.u, now.u)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -120,7 +120,7 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> SharedErro
 
 
 def rounding_of(problem: Problem, fit: Fit, resolution: float) -> SharedRounding | None:
-    """Return the error of rounding to `resolution` that repeats share; None if their noise smooths it away."""
+    """Return the error of rounding to `resolution` that repeats share; None if the noise smooths it away."""
     digit = resolution / np.sqrt(12.0)
     large = 3 * len(problem.conditions) > MOST_SIGNALS
     if large or fit.noise.source != "repeats" or not _is_rounded(fit.noise, digit):
@@ -472,7 +472,7 @@ def notes_on_noise(
 
 
 def note_on_prior(noise: Noise, unit: str) -> tuple[str, ...]:
-    """Return a note if u depends on a prior of the noise; it says whether the readings agree with the prior."""
+    """Return a note, if u depends on a prior of the noise, on whether the readings agree with this prior."""
     return () if noise.prior is None else (_on_prior(noise.prior, unit),)
 
 

@@ -433,8 +433,8 @@ def noise_from_residuals(of: LikelihoodResiduals, floor: float, known: KnownNois
     """Return reading noise and setting error by restricted maximum likelihood from the residuals of the model.
 
     This serves data without enough repeats. A `known` prior from the bench file counts with the degrees of freedom
-    that the residuals lack; residuals that lack none are tested against it. A prior from other runs counts in full,
-    unless the residuals contradict it.
+    that the residuals lack; if they lack none, they are tested against the prior. A prior from other runs counts
+    in full, unless the residuals contradict it.
     """
     signals = max(of.count - of.unknowns, 0)
     beside = None if known is None else known.beside(signals)

@@ -385,7 +385,7 @@ def require_rank(force: Floats) -> None:
 
 
 def assumptions(problem: Problem, block: Block, gain: Floats, unit: str) -> tuple[str, ...]:
-    """Return sentences on the assumptions of the fit, each with the change of coefficients if it is wrong.
+    """Return sentences on the assumptions of the fit, each with the change of coefficients if it does not hold.
 
     `gain` (12, n, 3) is the estimator's map from readings to coefficients.
     """

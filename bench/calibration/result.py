@@ -191,7 +191,10 @@ class LackOfFit:
         return self.p < LACK_OF_FIT_P
 
     def accepted(self, *, strict: bool = False) -> bool:
-        """Return whether commands accept the coefficients; with `strict` any significant lack of fit forbids it."""
+        """Return whether commands accept the coefficients.
+
+        With `strict`, they do not if the lack of fit is significant at all.
+        """
         return self.rms <= self.rounding or not (self.shown if strict else self.p < NOT_ACCEPTED_P)
 
     def diagnose(self, source: str) -> tuple[str, ...]:

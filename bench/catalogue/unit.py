@@ -298,7 +298,7 @@ def _name_of(catalogue: Catalogue, unit: str) -> str:
 
 
 def limit_of(catalogue: Catalogue, query: list[str]) -> float | None:
-    """Return the limit of |Δg| (local g) of the last verification of a question's runs; None if unstated."""
+    """Return the limit of |Δg| (local g) in the last verification of the runs that `query` selects, or None."""
     joined = RUNS.join(VERIFICATIONS, VERIFICATIONS.c.run == RUNS.c.id)
     asked = (
         select(VERIFICATIONS.c.limit_g)

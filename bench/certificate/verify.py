@@ -79,7 +79,10 @@ class Findings:
     not_proved: list[str] = field(default_factory=list)
 
     def why_not_trusted(self, trusted: Sequence[Certificate] | None) -> str | None:
-        """Return why a signer is not in `trusted`, "" if all are; None if there is nothing to judge."""
+        """Return why a signer is not in `trusted`; "" if all signers are.
+
+        None without `trusted`, or if no signature could be read.
+        """
         if trusted is not None and self.unsigned:
             return "nobody signed it"
         if trusted is None or not self.signatures:

@@ -453,7 +453,7 @@ WIDENED: Final = ("tau", "lag")
 
 
 def unnamed_in(effects: Sequence[AppliedEffect]) -> list[str]:
-    """Return the names of the unnamed terms among effects."""
+    """Return the names of those effects that are unnamed terms of a diagnosis (`unnamed_1`, …)."""
     return [applied.effect.name for applied in effects if applied.effect.name.startswith(UNNAMED)]
 
 

@@ -232,8 +232,8 @@ class LinearSystem:
     def g_per_signal(self) -> Floats:
         """Factors (N,) that convert each row from the unit of the signal to g.
 
-        For the signal of a channel it is 1 over the absolute scale factor, for a modulus the length of the
-        gradient of |a| with respect to the signals.
+        For the signal of a channel, the factor is 1 over the absolute scale factor; for a modulus, it is the norm
+        of the gradient of |a| with respect to the signals.
         """
         size = np.empty(len(self))
         for block, mine in self.by_block():

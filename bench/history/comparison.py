@@ -73,15 +73,16 @@ class Snapshot:
     place: float = np.nan
 
     def per(self, g_m_s2: float, gravity_u: float = 0.0) -> Snapshot:
-        """Return the snapshot with its scale factors in unit/g for a g of `g_m_s2` (m/s²), known to `gravity_u`.
+        """Return the snapshot with scale factors in unit/g, for a g of `g_m_s2`, m/s², with relative u
+        `gravity_u`.
 
-        The covariance then includes the errors of both values of g, which all scale factors share. For the same
-        g, as of calibrations in one place, there is no such error.
+        The covariance then includes the errors of both values of g, which all scale factors share. For the same g,
+        as of calibrations in one place, there is no such error.
         """
         return self if g_m_s2 == self.g_m_s2 else self._elsewhere(g_m_s2, gravity_u)
 
     def per_standard_g(self) -> Snapshot:
-        """Return the snapshot with its scale factors in unit/g for standard g, which is exact and of no place."""
+        """Return the snapshot with its scale factors in unit/g for standard g, which is exact everywhere."""
         return self._elsewhere(STANDARD_GRAVITY, 0.0)
 
     def _elsewhere(self, g_m_s2: float, gravity_u: float) -> Snapshot:

@@ -296,7 +296,7 @@ def floors(aim: Aim, stand: Stand, whole: Stand, pool: Pool) -> list[Floor]:
 
 
 def with_hidden(aim: Aim, stand: Stand, whole: Stand, pool: Pool) -> Aim:
-    """Return the aim with `hidden` set for combined goals, and loose goals relaxed to what is attainable."""
+    """Return the aim with `hidden` set for combined goals, and loose goals relaxed to attainable ones."""
     if not any(wanted.combined for wanted in aim.wanted):
         return aim
     readings, combined = (

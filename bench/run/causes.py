@@ -338,7 +338,7 @@ class Confidence:
         self._silent, self._undecided, self._unexplained_v = False, None, 0.0
 
     def went_on(self, sighting: Sighting) -> None:
-        """Note that a person continued despite the mistakes just named, and thus accepted the lasting ones."""
+        """Note that a person continued despite the mistakes just named, and so accepted those that last."""
         self._silent = True
         for kind in self._last:
             if kind in LASTING:

@@ -90,7 +90,7 @@ def same_serials(identities: Mapping[str, Identity]) -> list[str]:
 
 
 def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str, str]) -> None:
-    """Ask whether to continue if identities (by instrument name) have changed from `before`, those at the start.
+    """Ask whether to continue if identities, by instrument name, differ from those `before`, at the start.
 
     Raises `BenchError` if the person disagrees.
     """

@@ -209,7 +209,7 @@ def first_of_pass(plan: Plan, turn: int) -> int:
 
 
 def last_of_pass(plan: Plan, progress: PlanProgress, turn: int) -> int:
-    """Return the last step of the latest point begun in the same pass as the turn at index `turn`."""
+    """Return, in the pass of the turn at index `turn`, the last step of the latest point begun."""
     last = turn
     for index in range(turn, len(plan.steps)):
         if isinstance(plan.steps[index], Mount | SetTemperature):

@@ -77,7 +77,7 @@ class BodyResult(ABC):
         """Write all files of `bench diagnose`; return the result with their paths.
 
         With `accept_first`, a tie is written as its likeliest effect. A file that cannot be written is noted in
-        `not_written`; if an output folder was requested, it raises `OSError`.
+        `not_written`; if an output folder was requested, `OSError` is raised instead.
         """
 
     def __repr__(self) -> str:

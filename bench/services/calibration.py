@@ -220,7 +220,7 @@ class CalibrationResult:
         return self.calibration.covariance
 
     def as_coefficients(self) -> Coefficients:
-        """Return the coefficients in the form in which `read_coefficients` returns those of a result file."""
+        """Return the coefficients as `read_coefficients` would return them from the result file."""
         from bench.services.coefficients import Coefficients
 
         own = self.calibration

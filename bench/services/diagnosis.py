@@ -124,7 +124,7 @@ class DiagnosisResult(ResultWithPage):
             text.print_one(self.found, self.files, out)
 
     def model_is_due(self, *, accept_first: bool = False) -> bool:
-        """Return whether there is a model to write: of effects, unnamed terms, or the first effect of a tie."""
+        """Return whether there is a model to write: effects, unnamed terms or, if accepted, the first of a tie."""
         form = self.diagnosis.form
         there = _named(self.diagnosis, accept_first=accept_first) or (form is not None and form.applied)
         return bool(there) and self.found.shown.after is not None
@@ -255,7 +255,7 @@ class DiagnosisAlone(ResultWithPage):
         return tuple(paths)
 
     def corrected(self) -> dict[int, Readings]:
-        """Return the readings without outlying positions, by number of source; affected sources only."""
+        """Return the readings without their outlying positions, by source number, of the affected sources only."""
         return {}
 
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
@@ -303,7 +303,7 @@ class FreeDiagnosisResult(DiagnosisAlone):
     write_model = DiagnosisAlone.write_models
 
     def corrected(self) -> dict[int, Readings]:
-        """Return the readings without outlying positions, by number of source; affected sources only."""
+        """Return the readings without their outlying positions, by source number, of the affected sources only."""
         kept = {}
         for number in np.unique(self.found.left_out[:, 0]).tolist():
             source = self.body.sources[number]

@@ -45,9 +45,10 @@ def reminders(bench: BenchFile) -> Iterator[str]:
 
 
 def is_away(answers: str | None, *, panel: bool) -> bool:
-    """Return whether the folder takes answers: `answers` is "folder", or None and a panel has no terminal.
+    """Return whether a person answers through the folder and not at a terminal.
 
-    Raises `Refused` for an unknown place in `answers`.
+    That is so for "folder" in `answers`, or for None if a `panel` has no terminal. Raises `Refused` for an unknown
+    place in `answers`.
     """
     if answers not in (None, "terminal", "folder"):
         raise Refused(f"--answers {answers}: give 'terminal' or 'folder'")

@@ -151,7 +151,7 @@ class Source:
 
     @property
     def what_if(self) -> bool:
-        """Whether a run is evaluated otherwise than it recorded; its results then go to a separate folder."""
+        """Whether a run is evaluated with other settings than recorded; its results then go elsewhere."""
         if self.run is None:
             return False
         asked = self.request

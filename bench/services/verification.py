@@ -141,7 +141,7 @@ def judgement_of(
 def own_judgement(
     source: Source, asked: VerdictOptions | None = None, agreed: DecisionRule | None = None
 ) -> Judgement:
-    """Return the basis of a source's verdict: `asked`, else as its run or bench file says.
+    """Return the basis of a source's verdict: the options `asked`, else those of its run or bench file.
 
     `agreed` is the decision rule if none of these names a rule.
     """
@@ -365,7 +365,7 @@ def _on_temperature(taken: Coefficients, source: Source) -> Iterator[str]:
 def unsuitable(taken: Coefficients, name: str, source: Source) -> Iterator[str]:
     """Yield a warning for coefficients of the calibration `name` that do not suit the readings of a source.
 
-    Raises `Refused` if they were fitted to the verification points that they shall verify.
+    Raises `Refused` if they were fitted to the verification points that are to be judged.
     """
     if taken.joined and _same_readings(taken, source):
         raise Refused(

@@ -446,7 +446,7 @@ class DriftSeen:
 def drift_of(
     years: Floats, values: Floats, u: Floats, dof: float, u_known: Floats | float = 0.0
 ) -> DriftSeen:
-    """Return the slopes of lines through coefficients (n, p), of u (p,) and `dof`, at times `years` (n,).
+    """Return the slopes of lines through coefficients (n, p) with u (p,) and `dof`, at times `years` (n,).
 
     `u_known` is the standard uncertainty, per year, of a known drift that the values no longer contain.
     """

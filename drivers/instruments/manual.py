@@ -266,7 +266,7 @@ def ask_temperature(
     outside: Callable[[float], str],
     of: str = "block",
 ) -> float | None:
-    """Ask for a temperature from `low_c` to `high_c`, °C; return None if no attempt gives one.
+    """Ask for a temperature from `low_c` to `high_c`, °C; return None if no attempt gives a temperature.
 
     `key` names the question, `text` says what to do. `outside` returns the complaint about a value out of range.
     `of` is "meter" or "room" for a temperature other than the block's. Raises `NoAnswer` if nobody can answer.

@@ -294,7 +294,7 @@ class World(KeyedNumbers):
             self._pose_on(installation=installation, series=series, stand_rad=stand_rad)
 
     def level_platform(self, installation: str, series: int) -> None:
-        """Set tilt and zero offset of the platform to those that it has after levelling for a mounting."""
+        """Set tilt and zero offset of the platform to their values after a levelling for this mounting."""
         with self._lock:
             stand_rad = self._poses[-1].stand_rad.copy()
             stand_rad[:2] = self._stand_rad(installation, series)[:2]

@@ -129,7 +129,10 @@ class DriftForm(FileModel):
 
 
 def written_as(section: type[FileModel], tag: str, plain: str) -> Discriminator:
-    """Return the discriminator of values written as a `section` (`tag`) or as a number or a list (`plain`)."""
+    """Return a discriminator between two forms of a written value.
+
+    A mapping, which is a `section`, has the tag `tag`; a number or a list has the tag `plain`.
+    """
     return Discriminator(lambda written: tag if isinstance(written, dict | section) else plain)
 
 
