@@ -173,7 +173,7 @@ class Thermotron8800(PlainDialect):
         return None
 
     def power_cycle(self) -> None:
-        """Switch off and on: it is stopped and keeps its set point."""
+        """Switch off and on: the controller is then stopped, with its set point unchanged."""
         self._stop()
 
     def _carry_out(self, command: str) -> None:

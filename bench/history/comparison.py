@@ -73,8 +73,7 @@ class Snapshot:
     place: float = np.nan
 
     def per(self, g_m_s2: float, gravity_u: float = 0.0) -> Snapshot:
-        """Return the snapshot with scale factors in unit/g, for a g of `g_m_s2`, m/s², with relative u
-        `gravity_u`.
+        """Return the snapshot with scale factors per g of `g_m_s2` (m/s²), which has the relative u `gravity_u`.
 
         The covariance then includes the errors of both values of g, which all scale factors share. For the same g,
         as of calibrations in one place, there is no such error.

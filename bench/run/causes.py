@@ -231,8 +231,8 @@ class Inquiry:
     ) -> ReplayedReadings:
         """Replay all readings for each member, that is, for each supposed mistake.
 
-        The default is one member that uses the readings as recorded. If a member leaves a reading out, the reading
-        costs as much as one that does not fit.
+        The default is one member that uses the readings as recorded. If a member leaves a reading out, this
+        reading adds as much to the cost (-2 ln likelihood) as one that does not fit.
         """
         state = self.prior.repeated(len(members))
         cabling = np.stack([member.cabling for member in members])

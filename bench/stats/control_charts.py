@@ -316,7 +316,7 @@ class ChartDesign:
     def alpha_single(self, dimensions: int) -> float:
         """Return the alarm probability of a single coefficient.
 
-        With it, `dimensions` coefficients together have the alarm probability of T².
+        If `dimensions` coefficients each have it, together they have the alarm probability of T².
         """
         return self.alpha / dimensions
 
