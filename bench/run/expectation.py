@@ -182,9 +182,7 @@ class Expectation:
             self.covariance[:, column, column] = stand_u.get(name, 0.0) ** 2
 
     def loosen(self, variance: Floats) -> None:
-        """Add `variance` (12,) to the variances of the coefficients, which may have changed since the last
-        reading.
-        """
+        """Add `variance` (12,) to the variances of coefficients that may have changed since the last reading."""
         index = np.arange(COEFFICIENT_COUNT)
         self.covariance[:, index, index] += variance
 
