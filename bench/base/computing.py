@@ -67,7 +67,7 @@ def one_thread() -> None:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Pause the garbage collector while many small objects are created; it would scan them again and again.
+    """Pause the garbage collector while many small objects are created, because it would scan them repeatedly.
 
     Objects without reference cycles are freed as usual. Also usable as a function decorator.
     """

@@ -519,7 +519,7 @@ def whiten(columns: Floats, slope: Floats, noise: Noise) -> Floats:
 def whiten_back(columns: Floats, slope: Floats, noise: Noise) -> Floats:
     """Return W^T times columns (n, 3, p), with W as in `whiten`.
 
-    It converts a map of whitened readings to a map of raw readings.
+    The product converts a map of whitened readings to a map of raw readings.
     """
     sizes = noise.by_channel
     return np.asarray(_shrunk(columns, slope / sizes, noise.setting_rad) / sizes[:, None])

@@ -324,11 +324,11 @@ class Sensitivities:
 
 
 def observability(problem: Problem, block: Block, *, modulus: Conditions | None = None) -> Observability:
-    """Return which of the problem's unknowns are determined by readings under its conditions.
+    """Return which of the problem's unknowns are determined by readings under the problem's conditions.
 
-    The derivatives are taken at zero stand angles, where null vectors are exact, for the coefficients of
-    `block`. `modulus` are additional readings of which only |a| = 1 g is used. Raises `KeyError` for an
-    installation that the model lacks.
+    The derivatives are taken at zero stand angles, where null vectors are exact, for the coefficients of `block`.
+    `modulus` are additional readings of which only |a| = 1 g is used. Raises `KeyError` for an installation that
+    the model lacks.
     """
     return columns_of(problem, block, modulus).observability(block)
 

@@ -170,7 +170,8 @@ class Verification:
     def p_outside_worst(self) -> float:
         """Largest probability, over the points, that the true error at a point is outside the limit.
 
-        With a population it is the posterior probability given the readings at all points, as in `p_outside`.
+        With a population, the result is the posterior probability given the readings at all points, as in
+        `p_outside`.
         """
         if self.population is None:
             return max(point.p_outside for point in self.points)

@@ -140,7 +140,7 @@ class Snapshot:
         The covariance of the difference is the sum of the covariances of `self.against(first)` and
         `first.against(first)`. Gain and offset of the same meters cancel within a day, and less as time passes:
         after `METERS_DRIFT` they may lie anywhere within their limits. Errors of different or unidentified meters
-        never cancel. K2 and K3 of the same block cancel where their effects are equal.
+        never cancel. Errors due to K2 and K3 of the same block cancel where they are equal.
         """
         theirs = _of_block(first.block_terms, len(self.vector))
         own = self.without_meters + self._wander_from_start

@@ -441,9 +441,9 @@ class Requirement:
 
         Without weights, each named source receives an equal part of the variance that the unnamed sources leave,
         judged at the point where it contributes most. With weights, the cost of a source is its weight divided by
-        its size in units of the bench's own size; the total cost is least if the parts are proportional to (weight
-        × present contribution)^(2/3). A source that stays below its part at any size has no limit; the others share
-        its part. Raises `CalibrationError` if nothing is left to share.
+        its size in units of the size in the bench file; the total cost is least if the parts are proportional to
+        (weight × present contribution)^(2/3). A source that stays below its part at any size has no limit; the
+        others share its part. Raises `CalibrationError` if nothing is left to share.
         """
         own = {s.name: s for s in self.sources}
         parts = self._parts(names, weights)

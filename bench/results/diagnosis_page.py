@@ -312,7 +312,7 @@ def _kind(rival: Rival, named: str) -> str:
 
 
 def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
-    """Return a plot of Δg at the verification points, before and after, with bars of k = 2 (paper, Fig. 6)."""
+    """Return a plot of Δg ± 2 u at the verification points, without and with the effects found (paper, Fig. 6)."""
     scale = scale_for(limit_g, "g")
     limit = limit_g / scale.size
     parts: list[tuple[str, Sequence[ModulusPoint], str, str]] = [("Δg", shown.before.points, "o", plots.BLUE)]

@@ -187,8 +187,8 @@ def place_in_words(place: ResidualPattern) -> str:
 def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     """Return each effect that the readings can show, and the size that half of all runs reveal.
 
-    The size is for the variant that is easiest to find. For several parameters, such as the two phases of a
-    wave, it is their norm in the direction that is hardest to find.
+    The size is for the variant that is easiest to find. For several parameters, such as the two phases of a wave,
+    the size is their norm in the direction that is hardest to find.
     """
     sizes = []
     for name, factor in diagnosis.detectable.items():

@@ -419,7 +419,8 @@ QUARTER_TURNS: Final = _quarter_turns()
 def orientations(installations: Mapping[str, Installation], label: str) -> dict[str, Installation]:
     """Return the other possible orientations of a block on the platform, each under a sentence that describes it.
 
-    They are installation `label` turned by quarter turns, without those that equal a known installation.
+    These orientations are installation `label` turned by quarter turns, without those that equal a known
+    installation.
     """
     own = installations[label].block_from_platform
     known = np.array([other.block_from_platform for other in installations.values()])

@@ -275,7 +275,7 @@ def pause_prompt(now_s: float) -> Prompt:
 
 
 def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
-    """Ask how to continue after an early sign; return the reason for going on despite it.
+    """Ask how to continue after an early sign; return the reason for going on despite the sign.
 
     Raises `OperatorWish` if the person chooses to repeat something, and `NoAnswer` with the sign's sentence if
     nobody answers. `again` is explained at `halt_prompt`.

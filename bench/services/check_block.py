@@ -536,7 +536,7 @@ def _judged(
 def checked_before(
     manifest: Manifest, bench: BenchFile, path: Path, runs: Path, despite: str | None
 ) -> tuple[str, ...]:
-    """Check the bench before a run begins; note it in the run's manifest, and return sentences on it.
+    """Check the bench before a run begins; note the result in the run's manifest, and return it in sentences.
 
     `despite` is the operator's reason to begin whatever the check says. A run of the check block itself is not
     checked. Raises `Refused` if the rule of the bench file forbids the run.

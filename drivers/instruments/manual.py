@@ -329,7 +329,7 @@ class ManualChamber(ByHand):
     def set_temperature(self, target_c: float, key: str) -> None:
         """Ask the person to set `target_c` and to confirm; the answer "no" repeats the question.
 
-        Raises `LimitExceeded` before anybody is asked, `InstrumentRefused` if it is never confirmed,
+        Raises `LimitExceeded` before anybody is asked, `InstrumentRefused` if the person never confirms,
         `NoAnswer` if nobody can answer.
         """
         if not self._minimum_c <= target_c <= self._maximum_c:
