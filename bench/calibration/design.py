@@ -168,7 +168,7 @@ class Problem:
         return stand + [f"{name}({shape})" if effects.count(name) > 1 else name for name, shape in named]
 
     def parameter(self, unknown: EffectUnknown) -> Parameter:
-        """Return the catalogue parameter of an effect unknown."""
+        """Return the parameter, in the catalogue of effects, to which an unknown of an effect belongs."""
         parameters = self.model.effects[unknown.effect].effect.parameters
         return next(p for p in parameters if p.name == unknown.parameter)
 

@@ -207,7 +207,7 @@ class LinearSystem:
 
     @cached_property
     def relative(self) -> Floats:
-        """The noise of each row divided by the average noise, from all the factors together, shape (N,)."""
+        """The relative noise of each row, shape (N,): the product of all factors, such as that of the channel."""
         relative = self.relative_of_channel
         if self.by_run is not None:
             relative = relative * self.by_run.sizes[self.readings.run[self.rows.reading]]

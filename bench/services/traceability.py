@@ -255,7 +255,7 @@ def take_learned(
 
 
 def learned_for_run(bench: BenchFile, path: Path, created: str, *, simulated: bool | None) -> LearnedTaken:
-    """Return the valid part of the learned file that a bench file at `path` names, on the day `created`.
+    """Return the part, valid on the day `created`, of the learned file that the bench file at `path` names.
 
     If `path` is the run's own copy, later changes of the original files have no effect. Raises `FileMistakes`.
     """

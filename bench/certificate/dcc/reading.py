@@ -121,7 +121,10 @@ def _shown_coefficients(root: Node) -> tuple[Floats, dict[str, CertifiedCoeffici
 
 
 def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
-    """Return the (signed) root of a DCC in XML or PDF, and a note. Raises `Refused` if unreadable or not intact."""
+    """Return the root of a DCC in XML or PDF, which may be signed, and a note on the signature.
+
+    Raises `Refused` if the file cannot be read or is not intact.
+    """
     try:
         with refusing("check name and permissions", path, verb="read"):
             content = read_regular(path, MOST_BYTES)
