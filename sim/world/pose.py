@@ -162,7 +162,9 @@ class HeadFault:
     runs_away: bool = False
 
     def end_rad(self, start_rad: float, target_rad: float) -> tuple[float, bool]:
-        """Return the angle at which a movement with this fault ends, and whether the head then is stuck or astray.
+        """Return the angle at which a movement with this fault ends, rad.
+
+        The second value says whether the head is then stuck, or off its target.
         """
         if self.runs_away:
             return start_rad + math.copysign(_ENDLESS_RAD, start_rad - target_rad), True
