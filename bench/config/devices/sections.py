@@ -362,8 +362,7 @@ class ReadOutHeadForm(HeadForm, WiredForm):
         return {"zero_rad": self.zero, "falling": self.falling}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the options of the simulated head: keys of the section; zero, sense, reference of encoder.
-        """
+        """Return the options of the simulated head: keys of the section; encoder's zero, sense, reference."""
         own = {"zero_deg": math.degrees(self.zero), "falling": self.falling, "referenced": truth.homed}
         return super().simulation_options(truth) | own
 
