@@ -58,10 +58,11 @@ class Participants:
         both = np.linalg.matrix_rank(np.concatenate([self.Z_unit, self.Z_bench], axis=1))
         return int(both) - int(self.unit.max()) - 1
 
-    def between(self, dark: float) -> Floats:
-        """Return the matrix (n, n) of the quadratic form in `y` that measures differences between benches."""
-        V = self.with_dark(dark)
-        return _left(V, self.Z_unit) - _left(V, np.concatenate([self.Z_unit, self.Z_bench], axis=1))
+    @cached_property
+    def between(self) -> Floats:
+        """The matrix (n, n) of the quadratic form in `y` that measures differences between benches."""
+        both = np.concatenate([self.Z_unit, self.Z_bench], axis=1)
+        return _left(self.covariance, self.Z_unit) - _left(self.covariance, both)
 
 
 def _left(V: Floats, X: Floats) -> Floats:
@@ -139,11 +140,20 @@ def equivalence(of: Participants, method: str | None = None) -> Equivalence:
 def mandel_paule(of: Participants) -> float:
     """Return the dark uncertainty (>= 0) at which chi-square between benches equals its degrees of freedom."""
 
-    def gap(variance: float) -> float:
-        return float(of.y @ of.between(np.sqrt(variance)) @ of.y) - of.between_dof
-
-    if gap(0.0) <= 0.0:
+    excess = float(of.y @ of.between @ of.y) - of.between_dof
+    if excess <= 0.0:
         return 0.0
+    # In contrasts of the values, which no reference value changes, both covariances become diagonal: by how much a
+    # dark uncertainty reduces chi-square is then a sum.
+    contrasts = linalg.null_space(of.Z_unit.T)
+    lower = linalg.cholesky(contrasts.T @ of.covariance @ contrasts, lower=True)
+    whitened = linalg.solve_triangular(lower, contrasts.T @ np.column_stack([of.y, of.Z_bench]), lower=True)
+    size, axes = linalg.eigh(whitened[:, 1:] @ whitened[:, 1:].T)
+    squares = (axes.T @ whitened[:, 0]) ** 2
+
+    def gap(variance: float) -> float:
+        return excess - float(np.sum(squares * variance * size / (1.0 + variance * size)))
+
     high = dersimonian_laird(of) ** 2 or float(np.var(of.y))
     while gap(high) > 0.0:
         high *= 2.0
@@ -152,9 +162,8 @@ def mandel_paule(of: Participants) -> float:
 
 def dersimonian_laird(of: Participants) -> float:
     """Return the dark uncertainty by the method of moments; 0 if benches differ less than expected."""
-    form = of.between(0.0)
-    per_variance = float(np.sum((form @ of.Z_bench) * of.Z_bench))
-    return float(np.sqrt(max(0.0, (float(of.y @ form @ of.y) - of.between_dof) / per_variance)))
+    per_variance = float(np.sum((of.between @ of.Z_bench) * of.Z_bench))
+    return float(np.sqrt(max(0.0, (float(of.y @ of.between @ of.y) - of.between_dof) / per_variance)))
 
 
 def _by(of: Participants, dark: float, method: str) -> Equivalence:
@@ -424,9 +433,9 @@ class Drift:
 def transport_dark(drifts: Sequence[Drift], names: Sequence[str]) -> Floats:
     """Return how far each number of a travelling unit scatters from stop to stop in excess of u, (m,), 1 sigma.
 
-    It is the Mandel-Paule solution for changes with the variance u^2 + 2 dark^2, and 0 for changes within u. If
-    no change is significant after Holm's correction, it is 0 for all numbers: the scatter of a few returns must
-    not widen u by chance.
+    The result is the Mandel-Paule solution for changes with the variance u^2 + 2 dark^2, and 0 for changes within
+    u. If no change is significant after Holm's correction, the result is 0 for all numbers: the scatter of a few
+    returns must not widen u by chance.
     """
     found = np.zeros(len(names))
     changed = any(holm(np.array([drift.p for drift in drifts])) < APART_P) if drifts else False

@@ -158,7 +158,7 @@ class Run:
         ]
 
     def _unfinished_note(self, taken: int) -> tuple[str, ...]:
-        """Return notes if planned readings are missing; `taken` is the number of recorded readings."""
+        """Return notes if planned readings are missing; `taken` is the number of valid readings."""
         history = self.trusted_history()
         out = history.progress.left_out
         planned = [i for i, step in enumerate(self.plan.steps) if isinstance(step, Read)]
@@ -171,13 +171,17 @@ class Run:
             )
         if taken != needed:
             notes.append(f"the run is {history.state}: {taken} of {needed} planned readings were taken")
+        if withdrawn := len({one[0] for one in history.taken if one is not None} - history.progress.done):
+            notes.append(
+                f"readings that do not count, because their repetition was asked for and not taken: {withdrawn}"
+            )
         return tuple(notes)
 
 
 def statement_in(verdict: Mapping[str, Any]) -> str:
     """Return the statement of conformity in a result of `verify` or in one of its points.
 
-    For results of earlier versions, which have no statement, it is "pass" or "fail". Raises `KeyError`.
+    For results of earlier versions, which have no statement, the result is "pass" or "fail". Raises `KeyError`.
     """
     return str(verdict.get("statement") or ("pass" if verdict["passed"] else "fail"))
 

@@ -92,7 +92,7 @@ class History:
     power: list[tuple[float, str]] = field(default_factory=list)
 
     def not_repaired(self) -> tuple[list[Event], list[Event]]:
-        """Return early signs, and decisions to go on in spite of one, whose wrong reading was not repeated."""
+        """Return early signs whose wrong reading was not repeated, and decisions to continue despite such signs."""
         steps: dict[tuple[int, str, int, int], int] = {}
         found: list[tuple[int, Event]] = []  # each with the step of the reading at fault
         for event in self.events if self.progress.signs else ():
@@ -113,10 +113,13 @@ class History:
 
     @property
     def readings(self) -> dict[int, Reading]:
-        """The readings by step in the order of measurement, without samples; of a repeated step, only the last."""
+        """The readings by step in the order of measurement, without samples; of a repeated step, only the last.
+
+        A reading that a person asked to repeat no longer counts, even if the repetition has not been taken.
+        """
         by_step: dict[int, Reading] = {}
         for one in self.taken:
-            if one is not None:
+            if one is not None and one[0] in self.progress.done:
                 step, reading = one
                 by_step.pop(step, None)
                 by_step[step] = reading

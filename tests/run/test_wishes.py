@@ -3,6 +3,7 @@
 import pytest
 
 from bench.run.events import Event, RunState, Wish
+from bench.run.folder import Run
 from bench.run.person import OperatorWish, RunControl
 from bench.run.record import resume_point
 from bench.run.runner import RunAborted
@@ -67,6 +68,22 @@ def test_redo_takes_the_last_point_again_and_its_last_reading_counts(tmp_path):
     attempts = [e.data["attempt"] for e in history.events if e.type == "step_done" and "reading" in e.data]
     assert attempts == [1, 1, 2, 1, 1, 1, 1]
     assert [w[1] for w in bench.done if w[0] == "move"][:4] == ["t11", "t12", "t12", "t13"]
+
+
+def test_a_reading_whose_repetition_was_asked_for_does_not_count_if_the_run_ends_first(tmp_path):
+    at = poll_at("r12")
+    with pytest.raises(RunAborted):
+        listening(tmp_path, {at: RunControl(Wish.REPEAT_POINT), at + 1: RunControl(Wish.ABORT)})
+    history, keys, _ = recorded(tmp_path / "run")
+    assert keys == ["r11", "r12"]
+    run = Run(tmp_path / "run")
+    vars(run)["plan"] = PLAN
+    counted = run.readings()
+    assert (len(counted), len(history.readings)) == (1, 1)
+    assert counted.notes == (
+        "the run is aborted: 1 of 6 planned readings were taken",
+        "readings that do not count, because their repetition was asked for and not taken: 1",
+    )
 
 
 def test_redo_pass_goes_back_to_its_first_turn(tmp_path):
