@@ -94,11 +94,7 @@ class LogColumns(FileModel):
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-<<<<<<< HEAD
         """Yield place and sentence for a unit that does not fit its column, and columns that make no mean."""
-=======
-        """Yield place and sentence for a unit that does not fit its column, and a column twice in one mean."""
->>>>>>> main
         columns = data.get("columns") if isinstance(data, dict) else None
         for name, value in columns.items() if isinstance(columns, dict) else ():
             unit = value.get("unit") if isinstance(value, dict) else None
