@@ -20,6 +20,7 @@ from bench.calibration.budget.error_source import ErrorSource
 from bench.diagnosis.levels import FOLDS
 from bench.diagnosis.record_model import (
     LEAST,
+    ZERO_V,
     Noise,
     NoiseTrials,
     Record,
@@ -44,11 +45,6 @@ With less, u of the gain is over 200 times that from one level with a known offs
 """
 GAIN: Final = "voltmeter_gain"
 """The effect that adds a multiple of the reference to a signal."""
-ZERO_V: Final = 1e-3
-"""If the reference has a single level below this, V, the record determines the offset only.
-
-An offset of 1 µV would change the gain by 0.1 %.
-"""
 
 
 @dataclass(frozen=True)

@@ -141,3 +141,10 @@ def test_an_effect_of_a_temperature_that_is_not_recorded_widens_u(tmp_path, unit
     assert any("temperature not recorded" in note for note in found.notes)
     known = calibrate_record(readings, [effect], unread)
     assert not any("temperature not recorded" in note for note in known.notes)
+
+
+def test_signals_in_another_unit_than_the_reference_are_told(tmp_path):
+    readings = record(tmp_path, 6, levels=(10.0,))
+    assert not any("units" in note for note in calibrate_record(readings).notes)
+    found = calibrate_record(replace(readings, signal=1e-6 * readings.signal))
+    assert "ux_v is 1e-05 V where reference_v is 10 V; check their units in the mapping" in found.notes
