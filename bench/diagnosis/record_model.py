@@ -152,7 +152,7 @@ def make_record(readings: Readings) -> Record:
 
 
 def _far_from_reference(signal_v: Floats, reference_v: Floats, channels: Sequence[int]) -> Iterator[str]:
-    """Yield a sentence for each channel whose signals (n, c) differ from the reference (n,) as another unit would."""
+    """Yield a sentence for each channel whose signals (n, c) differ from the reference (n,) by a wrong unit."""
     level_v = float(np.median(np.abs(reference_v)))
     for channel, read_v in zip(channels, np.median(np.abs(signal_v), axis=0).tolist(), strict=True):
         if level_v >= ZERO_V and not 1.0 / LARGER < read_v / level_v < LARGER:
