@@ -69,6 +69,45 @@ def test_what_is_random_holds_slow_noise(made):
     np.testing.assert_allclose(np.sqrt(2.0) * mean.max(), waves.max())
 
 
+def of_reference(made, count, seed, size, channels):
+    """The hypothesis of a noisy reference (None: not offered) in so many draws of noise, with what was added, V.
+
+    The added noise is a fraction of the signal, with the root mean square `size` in units of a reading's noise, and
+    one course for each of 1 or 3 `channels`.
+    """
+    linear, rng = made.linear, np.random.default_rng(seed)
+    white = null_responses(linear, NOISE_V, np.full(count, RATIOS[RATIO]), rng)
+    noise = NoiseSize(NOISE_V, RATIOS[RATIO] / linear.typical_slope * NOISE_V, 150)
+    channel = np.minimum(linear.rows.channel, 2)
+    signal = linear.readings.signal[linear.rows.reading, channel]
+    for response in white.T:
+        course = np.broadcast_to(
+            wandering(rng, len(linear.readings))[:, :channels], (len(linear.readings), 3)
+        )
+        added = size * NOISE_V * course[linear.rows.reading, channel] * signal / np.sqrt(np.mean(signal**2))
+        added = np.where(linear.setting >= 0, added, 0.0)
+        told = noise_hypotheses(replace(linear, response=response + added), np.zeros((len(linear), 0)), noise)
+        yield next((one for one in told if one.what == "reference"), None), added[linear.setting >= 0]
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_noise_of_a_reference_is_offered_at_its_size(made, channels):
+    """8 draws of three times the noise of a reading (seed 9); one draw has a spread of a third at most."""
+    ratios = []
+    for found, added in of_reference(made, 8, 9, 3.0, channels):
+        assert found is not None
+        system = found.linear
+        columns = system.random[system.setting >= 0][:, system.random.shape[1] - system.of_noise :]
+        ratios.append(np.sqrt(np.mean(np.sum(columns**2, axis=1)) / np.mean(added**2)))
+    assert 0.75 < np.median(ratios) < 1.35
+
+
+@pytest.mark.slow
+def test_white_noise_is_seldom_that_of_a_reference(made):
+    """40 draws (seed 10), two hypotheses: at 2 % each, 7 come once in 500 times."""
+    assert sum(found is not None for found, _ in of_reference(made, 40, 10, 0.0, 1)) < 7
+
+
 def test_slow_noise_too_small_in_each_channel_is_found_in_all(made):
     """30 draws of 0.8 of the noise of a reading (seed 6): more often as one size of all than in single channels."""
     found = list(drawn(made, 30, 6, 0.8))
@@ -131,6 +170,14 @@ def test_slow_noise_is_chosen_and_nothing_is_named():
     found = [chosen(noisy(seed, "slow")) for seed in range(2)]
     assert any("slow" in kinds for kinds, _ in found)
     assert not any(one.variant.named and not one.ties for _, naming in found for one in naming.found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["reference", "references"])
+def test_noise_of_a_reference_is_chosen_and_nothing_is_named(kind):
+    kinds, naming = chosen(noisy(0, kind))
+    assert "reference" in kinds
+    assert not any(one.variant.named and not one.ties for one in naming.found)
 
 
 @pytest.mark.slow
