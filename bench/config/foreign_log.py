@@ -273,7 +273,7 @@ class _Rows:
             mean = statistics.fmean(numbers) + self._add[name]
             values.append("" if math.isnan(mean) else repr(mean))
             if name in self._scatter:
-                scatter.append(repr(statistics.stdev(numbers)))
+                scatter.append("" if math.isnan(mean) else repr(statistics.stdev(numbers)))
         return [*self.mapping.constants.values(), *values, *scatter]
 
     def _number(self, name: str, column: str, cell: str) -> float:

@@ -132,7 +132,7 @@ class LinearSystem:
     (N, q) are the derivatives by the other unknowns, times their prior standard deviations. Its columns belong to
     the stand angles, then to the effects of the given model (`problem` describes both), then to unknown
     references. The last `of_noise` columns are not unknowns of the bench but noise that readings share, such as
-    slow noise in `slow_channels`.
+    slow noise in `slow_channels`, or of the meters' references if `slow_reference`.
 
     `slope` (N,) is the derivative of each row's signal by the head angle, or 0 in a row that does not depend on
     it. `setting` (N,) is the number of each row's setting of the head, or -1 in a row without a setting.
@@ -164,6 +164,7 @@ class LinearSystem:
     by_place: Floats | None = field(default=None, kw_only=True)
     of_noise: int = field(default=0, kw_only=True)
     slow_channels: tuple[int, ...] = field(default=(), kw_only=True)
+    slow_reference: bool = field(default=False, kw_only=True)
 
     def __len__(self) -> int:
         return len(self.response)

@@ -556,7 +556,7 @@ def _shown(
 
 def _slow(linear: LinearSystem) -> Floats | None:
     """Return the signals (n, 3, k) of the slow noise found, for one standard deviation of each of k components."""
-    if not linear.slow_channels:
+    if not (linear.slow_channels or linear.slow_reference):
         return None
     rows, own = linear.rows, linear.setting >= 0
     signals = np.zeros((len(linear.readings), 3, linear.of_noise))

@@ -237,3 +237,11 @@ def test_date_and_time_of_day_in_two_columns_are_one_time(tmp_path, form):
 def test_a_log_without_rows_is_refused(tmp_path):
     with pytest.raises(ReadingsError, match="log: the log has a header but no row; give a log with rows"):
         convert_log(Path("log"), LOG[: LOG.index("2024")].encode(), mapping(tmp_path))
+
+
+def test_a_mean_with_an_empty_cell_is_empty(tmp_path):
+    text = LOG.replace("1000,003;999999,5", ";999999,5")
+    made = convert_log(Path("log"), text.encode(), mapping(tmp_path))
+    first = dict(zip(*(line.split(",") for line in made.text.splitlines()[:2]), strict=True))
+    assert (first["reference_v"], first["reference_sd_v"]) == ("", "")
+    assert float(first["ux_v"]) == pytest.approx(0.9999995, rel=1e-12)

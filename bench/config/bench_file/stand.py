@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
@@ -441,8 +441,10 @@ class RoomError(ErrorSize):
     The lag is 100 min by default, as a published record of a 34420A in an air bath shows.
     """
 
+    LAG_S: ClassVar[float] = 6000.0
+
     limit: SizeK
-    lag: Annotated[SpanS, above_zero("state a lag above 0 min")] = 6000.0
+    lag: Annotated[SpanS, above_zero("state a lag above 0 min")] = LAG_S
 
 
 class BiasPerKelvin(ErrorSize):
@@ -518,11 +520,13 @@ class UncertaintySection(FileModel):
 
     The default for voltmeters is the maker's limits, for temperature the chamber's band, and for rail voltages
     their tolerance. The deviations of temperature and rail voltages are assumed constant throughout a run.
+    `reference_noise` is the 1/f noise of the references in the voltmeters, per decade of frequency.
     """
 
     voltmeter_gain: RatioError | None = None
     voltmeter_offset: VoltageError | None = None
     voltmeter_linearity: VoltageError | None = None
+    reference_noise: RatioError | None = None
     gravity: GravityError | None = None
     temperature: TemperatureError | None = None
     room_temperature: RoomError | None = None

@@ -61,7 +61,15 @@ def _flaws(truth: VoltmeterTruth) -> dict[str, Any]:
     return {"flaws": flaws} if any(flaws.values()) else {}
 
 
-_OF_THE_INPUT: Final = ("noise", "accuracy", "source_ohm", "mains", "zero_drift", "flicker")
+_OF_THE_INPUT: Final = (
+    "noise",
+    "accuracy",
+    "source_ohm",
+    "mains",
+    "zero_drift",
+    "flicker",
+    "reference_flicker",
+)
 
 
 _AGILENT_34401A = Device(

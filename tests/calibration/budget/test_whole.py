@@ -212,7 +212,7 @@ def test_readings_in_g_lack_only_the_errors_of_the_voltmeters(run):
         for one in (run, dataclasses.replace(run, unit="g", signal=run.signal / 2.0))
     )
     assert {s.name for s in in_volts.sources} - {s.name for s in in_g.sources} == {
-        "voltmeter_gain", "voltmeter_offset", "voltmeter_linearity",
+        "voltmeter_gain", "voltmeter_offset", "voltmeter_linearity", "reference_noise",
     }  # fmt: skip
     for one in in_g.sources:
         np.testing.assert_allclose(
