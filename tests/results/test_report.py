@@ -118,7 +118,7 @@ def test_what_a_user_wrote_cannot_become_markup(calibration):
     assert "<b>T</b>" in Text(page).text
 
 
-@pytest.mark.slow
+@pytest.mark.slow(6)
 @pytest.mark.figures
 def test_the_page_stands_alone_and_draws_every_reading_and_the_same_each_time(calibration):
     """54 readings of three channels, each drawn once against the angle: a marker is a <use> in the drawing."""
