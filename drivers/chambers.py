@@ -130,7 +130,7 @@ class ControlledChamber(ABC):
         self._session.close()
 
     def make_safe(self) -> str:
-        """Stop conditioning, as at the end of a run; return an empty string, as nothing is left for a person to do.
+        """Stop conditioning, as at the end of a run; return "", because nothing is left for a person to do.
 
         Raises `InstrumentRefused`, `InstrumentLost`, `BadReading`.
         """

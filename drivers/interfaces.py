@@ -281,7 +281,7 @@ class Level(Instrument, Protocol):
         """The standard uncertainties of the level."""
 
     def inclination(self, key: str, *, turned: bool) -> Inclination:
-        """Return the reading, with the level's own signs, in its first position or `turned` by half a turn.
+        """Return the inclination that the level shows, in its first position or `turned` by half a turn.
 
         Raises `BadReading` if the level is out of range, `InstrumentRefused`, `InstrumentLost`, `NoAnswer`.
         """

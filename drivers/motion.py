@@ -329,7 +329,7 @@ class MotorisedHead(ABC):
 
         Raises `LimitExceeded` before anything is sent; `WentAstray` if the head leaves its limits or moves away
         from its target; `InstrumentRefused` if it stalls, does not arrive, or the controller reports an error;
-        `InstrumentLost`, `BadReading`. An error during the motion stops it.
+        `InstrumentLost`, `BadReading`. An error during the motion stops the motion.
         """
         return self._mover.move(target_rad, direction)
 

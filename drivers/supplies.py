@@ -133,7 +133,7 @@ class WiredSupply(ABC):
         self._refuse_troubles(errors)
 
     def switch_all_off(self) -> str:
-        """Switch every output off and read it back; return an empty string, as nothing is left for a person to do.
+        """Switch every output off and read it back; return "", because nothing is left for a person to do.
 
         Raises `InstrumentRefused` if an output stays on, `InstrumentLost`, `BadReading`.
         """

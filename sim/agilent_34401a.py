@@ -298,7 +298,7 @@ class Trigger(MeasuringCycle):
         self._times_s = []
 
     def stop_waiting(self) -> None:
-        """Return from waiting for a trigger to idle, because a setting of the measurement has changed."""
+        """If the meter waits for a trigger, become idle, because a setting of the measurement has changed."""
         if self.state is TriggerState.WAITING:
             self.state = TriggerState.IDLE
 

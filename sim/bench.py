@@ -55,9 +55,9 @@ class SimulatedMeter:
 
 
 class Elsewhere:
-    """The world as seen by a thermometer away from the block: block and air have the temperature of its place.
+    """The world as seen by a thermometer elsewhere: block and air have the temperature at the thermometer.
 
-    `at_c` returns the temperature of this place at a time, s.
+    `at_c` returns this temperature, °C, at a time, s.
     """
 
     def __init__(self, world: World, at_c: Callable[[float | None], float]) -> None:

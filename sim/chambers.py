@@ -57,7 +57,7 @@ class EspecP300(PlainDialect):
         return self._answer(re.sub(r"\s*,\s*", ",", command.upper())).encode("ascii")
 
     def power_cycle(self) -> None:
-        """Switch off and on: it returns to standby and keeps its set point and limits."""
+        """Switch off and on: the controller is then in standby, with its set point and limits unchanged."""
         self._change_mode("STANDBY")
 
     def _answer(self, command: str) -> str:
@@ -173,7 +173,7 @@ class Thermotron8800(PlainDialect):
         return None
 
     def power_cycle(self) -> None:
-        """Switch off and on: it is stopped and keeps its set point."""
+        """Switch off and on: the controller is then stopped, with its set point unchanged."""
         self._stop()
 
     def _carry_out(self, command: str) -> None:

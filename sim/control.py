@@ -65,7 +65,7 @@ class ControlError(Exception):
 
 
 class BenchControl(PlainDialect):
-    """A `Dialect` that carries out the commands in `HELP` on a bench."""
+    """A `Dialect` that carries out on a simulated bench the commands that `HELP` lists."""
 
     model = "control"
 

@@ -211,7 +211,7 @@ class Keithley2000(ScpiInstrument):
         self.buffer.preset()
 
     def power_cycle(self) -> None:
-        """Switch off and on: settings, buffer and errors are lost; it measures continuously, with its filter."""
+        """Switch off and on: settings, buffer and errors are lost; the meter measures continuously, filtered."""
         super().power_cycle()
         self.buffer.clear()
         self._switch_on()

@@ -167,7 +167,7 @@ class ChannelConfiguration:
     def configure(self, range_value: Value, resolution: Value) -> None:
         """CONFigure:VOLTage:DC: preset the channel, set range and resolution.
 
-        Raises `ScpiError` -222 for an invalid value or 532 for too fine a resolution, and changes nothing then.
+        Raises `ScpiError` -222 for an invalid value or 532 for too fine a resolution, and then changes nothing.
         """
         chosen = self.settings.range_value if range_value == DEF else chosen_range(DC_VOLTS, range_value)
         fraction = (

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 class Outputs:
     """The outputs of a supply in a world, by name; `limits` are their limits in the supply's facts.
 
-    `preset` returns the settings of an output after switch-on and *RST. `returned` is called when the mains
-    return, to set the supply's state. With `one_switch` all outputs are switched together.
+    `preset` returns the settings of an output after switch-on and *RST. `returned` is called when the mains power
+    returns, to set the supply's state. With `one_switch` all outputs are switched together.
     """
 
     def __init__(

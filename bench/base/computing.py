@@ -67,7 +67,7 @@ def one_thread() -> None:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Pause the garbage collector while many small objects are created; it would scan them again and again.
+    """Pause the garbage collector while many small objects are created, because it would scan them repeatedly.
 
     Objects without reference cycles are freed as usual. Also usable as a function decorator.
     """
@@ -117,7 +117,7 @@ EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
 
 
 def missing(error: BaseException) -> str:
-    """Return a sentence that names the missing optional package and its extra; "" for another `error`."""
+    """Return a sentence that names the missing package and the extra with it; "" for another `error`."""
     package = (error.name or "").partition(".")[0] if isinstance(error, ImportError) else ""
     for extra, packages in EXTRAS.items():
         if package in packages:

@@ -145,9 +145,9 @@ class Entry:
 
     @property
     def of_modules(self) -> bool:
-        """Whether a module uses the text. The text is then looked up with its blanks already filled.
+        """Whether the text is from a module, where it is looked up with its blanks already filled.
 
-        A template, in contrast, looks its texts up before it fills the blanks.
+        A template looks its texts up before it fills the blanks.
         """
         return not self.files or any(not file.endswith((".j2", ".js")) for file in self.files.split())
 

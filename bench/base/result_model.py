@@ -41,7 +41,7 @@ Matrix = Annotated[list[list[float]], BeforeValidator(_listed)]
 
 
 class ResultModel(BaseModel):
-    """Base class of results and their parts: frozen; it rejects unknown members, NaN and infinity."""
+    """Base class of results and their parts, which are frozen and reject unknown members, NaN and infinity."""
 
     model_config = ConfigDict(
         frozen=True,
@@ -54,9 +54,9 @@ class ResultModel(BaseModel):
 
     @classmethod
     def from_object(cls, *computed: object, **others: Any) -> Self:
-        """Return a model with the members `others`; all other members come from attributes of `computed`.
+        """Return a model with the members `others`; its further members are attributes of the objects `computed`.
 
-        The first object that has an attribute gives it.
+        Where several objects have an attribute, the first one counts.
         """
         found = {
             name: getattr(one, name)

@@ -46,7 +46,7 @@ LETTER: Final = re.compile(r"[^\W\d_]{2}")
 
 @dataclass
 class Segment:
-    """The tokens, as (kind, source), of one text of a template.
+    """One text of a template: its tokens, each as (kind, source).
 
     `raw` holds the indices of tokens whose values are shown unchanged: not translated, no local decimal sign.
     """

@@ -77,7 +77,7 @@ class QuantityKind:
 
     @property
     def expected(self) -> str:
-        """The first words of the message that rejects a value: "expected an angle such as …"."""
+        """The beginning of the message for a rejected value: "expected an angle such as …"."""
         return f"expected {self.called} such as '{self.example}'"
 
 

@@ -113,7 +113,7 @@ def _named(file: str) -> dict[str, str]:
 
 @cache
 def program() -> Mapping[str, str]:
-    """Return the versions of the program and the SHA-256 of its code, which changes between versions, too."""
+    """Return the versions of program and packages, and a hash of the code, which may differ within a version."""
     package = Path(__file__).parents[1]
     files = sorted(package.rglob("*.py"))
     told = "".join(f"{file.relative_to(package).as_posix()} {sha256(file.read_bytes())}\n" for file in files)

@@ -173,7 +173,10 @@ class Store:
     # --- what was asked -----------------------------------------------------------------------------
 
     def begin(self, job: Job, over: Sequence[str], runs: Sequence[str]) -> BatchProgress:
-        """Record the job and its runs; return what is left. Raises `Refused` for the folder of another job."""
+        """Record the job and its runs; return the runs still to be computed.
+
+        Raises `Refused` for the folder of another job.
+        """
         asked = {
             "command": job.command,
             "asked": job.to_json(),

@@ -263,7 +263,7 @@ class CalibrationValues:
 
 @dataclass(frozen=True)
 class VerdictValues:
-    """A verdict: acceptance, the statement, and the point with the largest |Δg| (g) and its u."""
+    """A verdict: acceptance, the statement, the largest |Δg| (g) with its u, the limit and the rule."""
 
     passed: bool
     statement: str
@@ -331,10 +331,10 @@ def _read(file: Path, understood: Any, notes: list[str]) -> Any:
 def changes(before: CalibrationValues | None, now: CalibrationValues) -> Row:
     """Return the columns of the earlier values, the new values and their changes.
 
-    Without earlier values there are only the new ones. Both follow from the same readings; a change is
-    therefore no random deviation. A change is in units of the earlier u, or of the new u for a coefficient
-    that had no u (fixed by convention). If neither has a u, the change is zero or unknown. Results in
-    different units of the signals are not compared.
+    Without earlier values there are only the new ones. Because both are from the same readings, a change is not a
+    random deviation. A change is in units of the earlier u, or of the new u for a coefficient that had no u (fixed
+    by convention). If neither has a u, the change is zero or unknown. Results in different units of the signals
+    are not compared.
     """
     row = _columns(now, "")
     if before is None:
@@ -359,7 +359,7 @@ def changes(before: CalibrationValues | None, now: CalibrationValues) -> Row:
 
 
 def change_in_u(before: CalibrationValues, now: CalibrationValues) -> Floats:
-    """Return the change of each coefficient (12,) divided by its u; NaN for a change without u."""
+    """Return the change of each coefficient (12,) divided by the coefficient's u; NaN where there is no u."""
     moved = now.values - before.values
     unit = np.where(before.u > 0, before.u, now.u)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -80,10 +80,11 @@ class _Term:
 def take_in(
     problem: Problem, fit: Fit, unit: str, floor: float = 0.0, rounding: SharedRounding | None = None
 ) -> SharedErrorFit:
-    """Return the fit after adding the variance components that its readings share.
+    """Return the fit with the variance components that its readings share.
 
-    None are searched for if the repeats are too few, the signals are more than `MOST_SIGNALS`, or the noise hardly
-    exceeds its lower limit `floor` (unit of the signal). A `rounding` error that repeats share is then added.
+    With a `rounding` error that repeats share, only this component is added. Otherwise components are searched
+    for, unless the repeats are too few, the signals are more than `MOST_SIGNALS`, or the noise hardly exceeds its
+    lower limit `floor` (unit of the signal).
     """
     try:
         if rounding is not None:
@@ -119,7 +120,7 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> SharedErro
 
 
 def rounding_of(problem: Problem, fit: Fit, resolution: float) -> SharedRounding | None:
-    """Return the error of rounding to `resolution` that repeats share; None if their noise smooths it away."""
+    """Return the error of rounding to `resolution` that repeats share; None if the noise smooths it away."""
     digit = resolution / np.sqrt(12.0)
     large = 3 * len(problem.conditions) > MOST_SIGNALS
     if large or fit.noise.source != "repeats" or not _is_rounded(fit.noise, digit):
@@ -311,8 +312,8 @@ def _walk(time_s: Floats) -> Floats:
 def walk_since(time_s: Floats, later_s: Floats) -> Floats:
     """Return the covariance (v, v) at times `later_s` (v,) of a random walk minus its mean over `time_s` (n,).
 
-    The unit is the mean variance of the walk over the readings' times `time_s`; the size of a drift is stated in
-    this unit, too.
+    The walk is scaled so that its mean variance over `time_s` is 1; the size of a drift is stated on the same
+    scale.
     """
     begin = min(float(time_s.min()), float(later_s.min()))
     at, then = time_s - begin, later_s - begin
@@ -471,7 +472,7 @@ def notes_on_noise(
 
 
 def note_on_prior(noise: Noise, unit: str) -> tuple[str, ...]:
-    """Return a note if u depends on a prior of the noise; it says whether the readings agree with the prior."""
+    """Return a note, if u depends on a prior of the noise, on whether the readings agree with this prior."""
     return () if noise.prior is None else (_on_prior(noise.prior, unit),)
 
 

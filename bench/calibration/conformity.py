@@ -326,7 +326,7 @@ def probability_one_outside(
 def probability_worst_outside(
     value: Floats, covariance: Floats, limit: float, population: Population
 ) -> float:
-    """Return the largest of the probabilities of single quantities to lie outside ±limit, given all values.
+    """Return the probability that a quantity lies outside ±limit, given all n values, for the worst quantity.
 
     See `probability_one_outside` for the arguments.
     """

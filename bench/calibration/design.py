@@ -115,7 +115,7 @@ class Problem:
 
     @property
     def active(self) -> Ints:
-        """Indices of the coefficients that are unknown."""
+        """Indices, from 0 to 11, of the coefficients that are unknown."""
         return UPPER if self.upper else np.arange(FIXED)
 
     @property
@@ -143,16 +143,16 @@ class Problem:
         return off if self.hang is None else np.asarray(np.linalg.solve(self.hang, off))
 
     def by_prior(self, columns: Floats) -> Floats:
-        """Convert derivatives (..., q) by the q unknowns to derivatives by whitened unknowns (`prior_rows`)."""
+        """Convert derivatives (..., q) by the q unknowns to derivatives by whitened unknowns (see `prior_rows`)."""
         scaled = columns * self.prior_u
         return scaled if self.hang is None else np.asarray(scaled @ self.hang)
 
     def names(self) -> list[str]:
         """Return the names of the unknowns after the coefficients: "alpha3[2]", "quadratic_nonlinearity.K2[y]".
 
-        An effect limited to some installations ends with these: "turn_on_shift.step[y][2]". If an effect occurs
-        in several shapes, the shape follows: "axis_wobble.sine(harmonic 2)". A part of an effect's shape with
-        an uncertain size is "warm_up in other shapes (1)".
+        An effect limited to some installations ends with these: "turn_on_shift.step[y][2]". If an effect occurs in
+        several shapes, the shape follows: "axis_wobble.sine(harmonic 2)". Where an effect's shape is uncertain,
+        the size of each further part is an unknown, "warm_up in other shapes (1)".
         """
         stand = [f"{SYMBOLS[STAND_ANGLES[s.column]]}[{self.conditions.mounts[s.mount]}]" for s in self.stand]
         effects = []
@@ -168,7 +168,7 @@ class Problem:
         return stand + [f"{name}({shape})" if effects.count(name) > 1 else name for name, shape in named]
 
     def parameter(self, unknown: EffectUnknown) -> Parameter:
-        """Return the catalogue parameter of an effect unknown."""
+        """Return the parameter, in the catalogue of effects, to which an unknown of an effect belongs."""
         parameters = self.model.effects[unknown.effect].effect.parameters
         return next(p for p in parameters if p.name == unknown.parameter)
 
@@ -212,9 +212,9 @@ class Problem:
     def slope(self, block: Block, others: Floats) -> Floats:
         """Return the derivative of the signals with respect to the head angle, unit/rad, shape (n, 3).
 
-        It is taken at the coefficients `block` and the other unknowns `others` (stand angles, then effect
-        parameters, as in `stand_matrix`). Multiplied by a setting error of the head, rad, it gives the error of
-        the signals.
+        The derivative is taken at the coefficients `block` and the other unknowns `others` (stand angles, then
+        effect parameters, as in `stand_matrix`). Its product with a setting error of the head, rad, is the error
+        of the signals.
         """
         forward, back = (self.predict(block, others, step) for step in (STEP_RAD, -STEP_RAD))
         return (forward - back) / (2 * STEP_RAD)
@@ -228,8 +228,9 @@ class Problem:
     def linear(self, block: Block, others: Floats) -> Linearisation:
         """Return the model linearised about a point.
 
-        It takes central differences of the forward model itself, so there is no second formula to maintain. They
-        are exact for the coefficients, in which a model without effects is linear.
+        The derivatives are central differences of the forward model, so that there is no second formula to
+        maintain. For the coefficients they are exact if the model has no effects, because it is then linear in
+        them.
         """
         if not len(self.conditions):
             nothing = np.zeros((0, 3))
@@ -245,10 +246,10 @@ class Problem:
         return Linearisation(block.output(force), columns, by_angle @ block.K.T)
 
     def forces(self, block: Block, others: Floats) -> tuple[Floats, Floats, dict[int, Floats]]:
-        """Return specific forces (n, 3), and their derivatives by the head angle and by each unknown stand angle.
+        """Return the specific forces (n, 3), g, and their derivatives by the head angle and by the stand angles.
 
-        The last item maps a column of `STAND_ANGLES` to the derivatives (n, 3) by this angle in the mounting of the
-        row. All steps go through the forward model in one call: each step adds a set of mountings.
+        The last item maps each unknown column of `STAND_ANGLES` to derivatives (n, 3) by this angle, in the
+        mounting of the row. All steps go through the forward model in one call: each step adds a set of mountings.
         """
         n, used = len(self.conditions), self._columns
         stand = self.stand_matrix(others)

@@ -38,7 +38,7 @@ def find_estimator(asked: str) -> Estimator:
 
 
 def in_a_budget(asked: str) -> Estimator:
-    """Return the estimator that a budget uses instead of the requested one.
+    """Return the estimator that a budget uses in place of the one `asked` for.
 
     Raises `CalibrationError` for an unknown name.
     """
@@ -47,7 +47,7 @@ def in_a_budget(asked: str) -> Estimator:
 
 
 def estimators_in_words(*, budget: bool = False) -> str:
-    """Return a help text that lists the estimators; `budget` adds the one that a budget uses in place of each."""
+    """Return a help text that lists the estimators; `budget` adds, for each, the one that a budget uses instead."""
     phrases = [f"{' or '.join((e.name, *e.also))} ({e.phrase})" for e in ESTIMATORS.values()]
     text = f"{', '.join(phrases[:-1])}, or {phrases[-1]}"
     counted = [f"{e.name} counts as {e.counts_as}" for e in ESTIMATORS.values() if e.counts_as]

@@ -107,8 +107,8 @@ def _force(problem: Problem, free: FreeRows | None, block: Block, others: Floats
 def first_guess_free(signal: Floats, nominal: Sequence[float] | None = None) -> Block:
     """Return a first guess of the block, with upper triangular K, from signals (m, 3) of free positions alone.
 
-    The scale factors get the signs of the `nominal` ones (x, y, z); without these all are positive. The fit is of
-    the ellipsoid (U - b)^T A (U - b) = 1 by linear least squares, A = N^T N with N upper triangular. Raises
+    The scale factors get the signs of the `nominal` ones (x, y, z); without these all are positive. The ellipsoid
+    (U - b)^T A (U - b) = 1 is fitted by linear least squares; A = N^T N with N upper triangular. Raises
     `CalibrationError` if the positions do not determine the nine coefficients.
     """
     if len(signal) < LEAST_POSITIONS:

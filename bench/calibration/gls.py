@@ -110,10 +110,10 @@ def fit(
 ) -> Fit:
     """Fit the problem to readings `signal` (n, 3), starting from the block `start`.
 
-    The noise is estimated unless given. It is never taken below the rounding to `resolution`, a rectangular
-    distribution of that width. Each of `shifts` is an additional unknown without prior. With `one_size` all
-    channels have equal noise; otherwise each has its own size if they differ. Raises `CalibrationError` if the fit
-    does not converge.
+    The noise is estimated unless given, and is at least that of rounding to `resolution` (a rectangular
+    distribution of this width). Each of `shifts` is an additional unknown without prior. With `one_size` all
+    channels have equal noise; otherwise each has a separate size if they differ. Raises `CalibrationError` if the
+    fit does not converge.
     """
     block, others = start, problem.prior_mean
     floor = noise_floor(signal, resolution, problem.free)

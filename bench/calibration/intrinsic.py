@@ -173,8 +173,8 @@ class JointFactor:
 def joint_factor(count: int, dof: float = np.inf, level: float = JOINT_LEVEL) -> JointFactor:
     """Return the joint coverage factor of `count` numbers: sqrt(p F(p, dof)) for p numbers.
 
-    For infinite dof it is sqrt(chi2(p)): 4.585 for twelve and 4.113 for nine at 95 % (JCGM 102:2011, 6.5.2). A
-    dof below 1 counts as 1.
+    For infinite dof the factor is sqrt(chi2(p)): 4.585 for twelve and 4.113 for nine at 95 % (JCGM 102:2011,
+    6.5.2). A dof below 1 counts as 1.
     """
     if np.isinf(dof):
         k = np.sqrt(special.chdtri(count, 1.0 - level))

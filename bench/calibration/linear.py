@@ -27,12 +27,12 @@ def least_squares_gain(problem: Problem) -> Floats:
 def linear_estimate(
     problem: Problem, signal: Floats, fit: gls.Fit, gain: Floats, shared: Floats | None = None
 ) -> gls.Fit:
-    """Return the estimate by a `gain` (12, n, 3), with its covariance from the errors of the bench.
+    """Return the coefficients by the linear map `gain` (12, n, 3), with covariance from noise, stand and effects.
 
-    `fit` is the generalised least squares fit to the same readings. It provides the noise, and the point at which
-    effects (at their stated values) and stand angles (as measured by a level) are subtracted. `shared` (3n, 3n) is
-    the covariance of the readings if they share errors. The misfit is taken from `fit`: with fixed weights, stand
-    angles would remain in the residuals and look like a lack of fit.
+    `fit` is the generalised least squares fit to the same readings. It provides the noise, and the coefficients
+    with which effects (at their stated values) and stand angles (as measured by a level) are subtracted. `shared`
+    (3n, 3n) is the covariance of the readings if they share errors. The misfit is taken from `fit`: with fixed
+    weights, stand angles would remain in the residuals and look like a lack of fit.
     """
     others = problem.prior_mean
     taken_off = np.zeros_like(signal)

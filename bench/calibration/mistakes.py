@@ -111,7 +111,7 @@ def still_channels(signal: Floats) -> list[str]:
 
 
 def refuse_still(signal: Floats) -> None:
-    """Raise `CalibrationError` for a channel whose signal is the same in every reading."""
+    """Raise `CalibrationError` for a channel whose signal (n, 3) is the same in every reading."""
     still = still_channels(signal)
     if still:
         raise CalibrationError(
@@ -156,7 +156,7 @@ def _equal_where_forces_differ(columns: Floats, signal: Floats, sides: Floats) -
 
 
 def refuse_saturated_free(signal: Floats) -> None:
-    """Raise `CalibrationError` if many free positions read equal values at one end of the range."""
+    """Raise `CalibrationError` if many free positions have equal signals (m, 3) at one end of the range."""
     for i, axis in enumerate("xyz"):
         ends = (signal[:, i] == signal[:, i].max(), signal[:, i] == signal[:, i].min())
         there = max(ends, key=np.count_nonzero)
@@ -204,7 +204,7 @@ def refuse_singular(block: Block, u: Floats | None = None) -> None:
 
 @contextmanager
 def naming_deviating(problem: Problem, rows: Readings) -> Iterator[None]:
-    """Name the rows that deviate most in place of the remedy of a `SpoiledFit`, if any deviate strongly."""
+    """Within this context, a `SpoiledFit` names the rows that deviate strongly, if any, instead of its remedy."""
     try:
         yield
     except SpoiledFit as error:
@@ -352,7 +352,7 @@ class WrongUnit:
 
     @property
     def whole(self) -> bool:
-        """Whether all signals are in another unit, so that only the data sheet can show it."""
+        """Whether all signals are in another unit; only the nominal scale factors can show this."""
         return not self.part and len(self.channels) == len(CHANNELS)
 
     @property

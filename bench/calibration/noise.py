@@ -30,11 +30,13 @@ LEAST_SIGNALS: Final = 1.5 * LEAST_DOF
 
 @dataclass(frozen=True)
 class KnownNoise:
-    """Prior knowledge of the noise of `channels` (3,), signal unit, and of the setting, rad, each with dof.
+    """The noise as known before a fit, with degrees of freedom for each size.
 
-    Each variance has a scaled inverse chi-square distribution: it counts like repeats with as many degrees of
-    freedom. The degrees of freedom of sizes from other runs allow for variation of the noise between runs. Sizes
-    that the bench file states (`stated`) count only if the readings have too few degrees of freedom.
+    `channels` (3,) are the standard deviations in x, y and z, in the unit of the signal; `setting_rad` is that of
+    the head's setting, rad. Each variance has a scaled inverse chi-square distribution: it counts like repeats
+    with as many degrees of freedom. The degrees of freedom of sizes from other runs allow for variation of the
+    noise between runs. Sizes that the bench file states (`stated`) count only if the readings have too few degrees
+    of freedom.
     """
 
     channels: Floats
@@ -79,7 +81,7 @@ class KnownNoise:
         return replace(self, channels=part * self.channels, setting_rad=part * self.setting_rad)
 
     def joined(self, own: Noise) -> Noise:
-        """Return a run's own noise combined with this prior, or the run's own noise if the two contradict."""
+        """Return the noise `own` of a run combined with this prior, or `own` alone if the two contradict."""
         if np.isinf(own.dof) or self.beside(own.dof) is None:
             return own
         dof = np.asarray(own.channel_dof) if own.channel_dof is not None else np.full(3, own.reading_dof)
@@ -226,7 +228,7 @@ class SharedRounding:
     variance: Floats
 
     def relief(self, residuals: Floats, slope: Floats, noise: Noise) -> float:
-        """Return by how much chi-square of `residuals` (n, 3) falls when the shared error is part of the noise."""
+        """Return the decrease of the chi-square of `residuals` (n, 3) when the shared error is counted as noise."""
         fall, size = 0.0, noise.by_channel**2
         for group in np.unique(self.groups):
             rows = np.flatnonzero(self.groups == group)
@@ -401,7 +403,7 @@ class LikelihoodResiduals:
         return np.einsum("nip,ni->np", self.columns, unit), length
 
     def likelihood(self, log_sizes: Floats) -> tuple[float, Floats, float]:
-        """Return -2 ln L, its derivatives by the logarithms of reading noise and setting error, and y^T P y."""
+        """Return -2 ln L, its derivatives by `log_sizes`, and y^T P y."""
         along, length = self._along
         p = self.unknowns
         reading, setting = np.exp(2 * log_sizes)
@@ -431,8 +433,8 @@ def noise_from_residuals(of: LikelihoodResiduals, floor: float, known: KnownNois
     """Return reading noise and setting error by restricted maximum likelihood from the residuals of the model.
 
     This serves data without enough repeats. A `known` prior from the bench file counts with the degrees of freedom
-    that the residuals lack; residuals that lack none are tested against it. A prior from other runs counts in full,
-    unless the residuals contradict it.
+    that the residuals lack; if they lack none, they are tested against the prior. A prior from other runs counts
+    in full, unless the residuals contradict it.
     """
     signals = max(of.count - of.unknowns, 0)
     beside = None if known is None else known.beside(signals)
@@ -517,7 +519,7 @@ def whiten(columns: Floats, slope: Floats, noise: Noise) -> Floats:
 def whiten_back(columns: Floats, slope: Floats, noise: Noise) -> Floats:
     """Return W^T times columns (n, 3, p), with W as in `whiten`.
 
-    It converts a map of whitened readings to a map of raw readings.
+    The product converts a map of whitened readings to a map of raw readings.
     """
     sizes = noise.by_channel
     return np.asarray(_shrunk(columns, slope / sizes, noise.setting_rad) / sizes[:, None])

@@ -324,11 +324,11 @@ class Sensitivities:
 
 
 def observability(problem: Problem, block: Block, *, modulus: Conditions | None = None) -> Observability:
-    """Return which of the problem's unknowns are determined by readings under its conditions.
+    """Return which of the problem's unknowns are determined by readings under the problem's conditions.
 
-    The derivatives are taken at zero stand angles, where null vectors are exact, for the coefficients of
-    `block`. `modulus` are additional readings of which only |a| = 1 g is used. Raises `KeyError` for an
-    installation that the model lacks.
+    The derivatives are taken at zero stand angles, where null vectors are exact, for the coefficients of `block`.
+    `modulus` are additional readings of which only |a| = 1 g is used. Raises `KeyError` for an installation that
+    the model lacks.
     """
     return columns_of(problem, block, modulus).observability(block)
 
@@ -385,7 +385,7 @@ def require_rank(force: Floats) -> None:
 
 
 def assumptions(problem: Problem, block: Block, gain: Floats, unit: str) -> tuple[str, ...]:
-    """Return sentences on the assumptions of the fit, each with the change of coefficients if it is wrong.
+    """Return sentences on the assumptions of the fit, each with the change of coefficients if it does not hold.
 
     `gain` (12, n, 3) is the estimator's map from readings to coefficients.
     """
@@ -410,7 +410,7 @@ _ASSUMED: Final = ("mounting_roll",)
 def unseen_coefficients(problem: Problem, block: Block) -> Floats:
     """Return d changes (12, d) of the coefficients that readings cannot distinguish from angles of the stand.
 
-    The third mounting angle counts as unknown, too. Scaled: max |change| equals max |K|.
+    The third mounting angle counts as unknown, too. Each change is scaled: its largest element equals that of K.
     """
     if problem.upper:
         return np.zeros((FIXED, 0))

@@ -67,7 +67,7 @@ HARDLY_BETTER = 0.95
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with its standard uncertainty, both in `unit`; `prior_u` is the prior standard uncertainty."""
+    """A fitted value with its standard uncertainty, both in `unit`; `prior_u` is the u before the fit."""
 
     value: float
     u: float
@@ -191,11 +191,17 @@ class LackOfFit:
         return self.p < LACK_OF_FIT_P
 
     def accepted(self, *, strict: bool = False) -> bool:
-        """Return whether commands accept the coefficients; with `strict` any significant lack of fit forbids it."""
+        """Return whether commands accept the coefficients.
+
+        With `strict`, they do not if the lack of fit is significant at all.
+        """
         return self.rms <= self.rounding or not (self.shown if strict else self.p < NOT_ACCEPTED_P)
 
     def diagnose(self, source: str) -> tuple[str, ...]:
-        """Return a hint at how to find the cause if the fit is not accepted; `source` as typed at a shell."""
+        """Return a sentence with the command that finds the cause, if the fit is not accepted.
+
+        `source` is the name of the readings, as typed at a shell.
+        """
         if self.accepted():
             return ()
         return (
@@ -271,8 +277,8 @@ class Component:
 class BiasWander:
     """Wander of the biases about their mean over a run of `hours`; `size` (3,) is its rms, in the signal's unit.
 
-    `course` (n, 3) is the estimated deviation at each reading; `per_hour` (3,) is the slope of a straight line
-    through it.
+    `course` (n, 3) has the estimated deviation of the biases at each reading; `per_hour` (3,) is the slope of a
+    straight line through it.
     """
 
     size: Floats
@@ -285,20 +291,20 @@ class BiasWander:
 class Calibration(HasCovariance):
     """The result of a calibration: the twelve coefficients, their covariance, residuals and notes.
 
-    `covariance` (12, 12), in the order of `COEFFICIENTS`, is the combined one, including `sources`, the
-    errors that no reading shows. `covariance_readings` is the part of the readings and the stated stand
-    errors. K is in unit/g with g = `g_m_s2`, biases are in unit. `gravity_u`, relative, is in neither
-    covariance: K is per local g. `dof` (12,) are effective degrees of freedom. `stand` holds the estimated
-    stand angles ("alpha1[1]"), `effects` the fitted parameters of effects. `fitted` are the readings used,
-    `residuals` (n, 3) measured minus fitted, with stand angles and effects at their estimates. `free` are the
-    readings that joined by their modulus, `modulus_error` (m,) their |a| - 1, g. `outliers` have no weight in
-    the estimate. `gain` (12, N, 3) is the linear map from the signals of the whole table to the coefficients,
-    `slope` (N, 3) du/dphi, zero for rows that are not oriented. `shared` are the variance components that
-    readings share, `drift` the wander of the biases if one was found, `wander` (3,) its possible rms. `birge`
-    is the factor that widened u for a lack of fit, `p_tails` the p-value of heavy tails. `triangular` is set
-    for free positions alone, whose `signs` are those of the "bench file" or all "positive". `assume` returns
-    the sentences of `assumed`; `unseen` returns changes (12, d) of the coefficients, of relative size 1, that
-    only limits of the stand confine; `notes` are sentences for the user.
+    `covariance` (12, 12), in the order of `COEFFICIENTS`, is the combined one, including `sources`, the errors
+    that no reading shows. `covariance_readings` is the part due to the readings and the stated stand errors. K is
+    in unit/g with g = `g_m_s2`, biases are in unit. `gravity_u`, relative, is in neither covariance: K is per
+    local g. `dof` (12,) are effective degrees of freedom. `stand` holds the estimated stand angles ("alpha1[1]"),
+    `effects` the fitted parameters of effects. `fitted` are the readings used, `residuals` (n, 3) measured minus
+    fitted, with stand angles and effects at their estimates. `free` are the readings that joined by their modulus,
+    `modulus_error` (m,) their |a| - 1, g. `outliers` have no weight in the estimate. `gain` (12, N, 3) is the
+    linear map from the signals of the whole table to the coefficients, `slope` (N, 3) du/dphi, zero for rows that
+    are not oriented. `shared` are the variance components that readings share, `drift` the wander of the biases if
+    a wander was found, `wander` (3,) its possible rms. `birge` is the factor that widened u for a lack of fit,
+    `p_tails` the p-value of heavy tails. `triangular` is set for free positions alone, whose `signs` are those of
+    the "bench file" or all "positive". `assume` returns the sentences of `assumed`; `unseen` returns changes (12,
+    d) of the coefficients, of relative size 1, that only limits of the stand confine; `notes` are sentences for
+    the user.
     """
 
     estimator: str
@@ -465,6 +471,6 @@ def misalignments(block: Block, covariance: Floats) -> Derived:
 
 
 def through(jacobian: Floats, covariance: Floats) -> Floats:
-    """Return the covariance of linear combinations, J C J^T for the `jacobian` J, made exactly symmetric."""
+    """Return the covariance (m, m) of linear combinations: J C J^T for `jacobian` J (m, n), exactly symmetric."""
     found = jacobian @ covariance @ jacobian.T
     return np.asarray(0.5 * (found + found.T))

@@ -348,7 +348,7 @@ class CompensationTable:
 
     @property
     def temperatures_c(self) -> Floats:
-        """The temperatures of the nodes."""
+        """The temperatures of the nodes, °C, shape (nodes,)."""
         return np.asarray(self.first_c + self.step_k * np.arange(self.nodes), dtype=np.float64)
 
     def specific_force(self, signal: Floats, temperature_c: Floats) -> Singles:

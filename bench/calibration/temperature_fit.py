@@ -91,7 +91,7 @@ class ThermalProblem:
         return np.concatenate([by_term, by_angle], axis=2)
 
     def determined(self) -> bool:
-        """Return whether the rows determine all terms if every coefficient has all basis functions."""
+        """Whether the rows determine all terms when every coefficient has all basis functions."""
         force = self.force(self.problem.prior_mean)
         columns = linear_columns(force)
         whole = (columns[:, :, None] * self.basis[:, None, :]).reshape(len(force), -1)
@@ -128,7 +128,7 @@ class ThermalFit:
 
 
 def row_outputs(coefficients: Floats, force: Floats) -> Floats:
-    """Return U = K a + U0 (n, 3); each row has coefficients (12,) and a force (3,) of its own."""
+    """Return U = K a + U0 (n, 3) for coefficients (n, 12) and forces (n, 3), g, row by row."""
     scale = coefficients[:, :9].reshape(-1, 3, 3)
     return np.asarray(np.einsum("nij,nj->ni", scale, force) + coefficients[:, 9:], dtype=np.float64)
 
@@ -205,10 +205,10 @@ NEXT: Final = 2
 
 @dataclass(frozen=True)
 class DegreeChoice:
-    """The chosen `degrees` (12,), and `doubts` (2, 12, D + 1): the changes of all terms if one more term is kept.
+    """The chosen `degrees` (12,), and `doubts` (2, 12, D + 1): how far all terms change if one more term is kept.
 
-    `doubts[0]` keeps the next even power of temperature, `doubts[1]` the next odd power. The changes are zero if no
-    term was dropped.
+    `doubts[0]` keeps the next even power of temperature, `doubts[1]` the next odd power. The changes are zero if
+    no term was dropped.
     """
 
     degrees: Ints
@@ -240,7 +240,7 @@ def choose_degrees(full: ThermalFit, highest: int) -> DegreeChoice:
 def held_at_zero(value: Floats, covariance: Floats, keep: Mask) -> tuple[Floats, Floats]:
     """Return the estimate (t,) and covariance of the terms to `keep`, with all other terms held at zero.
 
-    It is the least-squares estimate that a fit of these terms alone would give.
+    The result equals the least-squares estimate of a fit with these terms alone.
     """
     pull = np.linalg.solve(covariance[np.ix_(~keep, ~keep)], covariance[np.ix_(~keep, keep)])
     return value[keep] - value[~keep] @ pull, covariance[np.ix_(keep, keep)] - covariance[
@@ -312,11 +312,11 @@ def temperature_model(
 ) -> TemperatureModel:
     """Fit the twelve coefficients as polynomials in temperature to the readings of all tables.
 
-    `stand_u` is as for `calibrate`. Without `degree` each coefficient has a degree of its own. It is at first the
-    highest that the temperatures allow; the highest term is dropped as long as an F test finds it insignificant (p
-    > 0.05). The covariance includes the uncertainty due to dropped terms. Raises `CalibrationError` if the model
-    has effects, a row has no temperature, the temperatures are fewer than two or do not determine the polynomials,
-    or the reference is outside their range.
+    `stand_u` is as for `calibrate`. Without `degree` each coefficient has a separate degree, at first the highest
+    that the temperatures allow; its highest term is dropped as long as an F test finds it insignificant (p >
+    0.05). The covariance includes the uncertainty due to dropped terms. Raises `CalibrationError` if the model has
+    effects, a row has no temperature, the temperatures are fewer than two or do not determine the polynomials, or
+    the reference is outside their range.
     """
     body = _body(tables, model, stand_u, reference_c)
     highest, by_side = _highest(body, degree)

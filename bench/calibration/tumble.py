@@ -374,7 +374,7 @@ def _rows(problem: Problem, fit: gls.Fit, judged: Separable, channel: int, unit:
 def sized(
     axes: Mapping[str, Sequence[Quantity]], covariance: Floats, readings: Floats
 ) -> dict[str, tuple[Quantity, ...]]:
-    """Return the quantities with u from `covariance` and u_readings from its part `readings`, (m, m) each."""
+    """Return the quantities with `u` from `covariance` (m, m) and `u_readings` from its part `readings` (m, m)."""
     u, shown = iter(u_of(covariance).tolist()), iter(u_of(readings).tolist())
     return {
         channel: tuple(replace(q, u=next(u), u_readings=next(shown)) for q in own)

@@ -64,14 +64,14 @@ class VerificationPoint:
 
     @property
     def passed(self) -> bool:
-        """Whether the rule accepts the point; it accepts none if the model does not fit."""
+        """Whether the rule accepts the point; no point is accepted if the model does not fit."""
         return abs(self.delta_g) <= self.accepted_up_to and self.statement is not Statement.MISFIT
 
     @property
     def p_false_accept(self) -> float | None:
-        """Probability of a false acceptance, for an accepted point or a conditional pass still to be decided.
+        """Probability of a false acceptance of an accepted point, or of a conditional pass still to be decided.
 
-        It is None for any other point.
+        None for any other point.
         """
         left_open = self.statement is Statement.CONDITIONAL_PASS and not self.rejected
         return self.p_outside if self.passed or left_open else None
@@ -86,8 +86,8 @@ class VerificationPoint:
 class LimitToPass:
     """Two changes, each of which would make a verification pass: another limit of |delta g|, or another u.
 
-    `limit_g` is that limit, g; `u_times` is the factor on u, None if no factor suffices. `point` exceeds its
-    acceptance limit most.
+    `limit_g` is that limit, g; `u_times` is the factor on u, None if no factor suffices. `point` is the one that
+    exceeds its acceptance limit most.
     """
 
     limit_g: float
@@ -170,7 +170,8 @@ class Verification:
     def p_outside_worst(self) -> float:
         """Largest probability, over the points, that the true error at a point is outside the limit.
 
-        With a population it is the posterior probability given the readings at all points, as in `p_outside`.
+        With a population, the result is the posterior probability given the readings at all points, as in
+        `p_outside`.
         """
         if self.population is None:
             return max(point.p_outside for point in self.points)
@@ -310,7 +311,7 @@ def verify(
 
 
 def by_rule(statement: Statement, rule: str, *, passed: bool) -> Statement:
-    """Return the statement under the rule: binary rules state only pass or fail, nothing conditional."""
+    """Return the statement that the rule allows: under a binary rule, a conditional one becomes pass or fail."""
     conditional = statement in {Statement.CONDITIONAL_PASS, Statement.CONDITIONAL_FAIL}
     if rule == NON_BINARY or not conditional:
         return statement

@@ -41,7 +41,7 @@ Row = dict[str, Any]
 
 
 def instruments_of(bench: BenchFile | None, run: int, started: Mapping[str, Any]) -> dict[str, list[Row]]:
-    """Return, by table, the rows of a run's instruments, uses and certificates, from its bench and first event."""
+    """Return rows on a run's instruments, their use and certificates, by table; `started` is its first event."""
     answered = {str(k): str(v) for k, v in (started.get("instruments") or {}).items()}
     serials = {str(k): str(v).strip() for k, v in (started.get("serials") or {}).items()}
     instruments: dict[int, Row] = {}

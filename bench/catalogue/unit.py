@@ -259,7 +259,7 @@ def unit_calibrations(catalogue: Catalogue, unit: str) -> list[UnitCalibration]:
 def compared_of(catalogue: Catalogue, name: str) -> tuple[CoefficientTable, bool, list[str]]:
     """Return the comparable calibrations of a unit, whether they are simulated, and notes on any left out.
 
-    Their scale factors are per local g of the last one.
+    The scale factors are per local g of the last calibration.
     """
     kept = coefficient_table(catalogue, [f"unit={name}"])
     notes = [f"without {words}" for words in kept.left_out]
@@ -298,7 +298,7 @@ def _name_of(catalogue: Catalogue, unit: str) -> str:
 
 
 def limit_of(catalogue: Catalogue, query: list[str]) -> float | None:
-    """Return the limit of |Δg| (local g) of the last verification of a question's runs; None if unstated."""
+    """Return the limit of |Δg| (local g) in the last verification of the runs that `query` selects, or None."""
     joined = RUNS.join(VERIFICATIONS, VERIFICATIONS.c.run == RUNS.c.id)
     asked = (
         select(VERIFICATIONS.c.limit_g)

@@ -34,10 +34,10 @@ class CoefficientTable:
     """The calibrations that a question selects, oldest first; those without a date come first.
 
     `path`, `unit`, `unit_type`, `bench`, `signal_unit` (n,) are texts, None if not recorded; `when` (n,) is
-    datetime64 in UTC, NaT if not recorded. `vector` (n, 12) are the coefficients in `signal_unit` per g =
-    `g_m_s2` (n,), biases in `signal_unit`. `gravity_u` (n,) is the relative u of this g. `covariance` (n, 12, 12)
-    is the combined covariance, which does not include it. `u_meters` (n, 12) is the part of u from errors that the
-    same meters repeat, NaN if not stated. `simulated` (n,) is False only for runs recorded as real. `left_out`
+    datetime64 in UTC, NaT if not recorded. `vector` (n, 12) are the coefficients in `signal_unit` per g = `g_m_s2`
+    (n,), biases in `signal_unit`. `gravity_u` (n,) is the relative u of this g. `covariance` (n, 12, 12) is the
+    combined covariance, which does not include `gravity_u`. `u_meters` (n, 12) is the part of u from errors that
+    the same meters repeat, NaN if not stated. `simulated` (n,) is False only for runs recorded as real. `left_out`
     states in sentences which runs of the question are omitted.
     """
 
@@ -64,15 +64,16 @@ class CoefficientTable:
         return replace(self, **arrays)  # type: ignore[arg-type]
 
     def per(self, g_m_s2: float, gravity_u: float) -> CoefficientTable:
-        """Return the calibrations with scale factors in unit/g for a g of `g_m_s2` (m/s²), known to `gravity_u`.
+        """Return the calibrations with scale factors in unit/g, where 1 g is `g_m_s2` (m/s²).
 
-        The covariance then includes the errors of both values of g, except for calibrations with the same g.
+        `gravity_u` is the relative standard uncertainty of that g. The covariance then includes the errors of both
+        values of g, except for calibrations with the same g.
         """
         both = np.where(self.g_m_s2 == g_m_s2, 0.0, np.hypot(self.gravity_u, gravity_u))
         return self._elsewhere(g_m_s2, gravity_u, both)
 
     def per_standard_g(self) -> CoefficientTable:
-        """Return the calibrations with scale factors in unit/g for standard g, which is exact and of no place."""
+        """Return the calibrations with scale factors in unit/g for standard g, which is exact everywhere."""
         return self._elsewhere(STANDARD_GRAVITY, 0.0, self.gravity_u)
 
     def _elsewhere(self, g_m_s2: float, gravity_u: float, both: Floats) -> CoefficientTable:

@@ -345,7 +345,7 @@ def stated(of: Verification) -> tuple[Statement, tuple[Statement, ...]]:
 
 
 def uncertified(found: RunFindings) -> tuple[str, ...]:
-    """Return the names of voltmeters and head without a valid certificate of their own on the day of the run."""
+    """Return the names of voltmeters and head that had no valid certificate on the day of the run."""
     return tuple(
         one.name
         for one in found.instruments

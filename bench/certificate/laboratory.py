@@ -247,7 +247,10 @@ class Laboratory(Contact, StatedRule):
         return (SIMULATED_SERIES if simulated else "") + _FIELD.sub(filled, self.numbers)
 
     def authorised_person(self, name: str, option: str = "--authorised-by") -> Person:
-        """Return the person who may authorise by the register of persons, else by this file. Raises `Refused`."""
+        """Return the person `name` if that person may authorise, else raise `Refused`.
+
+        The register of persons decides; if there is no register, this file does.
+        """
         from bench.services.persons import authorised_by
 
         known = authorised_by(self._file, name, Right.AUTHORISE, option)

@@ -200,7 +200,10 @@ _NO_SIGN: Final = re.compile(r'the text `"(.+?)"` could not be displayed')
 
 
 def body_of(certificate: Certificate, dcc: bytes) -> bytes:
-    """Return the PDF/A-3b of a certificate with its attachments. Raises `Refused` for a bad logo or no glyph."""
+    """Return the PDF/A-3b of a certificate with its attachments.
+
+    Raises `Refused` for a bad logo or a missing glyph.
+    """
     return typeset_pdf(_inputs(certificate, dcc), _moment(certificate))
 
 

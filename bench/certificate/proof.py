@@ -80,7 +80,10 @@ class Writer:
         *,
         whole: bool = False,
     ) -> Block:
-        """Return a table; `align` has "l" or "r", `columns` "auto" or a share; a `whole` one stays on one page."""
+        """Return a table block; a `whole` table stays on one page.
+
+        For each column, `align` has "l" or "r", and `columns` its width, "auto" or a share.
+        """
         widths = [str(width) for width in columns]
         return {
             "kind": "table", "head": list(head), "rows": [list(row) for row in rows], "align": list(align),

@@ -79,7 +79,10 @@ class Findings:
     not_proved: list[str] = field(default_factory=list)
 
     def why_not_trusted(self, trusted: Sequence[Certificate] | None) -> str | None:
-        """Return why a signer is not in `trusted`, "" if all are; None if there is nothing to judge."""
+        """Return why a signer is not in `trusted`; "" if all signers are.
+
+        None without `trusted`, or if no signature could be read.
+        """
         if trusted is not None and self.unsigned:
             return "nobody signed it"
         if trusted is None or not self.signatures:
@@ -407,10 +410,10 @@ def _as_good_as(found: RunFindings, shown: ShownValues) -> bool:
 def against_register(
     found: Findings, number: str, file: Path, content: bytes, folder: Path | None
 ) -> RegisterSays | None:
-    """Compare the content of a certificate file with the entry for its number in a register; return its state.
+    """Compare a certificate file's `content` with the register's entry for its number; return the state there.
 
-    `folder` is the register's folder; None means a register in the folder of `file`, if it has the number.
-    Return None if no register says anything. Raises `Refused` for a register that is damaged or cannot be read.
+    `folder` is the register's folder; None means a register in the folder of `file`, if it has the number. Return
+    None if no register says anything. Raises `Refused` for a register that is damaged or cannot be read.
     """
     place = file.absolute().parent if folder is None else folder
     if not (place / LINES).is_file():

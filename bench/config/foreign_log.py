@@ -89,7 +89,7 @@ class LogColumns(FileModel):
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield place and sentence for a unit that does not fit its column, and a column that a mean has twice."""
+        """Yield place and sentence for a unit that does not fit its column, and a column twice in one mean."""
         columns = data.get("columns") if isinstance(data, dict) else None
         for name, value in columns.items() if isinstance(columns, dict) else ():
             unit = value.get("unit") if isinstance(value, dict) else None

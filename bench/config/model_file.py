@@ -453,17 +453,17 @@ WIDENED: Final = ("tau", "lag")
 
 
 def unnamed_in(effects: Sequence[AppliedEffect]) -> list[str]:
-    """Return the names of the unnamed terms among effects."""
+    """Return the names of those effects that are unnamed terms of a diagnosis (`unnamed_1`, …)."""
     return [applied.effect.name for applied in effects if applied.effect.name.startswith(UNNAMED)]
 
 
 def accept(
     effects: Sequence[AppliedEffect], terms: Sequence[str], name: str, sentence: str
 ) -> tuple[FormulaEffect, tuple[AppliedEffect, ...]]:
-    """Combine the unnamed terms in `terms`, or all if `terms` is empty, into one effect with a name and a sentence.
+    """Combine the unnamed terms in `terms`, or all if that is empty, into one effect with a name and sentence.
 
-    Return this effect, and `effects` with it in place of the terms. Raises `ValueError` for unknown terms, or terms
-    that act at different places of the model.
+    Return this effect, and the `effects` in which it replaces the terms. Raises `ValueError` for unknown terms, or
+    terms that act at different places of the model.
     """
     known = unnamed_in(effects)
     if not known:

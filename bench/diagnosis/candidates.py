@@ -130,7 +130,7 @@ class Variant:
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """The columns without those of the starting states."""
+        """The columns of the sizes, without the columns of starting states, which come last."""
         return self.columns[: len(self.columns) - self.starts]
 
     @property

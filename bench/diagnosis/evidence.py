@@ -314,7 +314,7 @@ class Scores:
     def families(self, candidates: Candidates) -> Floats:
         """Return ln of the Bayes factor of each family, shape (families, sets).
 
-        It is ln of the mean Bayes factor of the family's forms, so that many forms are no advantage.
+        The Bayes factor of a family is the mean over the family's forms, so that many forms are no advantage.
         """
         ordered = self.variants[candidates.by_family]
         starts = candidates.family_starts

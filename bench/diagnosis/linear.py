@@ -207,7 +207,7 @@ class LinearSystem:
 
     @cached_property
     def relative(self) -> Floats:
-        """The noise of each row divided by the average noise, from all the factors together, shape (N,)."""
+        """The relative noise of each row, shape (N,): the product of all factors, such as that of the channel."""
         relative = self.relative_of_channel
         if self.by_run is not None:
             relative = relative * self.by_run.sizes[self.readings.run[self.rows.reading]]
@@ -232,8 +232,8 @@ class LinearSystem:
     def g_per_signal(self) -> Floats:
         """Factors (N,) that convert each row from the unit of the signal to g.
 
-        For the signal of a channel it is 1 over the absolute scale factor, for a modulus the length of the
-        gradient of |a| with respect to the signals.
+        For the signal of a channel, the factor is 1 over the absolute scale factor; for a modulus, it is the norm
+        of the gradient of |a| with respect to the signals.
         """
         size = np.empty(len(self))
         for block, mine in self.by_block():

@@ -471,7 +471,7 @@ def is_coarse(digit: float, sigma: float) -> bool:
 def is_rounded(digit: float, sigma: float) -> bool:
     """Return whether repeats share a rounding error that is not negligible.
 
-    The noise is then fixed at `sigma`, as the residuals no longer show it.
+    The noise is then fixed at `sigma`, because the residuals no longer show its size.
     """
     return repeated(digit, sigma) > SAME_SIZE * sigma
 

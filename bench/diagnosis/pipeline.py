@@ -422,7 +422,8 @@ class Rival:
 def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
     """Return, for each effect found, the most plausible families in its place, the best first.
 
-    They are the `LISTED` families with the largest evidence, and in any case the effect itself and its ties.
+    These are the `LISTED` families with the largest evidence, and in any case the effect itself and the effects
+    that the readings cannot distinguish from it.
     """
     naming = diagnosis.naming
     if not naming.found:

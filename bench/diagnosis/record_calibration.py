@@ -281,9 +281,9 @@ def _channel(
 def averaged(trials: NoiseTrials, design: Floats, targets: Floats) -> tuple[Floats, Floats, Noise]:
     """Return least-squares estimates (p, d) of p columns in d targets, their covariance, and the noise.
 
-    `design` (n, p) has the columns, the two of the trend first; `targets` (n, d) has a target in each column. The
-    estimates are averaged over the trial noises, weighted by their likelihood for the first target. The
-    covariance (p, p) is that of the estimates for the first target, and includes their variation between the
+    `design` (n, p) has the columns, of which the first two are the trend; `targets` (n, d) has one target per
+    column. The estimates are averaged over the trial noises, weighted by their likelihood for the first target.
+    The covariance (p, p) is that of the estimates for the first target, and includes their variation between the
     trial noises. The noise returned is the most probable one.
     """
     count = design.shape[1]

@@ -179,11 +179,11 @@ class RecordWork:
         return total, families + self.candidates.log_prior[:, None]
 
     def search(self) -> tuple[RecordWork, list[FoundEffect], Threshold]:
-        """Return the work with columns of the effects found, these effects, the strongest first, and the threshold.
+        """Return this work with columns for the effects found, these effects (strongest first), and the threshold.
 
-        Each effect has its most likely shape. With a shape of the grid, a second effect could be found in what
-        the first one leaves. The threshold is simulated from the noise of this very record, with fewer data sets
-        than for runs, as each is scored with every kind of slow noise.
+        Each effect gets its most likely shape, not just the nearest of the grid: otherwise its remainder could be
+        taken for a second effect. The threshold is simulated from the noise of this record. It uses fewer data
+        sets than for runs, because each is scored with every kind of slow noise.
         """
         rng = np.random.default_rng(SEED)
         nulls = [noise.drawn(rng, NULLS // len(self.trials.slow)) for noise in self.noises([])]

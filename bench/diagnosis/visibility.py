@@ -262,7 +262,7 @@ class ReadingDesign:
     def visible(self, form: Form) -> float:
         """Return the signal-to-noise ratio of an effect of plausible size in this form.
 
-        It is the length of the change of the readings in units of the noise, with free unknowns projected
-        out.
+        The ratio is the norm of the change that the effect makes in the readings, in units of their noise, after
+        the part that free unknowns can absorb is removed.
         """
         return float(np.linalg.norm(self.seen(form), 2))

@@ -48,7 +48,11 @@ class Sensor:
 
 
 def sensor_of(result: BlockResult, nominal: Floats | None = None) -> Sensor:
-    """Return the block as a sensor in m/s²; `nominal` (3,), in unit/g, is by default its own scale, rounded."""
+    """Return the block as a sensor in m/s².
+
+    `nominal` (3,) are the scale factors by which signals are converted, per 9.80665 m/s². For signals in counts or
+    V the default is the calibrated scale factors, rounded; for signals in g or m/s² it is 1 or 9.80665.
+    """
     if result.unit == "m/s^2":
         own = np.full(3, STANDARD_GRAVITY)
     elif result.unit == "g":
@@ -85,10 +89,10 @@ class Diagonal:
 
 
 def diagonal(sensor: Sensor) -> Diagonal:
-    """Return offset and scale of each axis, and exactly the largest errors at 1 g without cross-axis terms.
+    """Return offset and scale of each axis, and the exact largest errors at 1 g without cross-axis terms.
 
-    a' = diag(1/M_ii) M a: at |a| = 1, |a'| lies between the least and the largest singular value of
-    diag(1/M_ii) M, and |a' - a| is at most the largest singular value of diag(1/M_ii) M - 1.
+    a' = diag(1/M_ii) M a: at |a| = 1, |a'| lies between the least and the largest singular value of diag(1/M_ii)
+    M, and |a' - a| is at most the largest singular value of diag(1/M_ii) M - 1.
     """
     scale = 1.0 / np.diag(sensor.M)
     left = scale[:, None] * sensor.M
@@ -245,7 +249,7 @@ def _head(result: BlockResult, sensor: Sensor, notes: list[str]) -> list[str]:
 
 
 def kalibr_yaml(result: BlockResult, nominal: Floats | None = None) -> str:
-    """Return the Kalibr file: the chain `imu0` with the model and M, and (for other readers) bias and turn."""
+    """Return the Kalibr file: `imu0` with its model and M, and, for other readers, the bias and the rotation R."""
     sensor = sensor_of(result, nominal)
     form = lower_triangular(sensor)
     raw = result.check[0]

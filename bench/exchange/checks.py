@@ -49,7 +49,10 @@ def picture(unit: str) -> list[str]:
 
 
 def own_test(name: str, test: tuple[str, str, str], needs: str = "") -> list[str]:
-    """Return how to run the test in an exported file `name`, what it `needs`, and its three lines, marked."""
+    """Return comment lines with the test of an exported file `name`.
+
+    They state how to run the test and what it `needs`; then come the three lines of the test, each marked.
+    """
     of = "the numbers that give a, and of the check vectors (not of u and covariances)"
     how = f"""test of {of}: python -c "$(sed -n 's/^# {MARK}//p' {name})" {name}"""
     return [f"{how}{needs}", *(f"{MARK}{line}" for line in test)]

@@ -17,7 +17,7 @@ from bench.exchange.checks import POSITIONS, READ_CHECKS, c_self_test, check_lin
 
 
 def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[str]:
-    """Return the header lines of an exported file: the block compensated (`of`), valid range, errors."""
+    """Return the header lines of an exported file: the compensated block `of`, the valid range, and the errors."""
     error = table.error
     return [
         f"Compensation of {of}",
@@ -34,7 +34,7 @@ def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[st
 
 
 def table_checks(model: TemperatureModel, table: CompensationTable) -> Floats:
-    """Return check vectors (n, 7): temperature (deg C), signals, accelerations (g); 20, or one for each step."""
+    """Return check vectors (n, 7), at least 20: temperature (deg C), signals, accelerations (g)."""
     steps = table.nodes - 1
     even = np.linspace(model.minimum_c, model.maximum_c, len(POSITIONS))
     middles = table.first_c + table.step_k * (np.arange(steps) + 0.5)

@@ -320,9 +320,9 @@ def _table(rows: Iterable[ReportedNumber], k: float, times: float = 1.0, unit: s
 class ExportForm:
     """A form: its name in `words`, the suffix of file names, and the function that writes a file.
 
-    `loses` is a function that returns comment lines on the parts of a result that the form omits; it is None
-    if the form omits nothing. Both functions accept the scale factors (3,) in unit/g by which signals were
-    converted to m/s²; None means the block's own, rounded.
+    `loses` is a function that returns comment lines on the parts of a result that the form omits; it is None if
+    the form omits nothing. Both functions accept the scale factors (3,) in unit/g by which signals were converted
+    to m/s²; the default is as in `sensor_of`.
     """
 
     words: str

@@ -65,7 +65,7 @@ class ReportedNumbers(Derived):
     rows: tuple[ReportedNumber, ...] = ()
 
     def part(self, **said: str) -> dict[str, Any]:
-        """Return the members of a `DerivedPart`, and those in `said`."""
+        """Return the members of a `DerivedPart`, and the additional members `said`."""
         values = {row.name: row for row in self.rows}
         return {**said, "values": values, "order": self.names, "covariance": self.covariance}
 

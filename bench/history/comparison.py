@@ -73,15 +73,15 @@ class Snapshot:
     place: float = np.nan
 
     def per(self, g_m_s2: float, gravity_u: float = 0.0) -> Snapshot:
-        """Return the snapshot with its scale factors in unit/g for a g of `g_m_s2` (m/s²), known to `gravity_u`.
+        """Return the snapshot with scale factors per g of `g_m_s2` (m/s²), which has the relative u `gravity_u`.
 
-        The covariance then includes the errors of both values of g, which all scale factors share. For the same
-        g, as of calibrations in one place, there is no such error.
+        The covariance then includes the errors of both values of g, which all scale factors share. For the same g,
+        as of calibrations in one place, there is no such error.
         """
         return self if g_m_s2 == self.g_m_s2 else self._elsewhere(g_m_s2, gravity_u)
 
     def per_standard_g(self) -> Snapshot:
-        """Return the snapshot with its scale factors in unit/g for standard g, which is exact and of no place."""
+        """Return the snapshot with its scale factors in unit/g for standard g, which is exact everywhere."""
         return self._elsewhere(STANDARD_GRAVITY, 0.0)
 
     def _elsewhere(self, g_m_s2: float, gravity_u: float) -> Snapshot:
@@ -102,7 +102,7 @@ class Snapshot:
         )
 
     def in_nine(self) -> Snapshot:
-        """Return the snapshot in the nine intrinsic numbers, linearised at its own K.
+        """Return the snapshot in the nine intrinsic numbers, linearised at the K of this snapshot.
 
         Raises `CalibrationError` if they are undefined, as for a block with a dead channel.
         """
@@ -140,7 +140,7 @@ class Snapshot:
         The covariance of the difference is the sum of the covariances of `self.against(first)` and
         `first.against(first)`. Gain and offset of the same meters cancel within a day, and less as time passes:
         after `METERS_DRIFT` they may lie anywhere within their limits. Errors of different or unidentified meters
-        never cancel. K2 and K3 of the same block cancel where their effects are equal.
+        never cancel. Errors due to K2 and K3 of the same block cancel where they are equal.
         """
         theirs = _of_block(first.block_terms, len(self.vector))
         own = self.without_meters + self._wander_from_start

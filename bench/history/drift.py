@@ -70,8 +70,8 @@ class UnitDrift:
     def predicted(self, date: np.datetime64 | Dates) -> tuple[Floats, Floats]:
         """Return the expected values at dates (…) and their standard uncertainties, (…, 12) each.
 
-        The u is for the result of a calibration on the date without errors of its own; it includes the scatter
-        between calibrations. Raises `CalibrationError` for a date before the last calibration.
+        The u is that of a calibration result on the date: it includes the scatter between calibrations, but not
+        the errors of that calibration itself. Raises `CalibrationError` for a date before the last calibration.
         """
         days = np.asarray(date, dtype="datetime64[s]")
         years = (days - self.first.astype("datetime64[s]")).astype(float).ravel() / SECONDS_PER_YEAR
@@ -90,10 +90,10 @@ class States:
     """The filtered state at the last calibration, (12, m, …), for 12 coefficients and m pairs of variances.
 
     A pair is a variance of scatter, `between`, and a variance of a random walk per year, `walk`; `weight` sums to
-    1 over the pairs. `line` (12, m, 2) is level and rate; `covariance` (12, m, 2, 2) is their covariance.
-    `walked` (12, m) and `columns` (12, m, 2) are the filtered walk of the values and of the two columns of the
-    line; `left` (12, m) is the variance of the walk. `last_year` is the time of the last calibration since the
-    first.
+    1 over the pairs. `line` (12, m, 2) is level and rate; `covariance` (12, m, 2, 2) is their covariance. The
+    Kalman filter of the random walk was run on the values and on the two columns, 1 and time, of the line's design
+    matrix: `walked` (12, m) and `columns` (12, m, 2) are the walks that result, `left` (12, m) the walk's
+    variance. `last_year` is the time of the last calibration since the first.
     """
 
     last_year: float

@@ -433,9 +433,9 @@ class Drift:
 def transport_dark(drifts: Sequence[Drift], names: Sequence[str]) -> Floats:
     """Return how far each number of a travelling unit scatters from stop to stop in excess of u, (m,), 1 sigma.
 
-    It is the Mandel-Paule solution for changes with the variance u^2 + 2 dark^2, and 0 for changes within u. If
-    no change is significant after Holm's correction, it is 0 for all numbers: the scatter of a few returns must
-    not widen u by chance.
+    The result is the Mandel-Paule solution for changes with the variance u^2 + 2 dark^2, and 0 for changes within
+    u. If no change is significant after Holm's correction, the result is 0 for all numbers: the scatter of a few
+    returns must not widen u by chance.
     """
     found = np.zeros(len(names))
     changed = any(holm(np.array([drift.p for drift in drifts])) < APART_P) if drifts else False

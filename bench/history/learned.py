@@ -47,7 +47,7 @@ class LearnedSize:
 
 @dataclass(frozen=True)
 class Variance:
-    """A variance component `theta` and its u in units of `unit` squared; if `held`, its prior is kept."""
+    """A variance component `theta` and its u in units of `unit` squared; if `held`, the prior is kept."""
 
     name: str
     theta: float
@@ -292,7 +292,7 @@ class MeterDifferences:
     day: float
 
     def pairs(self) -> Iterator[tuple[int, int]]:
-        """Yield pairs of indices: a meter, and the earlier first of its group."""
+        """Yield pairs of indices: a meter, and the first meter of its group, for all but the first meters."""
         for b, group in enumerate(self.group):
             first = self.group.index(group)
             if first != b:

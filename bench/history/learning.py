@@ -96,7 +96,7 @@ class Weighed:
         return cls(gram - np.swapaxes(half, 1, 2) @ half, logs, c)
 
     def means(self, beliefs: Beliefs, without: int | None = None) -> tuple[Floats, Floats]:
-        """Return means and harmonics with their covariance, from all runs or all but the run `without`."""
+        """Return means and harmonics (m + waves,) and their covariance, from all runs or all but run `without`."""
         c, m = self.columns, len(beliefs.precision)
         normal = self.whole[:, c:-1, c:-1].sum(axis=0)
         right = self.whole[:, c:-1, -1].sum(axis=0)
@@ -112,7 +112,7 @@ class Weighed:
 
 
 def at(body: RunSums, theta: Floats, beliefs: Beliefs) -> LikelihoodPoint:
-    """Return the restricted likelihood at variances (k,), relative to the stated ones; harmonics have no prior."""
+    """Return the restricted likelihood at variances (k,) in units of the stated ones; harmonics have no prior."""
     c, m = body.columns, len(beliefs.precision)
     weighed = Weighed.of(body, theta, m)
     whole = weighed.whole
@@ -136,7 +136,7 @@ def at(body: RunSums, theta: Floats, beliefs: Beliefs) -> LikelihoodPoint:
 
 @dataclass(frozen=True)
 class VarianceEstimate:
-    """The variances (k,) that maximise the restricted likelihood, relative to the stated ones.
+    """The variances (k,), in units of the stated ones, that maximise the restricted likelihood.
 
     `information` (k, k) is the observed information, priors included; `at` is the likelihood at the maximum.
     """
@@ -197,7 +197,7 @@ SCATTER: Final = "the scatter of its repeats"
 
 
 def odd_runs(runs: list[RunFit], body: RunSums, theta: Floats, beliefs: Beliefs) -> list[Contradiction]:
-    """Return a test of each run for each kind of contradiction, most significant first, with Holm's p-values."""
+    """Test each run for each kind of contradiction; return results, most significant first, p by Holm."""
     found = [*_angles(body, theta, beliefs), *_fit(body, at(body, theta, beliefs).means), *_scatter(runs)]
     found.sort(key=lambda one: one.p)
     adjusted = holm(np.array([one.p for one in found]))
@@ -351,9 +351,9 @@ def learn(
 ) -> Learned:
     """Return the errors that runs of one bench share; `stand_u` are the stated u of the stand angles, rad.
 
-    With `by_installation`, each installation has separate mean angles, as if each had its own bracket; otherwise
-    all share the means of the stand. With `waves`, the eccentricity and ellipticity of the head's scale are
-    estimated. Raises `CalibrationError` if there are too few runs or repeats, or signals in different units.
+    With `by_installation`, each installation has separate mean angles, as if each had a separate bracket;
+    otherwise all share the means of the stand. With `waves`, the eccentricity and ellipticity of the head's scale
+    are estimated. Raises `CalibrationError` if there are too few runs or repeats, or signals in different units.
     """
     if len(runs) < LEAST_RUNS:
         raise CalibrationError(
@@ -377,8 +377,8 @@ def learn(
 def told_by_runs(body: RunSums, layout: Layout, free: Beliefs) -> tuple[Beliefs, dict[str, str]]:
     """Return the beliefs in which undetermined variances are fixed at their prior, with reasons by kind of angle.
 
-    Of variances that cannot be separated, those with the smallest stated size are fixed first, so that the
-    others are determined.
+    Among variances that cannot be separated, the one with the smallest stated size is fixed first, and so on until
+    the others are determined.
     """
     beliefs, reasons = free, {}
     for j, kind in enumerate(layout.kinds):

@@ -61,7 +61,7 @@ class Prior:
     notes: tuple[str, ...] = ()
 
     def per(self, g_m_s2: float, gravity_u: float = 0.0) -> tuple[Floats, Floats]:
-        """Return the mean (12,) and the covariance (12, 12), converted to a local g, known to `gravity_u`."""
+        """Return the mean (12,) and the covariance (12, 12), for a local g with the relative u `gravity_u`."""
         factor = to_gravity(STANDARD_GRAVITY, g_m_s2)
         mean = self.mean * factor
         of_g = of_gravity(mean, gravity_u)
@@ -203,10 +203,9 @@ def join(
 ) -> Joined:
     """Combine a calibration (12,) with a prior by generalised least squares.
 
-    The calibration is per a local g of `g_m_s2`, known to the relative `gravity_u`.
-    `own` (12, 12) is the part of the calibration's covariance due to its readings. `alike` (12, 12) is the part
-    that readings do not reveal, such as a meter's gain: earlier calibrations shared it, so the prior does not
-    reduce it.
+    The calibration is per a local g of `g_m_s2`, with the relative u `gravity_u`. `own` (12, 12) is the part of
+    the calibration's covariance due to its readings. `alike` (12, 12) is the part that readings do not reveal,
+    such as a meter's gain: earlier calibrations shared it, so the prior does not reduce it.
     """
     mean, covariance = prior.per(g_m_s2, gravity_u)
     gap = calibration - mean

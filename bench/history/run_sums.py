@@ -320,9 +320,10 @@ def scatter_of(runs: Sequence[RunFit], variances: Floats) -> tuple[Floats, Float
 
 
 def between_runs(ratio: Floats, dof: Floats) -> tuple[float, float, float]:
-    """Return the mean of the logarithms of n mean squares, their variance between runs, and the mean's variance.
+    """Return three numbers for the logarithms of n mean squares.
 
-    The logarithm of a mean square with nu degrees of freedom has the variance psi'(nu/2) (trigamma function).
+    They are the mean, the variance between runs, and the variance of the mean. The logarithm of a mean square with
+    nu degrees of freedom has the variance psi'(nu/2) (trigamma function).
     """
     x = np.log(ratio) - special.digamma(dof / 2) + np.log(dof / 2)
     own = special.polygamma(1, dof / 2)

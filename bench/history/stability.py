@@ -223,9 +223,10 @@ class ReadingAdvice:
 def averaging(curve: AllanCurve, terms: NoiseTerms, wanted: float | None = None) -> Averaging:
     """Return the averaging time for a signal.
 
-    With `wanted`, it is the shortest time at which the upper 95 % limit of the Allan deviation does not exceed
-    `wanted`. Otherwise it is the time from which the noise terms fall at less than half the slope of white noise,
-    so that longer averages gain little; or the longest time of the curve if the terms still fall there.
+    With `wanted`, the result is the shortest time at which the upper 95 % limit of the Allan deviation does not
+    exceed `wanted`. Otherwise the result is the time from which the noise terms fall at less than half the slope
+    of white noise, so that longer averages gain little; or the longest time of the curve if the terms still fall
+    there.
     """
     _, high = curve.limits(terms.freedom)
     if wanted is not None:

@@ -224,7 +224,7 @@ class Conditions:
         return replace(self, mounts=mounts, mount=mount.ravel().astype(np.int64), **kept)
 
     def repeated(self, times: int) -> Conditions:
-        """Return the conditions with all rows repeated `times` times; each repetition has mountings of its own."""
+        """Return the conditions with all rows repeated `times` times; each repetition has separate mountings."""
         mount = (np.arange(times)[:, None] * len(self.mounts) + self.mount).ravel()
         tiled: dict[str, Any] = {
             name: np.concatenate([column] * times) for name, column in self._columns().items()

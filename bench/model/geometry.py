@@ -36,7 +36,7 @@ def stand_errors(**angles_rad: float) -> Floats:
 
 
 def within_half_turn(angle_rad: Floats) -> Floats:
-    """Return angles, rad, reduced by whole turns to the range from -pi to pi."""
+    """Return angles of any shape, rad, reduced by whole turns to the range from -pi to pi."""
     return angle_rad - 2 * np.pi * np.round(angle_rad / (2 * np.pi))
 
 

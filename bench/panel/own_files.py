@@ -222,7 +222,7 @@ def offered_procedures() -> list[OfferedProcedure]:
 
 
 def offered(name: str, file: Path) -> OfferedProcedure:
-    """Return a procedure as the forms offer it; it is cached until its file changes."""
+    """Return a procedure as the forms offer it, from a cache until the file changes."""
     return _offered(name, file, file.stat().st_mtime_ns if file.is_file() else 0)
 
 

@@ -59,7 +59,7 @@ class Goal:
         return self.u(covariance) / self.asked
 
     def relaxed(self, endless: float) -> Goal:
-        """Return the goal; a loose goal is raised to twice the u that endless readings would give, if it is below.
+        """Return the goal; a loose goal is raised, if necessary, to twice the u that endless readings would give.
 
         `endless` is the variance that endless readings would give.
         """
@@ -160,7 +160,7 @@ def whole_goal(block: Block, goals: Sequence[Goal]) -> Goal:
 
 
 def worst(goals: Sequence[Goal], covariance: Floats) -> Goal:
-    """Return the goal that is furthest from being reached."""
+    """Return the goal that is furthest from being reached with this covariance (12, 12) of the coefficients."""
     return max(goals, key=lambda goal: goal.ratio(covariance))
 
 

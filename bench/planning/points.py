@@ -167,7 +167,10 @@ class Passes:
 
 
 def passes(angles: Mapping[float, int]) -> list[Passes]:
-    """Group `angles` (rad: visits) by visits; a group starts opposite to the last pass of its predecessor."""
+    """Group angles by their number of visits, one group for each number; `angles` maps angles, rad, to visits.
+
+    The first pass of a group has the direction opposite to the last pass of the group before.
+    """
     found, first, direction = [], 1, 1
     for times in sorted(set(angles.values()), reverse=True):
         own = tuple(sorted(angle for angle, visits in angles.items() if visits == times))

@@ -219,7 +219,7 @@ class UntilGoal:
 
     @property
     def ahead(self) -> Goal:
-        """The goal, with `hidden` in its floor, by which a design is judged from the readings alone."""
+        """The goal by which a design is judged from its readings alone; its floor includes `hidden`."""
         return replace(self.goal, floor=self.goal.floor + self.hidden)
 
     @property
@@ -296,7 +296,7 @@ def floors(aim: Aim, stand: Stand, whole: Stand, pool: Pool) -> list[Floor]:
 
 
 def with_hidden(aim: Aim, stand: Stand, whole: Stand, pool: Pool) -> Aim:
-    """Return the aim with `hidden` set for combined goals, and loose goals relaxed to what is attainable."""
+    """Return the aim with `hidden` set for combined goals, and loose goals relaxed to attainable ones."""
     if not any(wanted.combined for wanted in aim.wanted):
         return aim
     readings, combined = (
@@ -340,7 +340,7 @@ class Visits(ExchangeDesign):
     _known: tuple[bytes, Floats] | None = None
 
     def covariance(self, counts: Floats | Ints | None = None) -> Floats:
-        """Return the covariance as in the base class, cached for the present counts."""
+        """Return the covariance (p, p) as the base class does, cached for the present counts."""
         if counts is not None:
             return super().covariance(counts)
         key = self.counts.tobytes()

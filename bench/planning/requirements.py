@@ -173,7 +173,7 @@ class _Candidate:
 
 
 def outlook(settings: Sequence[Setting], model: ForwardModel, block: Block, cost: Cost) -> Outlook:
-    """Return what readings at these settings determine of the coefficients and of `ANGLES` in each mounting.
+    """Return which coefficients, and which `ANGLES` of each mounting, readings at these settings determine.
 
     Effects of the model are unknowns, too. If there are more than `MOST_MOUNTINGS` mountings, only the first in
     each installation is analysed. Raises `KeyError` for an installation that the model lacks.
@@ -441,9 +441,9 @@ class Requirement:
 
         Without weights, each named source receives an equal part of the variance that the unnamed sources leave,
         judged at the point where it contributes most. With weights, the cost of a source is its weight divided by
-        its size in units of the bench's own size; the total cost is least if the parts are proportional to (weight
-        × present contribution)^(2/3). A source that stays below its part at any size has no limit; the others share
-        its part. Raises `CalibrationError` if nothing is left to share.
+        its size in units of the size in the bench file; the total cost is least if the parts are proportional to
+        (weight × present contribution)^(2/3). A source that stays below its part at any size has no limit; the
+        others share its part. Raises `CalibrationError` if nothing is left to share.
         """
         own = {s.name: s for s in self.sources}
         parts = self._parts(names, weights)

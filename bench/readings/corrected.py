@@ -110,7 +110,7 @@ def _of_thermometer(by: Corrections, temperature_c: Floats) -> Floats | float:
 
 
 def on_scale(table: Curve, angle_rad: Floats) -> Floats:
-    """Return the head's corrections, rad, at `angle_rad`, interpolated in `table`; NaN for an unknown angle."""
+    """Return the head's corrections (n,), rad, at angles (n,) from `table`; NaN for an unknown angle."""
     known_rad, added_rad = np.array(table).T
     return np.asarray(np.interp(angle_rad, known_rad, added_rad, period=math.tau))
 

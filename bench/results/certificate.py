@@ -152,7 +152,7 @@ class RegisterSays(ResultModel):
 
     @property
     def vouches(self) -> bool:
-        """Whether the register that the user named contains the certificate; anybody can write one beside it."""
+        """Whether the certificate is in the register that the user named; any other register proves nothing."""
         return self.named and self.known
 
     @property

@@ -266,7 +266,7 @@ def gap_bars(gap: Gap) -> str:
 
 
 def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
-    """Return a bar chart of ln odds: of the effect `named` and its rivals; a bracket joins tied ones."""
+    """Return a bar chart of ln odds of the effect `named` and its rivals; a bracket joins those that are tied."""
     ordered = sorted(rows, key=lambda rival: rival.evidence)
     places = np.arange(len(ordered), dtype=float)
     alike = [i for i, rival in enumerate(ordered) if rival.family == named or rival.tied]
@@ -312,7 +312,7 @@ def _kind(rival: Rival, named: str) -> str:
 
 
 def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
-    """Return a plot of Δg at the verification points, before and after, with bars of k = 2 (paper, Fig. 6)."""
+    """Return a plot of Δg ± 2 u at the verification points, without and with the effects found (paper, Fig. 6)."""
     scale = scale_for(limit_g, "g")
     limit = limit_g / scale.size
     parts: list[tuple[str, Sequence[ModulusPoint], str, str]] = [("Δg", shown.before.points, "o", plots.BLUE)]
@@ -342,7 +342,7 @@ def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
 
 
 def most_telling(shown: ModelComparison) -> list[int]:
-    """Return the mountings' indices; the one whose signals the effects found change most comes first."""
+    """Return the indices of the mountings; first comes that in which the effects found change the signals most."""
     before, last = shown.before.calibration, shown.last.calibration
     missing = before.residuals - last.residuals
     sizes = [float(np.mean(missing[rows] ** 2)) for _, rows in plots.mounts_of(before)]
@@ -393,8 +393,9 @@ def overlay(
 ) -> str:
     """Return a plot of measured and simulated signals, a row per channel; `place` is in its title.
 
-    The left column has the signals, the right one both minus the simulation by the given model: what that model
-    lacks, and how far the effects found explain it. `draw_channel` draws a channel into its axes.
+    The left column shows the signals. The right column shows them minus the simulation by the given model, that
+    is, what this model lacks and how much of it the effects found explain. `draw_channel` draws a channel into its
+    axes.
     """
     whose = (
         message("simulated with the effects found") if found else message("simulated with the given model")

@@ -292,7 +292,7 @@ def mistake_part(mistake: Mistake) -> EffectPart:
 
 
 def gap_part(gap: Gap) -> GapPart:
-    """Return the part on the misfit of held-out readings; its numbers are null without readings."""
+    """Return the part on the misfit of held-out readings; its numbers are null if none were held out."""
     return GapPart.from_object(
         gap,
         **_sizes(gap),

@@ -187,8 +187,8 @@ def place_in_words(place: ResidualPattern) -> str:
 def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     """Return each effect that the readings can show, and the size that half of all runs reveal.
 
-    The size is for the variant that is easiest to find. For several parameters, such as the two phases of a
-    wave, it is their norm in the direction that is hardest to find.
+    The size is for the variant that is easiest to find. For several parameters, such as the two phases of a wave,
+    the size is their norm in the direction that is hardest to find.
     """
     sizes = []
     for name, factor in diagnosis.detectable.items():
@@ -238,8 +238,9 @@ def closed_in_words(
 ) -> str:
     """Return how far a gap closes: "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)".
 
-    `part` is of the reduced chi-square, which weighs each reading by u of its prediction. The root mean square
-    (`before_g`, `after_g`) does not, and may rise if few held-out readings have uncertain predictions.
+    `part` is the closed part of the reduced chi-square, in which each reading is weighted by the u of its
+    prediction. The root mean squares `before_g` and `after_g` are unweighted, and may rise if few held-out
+    readings have uncertain predictions.
     """
     before, after, noise = (
         micro_g(v) if unit == "g" else quantity(v, unit) for v in (before_g, after_g, noise_g)
@@ -416,7 +417,7 @@ def mountings_of(block: ModelComparison) -> str:
 
 
 def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
-    """Return the largest change of a coefficient if `other` is the cause, in words; "" if it is no rival."""
+    """Return the largest change of a coefficient if `other` is the cause, in words; "" if it is not ranked."""
     for rival in ranking:
         if rival.family == other:
             coefficient, in_u = rival.largest_shift

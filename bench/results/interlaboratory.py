@@ -91,7 +91,7 @@ def laboratories_of(codes: Sequence[str], judged: Sequence[LaboratoryJudged]) ->
 
 
 def drifts_of(seen: Sequence[tuple[str, str, Literal["calibration", "monitor"], Drift]]) -> list[DriftPart]:
-    """Return a part on each change `seen` of the block: first and last stop, what measured it, drift."""
+    """Return a part on each change `seen` of the block: its first and last stop, what measured it, the drift."""
     p = [drift.p for *_, drift in seen]
     looks = holm(np.array(p)).tolist() if p else []
     return [

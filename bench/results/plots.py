@@ -291,8 +291,8 @@ def mounts_of(calibration: Calibration) -> list[tuple[Mounting, Mask]]:
 def sd_of_reading(calibration: Calibration, rows: Mask, angle_rad: Floats) -> Floats:
     """Return the standard deviation (m, 3) of a single reading at head angles (m,), in the signal's unit.
 
-    It combines reading noise and setting error times slope du/dphi. The slope is that of a sine and a cosine of
-    the angle, fitted to the readings `rows` of one mounting.
+    The standard deviation combines the reading noise with the setting error times the slope du/dphi. The slope is
+    that of a sine and a cosine of the angle, fitted to the readings `rows` of one mounting.
     """
     angle = calibration.fitted.angle_rad[rows]
     predicted = calibration.fitted.signal[rows] - calibration.residuals[rows]
@@ -335,7 +335,7 @@ def residual_points(
     scale: Scale,
     name: str = "readings",
 ) -> None:
-    """Draw a channel's residuals in a mounting, by pass and direction; `name` makes identifiers unique."""
+    """Draw a channel's residuals (n,) in the rows of a mounting against `along` (n,); `name` makes ids unique."""
     fitted = calibration.fitted
     for number in np.unique(fitted.pass_number[rows]):
         for direction, marker in MARKERS.items():
@@ -361,7 +361,7 @@ def legend_of(grid: Iterator[Axes]) -> tuple[list[Any], list[str]]:
 
 
 def mark_changes(grid: Any, calibration: Calibration, along: Floats, word: str = "installation ") -> None:
-    """Draw a line at each change of mounting, and write `word` and the mounting's name above the line."""
+    """Mark each change of mounting at its place in `along` (n,): a line, with `word` and the mounting above it."""
     conditions = calibration.fitted.conditions()
     starts = [0, *(np.flatnonzero(np.diff(conditions.mount)) + 1)]
     for start in starts:

@@ -112,7 +112,7 @@ def rivals_told(found: RecordDiagnosis) -> str:
 
 
 def channel_lines(found: RecordDiagnosis) -> Iterator[str]:
-    """Yield a line on each channel: zero, drift, and the residuals before and after."""
+    """Yield a line on each channel: zero, drift, and the residuals before and after the effects found."""
     for fit in found.fits:
         zero, drift = (
             concise(1e6 * value, 1e6 * u)
@@ -164,7 +164,7 @@ def evidence_in_words(found: RecordDiagnosis) -> dict[str, str]:
 def course_figure(time_h: Floats, courses: Sequence[tuple[str, Floats, Floats]]) -> str:
     """Return a plot of signal minus reference over time, in h.
 
-    `courses` has for each channel its name, and the difference (n,) in V before and after.
+    `courses` has for each channel its name, and the difference (n,) in V without and with the effects found.
     """
     scale = scale_for(max(float(abs(before).max()) for _, before, _ in courses), "V")
 

@@ -82,7 +82,8 @@ def matrix(calibration: Calibration) -> list[list[str]]:
 def coefficient_groups(calibration: Calibration) -> list[tuple[str, list[Row]]]:
     """Return the rows of scale factors, cross-axis terms and biases, each with the title of the group.
 
-    Cells: value, unit; u from the readings alone, u, U and their unit; the value in other terms and its unit.
+    Cells: value and its unit; u from the readings alone, u and U with their unit; the value in other terms, such
+    as an angle, and its unit.
     """
     vector, u = calibration.block.vector, calibration.u
     scale = scale_for(float(np.max(u)), calibration.unit)

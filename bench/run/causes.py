@@ -231,8 +231,8 @@ class Inquiry:
     ) -> ReplayedReadings:
         """Replay all readings for each member, that is, for each supposed mistake.
 
-        The default is one member that uses the readings as recorded. If a member leaves a reading out, the reading
-        costs as much as one that does not fit.
+        The default is one member that uses the readings as recorded. If a member leaves a reading out, this
+        reading adds as much to the cost (-2 ln likelihood) as one that does not fit.
         """
         state = self.prior.repeated(len(members))
         cabling = np.stack([member.cabling for member in members])
@@ -338,7 +338,7 @@ class Confidence:
         self._silent, self._undecided, self._unexplained_v = False, None, 0.0
 
     def went_on(self, sighting: Sighting) -> None:
-        """Note that a person continued despite the mistakes just named, and thus accepted the lasting ones."""
+        """Note that a person continued despite the mistakes just named, and so accepted those that last."""
         self._silent = True
         for kind in self._last:
             if kind in LASTING:

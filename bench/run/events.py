@@ -116,7 +116,7 @@ class RecordError(Exception):
 
 @contextmanager
 def writing(path: str | Path) -> Iterator[Path]:
-    """Give the path of a file that a caller in Python named. Raises `RecordError` if it cannot be written there."""
+    """Yield a caller's `path` as a `Path`. Raises `RecordError` if the file cannot be written in this context."""
     if not isinstance(path, str | os.PathLike):
         raise RecordError(f"path={path!r}: expected the name of a file")
     try:

@@ -47,7 +47,7 @@ class ExpectedPose(NamedTuple):
 def poses(
     model: ForwardModel, block: Block, row: Conditions, installations: Sequence[str], angle_rad: Floats
 ) -> ExpectedPose:
-    """Return the poses of one reading for v combinations of installation and head angle (first axis v).
+    """Return the poses of one reading for v combinations of installation and head angle, rad (first axis v).
 
     `row` has the conditions of the reading. Effects that depend on the block are evaluated at `block`. Raises
     `KeyError` for an installation that the model lacks.
@@ -182,7 +182,7 @@ class Expectation:
             self.covariance[:, column, column] = stand_u.get(name, 0.0) ** 2
 
     def loosen(self, variance: Floats) -> None:
-        """Add `variance` (12,) to the coefficients, which may have changed since the last reading."""
+        """Add `variance` (12,) to the variances of coefficients that may have changed since the last reading."""
         index = np.arange(COEFFICIENT_COUNT)
         self.covariance[:, index, index] += variance
 
@@ -235,7 +235,7 @@ class ExpectedSignals:
     covariance: Floats
 
     def deviation_rad(self, signals: Floats) -> tuple[float, float]:
-        """Return the head's deviation from the commanded angle, by generalised least squares, and u, rad."""
+        """Return the head's deviation from the commanded angle by `signals` (3,), V, and its u, rad."""
         weighted = np.linalg.solve(self.covariance, self.slope)
         information = float(self.slope @ weighted)
         if information <= 0.0:
@@ -419,7 +419,8 @@ QUARTER_TURNS: Final = _quarter_turns()
 def orientations(installations: Mapping[str, Installation], label: str) -> dict[str, Installation]:
     """Return the other possible orientations of a block on the platform, each under a sentence that describes it.
 
-    They are installation `label` turned by quarter turns, without those that equal a known installation.
+    These orientations are installation `label` turned by quarter turns, without those that equal a known
+    installation.
     """
     own = installations[label].block_from_platform
     known = np.array([other.block_from_platform for other in installations.values()])

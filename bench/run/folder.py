@@ -181,7 +181,7 @@ class Run:
 def statement_in(verdict: Mapping[str, Any]) -> str:
     """Return the statement of conformity in a result of `verify` or in one of its points.
 
-    For results of earlier versions, which have no statement, it is "pass" or "fail". Raises `KeyError`.
+    For results of earlier versions, which have no statement, the result is "pass" or "fail". Raises `KeyError`.
     """
     return str(verdict.get("statement") or ("pass" if verdict["passed"] else "fail"))
 

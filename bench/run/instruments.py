@@ -90,7 +90,7 @@ def same_serials(identities: Mapping[str, Identity]) -> list[str]:
 
 
 def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str, str]) -> None:
-    """Ask whether to continue if identities (by instrument name) have changed from `before`, those at the start.
+    """Ask whether to continue if identities, by instrument name, differ from those `before`, at the start.
 
     Raises `BenchError` if the person disagrees.
     """
@@ -113,9 +113,10 @@ UNEXPECTED_K: Final = 5.0
 
 @dataclass(frozen=True)
 class TemperatureCheck:
-    """Asks a person about a temperature that was entered far from what is expected, °C.
+    """Asks a person about an entered temperature that is far from the expected one, °C.
 
-    Expected is `last_c`, the temperature entered before, else `demanded_c`, the set point, else a room.
+    The expected temperature is `last_c`, the last one entered; without it `demanded_c`, the set point; without
+    both, room temperature.
     """
 
     person: Person
@@ -197,8 +198,8 @@ def told_around(
 ) -> dict[str, float]:
     """Return the temperatures of meters and room, °C, by column; `air_c` is the chamber's air, if known.
 
-    `known` holds values already entered in this mounting; a person is not asked for them again. `check` of a
-    column asks about an unexpected temperature that a person enters. Raises `BenchError`.
+    `known` holds values already entered in this mounting; a person is not asked for them again. `check(column)` is
+    the check that asks about an unexpected temperature entered for that column. Raises `BenchError`.
     """
 
     def told(column: str, by: interfaces.Thermometer) -> float:

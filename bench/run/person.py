@@ -339,7 +339,7 @@ _KEEPS_OPEN: Final = {
 class OpenPrompt:
     """Finds the prompt that is open after the events of a run, which are passed to `take` in order.
 
-    It can be answered only while a program is carrying out the run.
+    The prompt can be answered only while a program is carrying out the run.
     """
 
     _event: Event | None = field(default=None, init=False)
@@ -550,7 +550,8 @@ UNTOUCHED: Final = message("untouched")
 def mount_prompt(step: Mount, *, chamber: bool) -> Prompt:
     """Return the prompt to mount the block, with a drawing of the installation if there is one.
 
-    It has no default, so that an accidental Enter confirms nothing. With `chamber`, it asks to close the chamber.
+    The prompt has no default, so that an accidental Enter confirms nothing. With `chamber`, the person must also
+    close the chamber.
     """
     close = message(", close the chamber") if chamber else ""
     again = "" if step.series == 1 else message(f" (visit {step.series})")

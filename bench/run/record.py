@@ -92,7 +92,7 @@ class History:
     power: list[tuple[float, str]] = field(default_factory=list)
 
     def not_repaired(self) -> tuple[list[Event], list[Event]]:
-        """Return early signs, and decisions to go on in spite of one, whose wrong reading was not repeated."""
+        """Return early signs whose wrong reading was not repeated, and decisions to continue despite such signs."""
         steps: dict[tuple[int, str, int, int], int] = {}
         found: list[tuple[int, Event]] = []  # each with the step of the reading at fault
         for event in self.events if self.progress.signs else ():

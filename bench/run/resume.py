@@ -209,7 +209,7 @@ def first_of_pass(plan: Plan, turn: int) -> int:
 
 
 def last_of_pass(plan: Plan, progress: PlanProgress, turn: int) -> int:
-    """Return the last step of the latest point begun in the same pass as the turn at index `turn`."""
+    """Return, in the pass of the turn at index `turn`, the last step of the latest point begun."""
     last = turn
     for index in range(turn, len(plan.steps)):
         if isinstance(plan.steps[index], Mount | SetTemperature):
@@ -275,7 +275,7 @@ def pause_prompt(now_s: float) -> Prompt:
 
 
 def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
-    """Ask how to continue after an early sign; return the reason for going on despite it.
+    """Ask how to continue after an early sign; return the reason for going on despite the sign.
 
     Raises `OperatorWish` if the person chooses to repeat something, and `NoAnswer` with the sign's sentence if
     nobody answers. `again` is explained at `halt_prompt`.

@@ -169,8 +169,8 @@ class Runner:
 
         With `resume`, first restore the bench to the state that the earlier steps left, then continue at that
         point; `progress` must already hold the completed steps. The first error is recorded, and raised after
-        every instrument is safe and closed: `BenchError`, `RecordError`, `RunAborted`, `KeyboardInterrupt`. Its
-        notes list other errors during shutdown and the tasks left for a person.
+        every instrument is safe and closed: `BenchError`, `RecordError`, `RunAborted`, `KeyboardInterrupt`. The
+        notes of this error list other errors during shutdown and the tasks left for a person.
         """
         cause: BaseException | None = None
         try:

@@ -159,9 +159,10 @@ def checked(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 
 def python_call(request: Callable[P, Asked], act: Callable[[Asked], R], name: str = "") -> Callable[P, R]:
-    """Return the public function of a request: its parameters are the fields, its docstring is that of `act`.
+    """Return the public Python function for a request class: the fields are its parameters.
 
-    `name` is its name (default: that of `act` without underscores).
+    The docstring of the function is that of `act`. `name` is its name, by default that of `act` without
+    underscores.
     """
 
     def call(*args: P.args, **kwargs: P.kwargs) -> R:

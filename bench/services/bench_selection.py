@@ -93,8 +93,8 @@ class Origin(_Part):
     def bench_file(self, readings: Path) -> Path | None:
         """Return the path of an unchanged copy of the run's bench file; None if none is found.
 
-        Searched are the copy in the run's folder, the same relative to the readings file (both may have moved),
-        and the original file.
+        The search covers the copy in the run's folder, by its path and relative to the readings file (in case both
+        were moved), and the original file.
         """
         places = [self.bench.copied_to, self.bench.copied_to_from_here, self.bench.file]
         for path in (readings.parent / place for place in places if place):
@@ -218,7 +218,7 @@ _NONE_NAMED: Final = "the shipped one, because no file was named"
 
 @dataclass(frozen=True)
 class BenchTaken:
-    """The bench file of an analysis; `why` is why it was chosen, `chosen` why the run was begun with it."""
+    """The bench file of an analysis; `why` is the reason for the choice, `chosen` the reason at the run's start."""
 
     file: BenchFile
     where: str
@@ -302,8 +302,9 @@ def bench_of(
 ) -> tuple[BenchTaken, tuple[str, ...]]:
     """Return the bench file to use for readings, and notes.
 
-    It is the first of these: the requested file, the one that the run recorded; without a run, the file in
-    BENCH_FILE, the one that the origin file names (`told`), the shipped one.
+    For a run, it is the requested file, else the one that the run recorded. Without a run, it is the first that
+    exists of the requested file, the file in BENCH_FILE, the file that the origin file (`told`) names, and the
+    shipped file.
     """
     if run is not None:
         return _of_run(run, given)
@@ -339,6 +340,9 @@ def _of_run(run: Run, given: str | Path | BenchFile | None) -> tuple[BenchTaken,
 
 
 def own_bench(run: Run) -> tuple[BenchFile, Path]:
-    """Return the bench file that a run recorded, and a path for its references: the original's, else the copy's."""
+    """Return the bench file that a run recorded, and the path from which its references start.
+
+    That is the path of the original file if it still exists, else that of the run's copy.
+    """
     stated = Path(str(run.manifest.get("bench", "")))
     return load_recorded_bench(run.folder / BENCH), stated if stated.is_file() else run.folder / BENCH

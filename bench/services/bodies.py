@@ -32,9 +32,9 @@ TOGETHER: Final = "diagnose-together"
 class Body:
     """Readings that are diagnosed together: the `sources`, and all of them joined as one `source`.
 
-    `nominal` (blocks, 3) are scale factors from data sheets; None if all blocks are of one kind. If all
-    readings are free positions, each source keeps a table of its own; `one_block` then says whether one
-    sensor made all of them.
+    `nominal` (blocks, 3) are scale factors from data sheets; None if all blocks are of one kind. If all readings
+    are free positions, each source keeps a separate table; `one_block` then says whether one sensor made all of
+    them.
     """
 
     sources: tuple[Source, ...]
@@ -101,7 +101,7 @@ def body_of(sources: list[Source], one_block: bool | None = None) -> Body:
 
 
 def place_together(sources: Sequence[Source]) -> Source:
-    """Return the first source under a name that stands for all `sources`; output files are named after it."""
+    """Return the first source under a name that stands for all `sources`; output files take that name."""
     first = sources[0]
     if len(sources) == 1:
         return first
@@ -188,7 +188,7 @@ def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
 def told_in_words(run: Run) -> list[str]:
     """Return sentences on the mistakes that the early warning found in a run, and on warnings overruled.
 
-    What was repaired, because the readings were repeated, is only counted.
+    Warnings whose readings were repeated are only counted.
     """
     if not run.history.progress.signs:
         return []

@@ -77,7 +77,7 @@ class BodyResult(ABC):
         """Write all files of `bench diagnose`; return the result with their paths.
 
         With `accept_first`, a tie is written as its likeliest effect. A file that cannot be written is noted in
-        `not_written`; if an output folder was requested, it raises `OSError`.
+        `not_written`; if an output folder was requested, `OSError` is raised instead.
         """
 
     def __repr__(self) -> str:
@@ -85,7 +85,7 @@ class BodyResult(ABC):
         return f"{as_text(self.print_on)}\nbench: {self.bench}"
 
     def tried(self, what: str, write: Callable[[], T]) -> tuple[T | None, Self]:
-        """Return the value of `write` and this result; if writing `what` fails, None and a result that says so."""
+        """Return the value of `write` and this result; if `what` cannot be written, None and a result saying so."""
         try:
             return write(), self
         except OSError as error:
@@ -95,7 +95,7 @@ class BodyResult(ABC):
             return None, replace(self, not_written=(*self.not_written, note))
 
     def with_copy(self, mistakes: Sequence[Mistake], corrected: Readings) -> Self:
-        """Write the readings with `mistakes`, if any, corrected; return the result with the path."""
+        """If there are `mistakes`, write the `corrected` readings; return the result with the path."""
         if not mistakes:
             return self
         place = self.body.output("-corrected.csv")

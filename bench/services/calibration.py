@@ -85,10 +85,10 @@ def read_prior(path: Path) -> Prior:
 def with_prior(
     found: Calibration, source: Source, path: Path
 ) -> tuple[Calibration, PriorPart, tuple[str, ...]]:
-    """Return a calibration combined with the prior for its unit's type, the prior's part of the result, and notes.
+    """Return three things: the calibration combined with the prior, the result's part on the prior, and notes.
 
-    If readings and prior contradict each other, the calibration is returned unchanged, with a note. Raises
-    `Refused` for a prior that does not apply to these readings.
+    The prior is that for units of the source's type. If readings and prior contradict each other, the calibration
+    is returned unchanged, with a note. Raises `Refused` for a prior that does not apply to these readings.
     """
     from bench.history.prior import CONFLICT_P, join
 
@@ -220,7 +220,7 @@ class CalibrationResult:
         return self.calibration.covariance
 
     def as_coefficients(self) -> Coefficients:
-        """Return the coefficients in the form in which `read_coefficients` returns those of a result file."""
+        """Return the coefficients as `read_coefficients` would return them from the result file."""
         from bench.services.coefficients import Coefficients
 
         own = self.calibration
@@ -364,9 +364,10 @@ def calibration_of(
     join_verification: bool = False,
     prior: Path | None = None,
 ) -> CalibrationResult:
-    """Calibrate a source by its bench, model and any `prior` of its unit's type; options as in `estimate`.
+    """Calibrate a source with its bench and model.
 
-    Raises `CalibrationError` if the readings allow no calibration, `Refused` for a prior that does not apply.
+    `prior` is a prior file for units of the source's type. Other options are those of `estimate`. Raises
+    `CalibrationError` if the readings allow no calibration, `Refused` for a prior that does not apply.
     """
     source = _with_note_on_temperatures(source)
     sheet = sheet_of(source.readings.unit, source.bench.unit_under_test.scale_factors.values)
@@ -439,9 +440,10 @@ def verification_of(
     asked: VerdictOptions | None = None,
     agreed: DecisionRule | None = None,
 ) -> VerificationResult:
-    """Verify a source with coefficients from a file, from a calibration, or (None) from its own readings.
+    """Verify a source with coefficients from a file, from a calibration, or (None) from these same readings.
 
-    The options `asked` replace those of run and bench file; `agreed` is the rule if none of these names one.
+    The options `asked` replace those of run and bench file; `agreed` is the decision rule if none of these names a
+    rule.
     """
     from bench.services.verification import judged, own_judgement, unsuitable  # takes long to import
 

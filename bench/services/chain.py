@@ -30,7 +30,7 @@ _LOCK: Final = ".register.lock"
 
 @dataclass(frozen=True)
 class Entry:
-    """A line of a register: event, number, time (ISO 8601), authorising person, other details."""
+    """A line of a register: event, number, time (ISO 8601), authorising person, and other details."""
 
     kind: str
     number: str

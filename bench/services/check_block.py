@@ -189,7 +189,7 @@ def chart_of(
 ) -> CheckBlockChart:
     """Return the control chart of the runs of a check block.
 
-    `of_bench` is the path of the bench file, to which that of a reference is relative. `folder` holds the runs
+    `of_bench` is the path of the bench file; the path of a reference is relative to it. `folder` holds the runs
     that the section names. Raises `Refused` if no run gives a calibration, and for mixed runs.
     """
     values, notes = _values(runs)
@@ -390,8 +390,9 @@ def charted(request: Chart) -> CheckBlockChart:
     """Return the control chart of a check block, as `bench chart` computes it.
 
     `runs` are runs of the check block by name or path, or a folder of runs (default: BENCH_RUNS, else ./runs).
-    `bench` states the check block; without it, the bench file that the latest run recorded does. `real` selects
-    the real (True) or simulated (False) runs of a folder; by default the kind of the latest. Raises `Refused`.
+    `bench` states the check block; the default is the bench file that the latest run recorded. `real` selects the
+    real (True) or simulated (False) runs of a folder; by default those of the same kind as the latest run. Raises
+    `Refused`.
     """
     folder = runs_folder(request.folder)
     named = [request.runs] if isinstance(request.runs, str | Path) else request.runs or [folder]
@@ -477,7 +478,7 @@ class CheckBefore:
         return self.state == IN_CONTROL
 
     def recorded(self, rule: str, reason: str | None) -> CheckedBefore:
-        """Return the check for a manifest: `rule` of the bench file, `reason` to begin in spite of it (or None)."""
+        """Return the check as recorded in a manifest, with the bench file's `rule` and the `reason` to begin."""
         told: CheckedBefore = {"rule": rule, "state": self.state, "said": self.sentence}
         if self.run:
             told["run"] = self.run
@@ -535,7 +536,7 @@ def _judged(
 def checked_before(
     manifest: Manifest, bench: BenchFile, path: Path, runs: Path, despite: str | None
 ) -> tuple[str, ...]:
-    """Check the bench before a run begins; note it in the run's manifest, and return sentences on it.
+    """Check the bench before a run begins; note the result in the run's manifest, and return it in sentences.
 
     `despite` is the operator's reason to begin whatever the check says. A run of the check block itself is not
     checked. Raises `Refused` if the rule of the bench file forbids the run.

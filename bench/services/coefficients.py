@@ -343,12 +343,11 @@ def _number(value: Any) -> float:
 def impossible(covariance: Floats) -> str:
     """Return why a matrix (n, n) of finite numbers is no covariance; "" if it may be one.
 
-    A covariance is symmetric, with no negative variance, no correlation |r| above 1 and no negative
-    eigenvalue, within rounding. It is a sum of m products b_ik b_jk; m counts readings and items of prior
-    knowledge. Each entry is then off by at most m u sqrt(c_ii c_jj), u = 2^-53 (Higham, Accuracy and
-    Stability of Numerical Algorithms, 2002, section 3.1, with the Cauchy-Schwarz inequality). A correlation
-    is off by at most `ROUNDING`, an eigenvalue of the n by n correlation matrix by at most n times that
-    (Weyl).
+    A covariance is symmetric, with no negative variance, no correlation |r| above 1 and no negative eigenvalue,
+    within rounding. Each of its entries is computed as a sum of m products b_ik b_jk; m counts readings and items
+    of prior knowledge. An entry is then off by at most m u sqrt(c_ii c_jj), u = 2^-53 (Higham, Accuracy and
+    Stability of Numerical Algorithms, 2002, section 3.1, with the Cauchy-Schwarz inequality). A correlation is off
+    by at most `ROUNDING`, an eigenvalue of the n by n correlation matrix by at most n `ROUNDING` (Weyl).
     """
     variance = np.diag(covariance)
     if np.any(variance < 0):
@@ -401,7 +400,7 @@ def snapshot_of(data: Any, name: str) -> Snapshot:
 
 
 def dated(taken: Coefficients, name: str, dof: float) -> Snapshot:
-    """Return coefficients as a dated calibration; `dof` are the least degrees of freedom of the nine numbers."""
+    """Return coefficients as a dated calibration; `dof` is the least dof of the nine intrinsic numbers."""
     from bench.history.comparison import Snapshot
 
     return Snapshot(
@@ -447,7 +446,7 @@ def forms_of(names: list[str]) -> list[ExportForm]:
 
 
 def nominal_of(text: str | None, results: list[BlockResult]) -> Floats | None:
-    """Return the scale factors (3,) in unit/g that `--nominal` states. Raises `Refused` if they do not fit."""
+    """Return the scale factors (3,) in unit/g that `--nominal` states. Raises `Refused` for unsuitable ones."""
     if text is None:
         return None
     try:

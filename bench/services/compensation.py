@@ -146,7 +146,7 @@ def _checks(source: Source, model: TemperatureModel) -> Iterator[tuple[float, Ve
 
 
 def tumbled(request: Tumble, loaded: Sequence[Source]) -> Iterator[tuple[TumbleView, TumbleResult]]:
-    """Yield for each source the tumble of each axis by IEEE 1293, and its result.
+    """Yield for each source the IEEE 1293 terms of each axis, and the result with them.
 
     Raises `CalibrationError` if the readings do not determine the nonlinear terms of the request.
     """

@@ -83,7 +83,7 @@ class Conclusion:
 
 
 def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
-    """Return the results of a finished run. After a signal, it raises `Refused`; `bench resume` makes them then."""
+    """Return the results of a finished run. Raises `Refused` after a signal; `bench resume` then makes them."""
     kept = f"all readings are kept in {run.folder}"
     again = (
         f"stopped before the results were ready; {kept}, and 'bench resume {name_to_type(run.folder)}' computes "
@@ -143,7 +143,7 @@ def _evaluated(source: Source) -> dict[str, Any]:
 
 
 def charted(run: Run) -> dict[str, Any]:
-    """Return the chart of a check block's run as members of a `Conclusion`; no members for another run."""
+    """Return the chart of a check block's run as members of a `Conclusion`; an empty dict for any other run."""
     bench, path = own_bench(run)
     unit = run.manifest.get("unit_under_test")
     if bench.check_block is None or unit is None:

@@ -124,7 +124,7 @@ class DiagnosisResult(ResultWithPage):
             text.print_one(self.found, self.files, out)
 
     def model_is_due(self, *, accept_first: bool = False) -> bool:
-        """Return whether there is a model to write: of effects, unnamed terms, or the first effect of a tie."""
+        """Return whether there is a model to write: effects, unnamed terms or, if accepted, the first of a tie."""
         form = self.diagnosis.form
         there = _named(self.diagnosis, accept_first=accept_first) or (form is not None and form.applied)
         return bool(there) and self.found.shown.after is not None
@@ -255,7 +255,7 @@ class DiagnosisAlone(ResultWithPage):
         return tuple(paths)
 
     def corrected(self) -> dict[int, Readings]:
-        """Return the readings without outlying positions, by number of source; affected sources only."""
+        """Return the readings without their outlying positions, by source number, of the affected sources only."""
         return {}
 
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
@@ -303,7 +303,7 @@ class FreeDiagnosisResult(DiagnosisAlone):
     write_model = DiagnosisAlone.write_models
 
     def corrected(self) -> dict[int, Readings]:
-        """Return the readings without outlying positions, by number of source; affected sources only."""
+        """Return the readings without their outlying positions, by source number, of the affected sources only."""
         kept = {}
         for number in np.unique(self.found.left_out[:, 0]).tolist():
             source = self.body.sources[number]
@@ -323,7 +323,7 @@ Diagnosed: TypeAlias = DiagnosisResult | DiagnosisAlone | MistakesResult
 
 
 def print_diagnosed(results: Sequence[Diagnosed | Failed], out: Console) -> None:
-    """Print a single diagnosis in full, a line for each of several; free positions and mistakes alone in full."""
+    """Print each diagnosis in full; of several, each `DiagnosisResult` is only a row of a table."""
     listed = [one for one in results if isinstance(one, DiagnosisResult)] if len(results) > 1 else []
     if listed:
         with knowing_effects_of(*(one.source for one in listed)):
@@ -337,7 +337,10 @@ def print_diagnosed(results: Sequence[Diagnosed | Failed], out: Console) -> None
 
 
 def diagnosed(request: Diagnose, bodies: Sequence[Body | Failed]) -> list[Diagnosed | Failed]:
-    """Diagnose bodies and write requested files, several in parallel; of these, one that fails gives a `Failed`."""
+    """Diagnose bodies, several in parallel, and write the requested files.
+
+    Of several bodies, one that cannot be diagnosed gives a `Failed`; a single body raises its error.
+    """
     if len(bodies) == 1:
         return [diagnosed_alone(request, body) for body in done(bodies)]
     pairs = zip(request.sources, bodies, strict=True)
@@ -346,7 +349,7 @@ def diagnosed(request: Diagnose, bodies: Sequence[Body | Failed]) -> list[Diagno
 
 
 def diagnosed_alone(request: Diagnose, body: Body, *, report: bool = True) -> Diagnosed:
-    """Diagnose a body and write the requested files; `report` is the default of the page.
+    """Diagnose a body and write the requested files; `report` decides on the page if the request does not.
 
     Raises `CalibrationError` if the readings do not determine the coefficients.
     """

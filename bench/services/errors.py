@@ -40,7 +40,7 @@ class NoCheckBlock(Refused):
 
 
 def in_python(text: str, flags: Collection[str] = ()) -> str:
-    """Return a message with the options (--g 9.81) as arguments of Python (g=9.81); `flags` are those of bool."""
+    """Return a message with the options (--g 9.81) as arguments of Python (g=9.81); `flags` are the switches."""
 
     def argument(option: re.Match[str]) -> str:
         if option[2] is None:

@@ -222,7 +222,7 @@ def asker_of(
 def started(
     request: RunRequest, out: Console, announce: Callable[[NewRun], None]
 ) -> Iterator[tuple[Run, Interrupts]]:
-    """Carry out a new run and yield it finished, while signals are handled; `announce` receives it before."""
+    """Carry out a new run and yield it finished, while signals are handled; `announce` is called before it."""
     away = is_away(request.answers, panel=request.panel)
     new = new_run(request)
     who = None if away else acting_at(TERMINAL, request.operator, request.laboratory)
@@ -245,7 +245,7 @@ def started(
 def resumed(
     request: ResumeRequest, out: Console, announce: Callable[[Run], None]
 ) -> Iterator[tuple[Run, Interrupts]]:
-    """Resume a run and yield it finished, while signals are handled; `announce` receives it before.
+    """Resume a run and yield it finished, while signals are handled; `announce` is called before it.
 
     A finished run without results is yielded unchanged.
     """
@@ -503,7 +503,7 @@ def _kept(record: Record) -> str:
 
 
 def unfinished_run(name: str | None, runs: Path, *, results_too: bool = False) -> Run:
-    """Return the run `name`, else the latest to resume, else (`results_too`) the latest without results.
+    """Return the run `name`, by default the latest to resume; with `results_too`, else the latest without results.
 
     Raises `Refused` if there is none.
     """
@@ -529,7 +529,10 @@ def taken_up(
     *,
     results_too: bool = False,
 ) -> tuple[Record, History]:
-    """Open the record of an unfinished run (with `results_too`, of one without results). Raises `Refused`."""
+    """Open the record of an unfinished run. Raises `Refused` for any other run.
+
+    With `results_too`, a finished run that lacks results is accepted, too.
+    """
     record, history = Record.reopen(run.folder, utc_now, shield)
     if history.state in ENDED and not (results_too and _lacks_results(run, history.state)):
         record.close()

@@ -45,9 +45,10 @@ def reminders(bench: BenchFile) -> Iterator[str]:
 
 
 def is_away(answers: str | None, *, panel: bool) -> bool:
-    """Return whether the folder takes answers: `answers` is "folder", or None and a panel has no terminal.
+    """Return whether a person answers through the folder and not at a terminal.
 
-    Raises `Refused` for an unknown place in `answers`.
+    That is so for "folder" in `answers`, or for None if a `panel` has no terminal. Raises `Refused` for an unknown
+    place in `answers`.
     """
     if answers not in (None, "terminal", "folder"):
         raise Refused(f"--answers {answers}: give 'terminal' or 'folder'")
@@ -70,7 +71,8 @@ def refuse_contradictions(request: RunRequest) -> None:
 def refuse_unfit(bench: BenchFile, path: Path, request: RunRequest, *, away: bool) -> None:
     """Raise `Refused` for a real run by a program that is not validated, or with expired certificates.
 
-    A bench file with `expired: ask` forbids it only if nobody can be asked: neither at a terminal nor `away`.
+    A bench file with `expired: ask` forbids such a run only if nobody can be asked: neither at a terminal nor
+    `away`.
     """
     refuse_unvalidated_run(bench, path, request.laboratory)
     late = expired(bench)
@@ -96,7 +98,7 @@ def in_words(late: list[Standing]) -> str:
 
 
 def agree_to_expired(run: Run, record: Record, asker: Asker | None) -> None:
-    """If the bench file demands it, ask whether to use expired certificates. Raises `BenchError` for a no."""
+    """If the bench file demands it, ask whether to use expired certificates. Raises `BenchError` after a no."""
     if run.simulated or asker is None:
         return
     bench = load_bench(run.folder / BENCH)

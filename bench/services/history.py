@@ -196,11 +196,10 @@ class LearningResult:
 def learning_of(request: Learn, sources: Sequence[Source] | None = None) -> LearningResult:
     """Return the sizes of the errors that all runs of a bench share, as `bench learn` estimates them.
 
-    `model` is a model file with effects of the bench, found in many runs together; the learned file contains
-    them. `by_installation` gives each installation its own mean angles. The file is valid until `expires` (a
-    year by default). The other parameters are those of `calibrate`; `sources` are those of the request, if
-    already read. Raises `Refused` for runs of several benches, `CalibrationError` as
-    `bench.history.learning.learn` does.
+    `model` is a model file with effects of the bench, found in many runs together; the learned file contains them.
+    `by_installation` gives each installation separate mean angles. The file is valid until `expires` (a year by
+    default). The other parameters are those of `calibrate`; `sources` are those of the request, if already read.
+    Raises `Refused` for runs of several benches, `CalibrationError` as `bench.history.learning.learn` does.
     """
     made = utc_now().date()
     until = _until(request.expires, made)

@@ -51,7 +51,7 @@ def effects_for_record() -> dict[str, bytes]:
 
 
 def knowing_effects_on_record(run: Run) -> AbstractContextManager[None]:
-    """Return a context with the effects recorded with a run. Raises `FileMistakes` if one is known otherwise."""
+    """Return a context with the effects recorded with a run. Raises `FileMistakes` for a file with mistakes."""
     file = run.folder / EFFECTS
     return CATALOGUE.also(load_effects(file) if file.is_file() else ())
 

@@ -207,7 +207,7 @@ def mountings(bench: BenchFile, installations: str | None, visits: int) -> list[
 
 
 def even_angles(bench: BenchFile, count: int) -> Floats:
-    """Return those of `count` even angles of a turn (rad) that the head can approach from both sides."""
+    """Return those of `count` equally spaced angles of a turn, rad, that the head can reach from both sides."""
     angles = 2 * np.pi * np.arange(count) / count
     if bench.head_limits_rad is None:
         return angles

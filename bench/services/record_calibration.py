@@ -87,7 +87,7 @@ class RecordCalibrationResult:
 
 
 def record_calibration_of(source: Source) -> RecordCalibrationResult:
-    """Calibrate meters from readings at a known input, less the model's effects. Raises `CalibrationError`."""
+    """Calibrate meters from readings at a known input minus the model's effects. Raises `CalibrationError`."""
     return RecordCalibrationResult(source, calibrate_record(source.readings, source.model.effects))
 
 
@@ -101,7 +101,10 @@ def meters_at_rest(source: Source, found: RecordCalibration) -> Stability:
 
 
 def of_meters(source: Source, found: RecordCalibration) -> StaticRecord:
-    """Return what meters add to a known input beyond gain, offset and the model's effects, less outliers."""
+    """Return the residuals of meters at a known input, without outliers, as a static record.
+
+    Gain, offset and the model's effects are subtracted.
+    """
     readings, used = source.readings, found.record.used
     channels = tuple(CHANNELS[i] for i in found.record.channels)
     made = on_grid(source.name, readings.time_s[used], found.residual_of(readings)[used], channels)

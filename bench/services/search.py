@@ -48,7 +48,7 @@ class FoundResource:
 
 
 def offered() -> tuple[list[FoundResource], list[str]]:
-    """Return what the interfaces offer, and notes on interfaces not searched. Addresses no resource."""
+    """Return the resources listed by the interfaces, and notes on interfaces not searched. Addresses none."""
     offer = discover()
     ports = [
         FoundResource(port.resource, f"serial port {port.device} {port.description}".rstrip())

@@ -151,7 +151,7 @@ class Source:
 
     @property
     def what_if(self) -> bool:
-        """Whether a run is evaluated otherwise than it recorded; its results then go to a separate folder."""
+        """Whether a run is evaluated with other settings than recorded; its results then go elsewhere."""
         if self.run is None:
             return False
         asked = self.request
@@ -194,8 +194,9 @@ class Source:
     def output(self, command: str, suffix: str, *, what_if: bool = False) -> Path:
         """Return the path of the file that a command writes for this source.
 
-        It is in the folder of `--out`, else of the run, else in one named after the command beside the readings
-        file. With `what_if`, it is in the folder `what-if` of the run, unless `--out` is given.
+        The file is in the folder `--out`; without that option, in the folder of the run; without a run, in a
+        folder beside the readings file, named after the command. With `what_if` and without `--out`, it is in the
+        run's folder `what-if`.
         """
         file = _output(self.name, self.run, self.request.out, command, suffix)
         aside = what_if and self.run is not None and self.request.out is None

@@ -99,7 +99,10 @@ def _in_words(standing: Standing, why_not: str) -> str:
 def trace(
     taken: BenchTaken, bench: BenchFile, readings: Readings, origin: Origin | None
 ) -> tuple[BenchFile, Readings, Traced]:
-    """Return the bench without certificates of other instruments, the corrected readings, their corrections."""
+    """Return three things: the bench, the corrected readings, and the certificates with the corrections made.
+
+    The bench lacks those certificates that belong to other instruments.
+    """
     day = _day(origin)
     found = standings(bench, day, _answered(bench, origin))
     entries = tuple((standing, _why_not(standing, taken, readings, origin)) for standing in found)
@@ -252,7 +255,7 @@ def take_learned(
 
 
 def learned_for_run(bench: BenchFile, path: Path, created: str, *, simulated: bool | None) -> LearnedTaken:
-    """Return the valid part of the learned file that a bench file at `path` names, on the day `created`.
+    """Return the part, valid on the day `created`, of the learned file that the bench file at `path` names.
 
     If `path` is the run's own copy, later changes of the original files have no effect. Raises `FileMistakes`.
     """
@@ -270,7 +273,7 @@ def with_effects(model: ForwardModel, effects: tuple[AppliedEffect, ...]) -> For
 def with_meters(
     found: LearnedTaken, file: LearnedFile, bench: BenchFile, day: datetime.date, meters: Mapping[str, str]
 ) -> LearnedTaken:
-    """Return `found` with learned differences of voltmeters added; `meters` names that of each channel."""
+    """Return `found` with learned differences of voltmeters added; `meters` names the voltmeter of each channel."""
     if file.meters is None:
         return found
     if not meters:

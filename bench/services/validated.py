@@ -65,7 +65,8 @@ def _files_of(folder: Path, name: str) -> Iterator[tuple[str, str]]:
 def plug_ins(bench: BenchFile) -> dict[str, str]:
     """Return the SHA-256 of the laboratory's own drivers and effects with which a bench runs, by path or name.
 
-    Drivers count if the bench file names one: all files of BENCH_DEVICES, and the distributions that have drivers.
+    If the bench file names a driver of the laboratory, all drivers count: the files of BENCH_DEVICES, and the
+    distributions that have drivers.
     """
     found: dict[str, str] = {}
     if foreign_drivers(bench):
@@ -84,7 +85,7 @@ def digest_of(found: dict[str, str]) -> str:
 
 
 def packages() -> Iterator[metadata.Distribution]:
-    """Yield the installed distributions that the program needs, its own first; optional ones if installed."""
+    """Yield the installed distributions that the program needs, the program first, optional ones if installed."""
     waiting, seen = [DISTRIBUTION], set()
     while waiting:
         name = re.sub(r"[-_.]+", "-", waiting.pop(0)).lower()

@@ -141,7 +141,7 @@ def judgement_of(
 def own_judgement(
     source: Source, asked: VerdictOptions | None = None, agreed: DecisionRule | None = None
 ) -> Judgement:
-    """Return the basis of a source's verdict: `asked`, else as its run or bench file says.
+    """Return the basis of a source's verdict: the options `asked`, else those of its run or bench file.
 
     `agreed` is the decision rule if none of these names a rule.
     """
@@ -179,15 +179,18 @@ class VerificationResult:
 
     @property
     def passed(self) -> bool:
-        """Whether every point was measured and accepted by the rule; none is if the model does not fit."""
+        """Whether every point was measured and accepted by the rule.
+
+        No point is accepted if the model does not fit.
+        """
         return self.verification.passed
 
     @property
     def statement(self) -> str:
         """The overall statement: pass, conditional pass, conditional fail, fail, or why there is none.
 
-        It is "inconclusive" if U exceeds the limit, "not complete" if a point was not measured, and "does not
-        fit" if the readings of the calibration contradict the model.
+        The statement is "inconclusive" if U exceeds the limit, "not complete" if a point was not measured, and
+        "does not fit" if the readings of the calibration contradict the model.
         """
         return str(self.verification.statement)
 
@@ -232,7 +235,7 @@ class VerificationResult:
         return self.result().to_dict()
 
     def verdict(self) -> str:
-        """Return the verdict in one line, with what speaks against the coefficients."""
+        """Return the verdict in one line, with the objections to the coefficients, if any."""
         line = shown.verdict_line(self.source.name, self.verification)
         return "; ".join((line, *self._against, *self.warnings))
 
@@ -264,7 +267,7 @@ def judged(
     own: Calibration | None = None,
     warnings: tuple[str, ...] = (),
 ) -> VerificationResult:
-    """Return the verification with the coefficients `taken`; `own` is their calibration by the same readings.
+    """Return the verification with the coefficients `taken`; `own` is their calibration, from the same readings.
 
     Raises `CalibrationError` if there is no verification point.
     """
@@ -362,7 +365,7 @@ def _on_temperature(taken: Coefficients, source: Source) -> Iterator[str]:
 def unsuitable(taken: Coefficients, name: str, source: Source) -> Iterator[str]:
     """Yield a warning for coefficients of the calibration `name` that do not suit the readings of a source.
 
-    Raises `Refused` if they were fitted to the verification points that they shall verify.
+    Raises `Refused` if they were fitted to the verification points that are to be judged.
     """
     if taken.joined and _same_readings(taken, source):
         raise Refused(

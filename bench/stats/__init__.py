@@ -11,7 +11,7 @@ from bench.base.arrays import Floats, Ints, u_of
 
 
 def holm(p: Floats) -> Floats:
-    """Return Holm's adjusted p-values of m tests.
+    """Return Holm's adjusted p-values (m,) of m tests.
 
     The k-th smallest p-value (k from 0) is multiplied by m - k; the results are made non-decreasing and at most 1.
     """

@@ -137,7 +137,7 @@ class Centre:
         return np.asarray(2.0 * special.stdtr(self.dof, -np.abs(z)))
 
     def p_joint(self, t2: Floats) -> Floats:
-        """Return the p-values of joint statistics `t2`."""
+        """Return the p-values of joint statistics T² `t2`, of the same shape."""
         p = self.dimensions
         if np.isinf(self.dof):
             return np.asarray(special.chdtrc(p, t2))
@@ -316,7 +316,7 @@ class ChartDesign:
     def alpha_single(self, dimensions: int) -> float:
         """Return the alarm probability of a single coefficient.
 
-        With it, `dimensions` coefficients together have the alarm probability of T².
+        If `dimensions` coefficients each have it, together they have the alarm probability of T².
         """
         return self.alpha / dimensions
 
@@ -353,9 +353,10 @@ class ShortTerm:
 
 
 def short_term(s: Floats, dof: Floats, baseline_s: Floats, baseline_dof: Floats) -> ShortTerm:
-    """Compare standard deviations `s` with those of the baseline, pooled with their degrees of freedom as weights.
+    """Compare standard deviations `s` (n,) with those of the baseline, pooled by their degrees of freedom.
 
-    Source: NIST/SEMATECH e-Handbook, 2.2.3.1 and 2.3.5.1.
+    `s` and `baseline_s` have the degrees of freedom `dof` and `baseline_dof`. Source: NIST/SEMATECH e-Handbook,
+    2.2.3.1 and 2.3.5.1.
     """
     pooled_dof = float(baseline_dof.sum())
     pooled = float(np.sqrt((baseline_dof @ baseline_s**2) / pooled_dof))
@@ -445,7 +446,7 @@ class DriftSeen:
 def drift_of(
     years: Floats, values: Floats, u: Floats, dof: float, u_known: Floats | float = 0.0
 ) -> DriftSeen:
-    """Return the slopes of lines through coefficients (n, p), of u (p,) and `dof`, at times `years` (n,).
+    """Return the slopes of lines through coefficients (n, p) with u (p,) and `dof`, at times `years` (n,).
 
     `u_known` is the standard uncertainty, per year, of a known drift that the values no longer contain.
     """

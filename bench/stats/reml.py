@@ -284,7 +284,7 @@ class Profile:
     def mean(self) -> float:
         """Return the root mean square of the size, weighted by the likelihood.
 
-        It is `middle` if the likelihood does not fall towards infinity.
+        The result is `middle` if the likelihood does not fall towards infinity.
         """
         end = self.beyond(GONE)
         if not np.isfinite(end):

@@ -79,7 +79,7 @@ class Repeats:
 def compare_repeats(value: Floats, u: Floats) -> Repeats:
     """Compare values (g, r, c) of g groups in r repeats with their stated u; NaN where a repeat is missing.
 
-    Each group has a mean of its own, and each of the c kinds of quantity a term of its own size.
+    Each group has a separate mean; each of the c kinds of quantity has a term of a separate size.
     """
     many = np.maximum(np.sum(np.isfinite(value), axis=1, keepdims=True), 1)
     off = value - np.nansum(value, axis=1, keepdims=True) / many

@@ -36,7 +36,7 @@ _INTRODUCTION: Final = """\
 
 The values of `driver` in a [bench file](bench-files.md), by role, with an example of each. Every instrument
 that is not worked by a person can be simulated: `bench run … --dry-run` and `bench simulate` serve it on a TCP
-port, and the same driver talks to it. [Bringing an instrument](../writing-a-driver.md) shows how to add
+port, and the same driver talks to it. [Adding an instrument](../writing-a-driver.md) shows how to add
 another. [From wiring to result](../real-bench.md) shows how to connect and set them. `bench check` compares a
 procedure with the limits below before anything is sent.
 """

@@ -31,7 +31,7 @@ _SHIPPED: Final = """\
 
 The expected times include the warm-up and the time that the procedure allows for the operator. They are for the
 bench file named; `bench check PROCEDURE --bench FILE` states the time on your bench. To shorten a procedure, see
-[Running until it is good enough](../run-until.md) and [Which points are
+[Running until u is small enough](../run-until.md) and [Which points are
 enough](../test-points.md#which-points-are-enough). `bench init` copies all of them; the comment at
 the top of each file says what it separates.
 """

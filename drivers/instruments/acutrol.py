@@ -80,7 +80,7 @@ class AcutrolHead(MotorisedHead):
     # --- the axis -----------------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Enter the position mode; first demand the present angle, as an old demand would move the table."""
+        """Enter the position mode; first demand the present angle, because an old demand would move the table."""
         self._session.repeating(self._session.ensure_proved)
         if not self._positioning:
             self._demand(self.position_rad())

@@ -84,7 +84,7 @@ class LeicaNivel:
     def inclination(self, key: str, *, turned: bool) -> Inclination:
         """Return the mean once it holds only measurements of the present position; `turned` is unused.
 
-        Raises `BadReading` if the sensor is out of range, `InstrumentRefused` if it lost power,
+        Raises `BadReading` if the sensor is out of range, `InstrumentRefused` if the sensor lost power,
         `InstrumentLost`.
         """
         if self._averages_set() != self._averages:

@@ -47,7 +47,7 @@ class LineThermometer:
         self._session = ProvedSession(session, clock, lambda: self._line.number(self._session))
 
     def open(self) -> Identity:
-        """Connect and take a reading: the form of its line is its only identity.
+        """Connect and take a reading: the form of the reply is the thermometer's only identity.
 
         Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
         """

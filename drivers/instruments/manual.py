@@ -85,7 +85,7 @@ class ManualHead(ByHand):
     def return_to(
         self, target_rad: float, direction: Direction, key: str, *, by_way_of_rad: float
     ) -> HeadPosition:
-        """Ask the person to turn to `by_way_of_rad`, then as `move` does; only the last angle is read.
+        """Ask the person to turn to `by_way_of_rad` without reading it, then to `target_rad` as `move` does.
 
         Raises the errors of `move`.
         """
@@ -266,7 +266,7 @@ def ask_temperature(
     outside: Callable[[float], str],
     of: str = "block",
 ) -> float | None:
-    """Ask for a temperature from `low_c` to `high_c`, °C; return None if no attempt gives one.
+    """Ask for a temperature from `low_c` to `high_c`, °C; return None if no attempt gives a temperature.
 
     `key` names the question, `text` says what to do. `outside` returns the complaint about a value out of range.
     `of` is "meter" or "room" for a temperature other than the block's. Raises `NoAnswer` if nobody can answer.
@@ -329,7 +329,7 @@ class ManualChamber(ByHand):
     def set_temperature(self, target_c: float, key: str) -> None:
         """Ask the person to set `target_c` and to confirm; the answer "no" repeats the question.
 
-        Raises `LimitExceeded` before anybody is asked, `InstrumentRefused` if it is never confirmed,
+        Raises `LimitExceeded` before anybody is asked, `InstrumentRefused` if the person never confirms,
         `NoAnswer` if nobody can answer.
         """
         if not self._minimum_c <= target_c <= self._maximum_c:

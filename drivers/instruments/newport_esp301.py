@@ -44,7 +44,7 @@ class NewportHead(MotorisedHead):
     """A `DividingHead` on one axis of an ESP301 with the degree as unit; position 0 is 0°.
 
     `identity` is the pattern of the model. `allow_homing` permits homing, which turns the head to its sensor
-    without regard to the limits. `close` leaves the motor on, as it holds the head.
+    without regard to the limits. `close` leaves the motor on, because the motor holds the head.
     """
 
     def __init__(

@@ -293,7 +293,7 @@ class Connection:
         return data, len(data) < waiting
 
     def take_all(self) -> bytes:
-        """Return the bytes received, without regard to line ends; otherwise as `take`."""
+        """Return all bytes received, whether or not a line end is among them; empty bytes as in `take`."""
         if self._socket is not None:
             return self._socket.recv(_CHUNK_BYTES)
         return self._visa.read_bytes(max(1, self._buffered()))

@@ -441,8 +441,8 @@ class ProvedSession:
     def repeating(self, exchange: Callable[[], _T]) -> _T:
         """Return the result of `exchange`, repeated over a new connection after a transport failure.
 
-        There are at most three attempts; a second `InstrumentLost` ends them, as the instrument is then absent.
-        Inside `prove` nothing is repeated: the outer call repeats the whole verification.
+        There are at most three attempts; a second `InstrumentLost` ends them, because the instrument is then
+        absent. Inside `prove` nothing is repeated: the outer call repeats the whole verification.
         """
         lost = 0
         for _ in range(ATTEMPTS - 1):

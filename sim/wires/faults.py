@@ -312,7 +312,7 @@ class FaultyInstrument:
             self.dialect.overloaded = False
 
     def sent_by(self, left: Callable[[], bool]) -> None:
-        """Pass on the test for whether the sender of the next message has left (see `Forsakable.sent_by`)."""
+        """Pass `left`, which returns whether the sender of the next message has left, to the instrument."""
         if self._measures is not None:
             self._measures.cycle.sent_by(left)
 

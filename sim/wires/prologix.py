@@ -189,7 +189,7 @@ class GpibAdapter(PlainDialect):
         }
 
     def attach(self, address: int, make: Callable[[Clock], _Instrument]) -> _Instrument:
-        """Put an instrument on the bus and return it; `make` makes the instrument with a clock of its own.
+        """Put an instrument on the bus and return it; `make` makes the instrument from the clock that it is given.
 
         Raises `ValueError` for an address that is in use or not in 0…30.
         """

@@ -266,7 +266,10 @@ class Framer:
         self._buffer += data
 
     def lose(self) -> bool:
-        """Discard the input except its first characters, and any device clear; return whether anything was lost."""
+        """Keep only the first characters of the input, without any device clear.
+
+        Return whether anything was discarded.
+        """
         lost = len(self._buffer) > _WITHIN_HOLD_OFF or DEVICE_CLEAR in self._buffer
         self._buffer = self._buffer[:_WITHIN_HOLD_OFF].replace(DEVICE_CLEAR, b"")
         return lost

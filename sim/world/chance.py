@@ -21,7 +21,7 @@ def keyed_generator(seed: int, *key: object) -> np.random.Generator:
 
 
 class KeyedNumbers:
-    """Random generators keyed by seed, purpose and step; `told_scan` is the scan order given to `begin_step`."""
+    """Random generators keyed by seed, purpose and step; `told_scan` is the scan order of the present step."""
 
     def __init__(self, seed: int, lock: threading.RLock) -> None:
         self._seed = seed

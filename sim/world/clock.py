@@ -82,7 +82,7 @@ class ScaledClock:
 def wait_until(clock: Clock, time_s: float, interrupted: Callable[[], bool]) -> bool:
     """Wait on any clock until `time_s`; return False if `interrupted` became true meanwhile.
 
-    Waits of several threads on one virtual clock overlap: it advances to the latest time, not by the sum.
+    Waits of several threads on one virtual clock overlap: the clock advances to the latest time, not by the sum.
     """
     if isinstance(clock, VirtualClock):
         clock.advance_to(time_s)

@@ -162,7 +162,10 @@ class HeadFault:
     runs_away: bool = False
 
     def end_rad(self, start_rad: float, target_rad: float) -> tuple[float, bool]:
-        """Return the angle at which a movement with this fault ends, and whether it ends stuck or astray."""
+        """Return the angle at which a movement with this fault ends, rad.
+
+        The second value says whether the head is then stuck, or off its target.
+        """
         if self.runs_away:
             return start_rad + math.copysign(_ENDLESS_RAD, start_rad - target_rad), True
         end_rad = target_rad + self.stops_off_rad

@@ -106,7 +106,8 @@ class Heat:
     ) -> None:
         """Ramp the demand from the present air to `target_c` at `rate_c_s`; the air follows with its lag.
 
-        With a period `ringing_s` it overshoots the target, rings with this period and decays with the lag.
+        With a period `ringing_s` the air overshoots the target and rings with this period; the ringing decays with
+        the lag.
         """
         start_c = self.air_c(now_s)
         slope_c_s = math.copysign(rate_c_s, target_c - start_c)
@@ -294,7 +295,7 @@ class World(KeyedNumbers):
             self._pose_on(installation=installation, series=series, stand_rad=stand_rad)
 
     def level_platform(self, installation: str, series: int) -> None:
-        """Set tilt and zero offset of the platform to those that it has after levelling for a mounting."""
+        """Set tilt and zero offset of the platform to their values after a levelling for this mounting."""
         with self._lock:
             stand_rad = self._poses[-1].stand_rad.copy()
             stand_rad[:2] = self._stand_rad(installation, series)[:2]
@@ -393,7 +394,7 @@ class World(KeyedNumbers):
                 self.ramp_chamber(self._chamber_demand_c)
 
     def new_reading(self, channel: Channel) -> int:
-        """Begin a reading of a channel: draw its voltmeter error; return its number within the step.
+        """Begin a reading of a channel: draw its voltmeter error; return the reading's number in the step.
 
         A pose that was read with the head at rest becomes part of the history on which effects depend. The order
         in which channels are begun is the scan order, unless the step stated one.
@@ -429,8 +430,8 @@ class World(KeyedNumbers):
     ) -> None:
         """Add a reading, made before the world was rebuilt, to the history on which effects depend.
 
-        Arguments are as recorded; without an installation, the pose of the reading recalled before applies.
-        Call it in the order of measurement, before the first new reading.
+        Arguments are as recorded; without an installation, the pose of the reading recalled before applies. Call
+        this in the order of measurement, before the first new reading.
         """
         with self._lock:
             time_s = self.began_s + elapsed_s

@@ -52,7 +52,8 @@ MAGNITUDES_G: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 class MeasuredAcceleration:
     """Uncertainty of measured accelerations `force` (d, 3), g.
 
-    By source, `by_source` has its part of the covariance (d, 3, 3), g², and `dof` its degrees of freedom.
+    For each source, `by_source` has the covariance (d, 3, 3), g², that it causes, and `dof` the degrees of freedom
+    of its size.
     """
 
     force: Floats
@@ -200,7 +201,7 @@ class AtMagnitude(ResultModel):
 def over_directions(
     budget: Budget, magnitude_g: float, *, reading: bool = True, same_voltmeters: bool = False
 ) -> AtMagnitude:
-    """Return the mean and the largest uncertainty of accelerations of `magnitude_g` over all directions."""
+    """Return mean and largest u of vector and modulus of an acceleration of `magnitude_g`, over all directions."""
     found = measured(budget, magnitude_g * directions(), reading=reading, same_voltmeters=same_voltmeters)
     even = slice(0, DIRECTIONS)
     u, factor = found.u_modulus, coverage_factor(found.dof_modulus)
@@ -221,7 +222,7 @@ def over_directions(
 
 
 class DeltaG(ResultModel):
-    """The uncertainty of delta g at one verification point, and the acceptance limit of the rule, local g."""
+    """The uncertainty of delta g at a verification point, and the largest |delta g| that the rule accepts."""
 
     angle_deg: float
     point: int
@@ -237,8 +238,8 @@ class DeltaG(ResultModel):
 def delta_g_variances(budget: Budget, *, reading: bool = True) -> Floats:
     """Return the variances of delta g, local g², (v, sources), at the v verification points of the setup.
 
-    Gain and gravity act alike on calibration and check, and cancel. Without `reading` only the errors of the
-    coefficients count.
+    Errors of gain and of gravity act alike on calibration and check, and cancel. Without `reading` only the errors
+    of the coefficients count.
     """
     setup = budget.setup
     rows = np.flatnonzero(setup.verification)
@@ -439,7 +440,7 @@ class Assessment:
 
     @property
     def capable(self) -> bool | None:
-        """Whether a calibration without a mistake passes each point with at least the coverage probability.
+        """Whether a faultless calibration passes each point with at least the coverage probability.
 
         None without verification points.
         """

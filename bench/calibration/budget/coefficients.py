@@ -74,7 +74,7 @@ class Setup:
     def stand_slope(self, name: str) -> Floats:
         """Return the derivatives of the readings by the stand angle `name`, V/rad, shape (n, 3).
 
-        Each reading has the derivative by the angle of its own mounting.
+        The derivative of a reading is by the angle in that reading's mounting.
         """
         if name not in self._stand_slopes:
             self._stand_slopes[name] = self._slope(lambda step: (self._angles(name, step), 0.0))
@@ -307,7 +307,7 @@ class AnyReadings(Protocol):
 
     @property
     def calibrated_k(self) -> float:
-        """The temperature for which the coefficients hold, minus the reference temperature of effects, K."""
+        """The temperature for which the coefficients hold, minus the reference temperature of the model, K."""
 
     @property
     def block(self) -> Block:
@@ -365,7 +365,7 @@ def _temperature(source: ErrorSource, seen: AnyReadings) -> _Patterns:
 
 
 def corrected(channel: str) -> str:
-    """Return the factor of "room_temperature" for a channel whose model has the thermal gain of the meter."""
+    """Return the key of `factors` that marks `channel` as corrected for the thermal gain of its meter."""
     return f"corrected {channel}"
 
 

@@ -99,7 +99,10 @@ class ErrorSource:
         return np.array([float(channel in self.channels) for channel in CHANNELS])
 
     def acting(self, draws: Floats) -> Floats:
-        """Return the effects (..., k) of k independent draws; `draws` (..., q) are effects per unit error."""
+        """Return the effects (..., k) of k independent draws, each of one standard uncertainty.
+
+        `draws` (..., q) are the effects of the q errors of this source, per unit of the error.
+        """
         return self.u * draws if self.root is None else self.u * draws @ np.array(self.root)
 
     def sized(self, u: float) -> ErrorSource:
@@ -216,9 +219,10 @@ class TiltRate:
         self, conditions: Conditions, block: Block, across: Floats, installations: Mapping[str, Installation],
         functionals: Floats,
     ) -> Floats:  # fmt: skip
-        """Return the changes (m, 2) of m linear functionals (m, n, 3) by the two tilt rates, each of size u.
+        """Return the changes (m, 2) of m linear functionals (m, n, 3) of the readings due to the two tilt rates.
 
-        `across` (n, 3) is the derivative of the signals by an angle about the shaft.
+        Each rate has the size of its standard uncertainty. `across` (n, 3) is the derivative of the signals by an
+        angle about the shaft.
         """
         tilts = np.stack(tilt_patterns(conditions, block, across, installations))
         return np.asarray(

@@ -157,7 +157,7 @@ class JointErrors:
 
     @property
     def root(self) -> tuple[tuple[float, ...], ...]:
-        """Matrix that turns n independent draws of size `u` into errors with this covariance."""
+        """Matrix (n, n) that turns n independent draws of size `u` into errors with this covariance."""
         size, axes = np.linalg.eigh(self.covariance)
         root = axes * np.sqrt(np.maximum(size, 0.0)) / max(self.u, 1e-300)
         return tuple(tuple(row) for row in root.tolist())
@@ -168,8 +168,9 @@ def joint_errors(
 ) -> JointErrors | str:
     """Return the joint errors of n meters from learned differences, or the reason why these are not used.
 
-    `at` has the index of each meter in `told` (None: not learned); `kept` is the correlation of a meter's
-    error with its error on the day of learning.
+    `at` has the index of each meter in `told` (None: not learned); `prior_u` (n,) are the u by certificates or
+    makers' limits, `certified` (n,) marks the former. `kept` is the correlation of a meter's error with its error
+    on the day of learning.
     """
     n = len(prior_u)
     places = [place if place is not None else -1 for place in at]
@@ -311,8 +312,8 @@ GRADIENT: Final = Distribution(0.2, "rectangular")
 def thermometer_size(bench: BenchFile) -> Size | None:
     """Return the uncertainty of the measured temperature of the block, K.
 
-    It is None for a chamber's thermometer without certificate, because the band of the air temperature, which
-    always counts, is larger.
+    The result is None for a chamber's thermometer without a certificate: its error is smaller than the band of the
+    air temperature, which is always included.
     """
     told_by = bench.instruments.thermometer or bench.instruments.chamber
     certificate = None if told_by is None else told_by.certificate

@@ -76,7 +76,7 @@ def correlation_of(covariance: Floats) -> Floats:
 
 def drawn(distribution: Distribution, shape: tuple[int, ...], rng: np.random.Generator,
           dof: float = math.inf) -> Floats:  # fmt: skip
-    """Return random errors with mean zero: rectangular, normal, or scaled t if `dof` is finite."""
+    """Return random errors of this `shape`, mean zero: rectangular, normal, or scaled t if `dof` is finite."""
     if distribution.shape == "rectangular":
         return rng.uniform(-distribution.limit, distribution.limit, shape)
     if math.isinf(dof):

@@ -85,7 +85,7 @@ def _foundation_source(bench: BenchFile) -> Iterator[ErrorSource]:
 def hidden_sources(
     bench: BenchFile, model: ForwardModel, day: datetime.date | None = None, meters: KnownMeters | None = None
 ) -> tuple[ErrorSource, ...]:
-    """Return the sources that no reading shows and no fit estimates, with a prior if the file states no size.
+    """Return the sources that no reading shows and no fit estimates, with an assumed size if the file states none.
 
     `meters` replaces the voltmeter sources by errors inferred from learned differences between the meters.
     """

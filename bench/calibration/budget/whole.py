@@ -76,10 +76,10 @@ class MeasuredReadings:
 
     @cached_property
     def orientation(self) -> Ints:
-        """Orientation number of each reading, (n,): equal in one installation if the angles round to the same
-        degree.
+        """Orientation number of each reading, (n,), equal for equal angles, rounded to a degree, in one
+        installation.
 
-        A reading without an orientation has a number of its own.
+        Each reading without an orientation has a separate number.
         """
         of = self.readings
         degrees = np.where(np.isfinite(of.angle_rad), np.degrees(of.angle_rad), 0.0)
@@ -135,10 +135,10 @@ def sign(
 
 
 def dof_through(calibration: Calibration, jacobian: Floats, known: float | Floats = 0.0) -> Floats:
-    """Return the effective degrees of freedom (m,) of quantities from a calibration with its combined u.
+    """Return the effective degrees of freedom (m,) of quantities computed from a calibration's coefficients.
 
-    `jacobian` (m, 12) has the derivatives of the quantities; `known` is an additional variance with infinite
-    degrees of freedom.
+    The calibration must have its combined covariance. `jacobian` (m, 12) has the derivatives of the quantities;
+    `known` is an additional variance with infinite degrees of freedom.
     """
     if not calibration.sources:
         return np.full(len(jacobian), np.inf)
@@ -285,7 +285,7 @@ def delta_g_contributions(
     """Return the contributions, by name, to the covariance (v, v) of |a| at the verification rows, local g².
 
     Their sum is the covariance. An error that acts alike on calibration and check, such as the gain of a meter,
-    cancels. The noise of the readings at the points is a contribution of its own.
+    cancels. The noise of the readings at the points is a separate contribution.
     """
     rows = np.flatnonzero(readings.installation == VERIFICATION)
     taken = _taken(calibration, readings, bench)

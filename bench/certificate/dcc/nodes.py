@@ -136,7 +136,7 @@ def clean(text: str) -> str:
 
 
 def said(texts: Sequence[Texts], key: str, **values: object) -> tuple[Node, ...]:
-    """Return the text `key` of a certificate as `dcc:content` elements, one for each language, as `in_each`."""
+    """Return the text `key` of a certificate as `dcc:content` elements, one for each language (see `in_each`)."""
     return in_languages(texts, in_each(texts, key, **values))
 
 

@@ -121,7 +121,10 @@ def _shown_coefficients(root: Node) -> tuple[Floats, dict[str, CertifiedCoeffici
 
 
 def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
-    """Return the (signed) root of a DCC in XML or PDF, and a note. Raises `Refused` if unreadable or not intact."""
+    """Return the root of a DCC in XML or PDF, which may be signed, and a note on the signature.
+
+    Raises `Refused` if the file cannot be read or is not intact.
+    """
     try:
         with refusing("check name and permissions", path, verb="read"):
             content = read_regular(path, MOST_BYTES)
@@ -326,9 +329,9 @@ _AXIS: Final = ("basic_nominalValue", "basic_referenceValue", "basic_measuredVal
 
 
 def section_of(path: Path, root: Node) -> tuple[str, tuple[str, ...]]:
-    """Return an instrument's section `certificate` of a bench file, from its DCC, and notes for the user.
+    """Return an instrument's section `certificate` for a bench file, as its DCC states it, and notes.
 
-    Raises `Refused` without number or date.
+    Raises `Refused` if the DCC has no number or no date.
     """
     stated: dict[str, Any] = {**_about(root)}
     lacking = [name for name, text in stated.items() if not text]

@@ -253,7 +253,7 @@ _A: Final[tuple[Place, ...]] = (
 
 
 def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Yield place and text of each mistake in the supply section, also of values that block or supply forbid.
+    """Yield place and text of each mistake in the supply section, also if it is a limit of block or supply.
 
     `data` is the bench file as written; any part of it may be missing or malformed.
     """

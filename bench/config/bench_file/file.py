@@ -313,7 +313,7 @@ class Standing:
                 yield f"{which}, does not cover the {range_v:g} V range: the data sheet's limits apply there"
 
     def to_json(self, *, why_not: str) -> dict[str, Any]:
-        """Return the certificate as a member of a result; `why_not` is the reason if it is not applied, else ""."""
+        """Return the certificate as a member of a result; `why_not` is the reason not to apply it, or ""."""
         certificate = self.certificate
         until = certificate.valid_until
         return {

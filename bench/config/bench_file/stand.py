@@ -94,7 +94,11 @@ MOST_SAMPLES: Final = 1_000_000
 def can_come_about(
     what: str, size: float, span: str, span_s: float, interval_s: float, timeout_s: float
 ) -> None:
-    """Raise `ValueError` if no samples meet a criterion: a `size` called `what`, kept in a time called `span`."""
+    """Raise `ValueError` for a criterion, such as of settling, that no samples can meet.
+
+    The samples, one every `interval_s`, must keep the size `size` (called `what` in the message) during the time
+    `span_s` (called `span`) before `timeout_s` has passed.
+    """
     if size <= 0.0:
         raise ValueError(f"state a {what} above 0: no two samples are equal")
     if not 0.0 < interval_s <= span_s:
@@ -125,7 +129,10 @@ class DriftForm(FileModel):
 
 
 def written_as(section: type[FileModel], tag: str, plain: str) -> Discriminator:
-    """Return the discriminator of values written as a `section` (`tag`) or as a number or a list (`plain`)."""
+    """Return a discriminator between two forms of a written value.
+
+    A mapping, which is a `section`, has the tag `tag`; a number or a list has the tag `plain`.
+    """
     return Discriminator(lambda written: tag if isinstance(written, dict | section) else plain)
 
 

@@ -109,7 +109,7 @@ class WatlowF4TSection(ControlledChamberForm):
         return self
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the keys for the driver, and the safe temperature, °C."""
+        """Return the options of the driver: keys of the section, and the safe temperature, °C."""
         return super().driver_options() | {"safe_c": self.safe}
 
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:

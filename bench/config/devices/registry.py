@@ -247,7 +247,7 @@ def chosen_by_driver(role: Role, *, name: str = "") -> BeforeValidator:
 
 
 def unknown_drivers(sections: Iterable[object]) -> list[str]:
-    """Return the unknown driver names in `sections`, which are as written in the file; the names are sorted."""
+    """Return the names of unknown drivers, sorted, in `sections` as they are written in the file."""
     stated = [section.get("driver") for section in sections if isinstance(section, dict)]
     return sorted({name for name in stated if isinstance(name, str) and devices().get(name) is None})
 

@@ -306,7 +306,7 @@ class MotorisedHeadForm(HeadForm, WiredForm):
         }
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the keys for the simulation, and the speed of the head, deg/s."""
+        """Return the options of the simulated head: keys of the section, and the speed, deg/s."""
         return super().simulation_options(truth) | {"speed_deg_s": math.degrees(self.speed)}
 
 
@@ -362,7 +362,7 @@ class ReadOutHeadForm(HeadForm, WiredForm):
         return {"zero_rad": self.zero, "falling": self.falling}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the keys for the simulation, and the encoder's zero (deg), sense, and whether it is referenced."""
+        """Return the options of the simulated head: keys of the section; encoder's zero, sense, reference."""
         own = {"zero_deg": math.degrees(self.zero), "falling": self.falling, "referenced": truth.homed}
         return super().simulation_options(truth) | own
 
@@ -447,7 +447,7 @@ class ControlledChamberForm(ChamberForm, WiredForm):
         return self.minimum, self.maximum, self.band
 
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
-        """Return the keys for the simulation, and the lowest and highest set point of the controller, °C."""
+        """Return the options of the simulated chamber: keys of the section, lowest and highest set point, °C."""
         return super().simulation_options(truth) | {"lowest_c": self.minimum, "highest_c": self.maximum}
 
 
@@ -556,5 +556,5 @@ class WiredSupplyForm(SupplyForm, WiredForm):
         return SupplyLimits.of(self.facts, getattr(self, "model", None))
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the keys for the driver, and the settings that the outputs support."""
+        """Return the options of the driver: keys of the section, and the limits of the outputs."""
         return super().driver_options() | {"limits": self.limits}

@@ -244,7 +244,7 @@ class Keysight34970AThermometerSection(ThermometerForm, WiredForm):
         return sensor.meter_c + sensor.probe_c + sensor.probe_slope * _ROOM_C
 
     def simulation_options(self, truth: ThermometerTruth) -> dict[str, Any]:
-        """Return the keys for the simulation, the errors, the model and its cards."""
+        """Return the options of the simulated meter: keys of the section, errors of the sensor, model and cards."""
         return super().simulation_options(truth) | {
             "error_c": truth.error,
             "noise_c": truth.noise,

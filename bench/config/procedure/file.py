@@ -67,7 +67,7 @@ class SettleForm(ActionVerb):
         return self
 
     def plan_steps(self, key: Callable[[str], str]) -> Iterator[Step]:
-        """Yield the settling step; the subclass determines which quantity settles."""
+        """Yield the step that waits for settling; the subclass determines which quantity settles."""
         what: Settled = getattr(self, "what")  # noqa: B009 - both kinds have it
         yield Settle(key("settle"), what, self.precision, self.window, self.timeout, self.interval)
 
@@ -378,7 +378,7 @@ class TemperatureVerb(ActionVerb):
 
 
 class TemperaturesVerb(FileModel):
-    """Do the steps at each of several temperatures, each set as the verb `temperature` sets one.
+    """Do the steps at each of several temperatures, each set as by the verb `temperature`.
 
     Inside an installation the block stays mounted, and each temperature is a separate series.
     """
@@ -479,7 +479,7 @@ else:
 
 
 class IncludedFile(FileModel):
-    """A file of steps to include, possibly a whole procedure; its own `reading` applies to its steps."""
+    """A file of steps to include, possibly a whole procedure; its section `reading` applies to its steps."""
 
     procedure: str | None = None
     title: str = ""

@@ -286,7 +286,10 @@ def _hysteresis(problem: Problem, block: Block) -> Iterator[Floats]:
 
 
 def per_channel(columns: Floats | Mask) -> Floats:
-    """Return k courses (n, k) as columns (n, 3, 3k), each of which is one course in one channel."""
+    """Return columns (n, 3, 3k) for k time courses (n, k).
+
+    Each column is one course in one channel, and zero in the other two.
+    """
     each = np.einsum("nk,ij->nikj", columns.astype(np.float64), np.eye(3))
     return np.asarray(each.reshape(len(columns), 3, -1))
 

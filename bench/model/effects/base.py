@@ -176,7 +176,10 @@ def angle(name: str, plausible_arcsec: float) -> Parameter:
 
 
 def wave(values: Values, phase: Floats, prefix: str = "") -> Floats:
-    """Return c cos(phase) + s sin(phase), where c and s are the values of `<prefix>cosine` and `<prefix>sine`."""
+    """Return c cos(phase) + s sin(phase) for phases (n,), rad.
+
+    c and s are the values of `<prefix>cosine` and `<prefix>sine`.
+    """
     return values[f"{prefix}cosine"] * np.cos(phase) + values[f"{prefix}sine"] * np.sin(phase)
 
 
@@ -205,7 +208,7 @@ def lagged(signal: Floats, time_s: Floats, lag_s: float) -> Floats:
 
 
 def fading(conditions: Conditions, lag_s: float) -> Floats:
-    """Return what a first-order lag leaves of a deviation at the start of each mounting, (n,), from 1 to 0."""
+    """Return the fraction (n,) of a deviation at the start of a mounting that is left after a first-order lag."""
     if lag_s <= 0.0:
         return np.zeros(len(conditions))
     return np.asarray(np.exp(-conditions.since_mounting_s / lag_s))
@@ -315,7 +318,7 @@ class AppliedEffect:
     def addition(self, seen: Seen) -> Floats:
         """Return the effect's addition with its `values`.
 
-        It is zero in rows where the effect does not act (see `Effect.addition`).
+        The addition is zero in rows where the effect does not act (see `Effect.addition`).
         """
         added = self.effect.addition(self.complete_values(), seen)
         if not self.installations:

@@ -172,8 +172,9 @@ class Hysteresis(BlockEffect):
     def addition(self, values: Values, seen: Seen) -> Floats:
         """Return K_ii (size_i state_i + start_i change_i) in volts, shape (n, 3).
 
-        The channel's `state` is from -1 to 1. `change` is how it depends on the state at the start of each
-        mounting, which is 0 in the middle of the play. Raises `ValueError` if `Conditions.turns` is None.
+        The channel's `state` is from -1 to 1. `change` is its derivative by the state at the start of each
+        mounting. The state at the start is 0, in the middle of the play. Raises `ValueError` if `Conditions.turns`
+        is None.
         """
         width_g = float(values["width_g"])
         kept = seen.conditions.memory
@@ -186,7 +187,7 @@ class Hysteresis(BlockEffect):
         return np.asarray(seen.scale * added)
 
     def start_spread(self, conditions: Conditions) -> float:
-        """Return the standard deviation of a state that is anywhere from -1 to 1."""
+        """Return the standard deviation of a state that is uniformly distributed from -1 to 1."""
         del conditions
         return float(1.0 / np.sqrt(3.0))
 
@@ -270,7 +271,7 @@ class LaggedEffect(BlockEffect):
     def addition(self, values: Values, seen: Seen) -> Floats:
         """Return K_ii (size_i T + start_i exp(-t / lag)) in volts, shape (n, 3), with t since the mounting.
 
-        With `of_scale` it is multiplied by a_i.
+        With `of_scale` the result is multiplied by a_i.
         """
         lag_s, acts = float(values["lag"]), seen.signal if self.of_scale else 1.0
         warmth = lagged(seen.conditions.warmth_k, seen.conditions.elapsed_s, lag_s)
@@ -280,7 +281,7 @@ class LaggedEffect(BlockEffect):
         return np.asarray(added)
 
     def start_spread(self, conditions: Conditions) -> float:
-        """Return the assumed spread of the starting temperature, K: the standard deviation in the run."""
+        """Return the assumed spread of the starting temperature, K: the standard deviation over the run."""
         return float(np.std(conditions.warmth_k))
 
 

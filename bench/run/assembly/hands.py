@@ -30,9 +30,9 @@ _BRISK: Final = OperatorSettings(mount_time_s=0.0, task_time_s=0.0, display_time
 
 
 class SimulatedHands:
-    """Hands that work at the simulated bench of `world` for the real runs in the folder `runs`.
+    """Simulated hands that do the tasks of real runs in the folder `runs` at the simulated bench of `world`.
 
-    They turn the head, mount the block, set a manual chamber, and report through `tell` what they did or what a
+    They turn the head, mount the block and set a manual chamber, and report through `tell` what they did or what a
     display shows. A person answers the prompts. A head with an encoder turns at `CRANK_RAD_S` in real time.
     """
 

@@ -240,7 +240,7 @@ class SharedReading:
         self._begun: dict[str, tuple[VoltmeterSettings, float] | Exception] = {}
 
     def checks(self, check: str, look: Callable[[Voltmeter, SharedReading], Finding]) -> None:
-        """Carry out one check of each voltmeter, which looks at its part of this reading."""
+        """Carry out the check `check` of each voltmeter; `look` judges the voltmeter's part of this reading."""
         also: Sequence[Voltmeter] = self._opened
         for meter in self._evening.instruments.voltmeters:
             others = [one for one in also if one is not meter]

@@ -175,7 +175,7 @@ class CheckEnded(Exception):
 
 
 class PersonBehind:
-    """A `WatchingPerson` in front of another `person`, with whom it shares `meanwhile`, if that one has any."""
+    """A `WatchingPerson` that passes prompts on to another `person`, and `meanwhile` too, if that person has it."""
 
     def __init__(self, person: Person) -> None:
         self._person = person
@@ -195,9 +195,9 @@ class CommissioningPerson(PersonBehind):
     """A `Person` for commissioning: raises `Skipped` for :skip REASON, `SessionEnded` for :abort."""
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Put the prompt.
+        """Show the prompt and return the answer.
 
-        After a wish other than :skip or :abort, name the accepted wishes and put the prompt again.
+        After a wish other than :skip or :abort, name the accepted wishes and show the prompt again.
         """
         put = prompt
         while True:
