@@ -185,7 +185,7 @@ def workers():
         yield made
 
 
-@pytest.mark.slow
+@pytest.mark.slow(10)
 def test_a_worker_killed_in_the_middle_loses_and_repeats_nothing(workers, tmp_path):
     runs = [str(run) for run in runs_in(tmp_path / "runs", 10)]
     job, killed = Job(CALIBRATE), []
@@ -231,7 +231,7 @@ def test_a_scheduler_that_is_not_there_is_told(monkeypatch):
         list(by_scheduler(Job(CALIBRATE), iter([]), "nonsense://x"))
 
 
-@pytest.mark.slow
+@pytest.mark.slow(5)
 def test_the_program_is_compared_before_a_run_is_touched():
     with pytest.raises(
         RuntimeError, match="other versions than this computer; install the same ones there: its code is"
