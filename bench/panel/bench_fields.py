@@ -145,7 +145,10 @@ def _section(
     for table in fields:
         for number in range(number_of_rows(table.at, values) if table.rows else 0):
             row = (*table.at, number)
-            inner = tuple(_fields_of(table.rows or model, row, values))
+            inner = tuple(
+                replace(one, help="" if number else one.help)  # the first row explains the others
+                for one in _fields_of(table.rows or model, row, values)
+            )
             yield Group(message(f"{title}: row {number + 1}"), row, "", inner, row=True, own=own)
 
 
@@ -205,7 +208,7 @@ def _installations(values: Values) -> Iterator[Group]:
     yield Group("Installations", INSTALLATIONS, told, (field,))
     keys = "|".join(InstallationSection.model_fields)
     found = (re.fullmatch(rf"installations\.(.+)\.(?:{keys})", name) for name in values)
-    for label in dict.fromkeys([*(match[1] for match in found if match), values.get(NEW_INSTALLATION, "")]):
+    for label in dict.fromkeys([values.get(NEW_INSTALLATION, ""), *(match[1] for match in found if match)]):
         if label:
             at = (*INSTALLATIONS, label)
             fields = tuple(_fields_of(InstallationSection, at, values, optional=True))
@@ -281,11 +284,11 @@ def fields_in(
 ) -> Iterator[BenchField]:
     """Yield the field for each value of a model and of its required sections; `at` is the model's path in the file.
 
-    Lists and optional sections, such as certificates, have no field here. `default` is the section that applies if
-    the file has none.
+    Tables and optional sections, such as certificates, have no field here. `default` is the section that applies if
+    the file has none. Coverage factor and degrees of freedom follow the value that they qualify.
     """
     model.model_rebuild()
-    for name, info in model.model_fields.items():
+    for name, info in sorted(model.model_fields.items(), key=lambda item: item[0] in {"k", "dof"}):
         key = info.alias or name
         if key in skip:
             continue
