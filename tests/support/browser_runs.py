@@ -144,3 +144,25 @@ def answer_on(page: Any, text: str) -> None:
         page.press("#typed", "Enter")
     else:
         page.click(f"#buttons button >> text={'Yes' if text == 'yes' else text}")
+
+
+def tab_to(page: Any, words: str) -> None:
+    """Press Tab until the button, link or field of these words, or of this id, has the focus."""
+    for _ in range(80):
+        page.keyboard.press("Tab")
+        said = page.evaluate("(at => [at.id, at.ariaLabel || at.textContent.trim()])(document.activeElement)")
+        if words == said[0] or said[1].startswith(words):
+            return
+    raise AssertionError(f"no key leads to {words}")
+
+
+def answer_by_keys(page: Any, text: str) -> None:
+    """Answer the question on the page with the keyboard alone; a field has the focus already."""
+    if page.is_visible("#typed"):
+        page.wait_for_function(
+            "() => { const at = document.activeElement; return at.id === 'typed' && !at.readOnly; }"
+        )
+        page.keyboard.type(text)
+    else:
+        tab_to(page, "Yes" if text == "yes" else text)
+    page.keyboard.press("Enter")
