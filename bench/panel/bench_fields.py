@@ -40,8 +40,8 @@ OF_BENCH: Final = ("name", "description", "line_frequency")
 METERS_PLACE: Final[Place] = ("instruments", "voltmeters")
 GRAVITY: Final[Place] = ("gravity",)
 ROLES: Final[Mapping[Role, str]] = {
-    "head": "Head", "chamber": "Chamber", "thermometer": message("Thermometer at the block"),
-    "level": "Level", "power_supply": message("Power supply"),
+    "head": message("Head"), "chamber": message("Chamber"), "level": message("Level"),
+    "thermometer": message("Thermometer at the block"), "power_supply": message("Power supply"),
 }  # fmt: skip
 """The instruments other than the voltmeters that have a form, with their titles; only the head is required."""
 INSTALLATIONS: Final[Place] = ("installations",)
@@ -49,8 +49,8 @@ NEW_INSTALLATION: Final = "form:installation"
 SUPPLY: Final[Place] = ("unit_under_test", "supply")
 FURTHER: Final[tuple[tuple[str, type[BaseModel], str], ...]] = (
     (message("Further uncertainty"), UncertaintySection, "uncertainty"),
-    ("Verification", VerificationSection, "verification"),
-    ("Check block", CheckBlockSection, "check_block"),
+    (message("Verification"), VerificationSection, "verification"),
+    (message("Check block"), CheckBlockSection, "check_block"),
 )
 """The sections at the end of the form: their titles, models and keys."""
 MOST_ROWS: Final = 72
@@ -112,13 +112,15 @@ def groups_of(values: Values) -> list[Group]:
     """Return the groups of the form; the choices in `values` determine the fields."""
     others = frozenset(BenchFile.model_fields) - {*OF_BENCH}
     block = tuple(fields_in(UnitUnderTest, ("unit_under_test",)))
-    groups = [Group("Bench", (), "", tuple(fields_in(BenchFile, (), others))), _gravity(values)]
+    groups = [Group(message("Bench"), (), "", tuple(fields_in(BenchFile, (), others))), _gravity(values)]
     groups += _voltmeters(values)
     for role, title in ROLES.items():
         groups += _instrument(role, ("instruments", role), title, values, required=role == "head")
     groups += _section(message("Stand errors"), StandSection, ("stand",), values, own=True)
     groups += _installations(values)
-    groups.append(Group("Block", ("unit_under_test",), first_sentence(UnitUnderTest), block, own=True))
+    groups.append(
+        Group(message("Block"), ("unit_under_test",), first_sentence(UnitUnderTest), block, own=True)
+    )
     if values.get("instruments.power_supply.driver"):
         title = message("Supply of the block")
         groups += _section(title, UnitSupplySection, SUPPLY, values, optional=True, own=True)
@@ -205,7 +207,7 @@ def _installations(values: Values) -> Iterator[Group]:
     told = message("Installations 1 and 2 are known. State each further one that a procedure uses.")
     label = message("Label of a further installation")
     field = BenchField(NEW_INSTALLATION, INSTALLATIONS, label, message("such as V or 1T90"), shows=True)
-    yield Group("Installations", INSTALLATIONS, told, (field,))
+    yield Group(message("Installations"), INSTALLATIONS, told, (field,))
     keys = "|".join(InstallationSection.model_fields)
     found = (re.fullmatch(rf"installations\.(.+)\.(?:{keys})", name) for name in values)
     for label in dict.fromkeys([values.get(NEW_INSTALLATION, ""), *(match[1] for match in found if match)]):
@@ -234,7 +236,7 @@ def _voltmeters(values: Values) -> Iterator[Group]:
         ("3", message("three, one for each signal")), ("2", "two"), ("1", message("one, which scans all signals")),
     )  # fmt: skip
     choice = BenchField(METERS, METERS_PLACE, message("Number of voltmeters"), choices=words, shows=True)
-    yield Group("Voltmeters", METERS_PLACE, "", (choice,))
+    yield Group(message("Voltmeters"), METERS_PLACE, "", (choice,))
     for index in range(number_of_meters(values)):
         at = (*METERS_PLACE, index)
         device = devices().get(values.get(dotted((*at, "driver")), ""))

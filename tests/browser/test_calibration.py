@@ -175,7 +175,8 @@ def test_what_is_half_typed_survives_a_pause_but_no_answer(visit, panel, begin, 
 
 
 TONES = """(() => { window.tones = []; const start = OscillatorNode.prototype.start;
-  OscillatorNode.prototype.start = function (at) { tones.push(this.frequency.value); start.call(this, at); }; })()"""
+  OscillatorNode.prototype.start = function (at) { tones.push(this.frequency.value); start.call(this, at); };
+})()"""
 
 
 def test_without_hands_the_head_is_heard_to_be_read(visit, panel, begin, tmp_path):
