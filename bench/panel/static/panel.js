@@ -6,7 +6,7 @@
   const $ = (id) => document.getElementById(id);
   const { made } = BenchDrawing;
   const me = { name: live.dataset.person, role: live.dataset.role, csrf: live.dataset.csrf };
-  const LATE_S = 5, OPEN_AGAIN_S = 7, MOST_OUTCOMES = 120;
+  const LATE_S = 5, OPEN_AGAIN_S = 7, SOON = 120;
   const MARKS = { ready: "○", running: "▶", paused: "❚❚", finished: "✓", failed: "✗", interrupted: "■", aborted: "✗", dead: "✗" };
 
   let state = JSON.parse(live.dataset.state);
@@ -444,7 +444,7 @@
   const askOutcome = async () => {
     const shown = $("outcome") ? $("outcome").dataset.outcome : "";
     const key = `${state.events} ${state.alive}`;
-    if (askOutcome.busy || (askOutcome.key === key && shown !== "waiting") || outcomeAsked > MOST_OUTCOMES) return;
+    if (askOutcome.busy || (askOutcome.key === key && shown !== "waiting")) return;
     if (shown === "ready" || shown === "none") { if (askOutcome.key === undefined) { askOutcome.key = key; return; } }
     askOutcome.busy = true;
     askOutcome.key = key;
@@ -457,7 +457,7 @@
       $("end").replaceChildren(document.importNode(parsed, true));
       show("todo", !$("end").textContent.trim());
     } catch { /* the loss of connection is shown elsewhere */ } finally { askOutcome.busy = false; }
-    if ($("outcome") && $("outcome").dataset.outcome === "waiting") setTimeout(askOutcome, 1000);
+    if ($("outcome") && $("outcome").dataset.outcome === "waiting") setTimeout(askOutcome, outcomeAsked < SOON ? 1000 : 10_000);
   };
 
   const showReading = () => {
