@@ -19,7 +19,7 @@ from bench.base.yaml_files import FileMistake, FileMistakes, Place, dotted, read
 from bench.config.procedure.file import AngleSteps, OperatorTimeSection, ReadingSection, StepEntry, TurnVerb
 from bench.config.procedure.load import Procedure, load_procedure
 from bench.panel.access import Refusal
-from bench.panel.bench_fields import BenchField, Group, Values, bare, fields_in, listed, values_of
+from bench.panel.bench_fields import BenchField, Group, Values, bare, fields_in, values_of
 from bench.panel.round_trip import edited_text, in_one_line
 
 STEPS: Final[Place] = ("steps",)
@@ -129,7 +129,7 @@ def values_in(data: Any, fields: Iterable[BenchField]) -> dict[str, str]:
             inside = any(name.startswith(f"{place}.") for name in written)
             values[one.name] = AS_STEPS if inside else AS_LIST
         else:
-            values[one.name] = listed(written, one.name) if one.many else written.get(one.name, "")
+            values[one.name] = written.get(one.name, "")
     return values
 
 

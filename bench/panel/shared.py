@@ -234,7 +234,7 @@ SECTIONS: Final = frozenset({"/bench", "/procedures", "/queue", "/start"})
 def _back(request: Request) -> str:
     """Return the page to go back to after a refusal; "" for none but the list of runs."""
     path, name = request.scope["path"], request.path_params.get("name", "")
-    section = f"/{path.split('/')[1]}"
+    section = f"/{path.removeprefix('/').partition('/')[0]}"  # a request may name a path without a slash
     if section == "/runs" and person_of(request) is not None and panel_of(request).runs.holds(name):
         section = f"/runs/{quote(name)}/"
     elif section not in SECTIONS:
