@@ -255,15 +255,16 @@ def with_terms(candidates: Candidates, linear: LinearSystem) -> Candidates:
     Terms of one course that act on the same quantity of the model are one family, whatever their channels and
     sizes.
     """
-    columns, scale, variants = [candidates.columns], candidates.scale.tolist(), list(candidates.variants)
-    kinds = list(candidates.kinds)
+    columns: list[Floats] = []
+    kinds, scale, variants = list(candidates.kinds), candidates.scale.tolist(), list(candidates.variants)
     for term, channels, sizes in dictionary(linear):
         places = tuple(range(len(kinds), len(kinds) + len(sizes)))
         kinds += [Column(size, channel) for size, channel, _ in sizes]
         scale += [term.unit.plausible] * len(sizes)
-        columns += [column[:, None] for *_, column in sizes]
+        columns += [column for *_, column in sizes]
         variants.append(Variant(term.family, places, channels, term=term))
-    return Candidates(np.concatenate(columns, axis=1), tuple(kinds), np.array(scale), tuple(variants))
+    whole = np.column_stack([candidates.columns, np.array(columns).reshape(-1, len(linear)).T])
+    return Candidates(whole, tuple(kinds), np.array(scale), tuple(variants))
 
 
 def is_form(candidates: Candidates, family: str) -> bool:
