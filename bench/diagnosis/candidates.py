@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import orth
@@ -96,8 +96,7 @@ KIND_PRIOR: Final = (0.03, 0.01, 0.96)
 """Prior probabilities that an unnamed form with a formula, one without, or a catalogue effect is missing."""
 
 
-@dataclass(frozen=True)
-class Column:
+class Column(NamedTuple):
     """What one column of the design matrix estimates: a parameter, in one channel, in some mountings.
 
     `channel` is 0, 1 or 2, or None if the value is common to all channels. `mounts` are labels of mountings
@@ -109,8 +108,7 @@ class Column:
     mounts: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class Variant:
+class Variant(NamedTuple):
     """One form that a family may take: in which channels and mountings it acts, and with which shape.
 
     `columns` are the indices of the variant's columns in `Candidates.columns`. The last `starts` of them are
@@ -136,7 +134,7 @@ class Variant:
     @property
     def plain(self) -> Variant:
         """The variant without the starting states, as if each mounting began in equilibrium."""
-        return replace(self, columns=self.sizes, starts=0)
+        return self._replace(columns=self.sizes, starts=0)
 
     @property
     def named(self) -> bool:
@@ -411,7 +409,7 @@ def _add_form(
                 started = tuple(i for c in channels for i in starts.get(c, ()))
                 if started:
                     collector.variants.append(
-                        replace(variant, columns=columns + started, starts=len(started))
+                        variant._replace(columns=columns + started, starts=len(started))
                     )
 
 

@@ -167,6 +167,13 @@ class Group:
     vectors: Floats
     values: Floats
 
+    def squares(self, left: Data) -> Floats:
+        """Return the squared projections of the data on the eigenvectors, shape (ratios, variants, p, sets)."""
+        along = left.along[:, self.columns]
+        return np.asarray(
+            (along if self.columns.shape[1] == 1 else np.swapaxes(self.vectors, 2, 3) @ along) ** 2
+        )
+
 
 @dataclass(frozen=True)
 class Search:
@@ -214,19 +221,6 @@ class Search:
         else:
             values, vectors = np.linalg.eigh(blocks)
         return Group(members, columns, vectors, np.maximum(values, 0.0))
-
-    @cached_property
-    def _together(self) -> tuple[Ints, Ints, Floats]:
-        """The variants of all groups, as three arrays.
-
-        They are: the indices (v,) of the v variants; the position (v,) of each variant's first eigenvalue in the
-        third array; all e eigenvalues at each noise ratio (ratios, e).
-        """
-        values = [group.values for group in self.groups]
-        counts = np.concatenate([np.full(of.shape[1], of.shape[2]) for of in values])
-        starts = np.cumsum(counts) - counts
-        flat = np.concatenate([of.reshape(len(of), -1) for of in values], axis=1)
-        return np.concatenate([group.members for group in self.groups]), starts, flat
 
     def between(self, ratio: int, columns: Sequence[int]) -> Floats:
         """Return the Gram matrix (k, k) of the k `columns`, with the known columns projected out.
@@ -276,28 +270,22 @@ class Search:
 
     def _score(self, left: Data) -> Scores:
         grid = self.whitened.grid
-        base = (grid.log_prior + grid.log_det + self.log_det)[:, None]
-        of_null = base + grid.log_likelihood(left.square)
+        base = grid.log_prior + grid.log_det + self.log_det
+        of_null = base[:, None] + grid.log_likelihood(left.square)
         null = _log_sum(of_null)
         # a variant with a column that the model already has
         out = np.full((len(self.whitened.candidates.variants), left.sets), np.finfo(np.float64).min)
-        if self.groups:
-            out[self._together[0]] = _log_sum(base[:, None] + self._likelihoods(left))
+        for group in self.groups:
+            squares, logs = group.squares(left), []
+            for size, log_weight in zip(SIZES, LOG_SIZE_WEIGHTS, strict=True):
+                weight = 1.0 / (group.values + 1.0 / size**2)
+                explained = np.einsum("rvp,rvps->rvs", weight, squares)
+                rest = np.maximum(left.square[:, None] - explained, 1e-12 * left.square[:, None])
+                cost = 0.5 * np.sum(np.log1p(size**2 * group.values), axis=2)
+                prior = base[:, None] + log_weight - cost
+                logs.append(prior[:, :, None] + grid.log_likelihood(rest))
+            out[group.members] = _log_sum(np.concatenate(logs))
         return Scores(out - null, np.exp(of_null - null))
-
-    def _likelihoods(self, left: Data) -> Floats:
-        """Return ln of the marginal likelihood of the data with each variant, shape (ratios, v, sets)."""
-        grid = self.whitened.grid
-        _, starts, values = self._together
-        squares = np.concatenate([_along(group, left) for group in self.groups], axis=1)
-        of_size = []
-        for size, log_weight in zip(SIZES, LOG_SIZE_WEIGHTS, strict=True):
-            weight = 1.0 / (values + 1.0 / size**2)
-            explained = np.add.reduceat(squares * weight[:, :, None], starts, axis=1)
-            rest = np.maximum(left.square[:, None] - explained, 1e-12 * left.square[:, None])
-            cost = 0.5 * np.add.reduceat(np.log1p(size**2 * values), starts, axis=1)
-            of_size.append(log_weight - cost[:, :, None] + grid.log_likelihood(rest))
-        return _log_sum(np.stack(of_size))
 
 
 @dataclass(frozen=True)
@@ -323,14 +311,6 @@ class Scores:
         parts = np.exp(ordered - np.repeat(largest, counts, axis=0))
         mean: Floats = largest + np.log(np.add.reduceat(parts, starts, axis=0) / counts[:, None])
         return mean
-
-
-def _along(group: Group, left: Data) -> Floats:
-    """Return the squared projections of the data on a group's eigenvectors, shape (ratios, e, sets)."""
-    along = left.along[:, group.columns]
-    if group.columns.shape[1] > 1:
-        along = np.swapaxes(group.vectors, 2, 3) @ along
-    return np.asarray(along.reshape(len(along), -1, left.sets) ** 2)
 
 
 def _log_sum(logarithms: Floats) -> Floats:
