@@ -216,10 +216,7 @@ class Search:
         if self.half.shape[1]:
             seen = np.moveaxis(self.half[:, :, columns], 1, 2)
             blocks = blocks - np.swapaxes(seen, 2, 3) @ seen
-        if columns.shape[1] == 1:
-            values, vectors = blocks[:, :, 0], np.ones_like(blocks)
-        else:
-            values, vectors = np.linalg.eigh(blocks)
+        values, vectors = _eigen(blocks)
         return Group(members, columns, vectors, np.maximum(values, 0.0))
 
     def between(self, ratio: int, columns: Sequence[int]) -> Floats:
@@ -311,6 +308,23 @@ class Scores:
         parts = np.exp(ordered - np.repeat(largest, counts, axis=0))
         mean: Floats = largest + np.log(np.add.reduceat(parts, starts, axis=0) / counts[:, None])
         return mean
+
+
+def _eigen(matrices: Floats) -> tuple[Floats, Floats]:
+    """Return eigenvalues (…, p) and eigenvectors (…, p, p) of symmetric matrices; `eigh` is slow for many small ones.
+
+    For p = 2 they follow from the angle of the larger principal axis.
+    """
+    size = matrices.shape[-1]
+    if size == 1:
+        return matrices[..., 0], np.ones_like(matrices)
+    if size > 2:
+        return np.linalg.eigh(matrices)
+    first, across, second = matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 1]
+    mean, half = (first + second) / 2.0, (first - second) / 2.0
+    radius, angle = np.hypot(half, across), np.arctan2(across, half) / 2.0
+    turn = np.array([[-np.sin(angle), np.cos(angle)], [np.cos(angle), np.sin(angle)]])
+    return np.stack([mean - radius, mean + radius], axis=-1), np.moveaxis(turn, (0, 1), (-1, -2))
 
 
 def _log_sum(logarithms: Floats) -> Floats:
