@@ -311,9 +311,9 @@ class Scores:
 
 
 def _eigen(matrices: Floats) -> tuple[Floats, Floats]:
-    """Return eigenvalues (…, p) and eigenvectors (…, p, p) of symmetric matrices; `eigh` is slow for many small ones.
+    """Return eigenvalues (…, p), ascending, and eigenvectors (…, p, p) of symmetric matrices (…, p, p).
 
-    For p = 2 they follow from the angle of the larger principal axis.
+    For p = 2 they follow from the angle of the larger principal axis, as `eigh` is slow for many small matrices.
     """
     size = matrices.shape[-1]
     if size == 1:
