@@ -317,7 +317,7 @@ class LinearSystem:
         steps = [STEP_RAD * (np.arange(len(STAND_ANGLES)) == i) for i in range(len(STAND_ANGLES))]
         differences = [acting(still + step) - acting(still - step) for step in steps]
         differences.append(acting(still, STEP_RAD) - acting(still, -STEP_RAD))
-        force = np.asarray(self.block.specific_force(self.view.read(model, self.block)))
+        force = np.asarray(self.block.specific_force(self._still.readings))
         return force, np.stack(differences, axis=2) / (2 * STEP_RAD)
 
     def effect_column(self, applied: AppliedEffect) -> Floats:
@@ -354,16 +354,8 @@ class View:
         """Return the change of the signals (n, 3) if all `effects` act together on the output of `block`."""
         if not effects:
             return np.zeros(self.force.shape)
-        return self.read(replace(model, effects=effects), block) - self.read(
-            replace(model, effects=()), block
-        )
-
-    def read(self, model: ForwardModel, block: Block) -> Floats:
-        """Return the signals (n, 3) that the model, with its effects, predicts for all readings.
-
-        Stand angles and setting errors are zero.
-        """
-        return self.stages(model, block).readings
+        with_effects, without = (self.stages(replace(model, effects=of), block) for of in (effects, ()))
+        return with_effects.readings - without.readings
 
     def stages(self, model: ForwardModel, block: Block) -> Stages:
         """Return the stages of the model for all readings; stand angles and setting errors are zero."""
@@ -478,8 +470,9 @@ def own_column(problem: Problem, block: Block, view: View, number: int) -> Float
     """
     step = np.zeros_like(problem.prior_u)
     step[number] = 1e-3 * problem.prior_u[number]
-    up, down = (problem.effects_at(problem.prior_mean + sign * step) for sign in (1, -1))
-    return (view.own(problem.model, up, block) - view.own(problem.model, down, block)) / 2e-3
+    ways = (problem.effects_at(problem.prior_mean + sign * step) for sign in (1, -1))
+    up, down = (view.stages(replace(problem.model, effects=effects), block).readings for effects in ways)
+    return (up - down) / 2e-3
 
 
 def _columns(
