@@ -236,7 +236,7 @@ class RecordWork:
             scale=np.concatenate([of.scale, np.tile(of.scale[own], len(order))]),
         )
         shapes = [
-            replace(course, columns=tuple(range(at, at + len(own))), shape=((parameter, value),))
+            course._replace(columns=tuple(range(at, at + len(own))), shape=((parameter, value),))
             for at, value in zip(begin.tolist(), values[order].tolist(), strict=True)
         ]
         return replace(self, candidates=more), shapes
@@ -299,7 +299,7 @@ class RecordWork:
         value = float(forms.of_values @ forms.values)
         steps = np.gradient(forms.values)
         u = float(np.sqrt(forms.of_values @ ((forms.values - value) ** 2 + steps**2 / 12.0)))
-        return replace(course, shape=((forms.parameter, value),)), u, *averaged
+        return course._replace(shape=((forms.parameter, value),)), u, *averaged
 
     def forms(self, courses: Sequence[Variant], number: int) -> Forms:
         """Return the forms that the course `number` may have, with the likelihood of each.
@@ -401,7 +401,7 @@ class RecordWork:
             seen = special.chdtrc(1, (size / u) ** 2) < OFTEN
             if self.of_channels(variant) and seen.any():
                 columns, channels = (tuple(compress(of, seen)) for of in (variant.columns, variant.channels))
-                variant = replace(variant, columns=columns, channels=channels)
+                variant = variant._replace(columns=columns, channels=channels)
                 size, u = size[seen], u[seen]
             shown.append(replace(one, variant=variant))
             u_of_shapes.append(u_shape)

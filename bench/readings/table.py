@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -133,8 +134,12 @@ class Readings:
     def conditions(self) -> Conditions:
         """Return the conditions of the rows for the forward model, at the angles read back.
 
-        Raises `ValueError` if a cell of the column `scan_order` is invalid.
+        A second call returns the same object. Raises `ValueError` if a cell of the column `scan_order` is invalid.
         """
+        return self._conditions
+
+    @cached_property
+    def _conditions(self) -> Conditions:
         return Conditions.of(
             self.installation.tolist(),
             self.angle_rad,
