@@ -228,7 +228,7 @@ def test_a_voltmeters_certificate_gives_gain_and_offset_of_each_range(bench, emp
 
 
 def test_corrections_of_a_voltmeter_undo_its_errors(bench, empty_folder):
-    """Random errors on a line (seed 5): a corrected reading is the reference, within the second order: 10 V (5e-5)²."""
+    """Random errors on a line (seed 5): a corrected reading is the reference, but for 10 V (5e-5)²."""
     rng = np.random.default_rng(5)
     gain, offset = rng.uniform(-50e-6, 50e-6, 2), rng.uniform(-50e-6, 50e-6, 2)
     which = np.array([0] * 3 + [1] * 5)
