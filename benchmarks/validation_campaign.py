@@ -4,8 +4,8 @@
 
 For each fault, quick checks are carried out until one fails and names the place. The family that should find the
 fault comes first, and files of packages are hashed again only for faults of packages. Healthy runs carry out all
-checks, with each shipped bench file in turn and a different seed for their random parts. `--seeds` gives further runs
-of the checks with random parts alone, in their full size. `--kills` kills two programs that append to one register
+checks, with each shipped bench file in turn and a different seed for their random parts. `--seeds` adds runs of the
+checks with random parts alone, in their full size. `--kills` kills two programs that append to one register
 simultaneously.
 """
 
