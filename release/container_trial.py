@@ -1,8 +1,10 @@
-"""Try the steps of the container file in a plain root, without a network: `python -m release.container_trial dist`.
+"""Try the steps of the container file in a plain root, without a network:
 
-A second argument names the folder of a base system, such as one that `debootstrap` made with python3-venv; the trial
-works on a copy. Without it, the root has this computer's system folders, read only, and this Python; /opt, /tmp and the
-working folder are new and empty. It needs root and `unshare`.
+    python -m release.container_trial dist [BASE]
+
+A second argument names the folder of a base system, such as one that `debootstrap` made with python3-venv; the
+trial works on a copy. Without it, the root has this computer's system folders, read only, and this Python; /opt,
+/tmp and the working folder are new and empty. It needs root and `unshare`.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ with socket.socket() as any_:
 
 
 def script(dist: Path, root: Path, base: Path | None) -> str:
-    """Return a shell script that carries out COPY and RUN of the container file in a root, a copy of `base` if given."""
+    """Return a shell script that carries out COPY and RUN of the container file in a root, or a copy of `base`."""
     python = Path(sys.base_prefix)
     lines = ["set -e", f"{sys.executable} -c {shlex.quote(LOOPBACK)}", f"mount -t tmpfs none {root}"]
     folders = " ".join(
