@@ -1,7 +1,10 @@
-"""Try the steps of the container file in a plain root, without a network: `python -m release.container_trial dist`.
+"""Try the steps of the container file in a plain root, without a network:
 
-Where no base image can be had, the root has this computer's system folders, read only, and this Python; /opt, /tmp
-and the working folder are new and empty. It needs root and `unshare`.
+    python -m release.container_trial dist [BASE]
+
+A second argument names the folder of a base system, such as one that `debootstrap` made with python3-venv; the
+trial works on a copy. Without it, the root has this computer's system folders, read only, and this Python; /opt,
+/tmp and the working folder are new and empty. It needs root and `unshare`.
 """
 
 from __future__ import annotations
@@ -23,15 +26,17 @@ with socket.socket() as any_:
 """Sets the loopback up (SIOCSIFFLAGS), which a new network namespace has down; a container engine does so."""
 
 
-def script(dist: Path, root: Path) -> str:
-    """Return a shell script that carries out COPY and RUN of the container file in a root."""
+def script(dist: Path, root: Path, base: Path | None) -> str:
+    """Return a shell script that carries out COPY and RUN of the container file in a root, or a copy of `base`."""
     python = Path(sys.base_prefix)
     lines = ["set -e", f"{sys.executable} -c {shlex.quote(LOOPBACK)}", f"mount -t tmpfs none {root}"]
     folders = " ".join(
         f"{root}/{name}" for name in ("opt", "tmp", "proc", "dev", "etc", "root", "laboratory")
     )
+    if base is not None:
+        lines.append(f"cp -a {shlex.quote(str(base))}/. {root}")
     lines.append(f"mkdir -p {folders} {root}{python}")
-    for place in (*LENT, str(python)):
+    for place in () if base is not None else (*LENT, str(python)):
         if Path(place).is_symlink():
             lines.append(f"cp -a {place} {root}{place}")
         elif Path(place).is_dir():
@@ -58,9 +63,10 @@ def script(dist: Path, root: Path) -> str:
 
 def main() -> int:
     """Carry out the steps in a mount, process and network namespace of their own; return the exit status."""
-    dist = Path(sys.argv[1] if len(sys.argv) > 1 else "dist").absolute()
+    dist, *bases = [Path(one).absolute() for one in sys.argv[1:] or ["dist"]]
     with tempfile.TemporaryDirectory(prefix="bench-root-") as root:
-        command = ["unshare", "--mount", "--net", "--pid", "--fork", "sh", "-c", script(dist, Path(root))]
+        command = ["unshare", "--mount", "--net", "--pid", "--fork", "sh", "-c"]
+        command.append(script(dist, Path(root), next(iter(bases), None)))
         return subprocess.run(command, check=False).returncode
 
 

@@ -221,6 +221,8 @@ class RegisteredValidation(ResultModel):
     result_sha256: str = Field(description="SHA-256 of the stored result")
     holds: bool
     """whether it is the latest for its program and bench file and was not withdrawn"""
+    quick: bool = False
+    """whether it was a shortened validation; False for entries of programs that did not note it"""
 
 
 class ValidationRegisterResult(RegisterResult):
@@ -231,7 +233,7 @@ class ValidationRegisterResult(RegisterResult):
     def print_on(self, out: Console) -> None:
         """Print a line for each entry, and the head of the chain."""
         for one in self.validations:
-            state = "" if one.holds else ", holds no longer"
+            state = f"{', quick' if one.quick else ''}{'' if one.holds else ', holds no longer'}"
             out.print(
                 f"{one.number}  {one.time[:16]}  {one.kind} by {one.by}: {one.reason} ({one.bench}{state})"
             )

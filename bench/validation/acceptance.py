@@ -61,6 +61,7 @@ def accept(request: Validate, folder: Path) -> ValidationRegisterResult:
             "plug_ins": digest_of(result.bench.plug_ins),
             "result_sha256": register.keep(content),
             "changes": [one.name for one in result.changes],
+            "quick": result.quick,
         }
         now = utc_now()
         register.append(Entry(ACCEPTED, f"V{now:%Y}-{count + 1:04d}", civil_now(), person.name, data))
@@ -97,6 +98,7 @@ def listed(register: Validations) -> ValidationRegisterResult:
         RegisteredValidation.from_object(
             one,
             holds=one.kind == ACCEPTED and one.number in latest,
+            quick=bool(one.data.get("quick", False)),
             **{
                 name: one.data[name]
                 for name in ("role", "reason", "fingerprint", "bench", "bench_sha256", "result_sha256")

@@ -244,7 +244,7 @@ LOSS: Final[dict[tuple[float, float], tuple[float, float, float, float, float]]]
 
 
 @check("Supplement 1, comparison loss", "7.6", "", p_false=1e-4,
-       source="JCGM 101:2008, 9.4, tables 6 and 7; tolerance by its 7.9")  # fmt: skip
+       source="JCGM 101:2008, 9.4, tables 8 and 9; tolerance by its 7.9")  # fmt: skip
 def comparison_loss(context: Context) -> Iterator[Finding]:
     """Propagate the loss x1² + x2² of a power meter, for three values of x1, with and without correlation.
 

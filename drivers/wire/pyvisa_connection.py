@@ -376,13 +376,17 @@ def _resource_manager() -> pyvisa.ResourceManager:
 
 
 def _open_in_time(resource: str, timeout_s: float) -> MessageBasedResource:
-    """Open the resource in a separate thread, within `timeout_s` (+ 0.5 s); close a resource that opens late."""
+    """Open the resource in a separate thread, within `timeout_s` (+ 0.5 s); close a resource that opens late.
+
+    The manager is made before, since its imports can take seconds, which are no fault of the instrument.
+    """
     opened: Future[MessageBasedResource] = Future()
+    manager = _resource_manager()
 
     def work() -> None:
         try:
             milliseconds = max(1, round(timeout_s * 1000.0))
-            visa = _resource_manager().open_resource(resource, open_timeout=milliseconds)
+            visa = manager.open_resource(resource, open_timeout=milliseconds)
             opened.set_result(cast("MessageBasedResource", visa))
         except Exception as error:
             opened.set_exception(error)  # re-raised in the caller's thread

@@ -77,7 +77,7 @@ def test_two_writers_and_kills_lose_nothing(tmp_path):
             writer.join()
     said = [name for file in tmp_path.glob("said-*") for name in file.read_text("utf-8").split()]
     with opened(Validations(folder)) as register:
-        assert len(said) > 20
+        assert len(said) > 10  # an entry has about 450 bytes; of each writer one may be noted no more
         assert set(said) <= {one.number for one in register.entries}
 
 

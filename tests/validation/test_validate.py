@@ -63,7 +63,12 @@ def test_a_validation_is_written_sealed_accepted_and_compared(bench, few, labora
     )
     refused(bench("validate", "--accept", "v1", *lab), "--by NAME and --reason TEXT")
     refused(bench("validate", "--accept", "v1", *BY), "--laboratory FILE")
-    printed(bench("validate", "--accept", "v1", *lab, *BY), "accepted by A. Example: first use", "1 entries")
+    printed(
+        bench("validate", "--accept", "v1", *lab, *BY),
+        "accepted by A. Example: first use",
+        ", quick)",
+        "1 entries",
+    )
     refused(bench("validate", "--accept", "v1", *lab, *BY), "registered already")
 
     file = Path("mine.yaml")

@@ -21,7 +21,7 @@ from bench.base.units import VOLTAGE, parse_quantity
 from bench.certificate.dcc.lists import Dimension, NotRead, RealList, files_in, real_lists, said
 from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, Node, tag
 from bench.certificate.signatures import ORIGINAL, SIGNATURE, NoCertificate, NotIntact, check_xml, parser
-from bench.config.devices.device import ChamberCertificate, HeadCertificate
+from bench.config.devices.device import Certificate, ChamberCertificate, HeadCertificate, VoltmeterCertificate
 from bench.model.geometry import COEFFICIENTS
 from bench.results.certificate import CertificateSays, CertifiedCoefficient
 from bench.services.coefficients import coefficients_of
@@ -364,70 +364,159 @@ def _serial(root: Node) -> str:
     return ""
 
 
-def _values(path: Path, root: Node) -> tuple[list[dict[str, str]], list[str]]:
-    """Return rows of corrections (deg and arcsec, or degC and K), and notes on tables to be copied by hand."""
+def _values(path: Path, root: Node) -> tuple[list[dict[str, Any]], list[str]]:
+    """Return rows of corrections of angles, temperatures or voltages, and notes on what must be copied by hand."""
     try:
         tables = list(_tables(root))
     except NotRead as error:
         raise Refused(f"{path}: {error}; ask its laboratory to correct it") from error
-    rows: list[dict[str, str]] = []
+    found: dict[str, list[list[dict[str, Any]]]] = {}
     notes = []
-    for axis, off in tables:
-        kinds = set(axis.dimensions) | set(off.dimensions)
-        if off.u is None:
-            notes.append(f"{off.words}: without an uncertainty; left out")
-        elif kinds == {()}:
-            rows += _rows("angle", "deg", "arcsec", axis, off, 180.0 / math.pi, 648000.0 / math.pi)
-        elif kinds == {(("K", 1),)}:
-            rows += _rows("temperature", "degC", "K", axis, off, 1.0, 1.0)
+    for table in tables:
+        kind = table.kind
+        if table.error.u is None:
+            notes.append(f"{table.error.words}: without an uncertainty; left out")
+        elif kind == "voltage" and table.range is None:
+            notes.append(f"{table.error.words}: no column states the range; enter them by hand")
+        elif kind:
+            rows = table.by_range() if kind == "voltage" else table.by_point()
+            found.setdefault(kind, []).append(list(rows))
         else:
-            notes.append(f"{off.words}: errors of another kind; enter them by hand")
+            notes.append(f"{table.error.words}: errors of another kind; enter them by hand")
+    kept = [rows for kind, each in found.items() for rows in each if len(each) == 1 or kind == "voltage"]
+    if len(found) > 1 or len(kept) < sum(map(len, found.values())):
+        notes.append(
+            "more than one table of errors, such as before and after an adjustment: enter one by hand"
+        )
+        kept = []
     if not tables:
         notes.append(
             f"no table of errors ({_ERROR} beside {_AXIS[0]}) was found: add 'values' by hand, from the "
             "printed certificate"
         )
-    return rows, notes
+    return [row for rows in kept for row in rows], notes
 
 
-def _tables(root: Node) -> Iterator[tuple[RealList, RealList]]:
-    """Yield two lists for each table: the values on its axis, and the errors at these values."""
+@dataclass(frozen=True)
+class _Table:
+    """A table of errors: the values on its axis, the errors at these values, and the instrument's ranges, if any.
+
+    `alternating` means that a column states frequencies.
+    """
+
+    axis: RealList
+    error: RealList
+    range: RealList | None
+    alternating: bool
+
+    @property
+    def kind(self) -> str:
+        """The kind of quantity: "angle", "temperature", "voltage", or "" for another one or a mixture."""
+        kinds = {_kind(unit, one) for lists in (self.axis, self.error)
+                 for unit, one in zip(lists.units, lists.dimensions, strict=True)}  # fmt: skip
+        return kinds.pop() if len(kinds) == 1 and not self.alternating else ""
+
+    @property
+    def u(self) -> Floats:
+        """The standard uncertainties of the errors in SI units, shape (n,)."""
+        u = np.empty(0) if self.error.u is None else self.error.u
+        return np.broadcast_to(u, self.error.values.shape)
+
+    def by_point(self) -> Iterator[dict[str, Any]]:
+        """Yield a row for each angle or temperature: the correction (the negated error) with U for k = 2."""
+        axis, small, per, per_small = _SMALL[self.kind]
+        zero = np.array([_KELVIN_OF_0_C if unit.endswith(r"\kelvin") else 0.0 for unit in self.axis.units])
+        for at, off, size in zip(self.axis.values - zero, self.error.values, self.u, strict=True):
+            yield {
+                self.kind: f"{round(at * per, 9):.9g} {axis}",
+                "correction": f"{round(-off * per_small, 9) + 0.0:.9g} {small}",
+                "U": f"{2.0 * size * per_small:.6g} {small}",
+                "k": "2",
+            }
+
+    def by_range(self) -> Iterator[dict[str, Any]]:
+        """Yield a row for each range of a voltmeter: the line through the errors of its points, negated.
+
+        How the errors of the points are correlated is not known. So u is the larger of two: for independent errors
+        that of the line; for common ones the largest u/|V| from half of the largest |V| on (gain), and u of the
+        point nearest zero (offset). The largest deviation from the line is added in quadrature. Points of one
+        voltage give the gain alone, at 0 V the offset alone.
+        """
+        if self.range is None:
+            return
+        of_each = np.broadcast_to(self.range.values, self.axis.values.shape)
+        for size in np.unique(of_each):
+            at, off, u = (one[of_each == size] for one in (self.axis.values, self.error.values, self.u))
+            top, one_v = np.max(np.abs(at)), np.ptp(at) == 0.0
+            terms = np.stack([at**power for power in ((0,) if top == 0.0 else (1,) if one_v else (0, 1))])
+            solve = np.linalg.pinv(terms.T)
+            line, alone = solve @ off, np.sqrt(solve**2 @ u**2)
+            left = np.max(np.abs(off - line @ terms))
+            row: dict[str, Any] = {"range": f"{size:.9g} V"}
+            if top > 0.0:
+                high = np.abs(at) >= top / 2.0
+                common = np.max(u[high] / np.abs(at[high]))
+                row["gain"] = _certified(line[-1], np.hypot(max(alone[-1], common), left / top), "ppm")
+            if top == 0.0 or not one_v:
+                common = u[np.argmin(np.abs(at))]
+                row["offset"] = _certified(line[0], np.hypot(max(alone[0], common), left), "uV")
+            yield row
+
+
+def _certified(error: float, u: float, unit: str) -> dict[str, str]:
+    """Return a correction with U for k = 2, in millionths of V/V or V."""
+    return {
+        "correction": f"{round(-1e6 * error, 6) + 0.0:.9g} {unit}",
+        "U": f"{2e6 * u:.6g} {unit}",
+        "k": "2",
+    }
+
+
+_KELVIN_OF_0_C: Final = 273.15
+_SMALL: Final = {
+    "angle": ("deg", "arcsec", 180.0 / math.pi, 648000.0 / math.pi),
+    "temperature": ("degC", "K", 1.0, 1.0),
+}
+"""The kinds of corrections by point: units of axis and correction, and factors from SI to them."""
+
+
+def _kind(unit: str, dimension: Dimension) -> str:
+    """Return the kind of a quantity. A number without dimension is an angle only if its unit is one."""
+    if not dimension and unit.rpartition("\\")[2] in {"degree", "arcminute", "arcsecond", "radian"}:
+        return "angle"
+    return {(("K", 1),): "temperature", _VOLT: "voltage"}.get(dimension, "")
+
+
+def _tables(root: Node) -> Iterator[_Table]:
+    """Yield the tables of errors of a document; of a quantity in two units, the first list counts."""
     for table in root.iter(f"{{{DCC}}}list"):
         columns = [
             one for quantity in table.findall("dcc:quantity", NAMESPACES) for one in real_lists(quantity)
         ]
         errors = [one for one in columns if _ERROR in one.roles]
+        others = [one for one in columns if _ERROR not in one.roles and not one.roles & set(_AXIS)]
+        ranges = [one for one in others if set(one.dimensions) == {_VOLT}
+                  and any(word.lower().endswith("range") for word in one.roles)]  # fmt: skip
+        alternating = any(set(one.dimensions) == {(("s", -1),)} for one in others)
         for word in _AXIS:
             axes = [one for one in columns if word in one.roles and all(one is not e for e in errors)]
             if errors and axes and len(axes[0].values) == len(errors[0].values):
-                yield axes[0], errors[0]
+                fits = {1, len(axes[0].values)}
+                of_range = next((one for one in ranges if len(one.values) in fits), None)
+                yield _Table(axes[0], errors[0], of_range, alternating)
                 break
 
 
-def _rows(
-    key: str, unit: str, small: str, axis: RealList, error: RealList, per: float, per_small: float
-) -> Iterator[dict[str, str]]:
-    """Yield a row for each error in a table: the correction (the negated error) with U for k = 2.
-
-    `per` converts values on the axis from SI to `unit`; `per_small` converts errors from SI to `small`.
-    """
-    u = error.u
-    if u is None:
-        return
-    for at, off, size in zip(axis.values.tolist(), error.values.tolist(), u.tolist(), strict=True):
-        yield {
-            key: f"{round(at * per, 9):.9g} {unit}",
-            "correction": f"{round(-off * per_small, 9) + 0.0:.9g} {small}",
-            "U": f"{2.0 * size * per_small:.6g} {small}",
-            "k": "2",
-        }
-
-
-def _checked(stated: dict[str, Any], values: list[dict[str, str]]) -> Iterator[str]:
+def _checked(stated: dict[str, Any], values: list[dict[str, Any]]) -> Iterator[str]:
     """Yield a sentence for each reason, at most five, why a bench file cannot contain these values unchanged."""
     if not values:
         return
-    form = HeadCertificate if "angle" in values[0] else ChamberCertificate
+    forms: dict[str, type[Certificate]] = {
+        "angle": HeadCertificate,
+        "temperature": ChamberCertificate,
+        "range": VoltmeterCertificate,
+    }
+    form = forms[next(iter(values[0]))]
     try:
         form.model_validate({**stated, "values": values})
     except ValidationError as error:

@@ -11,7 +11,7 @@ import yaml
 from bench.certificate.dcc.document import document_of
 from bench.certificate.dcc.nodes import VOLT_PER_MS2, product, read_unit
 from bench.config.bench_file.file import load_bench
-from bench.config.devices.device import HeadCertificate
+from bench.config.devices.device import HeadCertificate, VoltmeterCertificate
 from bench.config.shipped import find_bench
 from bench.model.geometry import COEFFICIENTS
 from bench.services.coefficients import coefficients_of
@@ -19,15 +19,23 @@ from tests.support.commands import refused
 from tests.support.schemas import keeps_to
 
 HEAD = """<dcc:digitalCalibrationCertificate xmlns:dcc="https://ptb.de/dcc" xmlns:si="https://ptb.de/si"
- schemaVersion="3.2.1"><dcc:administrativeData><dcc:coreData><dcc:uniqueIdentifier>H-88</dcc:uniqueIdentifier>
- <dcc:endPerformanceDate>2025-11-20</dcc:endPerformanceDate></dcc:coreData><dcc:items><dcc:item>
- <dcc:name><dcc:content>block</dcc:content></dcc:name><dcc:identifications>
- <dcc:identification>
+ schemaVersion="3.2.1"><dcc:administrativeData><dcc:dccSoftware><dcc:software><dcc:name><dcc:content>editor</dcc:content>
+ </dcc:name><dcc:release>1</dcc:release></dcc:software></dcc:dccSoftware><dcc:coreData>
+ <dcc:countryCodeISO3166_1>DE</dcc:countryCodeISO3166_1><dcc:usedLangCodeISO639_1>en</dcc:usedLangCodeISO639_1>
+ <dcc:mandatoryLangCodeISO639_1>en</dcc:mandatoryLangCodeISO639_1><dcc:uniqueIdentifier>H-88</dcc:uniqueIdentifier>
+ <dcc:beginPerformanceDate>2025-11-19</dcc:beginPerformanceDate><dcc:endPerformanceDate>2025-11-20</dcc:endPerformanceDate>
+ <dcc:performanceLocation>laboratory</dcc:performanceLocation></dcc:coreData><dcc:items><dcc:item>
+ <dcc:name><dcc:content>block</dcc:content></dcc:name><dcc:identifications><dcc:identification>
  <dcc:issuer>manufacturer</dcc:issuer><dcc:value>S-7</dcc:value></dcc:identification></dcc:identifications>
  </dcc:item></dcc:items><dcc:calibrationLaboratory><dcc:contact><dcc:name><dcc:content>Angle
- Laboratory</dcc:content></dcc:name></dcc:contact></dcc:calibrationLaboratory></dcc:administrativeData><dcc:measurementResults><dcc:measurementResult>
- <dcc:results><dcc:result><dcc:data>{}</dcc:data></dcc:result></dcc:results></dcc:measurementResult>
- </dcc:measurementResults></dcc:digitalCalibrationCertificate>"""
+ Laboratory</dcc:content></dcc:name><dcc:location><dcc:city>X</dcc:city></dcc:location></dcc:contact>
+ </dcc:calibrationLaboratory><dcc:respPersons><dcc:respPerson><dcc:person><dcc:name><dcc:content>A</dcc:content></dcc:name>
+ </dcc:person></dcc:respPerson></dcc:respPersons><dcc:customer><dcc:name><dcc:content>C</dcc:content></dcc:name>
+ <dcc:location><dcc:city>Y</dcc:city></dcc:location></dcc:customer></dcc:administrativeData><dcc:measurementResults>
+ <dcc:measurementResult><dcc:name><dcc:content>results</dcc:content></dcc:name><dcc:results><dcc:result>
+ <dcc:name><dcc:content>errors</dcc:content></dcc:name><dcc:data>{}</dcc:data></dcc:result></dcc:results>
+ </dcc:measurementResult></dcc:measurementResults></dcc:digitalCalibrationCertificate>"""
+"""A certificate by another author. With the tables below, it is valid against PTB's dcc.xsd 3.2.1."""
 
 NAMES = list(COEFFICIENTS)
 VALUES = [-2.1, 0.01, 0.02, 0.03, -2.2, 0.04, 0.05, 0.06, -2.3, 0.07, -0.19, -0.41]
@@ -132,7 +140,8 @@ def column(role, values, unit, u=None):
     count = len(values)
     uncertain = re.sub(r">([^<> ]+)( \1)+<", lambda m: f">{' '.join([m[1]] * count)}<", uncertain)
     return (
-        f'<dcc:quantity refType="{role}"><si:realListXMLList><si:valueXMLList>{" ".join(map(str, values))}'
+        f'<dcc:quantity refType="{role}"><dcc:name><dcc:content>c</dcc:content></dcc:name>'
+        f"<si:realListXMLList><si:valueXMLList>{' '.join(map(str, values))}"
         f"</si:valueXMLList><si:unitXMLList>{unit}</si:unitXMLList>{uncertain}</si:realListXMLList></dcc:quantity>"
     )
 
@@ -176,6 +185,111 @@ def test_a_heads_certificate_is_accepted_into_a_bench_file_once(bench, empty_fol
     assert text.startswith("# certificate of head accepted by A. Example on ")
     assert text.count("#") == find_bench("bench-lan").read_text().count("#") + 1
     refused(bench(*call, "--instrument", "head", "--by", "A. Example"), "was accepted already")
+
+
+RANGES = column("dmm_range", [1, 1, 1, 10, 10, 10, 10, 10], r"\volt")
+POINTS = [-1.0, 0.0, 1.0, -10.0, -5.0, 0.0, 5.0, 10.0]
+
+
+def meter(errors_uv, U_uv="4", ranges=RANGES):
+    """A voltmeter's table: errors at eight voltages on two ranges."""
+    errors = column("basic_measurementError", errors_uv, r"\micro\volt", U_uv)
+    at = column("basic_referenceValue", POINTS, r"\volt")
+    return HEAD.format(f"<dcc:list>{ranges}{at}{errors}</dcc:list>")
+
+
+def test_a_voltmeters_certificate_gives_gain_and_offset_of_each_range(bench, empty_folder):
+    """Errors of 7 µV + 3 ppm and 20 µV - 12 ppm, the last one 6 µV off that line."""
+    lines = [7 + 3 * x if i < 3 else 20 - 12 * x for i, x in enumerate(POINTS)]
+    Path("x.xml").write_text(meter([*lines[:7], lines[7] + 6.0]))
+    Path("my.yaml").write_bytes(find_bench("paper-stand").read_bytes())
+    call = (
+        "certificate",
+        "read",
+        "x.xml",
+        "--into",
+        "my.yaml",
+        "--instrument",
+        "voltmeter.y",
+        "--by",
+        "A. Example",
+    )
+    assert bench(*call)[0] == 0
+    held = load_bench(Path("my.yaml")).instruments.voltmeters[1].certificate
+    one, ten = held.values
+    assert (one.range, one.gain.correction, one.offset.correction) == pytest.approx((1.0, -3e-6, -7e-6))
+    assert pytest.approx((4e-6, 4e-6)) == (one.gain.U, one.offset.U)
+    # by hand: slope and intercept of least squares gain 6 * 10/250 and 6/5; deviations 6 * (-0.2, 0, 0.2..., 0.4)
+    assert ten.gain.correction == pytest.approx(12e-6 - 6e-6 * 10 / 250)
+    assert ten.offset.correction == pytest.approx(-20e-6 - 6e-6 / 5)
+    worst = 6e-6 * (1 - 1 / 5 - 100 / 250)
+    assert pytest.approx(2 * np.hypot(2e-6, worst), rel=1e-5) == ten.offset.U
+    assert pytest.approx(2 * np.hypot(2e-6 / 5, worst / 10), rel=1e-5) == ten.gain.U
+
+
+def test_corrections_of_a_voltmeter_undo_its_errors(bench, empty_folder):
+    """Random errors on a line (seed 5): a corrected reading is the reference, but for 10 V (5e-5)²."""
+    rng = np.random.default_rng(5)
+    gain, offset = rng.uniform(-50e-6, 50e-6, 2), rng.uniform(-50e-6, 50e-6, 2)
+    which = np.array([0] * 3 + [1] * 5)
+    errors = gain[which] * POINTS + offset[which]
+    Path("x.xml").write_text(meter((1e6 * errors).tolist()))
+    status, out, _ = bench("certificate", "read", "x.xml")
+    assert status == 0
+    section = yaml.safe_load(out)["certificate"]
+    found = VoltmeterCertificate.model_validate({**section, "date": str(section["date"])}).values
+    for at, error, one in zip(POINTS, errors, which, strict=True):
+        reading = at + error
+        corrected = reading * (1 + found[one].gain.correction) + found[one].offset.correction
+        assert corrected == pytest.approx(at, abs=3e-8)
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (meter([0.0] * 8, ranges=""), "no column states the range"),
+        (meter([0.0] * 8, U_uv=None), "without an uncertainty"),
+        (meter([0.0] * 8, ranges=RANGES + column("x", [50] * 8, r"\hertz")), "errors of another kind"),
+        (meter([2e5] * 8), "zero correction within 1 %"),
+    ],
+)
+def test_what_a_voltmeters_certificate_lacks_is_said(bench, empty_folder, content, told):
+    Path("x.xml").write_text(content)
+    status, _, err = bench("certificate", "read", "x.xml")
+    assert (status, told in err) == (0, True)
+
+
+def test_a_table_in_percent_is_none_of_angles(bench, empty_folder):
+    """PTB's example of a hygrometer states errors in percent: no dimension, but no angles."""
+    table = column("basic_measuredValue", [20, 50], r"\percent") + column(
+        "basic_measurementError", [1.0, 2.0], r"\percent", "1.0"
+    )
+    Path("x.xml").write_text(HEAD.format(f"<dcc:list>{table}</dcc:list>"))
+    status, out, err = bench("certificate", "read", "x.xml")
+    assert (status, "values" in out, "errors of another kind" in err) == (0, False, True)
+
+
+def thermometer(at, unit, errors):
+    errors = column("basic_measurementError", errors, r"\kelvin", "0.06")
+    return f"<dcc:list>{column('basic_measuredValue', at, unit)}{errors}</dcc:list>"
+
+
+def test_temperatures_in_kelvin_become_degrees_celsius(bench, empty_folder):
+    """Values of PTB's good practice example GP_DCC_temperature_typical: 306.32 K is 33.17 °C."""
+    for at, unit in (([306.32, 373.21], r"\kelvin"), ([33.17, 100.06], r"\degreecelsius")):
+        Path("x.xml").write_text(HEAD.format(thermometer(at, unit, [0.072, 0.089])))
+        _, out, _ = bench("certificate", "read", "x.xml")
+        values = yaml.safe_load(out)["certificate"]["values"]
+        assert [one["temperature"] for one in values] == ["33.17 degC", "100.06 degC"]
+        assert [one["correction"] for one in values] == ["-0.072 K", "-0.089 K"]
+
+
+def test_of_two_tables_of_one_kind_none_is_taken(bench, empty_folder):
+    """A certificate with the errors before and after an adjustment: only a person knows which ones hold."""
+    both = thermometer([20], r"\degreecelsius", [0.4]) + thermometer([21], r"\degreecelsius", [0.1])
+    Path("x.xml").write_text(HEAD.format(both))
+    status, out, err = bench("certificate", "read", "x.xml")
+    assert (status, "values" in out, "more than one table" in err) == (0, False, True)
 
 
 def test_what_a_bench_file_would_not_take_is_said(bench, empty_folder):

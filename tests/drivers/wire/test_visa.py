@@ -209,6 +209,21 @@ def test_opening_that_blocks_is_given_up_and_closed_when_it_comes_late(
         assert discarded.wait(LONG_S)
 
 
+def test_loading_the_library_is_outside_the_time_of_opening(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a slow computer the first imports alone would exceed it, as if the instrument were unreachable."""
+    made_by = []
+    real = pyvisa_connection._resource_manager
+
+    def manager() -> object:
+        made_by.append(threading.current_thread())
+        return real()
+
+    monkeypatch.setattr(pyvisa_connection, "_resource_manager", manager)
+    with served(answer) as resource, session(resource) as s:
+        s.open()
+    assert made_by == [threading.current_thread()]
+
+
 def test_exchange_before_open_and_after_close_is_refused() -> None:
     with served(answer) as resource, session(resource) as s:
         with pytest.raises(InstrumentLost, match="is not open"):
