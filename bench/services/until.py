@@ -182,7 +182,7 @@ def _refuse_below_floor(found: Sequence[Floor]) -> None:
     raise Refused(
         f"--until: no number of readings at these points lowers the {worst.wanted.name} below "
         f"{size_in_words(worst.u, unit)}, and {size_in_words(worst.wanted.goal.asked, unit)} is asked for; "
-        f"what makes it: {parts}"
+        f"main contributions: {parts}"
         + (f"; nor the {', '.join(others)}" if others else "")
         + "; relax the goal, or reduce these errors"
     )
