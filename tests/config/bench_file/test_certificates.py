@@ -146,7 +146,7 @@ def test_a_certificate_of_another_serial_number_counts_nothing(tmp_path, answere
     own = without(bench, {found.instrument} if found.foreign else set())
     assert bool(corrections_of(own)) != foreign
     if foreign:
-        assert "is of serial number MY1, but MY2 answered" in next(found.remarks())
+        assert "is for serial number MY1, but instrument MY2 answered" in next(found.remarks())
 
 
 def test_a_head_that_a_person_turns_states_no_serial_number(tmp_path):
