@@ -295,9 +295,9 @@ class Standing:
         which = f"{self.instrument}: its {certificate.words}"
         if self.foreign:
             yield (
-                f"{which}, is for serial number {certificate.serial}, but instrument {self.answered} answered: the "
-                "certificate's values are not used; take the right instrument, or state the certificate of this one "
-                "in the bench file"
+                f"{which}, is for serial number {certificate.serial}, but instrument {self.answered} answered: "
+                "the certificate's values are not used; take the right instrument, or state the certificate of this "
+                "one in the bench file"
             )
             return
         if self.expired:
