@@ -296,8 +296,8 @@ class Standing:
         if self.foreign:
             yield (
                 f"{which}, is for serial number {certificate.serial}, but instrument {self.answered} answered: "
-                "the certificate's values are not used; take the right instrument, or state the certificate of this "
-                "one in the bench file"
+                "the certificate's values are not used; take the right instrument, or state the certificate of "
+                "this one in the bench file"
             )
             return
         if self.expired:
