@@ -42,6 +42,7 @@ TIMEOUT: Final = "0.2 s"
 LIMIT_S: Final = 6.0
 """Largest duration of a run, s: a fault costs two attempts at a step, each with a few timeouts of 0.2 s."""
 VALUE_V: Final = 1e-7
+LARGEST_V: Final = 2.5
 TEMPERATURE_C: Final = 0.5
 
 PROCEDURE: Final = """\
@@ -321,7 +322,8 @@ def judged(outcome: Outcome, step: Mapping[str, Any]) -> list[str]:
 def slack_v(stand: BenchFile) -> float:
     """Return the largest deviation of a reading due to 1/f noise (twenty sines) and loading of the input, V."""
     flaws = stand.simulation.voltmeter
-    return 20.0 * math.sqrt(0.5) * flaws.flicker + flaws.source_ohm / 10e9 * 2.5
+    noise_v = flaws.flicker + flaws.reference_flicker * LARGEST_V
+    return 20.0 * math.sqrt(0.5) * noise_v + flaws.source_ohm / 10e9 * LARGEST_V
 
 
 def judge_finished(run: Run, outcome: Outcome) -> None:

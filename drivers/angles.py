@@ -202,7 +202,7 @@ def typed_temperature(text: str) -> float:
     """Return the temperature, °C, that a person typed, such as `23.5` or `23,5 °C`. Raises `ValueError`."""
     match = _TEMPERATURE.fullmatch(_plain(text))
     if match is None:
-        raise ValueError(message("That was not a temperature such as 23.5."))
+        raise ValueError(message("That was not a temperature: type one such as 23.5."))
     return _value(match)
 
 
@@ -214,7 +214,7 @@ def typed_bubble(text: str, division_rad: float, most_divisions: float) -> float
     typed = _plain(text).lower()
     match = _DIVISIONS.fullmatch(typed.removesuffix("divisions").strip())
     if match is None:
-        raise ValueError(message("That was not a number of divisions such as -1.5."))
+        raise ValueError(message("That was not a number of divisions: type one such as -1.5."))
     read_rad = _value(match) * (_ARCSEC if match[2] else division_rad)
     if abs(read_rad) > (most_divisions + 1e-9) * division_rad:
         raise ValueError(
@@ -230,7 +230,7 @@ def typed_supply(text: str, unit: SupplyUnit) -> float:
     """Return a typed voltage or current (`15.0`, `15.0 V`). Raises `ValueError`, with an example in `unit`."""
     match = _SUPPLY.fullmatch(_plain(text))
     if match is None:
-        raise ValueError(message(f"That was not a number such as 15.0 {unit}."))
+        raise ValueError(message(f"That was not a number: type one such as 15.0 {unit}."))
     return _value(match)
 
 

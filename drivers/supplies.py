@@ -83,7 +83,9 @@ class WiredSupply(ABC):
         """
         if wrong := self._limits.transgressions(settings):
             raise LimitExceeded(
-                self.name, f"cannot do {'; '.join(wrong)}", "change what the unit is given in the bench file"
+                self.name,
+                f"cannot do {'; '.join(wrong)}",
+                "change 'supply' under unit_under_test in the bench file",
             )
         states = self._states()
         self._refuse_tripped(states, settings)

@@ -43,7 +43,7 @@ class TextLine:
         Raises `InstrumentRefused` for one of the `errors`, `BadReading` for a reply that does not match.
         """
         known = "|".join([f"(?:{self._pattern.pattern})", *map(re.escape, self._errors)])
-        said = session.ask(self._request, known, "a line of the form in the bench file")
+        said = session.ask(self._request, known, "a line that fits the pattern in the bench file")
         if (meaning := self._errors.get(said)) is not None:
             raise InstrumentRefused(
                 self._name,

@@ -178,7 +178,8 @@ class InputFlaws:
 
     `source_ohm` is the resistance of the source, which an input of 10 MOhm loads. `mains_v` is the amplitude of
     the mains voltage on the signal; an integration over whole cycles cancels it. `zero_drift_v_s` is the drift of
-    the zero with autozero off, V/s. `flicker_v` is the standard deviation of 1/f noise per decade of frequency.
+    the zero with autozero off, V/s. `flicker_v` is the standard deviation of 1/f noise per decade of frequency;
+    `reference_flicker` is that of the meter's reference, as a fraction of the signal.
     Sources: 34401A User's Guide, chapter 7, "Loading errors", "Rejecting power-line noise voltages"; E1412A data
     sheet (autozero off).
     """
@@ -187,6 +188,7 @@ class InputFlaws:
     mains_v: float = 0.0
     zero_drift_v_s: float = 0.0
     flicker_v: float = 0.0
+    reference_flicker: float = 0.0
 
     def loading(self, input_ohm: float) -> float:
         """Return the fraction of the source's voltage that is left at an input of `input_ohm`."""
@@ -201,7 +203,7 @@ class InputFlaws:
 
 
 _FLICKER_DECADES: Final = (-5, -4, -3, -2, -1)
-"""The decades of frequency, as log10 of Hz, of the 1/f noise of an input."""
+"""The decades of frequency, as log10 of Hz, of the 1/f noise of an input or a reference."""
 _INPUT_OHM: Final = 10e6
 _HIGH_IMPEDANCE_OHM: Final = 10e9
 
@@ -296,16 +298,22 @@ class Converter:
             signal_v += flaws.pick_up_v(self.integration_s(configuration), self._line_hz, phase_rad)
         if not configuration.autozero:
             signal_v += flaws.zero_drift_v_s * time_s
-        return signal_v + (self._flicker_v(flaws.flicker_v, time_s) if flaws.flicker_v else 0.0)
+        signal_v *= 1.0 + self._flicker("voltmeter reference", flaws.reference_flicker, time_s)
+        return signal_v + self._flicker("voltmeter flicker", flaws.flicker_v, time_s)
 
-    def _flicker_v(self, deviation_v: float, time_s: float) -> float:
-        """Return 1/f noise of `deviation_v` per decade, V: per decade four sines of equal power and fixed phase."""
-        drawn = self._source.fixed_random("voltmeter flicker").random((len(_FLICKER_DECADES), 4, 2))
-        per_sine_v = deviation_v * math.sqrt(2.0 / 4.0)
-        return per_sine_v * sum(
-            math.sin(2.0 * math.pi * (10.0 ** (decade + float(where)) * time_s + float(phase)))
-            for decade, sines in zip(_FLICKER_DECADES, drawn, strict=True)
-            for where, phase in sines
+    def _flicker(self, purpose: str, deviation: float, time_s: float) -> float:
+        """Return 1/f noise of `deviation` per decade: per decade four sines of equal power and fixed phase."""
+        if not deviation:
+            return 0.0
+        drawn = self._source.fixed_random(purpose).random((len(_FLICKER_DECADES), 4, 2))
+        return (
+            deviation
+            * math.sqrt(2.0 / 4.0)
+            * sum(
+                math.sin(2.0 * math.pi * (10.0 ** (decade + float(where)) * time_s + float(phase)))
+                for decade, sines in zip(_FLICKER_DECADES, drawn, strict=True)
+                for where, phase in sines
+            )
         )
 
     def step(self, configuration: Measurement) -> float:

@@ -65,7 +65,7 @@ def read_regular(path: Path, most_bytes: int | None = None) -> bytes:
         content = file.read() if most_bytes is None else file.read(most_bytes + 1)
     if most_bytes is not None and len(content) > most_bytes:
         size = f"{most_bytes / MEGABYTE:g} MB"
-        raise OSError(errno.EFBIG, f"it has more than {size}", str(path))
+        raise OSError(errno.EFBIG, f"the file has more than {size}", str(path))
     return content
 
 
@@ -94,7 +94,7 @@ def _from_pipe(path: Path) -> bytes:
         except BlockingIOError:  # a writer has the pipe open but has not written yet
             begun = None
         if begun == b"":
-            raise OSError(errno.EPIPE, "this is a pipe without a writer", str(path))
+            raise OSError(errno.EPIPE, "the pipe has no writer", str(path))
         os.set_blocking(descriptor, True)
         return (begun or b"") + pipe.read()
 
@@ -192,7 +192,7 @@ def _opened_at_once(path: Path) -> BinaryIO:
         descriptor = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
     except OSError as error:
         if error.errno == errno.ENXIO:
-            raise OSError(errno.ENXIO, "this is a pipe without a reader; start the reader first") from None
+            raise OSError(errno.ENXIO, "the pipe has no reader; start the reader first") from None
         raise
     os.set_blocking(descriptor, True)
     return os.fdopen(descriptor, "wb")

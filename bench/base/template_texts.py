@@ -100,7 +100,7 @@ def entry_of(segment: Segment) -> tuple[Entry | None, list[str], str]:
         else:
 
             def blank(found: re.Match[str], as_is: bool = kind == "tag" or at in segment.raw) -> str:
-                expression = found[0][2:-2].strip()
+                expression = _expression(found[0])
                 values.append(expression if as_is else f"_shown({expression})")
                 return f"{{{len(values) - 1}}}"
 
@@ -170,10 +170,21 @@ def _translated(segment: Segment) -> str:
     entry, values, count = entry_of(middle)
     if entry is None:
         return "".join(
-            f"{{{{ _shown({told[2:-2].strip()}) }}}}" if kind == "value" and at not in segment.raw else told
+            _shown_value(told) if kind == "value" and at not in segment.raw else told
             for at, (kind, told) in enumerate(segment.tokens)
         )
     return f"{before}{lead}{_call(entry, values, count)}{tail}{after}"
+
+
+def _expression(value: str) -> str:
+    """Return the expression in `{{ … }}` or `{{- … -}}`; the minus signs control white space."""
+    return value[2:-2].strip("-").strip()
+
+
+def _shown_value(value: str) -> str:
+    """Return `{{ … }}` with its expression translated, and its control of white space as it is."""
+    before, after = ("-" if sign == "-" else "" for sign in (value[2], value[-3]))
+    return f"{{{{{before} _shown({_expression(value)}) {after}}}}}"
 
 
 def _call(entry: Entry, values: list[str], count: str) -> str:
@@ -185,10 +196,10 @@ def _call(entry: Entry, values: list[str], count: str) -> str:
 def _tag(part: str) -> str:
     def of(found: re.Match[str]) -> str:
         entry, values, count = entry_of(segment_of(found["text"]))
-        value = re.fullmatch(r"\{\{((?:(?!\}\}).)*)\}\}", found["text"])
+        value = re.fullmatch(r"\{\{(?:(?!\}\}).)*\}\}", found["text"])
         text = found["text"] if entry is None else _call(entry, values, count)
         if entry is None and value is not None:
-            text = f"{{{{ _shown({value[1].strip()}) }}}}"
+            text = _shown_value(value[0])
         return f'{found["name"]}="{text}"'
 
     return ATTRIBUTE.sub(of, part) if part.startswith("<") else part

@@ -48,7 +48,7 @@ def carried_out(request: Batch, tell: Callable[[Iterable[str]], None]) -> BatchR
         except KeyboardInterrupt:
             done = len(listed.runs) - len(store.begin(job, request.over, listed.runs).pending)
             raise Refused(
-                f"stopped by Ctrl-C; {done} of {len(listed.runs)} runs are done; the same command continues"
+                f"stopped by Ctrl-C; {done} of {len(listed.runs)} runs are done; repeat the command to continue"
             ) from None
         return conclude(store)
 

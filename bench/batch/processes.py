@@ -253,7 +253,8 @@ def by_scheduler(job: Job, runs: Iterator[str], address: str) -> Iterator[Row]:
     except (OSError, TimeoutError):
         client.close(timeout=2)
         raise Refused(
-            f"--scheduler {address}: it has no worker; start some with 'dask worker {address} --nthreads 1'"
+            f"--scheduler {address}: the scheduler has no worker; start workers with 'dask worker {address} "
+            "--nthreads 1'"
         ) from None
     try:
         yield from _rows_of(dask, client, job, runs, address)
@@ -300,8 +301,8 @@ def _row(dask: Any, future: Any, run: str, address: str) -> Row:
     except Exception as problem:
         told = " ".join(str(problem).split())
         raise Refused(
-            f"--scheduler {address}: its workers failed ({type(problem).__name__}: {told}); install the same "
-            "packages there"
+            f"--scheduler {address}: its workers failed ({type(problem).__name__}: {told}); install the packages "
+            "of this computer on theirs, too"
         ) from None
 
 
@@ -312,7 +313,10 @@ def of_program(asked: dict[str, str], job: Job, run: str) -> Row:
         f"{name} is {mine.get(name)}, here {asked[name]}" for name in asked if mine.get(name) != asked[name]
     ]
     if other:
-        raise RuntimeError(f"a worker has another version; install the same one: its {'; its '.join(other)}")
+        raise RuntimeError(
+            "a worker has other versions than this computer; install the same ones there: its "
+            f"{'; its '.join(other)}"
+        )
     from bench.batch.work import worked
 
     return worked(job, run)

@@ -49,10 +49,12 @@ def list_runs(
     words = [word for given in over for word in _words(given)]
     asked = [word for word in words if is_question(word)]
     if not any(words):
-        raise Refused(f"{option}: name the runs, such as {option} 'runs/*' or {option} unit=Q-17")
+        raise Refused(f"{option} names no run; give runs, such as {option} 'runs/*' or {option} unit=Q-17")
     if asked and len(asked) < len(words):
         other = next(word for word in words if not is_question(word))
-        raise Refused(f"{option} {other}: a pattern and a query together ({asked[0]}); give one of them")
+        raise Refused(
+            f"{option} {other}: patterns of names and conditions ({asked[0]}) cannot be mixed; give one kind"
+        )
     found = _asked(asked, catalogue) if asked else _there(words, runs)
     if not found.runs:
         kind = "no run in the catalogue matches" if asked else "no run is there"
@@ -200,7 +202,7 @@ class Store:
         told += _differences(before["program"], asked["program"], "the program's ")
         if told:
             raise Refused(
-                f"{self.folder}: its batch was started differently: {'; '.join(told)}; use the same "
+                f"{self.folder}: its batch was started with other options: {'; '.join(told)}; use the same "
                 "options, or name another folder with --out"
             )
 
@@ -213,7 +215,7 @@ class Store:
                 raise ValueError(f"format {noted['format']}")
         except FileNotFoundError:
             raise Refused(
-                f"{self.folder}: no batch there (no {BATCH} in it); name the folder of a batch"
+                f"{self.folder}: the folder has no batch (no {BATCH} in it); name the folder of a batch"
             ) from None
         except (OSError, ValueError, KeyError, TypeError) as problem:
             raise Refused(f"{file}: cannot be read ({problem}); name another folder with --out") from None
@@ -247,7 +249,9 @@ class Store:
                 table = parquet.read_table(part, columns=["run", "fingerprint"])
             except (OSError, ValueError, KeyError) as problem:
                 first = str(problem).splitlines()[0]
-                raise Refused(f"{part}: damaged ({first}); delete it: its runs are computed again") from None
+                raise Refused(
+                    f"{part}: damaged ({first}); delete this file, and its runs are computed again"
+                ) from None
             for run, mark in zip(table["run"].to_pylist(), table["fingerprint"].to_pylist(), strict=True):
                 if mark in done.get(run, ()):
                     raise Refused(

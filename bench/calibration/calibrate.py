@@ -195,8 +195,8 @@ def usable_rows(readings: Readings, model: ForwardModel) -> Readings:
     rows = readings.oriented()
     if len(readings) and np.all(readings.installation == REFERENCE):
         raise CalibrationError(
-            f"{readings.source}: a record at a known input has no coefficients of a block; 'bench calibrate', "
-            "'report', 'stability', 'diagnose' and 'confirm' evaluate it"
+            f"{readings.source}: a record at a known input has no coefficients of a block; evaluate it with "
+            "'bench calibrate', 'report', 'stability', 'diagnose' or 'confirm'"
         )
     if len(rows) == 0:
         raise CalibrationError(

@@ -100,11 +100,11 @@ class DecisionRule:
             return cls(name, 1.0)
         if name == SIMPLE:
             raise CalibrationError(
-                "simple acceptance has no guard band; remove it, or choose the rule 'guarded'"
+                "simple acceptance has no guard band; remove the guard band, or choose the rule 'guarded'"
             )
         if not (math.isfinite(guard_band) and guard_band > 0.0):
             raise CalibrationError(
-                f"a guard band of {guard_band:g} U: expected a positive number, such as 0.83"
+                f"a guard band of {guard_band:g} U is not positive; give a positive number, such as 0.83"
             )
         return cls(name, guard_band)
 
@@ -380,8 +380,8 @@ class Population:
         sizes = (self.mean, self.standard_deviation)
         if not all(map(math.isfinite, sizes)) or self.standard_deviation <= 0.0:
             raise CalibrationError(
-                f"a population of mean {self.mean:g} and standard deviation {self.standard_deviation:g}: "
-                "expected two numbers, the second positive"
+                f"a population of mean {self.mean:g} and standard deviation {self.standard_deviation:g} is "
+                "impossible; give two numbers, the second above 0"
             )
 
     @property

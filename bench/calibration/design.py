@@ -14,7 +14,7 @@ from bench.calibration.noise import KnownNoise, KnownStand
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect, Parameter, Stage
 from bench.model.effects.base import InPart
-from bench.model.forward import ForwardModel
+from bench.model.forward import ForwardModel, Stages
 from bench.model.geometry import STAND_ANGLES, Block
 
 FIXED = 12
@@ -290,7 +290,7 @@ class Problem:
 
     def _linear_with_effects(self, block: Block, others: Floats) -> Linearisation:
         here, stand = self._model_at(others), self.stand_matrix(others)
-        chain = _Chain(here, self.conditions, block, stand)
+        stages = Stages(here, block, self.conditions, stand)
         early = any(applied.effect.stage not in AFTER_FORCE for applied in here.effects)
         columns = np.empty((len(self.conditions), 3, FIXED + len(others)))
         shift = 1e-3 * float(np.max(np.abs(block.K)))
@@ -298,7 +298,9 @@ class Problem:
             step = np.zeros(FIXED)
             step[j] = shift
             blocks = [Block.from_vector(block.vector + way) for way in (step, -step)]
-            up, down = (here.readings(of, self.conditions, stand) if early else chain.of(of) for of in blocks)
+            up, down = (
+                here.readings(of, self.conditions, stand) if early else stages.of(of) for of in blocks
+            )
             columns[:, :, j] = (up - down) / (2 * shift)
         for j in range(len(others)):
             step = self.other_step(j)
@@ -308,9 +310,9 @@ class Problem:
                 up, down = (here.readings(block, self.conditions, at) for at in stands)
             else:
                 i = self.effects[j - len(self.stand)].effect
-                up, down = (chain.instead(here.effects[i], self.effect_at(i, at)) for at in ways)
+                up, down = (stages.instead(here.effects[i], self.effect_at(i, at)) for at in ways)
             columns[:, :, FIXED + j] = (up - down) / (2 * step[j])
-        return Linearisation(chain.readings, columns, self.slope(block, others))
+        return Linearisation(stages.readings, columns, self.slope(block, others))
 
     def _model_at(self, others: Floats) -> ForwardModel:
         """Return the model with the values `others` (q,) of the unknowns after the coefficients."""
@@ -321,48 +323,6 @@ class Problem:
         step = np.zeros(len(self.stand) + len(self.effects))
         step[j] = 1e-3 * self.prior_u[j] if j >= len(self.stand) else STEP_RAD
         return step
-
-
-class _Chain:
-    """The stages from stand to readings, evaluated once at a point; a step then evaluates only the later stages."""
-
-    def __init__(self, model: ForwardModel, conditions: Conditions, block: Block, stand_rad: Floats) -> None:
-        self._model, self._conditions, self._block = model, conditions, block
-        rows = stand_rad[conditions.mount]
-        self._stand, self._angle = model.angles(conditions, rows, conditions.angle_rad, block)
-        static = model.static_force(conditions, self._stand, self._angle)
-        self._force = model.force(static, conditions, block)
-        self._voltage_v = model.output(self._force, conditions, block)
-        self.readings = model.voltmeter_readings(self._voltage_v, conditions, block)
-        self._signals = {
-            Stage.STAND: rows,
-            Stage.HEAD_ANGLE: conditions.angle_rad,
-            Stage.SPECIFIC_FORCE: static,
-            Stage.BLOCK_OUTPUT: self._force,
-            Stage.VOLTMETER_READING: self._voltage_v,
-        }
-
-    def of(self, block: Block) -> Floats:
-        """Return the readings (n, 3) of another block, if no effect of the model changes the force."""
-        voltage_v = self._model.output(self._force, self._conditions, block)
-        return self._model.voltmeter_readings(voltage_v, self._conditions, block)
-
-    def instead(self, old: AppliedEffect, new: AppliedEffect) -> Floats:
-        """Return the readings (n, 3) with the effect `new` in place of `old`, which is in the model."""
-        model, given, stage = self._model, (self._conditions, self._block), old.effect.stage
-        signal = self._signals[stage]
-        change = model.addition(new, signal, *given) - model.addition(old, signal, *given)
-        if stage is Stage.VOLTMETER_READING:
-            return self.readings + change
-        if stage is Stage.BLOCK_OUTPUT:
-            return model.voltmeter_readings(self._voltage_v + change, *given)
-        if stage is Stage.SPECIFIC_FORCE:
-            force = self._force + change
-        else:
-            stand = self._stand + change if stage is Stage.STAND else self._stand
-            angle = self._angle + change if stage is Stage.HEAD_ANGLE else self._angle
-            force = model.force(model.static_force(self._conditions, stand, angle), *given)
-        return model.voltmeter_readings(model.output(force, *given), *given)
 
 
 def coefficient_columns(force: Floats) -> Floats:

@@ -86,8 +86,9 @@ def refuse_wrong_angle_unit(problem: Problem, signal: Floats, residuals: Floats)
     unit = min(left, key=lambda name: left[name])
     if left[unit] < MUCH_BETTER_ANGLES * as_given and left[unit] < BADLY * whole:
         raise CalibrationError(
-            f"the angles look like {unit}, not degrees: in degrees they leave {100 * as_given / whole:.2g} % of "
-            f"the variance of the signals, as {unit} {100 * left[unit] / whole:.2g} %; write angle_deg in degrees"
+            f"the angles look like {unit}, not degrees: read as degrees they leave {100 * as_given / whole:.2g} "
+            f"% of the variance of the signals unexplained, read as {unit} {100 * left[unit] / whole:.2g} %; "
+            "write angle_deg in degrees"
         )
 
 
@@ -249,8 +250,8 @@ def at_nominal_angles(rows: Readings) -> Readings:
     nominal[usable] = papers[usable]
     if np.any(missing & ~usable):
         raise CalibrationError(
-            f"{_place(rows, missing & ~usable)} has no nominal angle; add the column target_deg, or use "
-            "the angles read back"
+            f"{_place(rows, missing & ~usable)} has no nominal angle; add the column target_deg, or leave out "
+            "--nominal-angles"
         )
     return replace(rows, angle_rad=nominal)
 

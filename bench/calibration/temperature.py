@@ -94,7 +94,7 @@ def sort_readings(tables: Sequence[Readings]) -> ThermalReadings:
     units = sorted({table.unit for table in tables})
     if len(units) > 1:
         raise CalibrationError(
-            f"the readings are in different units ({', '.join(units)}); use files in one unit"
+            f"the readings are in different units ({', '.join(units)}); leave out the files in other units"
         )
     parts, mountings, visits, branches, means = [], [], [], [], []
     last_mounting = last_visit = 0
@@ -383,7 +383,7 @@ def make_table(model: TemperatureModel, reach_g: float, step_k: float | None = N
     if step_k is not None:
         if not (np.isfinite(step_k) and span / MOST_STEPS <= step_k <= span):
             raise CalibrationError(
-                f"a step of {step_k:g} K does not fit a table from {low:.1f} to {high:.1f} °C; state one "
+                f"a step of {step_k:g} K does not fit a table from {low:.1f} to {high:.1f} °C; give a step "
                 f"between {span / MOST_STEPS:.2g} and {span:.3g} K"
             )
         return _table(model, reach_g, int(np.ceil(span / step_k - 1e-9)))
@@ -401,7 +401,10 @@ def inverse_entries(model: TemperatureModel, temperature_c: Floats) -> Floats:
     coefficients = model.coefficients(temperature_c)
     scale = coefficients[:, :9].reshape(-1, 3, 3)
     if not np.isfinite(scale).all() or np.any(np.linalg.cond(scale) > 1e8):
-        raise CalibrationError("the matrix K is singular at some temperature; check the readings")
+        raise CalibrationError(
+            "the matrix K is singular at some temperature; check that all three channels "
+            "respond at each temperature"
+        )
     return np.hstack([np.linalg.inv(scale).reshape(-1, 9), coefficients[:, 9:]])
 
 

@@ -252,7 +252,8 @@ def tumble_view(
     strange = [term for term in terms if term not in HOMES]
     if strange or len(set(terms)) < len(terms):
         raise CalibrationError(
-            f"terms {', '.join(strange or terms)}: give each once, from {', '.join(HOMES)}"
+            f"terms {', '.join(strange or terms)}: {'unknown' if strange else 'given twice'}; give each once, "
+            f"from {', '.join(HOMES)}"
         )
     assumed = dict(assumed_u or {})
     sizes = {**stand_u, **assumed}

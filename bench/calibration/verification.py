@@ -222,7 +222,7 @@ def points_of(readings: Readings) -> Readings:
     rows = readings.verification()
     if len(rows) == 0:
         raise CalibrationError(
-            f"{readings.source}: it has no verification point (installation V); run a procedure with "
+            f"{readings.source}: the readings have no verification point (installation V); run a procedure with "
             "some, such as 'calibration'"
         )
     return rows

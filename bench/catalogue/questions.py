@@ -109,7 +109,7 @@ def _signed(operator: str, condition: Condition) -> Condition:
         return condition
     if operator == "!=":
         return not_(func.coalesce(condition, False))
-    raise ValueError("expected = or !=")
+    raise ValueError("expected the operator = or !=")
 
 
 def _text(*columns: ColumnElement[Any]) -> Build:
@@ -178,7 +178,7 @@ def _time(fixed: str | None = None) -> Build:
 
     def build(operator: str, value: str) -> Condition:
         if fixed and operator != "=":
-            raise ValueError("expected =")
+            raise ValueError("expected the operator =")
         return _compared(RUNS.c.created, fixed or operator, moment(value))
 
     return build

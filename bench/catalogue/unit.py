@@ -142,9 +142,9 @@ def _checked(limit_g: float | None, interval_days: float | None) -> float:
     """Return the interval in days. Raises `Refused` for an invalid limit or interval."""
     for option, value in (("--limit", limit_g), ("--interval", interval_days)):
         if value is not None and not value > 0.0:
-            raise Refused(f"{option} {value:g}: give a number above zero")
+            raise Refused(f"{option} {value:g} is not positive; give a number above zero")
     if interval_days is not None and interval_days > MOST_DAYS:
-        raise Refused(f"--interval {interval_days:g}: expected at most {MOST_DAYS} days")
+        raise Refused(f"--interval {interval_days:g} is too long; give at most {MOST_DAYS} days")
     return interval_days or INTERVAL_DAYS
 
 
@@ -283,7 +283,9 @@ def compared_of(catalogue: Catalogue, name: str) -> tuple[CoefficientTable, bool
 def _name_of(catalogue: Catalogue, unit: str) -> str:
     if "*" in unit:
         command = f"bench catalogue ask {as_typed(f'unit={unit}')} --of units"
-        raise Refused(f"{unit}: name one unit; '{command}' lists them")
+        raise Refused(
+            f"{unit}: a pattern may mean several units; give the name of one unit ('{command}' lists them)"
+        )
     asked = select(RUNS.c.unit).distinct().where(condition_of([f"unit={unit}"])).order_by(RUNS.c.unit)
     with catalogue.reading() as connection:
         names = [str(name) for name in connection.execute(asked).scalars()]

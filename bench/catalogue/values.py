@@ -190,12 +190,15 @@ def measured_of(table: CoefficientTable) -> tuple[ComparedCalibrations, Mask, tu
     simulated = kept.simulated
     if simulated.any() and not simulated.all():
         raise Refused(
-            f"{int(simulated.sum())} of {len(simulated)} calibrations are simulated; add simulated=yes or "
-            "simulated=no"
+            f"{int(simulated.sum())} of {len(simulated)} calibrations are simulated, the others real; add "
+            "simulated=yes or simulated=no"
         )
     signals = sorted(set(kept.signal_unit.tolist()))
     if len(signals) > 1:
-        raise Refused(f"signals in {', '.join(signals)} cannot be compared; narrow the question")
+        raise Refused(
+            f"signals in {', '.join(signals)} cannot be compared; narrow the conditions to units with "
+            "one kind of signal, such as with type="
+        )
     if np.isnan(kept.u_meters).any():
         notes.append(
             "some results do not state the part of u that their meters share; it counts as independent"
@@ -256,5 +259,8 @@ def compared(table: CoefficientTable, method: str | None = None) -> BenchCompari
 def _snapshot(folder: Path, block: str) -> Snapshot:
     found = snapshots_in(folder / CALIBRATE_FILE)
     if len(found) != 1:
-        raise Refused(f"{folder / CALIBRATE_FILE}: has {len(found)} results, not one; run 'bench calibrate'")
+        raise Refused(
+            f"{folder / CALIBRATE_FILE}: the file has {len(found)} results instead of one; write it "
+            "again with 'bench calibrate'"
+        )
     return replace(found[0], block=block)

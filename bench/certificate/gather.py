@@ -75,7 +75,7 @@ def certificate_of(
         if before.item != found.item:
             raise Refused(
                 f"{run}: the run as found, {adjusted.as_found}, is of unit {before.item.type} "
-                f"{before.item.serial}; name the run of this unit under 'adjusted'"
+                f"{before.item.serial}; write a run of this unit as 'as_found' under 'adjusted'"
             )
     return Certificate(found, texts_for(laboratory), laboratory, order, unit, before, issue)
 

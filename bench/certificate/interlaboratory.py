@@ -62,7 +62,9 @@ class Kit(_PlanPart):
         """Return the stop with this blind code. Raises `Refused` for an unknown code."""
         found = next((stop for stop in self.stops if stop.code == code), None)
         if found is None:
-            raise Refused(f"{code}: no such code; the plan has {', '.join(s.code for s in self.stops)}")
+            raise Refused(
+                f"{code}: the plan has no such code; choose from {', '.join(s.code for s in self.stops)}"
+            )
         return found
 
 
@@ -73,7 +75,10 @@ def plan_kit(block: str, laboratories: Sequence[str], seed: int) -> Kit:
     three laboratories, or a name given twice.
     """
     if len(laboratories) < 3 or len(set(laboratories)) < len(laboratories):
-        raise Refused("--laboratory: name three or more, each once, the pilot first")
+        raise Refused(
+            "--laboratory: a comparison needs three or more laboratories, each named once; add "
+            "--laboratory NAME for each, the pilot first"
+        )
     rng = np.random.default_rng(seed)
     pilot, *others = laboratories
     route = [pilot]
@@ -153,7 +158,10 @@ def evaluate_kit(
     once = [s.code for s in kit.stops if s.code not in pilots[1:]]
     units = sorted({one.unit for one in there.values()})
     if len(units) > 1:
-        raise Refused(f"results in {', '.join(units)}: compare signals of one unit")
+        raise Refused(
+            f"the results are in different units ({', '.join(units)}); compare calibrations whose "
+            "signals have one unit"
+        )
     nine = [there[code].per_standard_g().in_nine() for code in once]
     values, covariances = (np.array([getattr(one, of) for one in nine]) for of in ("vector", "covariance"))
     drifts = [*_between_pilots(pilots, there), *_between_checks(kit, checks or {})]
@@ -204,7 +212,8 @@ def _between_checks(kit: Kit, checks: Mapping[str, Sequence[str]]) -> Iterator[_
                 code, own = before
                 if own.names != run.names:
                     raise Refused(
-                        f"{code}, {stop.code}: monitors of different axes; give runs of one procedure"
+                        f"{code}, {stop.code}: the monitor runs turned different axes; give runs of one monitor "
+                        "procedure"
                     )
                 dof, covariance = own.s_dof + run.s_dof, own.covariance + run.covariance
                 yield code, stop.code, "monitor", Drift(run.names, run.value - own.value, covariance, dof)
@@ -223,7 +232,7 @@ def _by_code(given: Sequence[str]) -> dict[str, list[str]]:
     files: dict[str, list[str]] = {}
     for code, _, file in (one.partition("=") for one in given):
         if not code or not file:
-            raise Refused(f"{code or file}: give each file as CODE=FILE")
+            raise Refused(f"{code or file}: code or file is missing; give each file as CODE=FILE")
         files.setdefault(code, []).append(file)
     return files
 
@@ -231,7 +240,9 @@ def _by_code(given: Sequence[str]) -> dict[str, list[str]]:
 def _results(request: SealKit) -> dict[str, str]:
     files = _by_code(request.results)
     if twice := [code for code, given in files.items() if len(given) > 1]:
-        raise Refused(f"{', '.join(twice)}: give each result once, as CODE=FILE")
+        raise Refused(
+            f"{', '.join(twice)}: several results were given for one code; give each code once, as CODE=FILE"
+        )
     return {code: file for code, (file,) in files.items()}
 
 

@@ -328,7 +328,8 @@ class UnitOrder(FileModel):
     def _left_where_adjusted(self) -> UnitOrder:
         if self.adjusted is not None and self.state == AS_FOUND:
             raise ValueError(
-                "an adjusted unit is 'as left'; name the run before the adjustment under 'adjusted'"
+                "'adjusted' contradicts 'state: as found', because an adjusted unit is 'as left'; write 'state: "
+                "as left', and the run before the adjustment as 'as_found' under 'adjusted'"
             )
         return self
 

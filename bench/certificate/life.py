@@ -66,7 +66,10 @@ def desk_of(request: Issuing, passphrase: Callable[[], bytes]) -> Desk:
     laboratory, order, by = request.laboratory, request.order, request.authorised_by
     if laboratory is None or order is None or by is None:
         lacking = [option for option, given in needed.items() if given is None]
-        raise Refused(f"a certificate needs {', '.join(lacking)}; a draft (--draft) needs none of them")
+        raise Refused(
+            f"a certificate needs {', '.join(lacking)}; add them, or make a draft with --draft, which "
+            "needs none of them"
+        )
     schemas = signatory = None
     if request.schema is not None:
         from bench.certificate.dcc.rules import read_schemas
@@ -85,7 +88,7 @@ def desk_of(request: Issuing, passphrase: Callable[[], bytes]) -> Desk:
 def laboratory_in(file: Path | None) -> Laboratory:
     """Read a laboratory file. Raises `Refused` if `file` is None, `FileMistakes` for mistakes in the file."""
     if file is None:
-        raise Refused("the laboratory is needed and no file names it; give --laboratory FILE")
+        raise Refused("no laboratory file is named; give --laboratory FILE")
     return load_laboratory(file)
 
 
@@ -179,7 +182,9 @@ def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) ->
         old = holds(register, number).entry
         item = certificate.found.item
         if old.data["unit"] != {"type": item.type, "serial": item.serial}:
-            raise Refused(f"{number}: is for another unit than {name}; name a run of the same unit")
+            raise Refused(
+                f"{number}: the certificate is for another unit than {name}; name a run of the same unit"
+            )
         kind = "replaced" if replaced else "amended"
         before = Before(kind, number, old.time[:10], reason, old.files[f"{number}.xml"])
         return _write(certificate, desk, person, register, before)
@@ -189,7 +194,7 @@ def revoke(request: RevokeCertificate) -> None:
     """Record the revocation of a certificate. Raises `Refused` if it is not valid now."""
     laboratory = laboratory_in(request.laboratory)
     if request.authorised_by is None:
-        raise Refused("give --authorised-by NAME")
+        raise Refused("nobody is named who authorises the revocation; give --authorised-by NAME")
     person = laboratory.authorised_person(request.authorised_by)
     with opened(laboratory.register_folder) as register:
         holds(register, request.number)
@@ -264,7 +269,7 @@ def bodies_of(certificate: Certificate, schemas: etree.XMLSchema | None = None) 
     wrong = [*broken_rules(xml), *(() if schemas is None else against_schemas(schemas, xml))]
     if wrong:
         raise Refused(
-            f"{certificate.number}: its document is not a valid DCC; correct the laboratory and "
+            f"{certificate.number}: the XML of the certificate is not a valid DCC; correct the laboratory and "
             f"order files: {'; '.join(wrong[:5])}"
         )
     return {"xml": xml, "pdf": _body(certificate, xml)}
@@ -311,7 +316,8 @@ def made_again(register: Register, number: str, runs: Path) -> Bodies:
     certificate = certificate_of(entry.data["run"], runs, laboratory, order, issue)
     if certificate.found.record.head != entry.data["record"]["head"]:
         raise Refused(
-            f"{number}: the record of {entry.data['run']} changed since it was made; restore it from a copy"
+            f"{number}: the record of run {entry.data['run']} changed since the certificate was made; restore "
+            "the run from a copy"
         )
     seal = register.kept(kept["seal"]).decode()
     record = replace(certificate.found.record, seal=seal, sealed=read_json(seal.encode())["sealed"])
@@ -325,7 +331,9 @@ def checked(request: CheckRegister) -> tuple[RegisterResult, list[Path]]:
     compared. Raises `Refused` for a number that was never issued.
     """
     if request.out is not None and request.number is None:
-        raise Refused("--out: give the number of the certificate to hand out")
+        raise Refused(
+            "--out hands out one certificate, but no number is given; add the number of the certificate"
+        )
     folder = laboratory_in(request.laboratory).register_folder
     with opened(folder) as register:
         result = register_result(
@@ -376,8 +384,8 @@ def _same(register: Register, number: str, runs: Path, problems: list[str]) -> b
     wrong = [name for name, digest in again.items() if stated[name] != digest]
     if wrong:
         problems.append(
-            f"{number}: its {' and '.join(wrong)}, made again, differs from the issued file; compare the run and "
-            "the program's version with those at issue, and restore what changed"
+            f"{number}: {' and '.join(wrong)} of the certificate, made again, differs from the issued file; "
+            "compare the run and the program's version with those at issue, and restore what changed"
         )
     return not wrong
 
@@ -387,7 +395,7 @@ def handed_out(register: Register, number: str, folder: Path) -> list[Path]:
     entry = issued(register, number).entry
     contents = {name: register.file(name) for name in entry.files}
     if folder.absolute() == register.folder.absolute():
-        raise Refused(f"--out {folder}: that is the register's own folder; name another")
+        raise Refused(f"--out {folder}: this is the register's own folder; name another folder")
     folder.mkdir(parents=True, exist_ok=True)
     for name, content in contents.items():
         write_whole(folder / name, content)

@@ -72,7 +72,9 @@ class Register(Chain):
         with refusing("check name and permissions", self.folder / name, verb="read"):
             content = read_regular(self.folder / name)
         if hashlib.sha256(content).hexdigest() != stated:
-            raise Refused(f"{self.folder / name}: not the issued file; restore it from a copy")
+            raise Refused(
+                f"{self.folder / name}: the file differs from the issued one; restore it from a copy"
+            )
         return content
 
     def damaged_files(self) -> list[str]:
@@ -96,7 +98,9 @@ class Register(Chain):
         standing = self.standings.get(entry.number)
         if entry.kind == ISSUED:
             if standing is not None:
-                raise Refused(f"{where}: number {entry.number} was issued twice; restore it from a copy")
+                raise Refused(
+                    f"{where}: number {entry.number} was issued twice; restore the register from a copy"
+                )
             self.standings[entry.number] = NumberStatus(entry)
             before = entry.data.get("before") or {}
             old = self.standings.get(str(before.get("number")))
@@ -108,7 +112,8 @@ class Register(Chain):
             )
         else:
             raise Refused(
-                f"{where}: {entry.kind} of {entry.number} cannot follow here; restore it from a copy"
+                f"{where}: the entry '{entry.kind}' of {entry.number} contradicts the entries before it; restore "
+                "the register from a copy"
             )
 
     def _put_in_place(self, entry: Entry) -> None:

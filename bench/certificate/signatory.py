@@ -121,7 +121,9 @@ def certificates_in(file: Path) -> tuple[Certificate, ...]:
         with refusing("check name and permissions", file, verb="read"):
             return tuple(x509.load_pem_x509_certificates(read_given(file)))
     except ValueError as error:
-        raise Refused(f"{file}: it has no X.509 certificate (PEM); give the chain's file") from error
+        raise Refused(
+            f"{file}: the file has no X.509 certificate (PEM); give the file of the certificate chain"
+        ) from error
 
 
 def _in_file(file: Path, chain: Path | None, passphrase: Callable[[], bytes]) -> Signatory:
@@ -157,14 +159,14 @@ def _check(signatory: Signatory, now: datetime) -> None:
     wrong = []
     public = mine.public_key()
     if isinstance(public, rsa.RSAPublicKey) and public.key_size < _LEAST_RSA_BITS:
-        wrong.append(f"its key has {public.key_size} bits; use one of {_LEAST_RSA_BITS} or more")
+        wrong.append(f"its key has {public.key_size} bits; use a key of {_LEAST_RSA_BITS} bits or more")
     try:
         _proves(public, signatory.sign(b"triaxial-bench"), b"triaxial-bench")
     except (InvalidSignature, ValueError, TypeError):
         wrong.append("it belongs to another key; put the certificate of the key first in its chain")
     if not mine.not_valid_before_utc <= now <= mine.not_valid_after_utc:
         since, until = mine.not_valid_before_utc.date(), mine.not_valid_after_utc.date()
-        wrong.append(f"it is valid from {since} to {until}, not now; use a valid one")
+        wrong.append(f"it is valid from {since} to {until}, not now; use one that is valid now")
     try:
         usage = mine.extensions.get_extension_for_class(x509.KeyUsage).value
     except (x509.ExtensionNotFound, ValueError):
@@ -179,7 +181,7 @@ def _check(signatory: Signatory, now: datetime) -> None:
                 f"'{name_of(below)}' was not issued by '{name_of(above)}', the next in the chain; reorder it"
             )
     if wrong:
-        raise Refused(f"the certificate of '{signatory.name}' cannot be signed with: {'; '.join(wrong)}")
+        raise Refused(f"the certificate of '{signatory.name}' cannot be used for signing: {'; '.join(wrong)}")
 
 
 def _proves(public: object, signature: bytes, message: bytes) -> None:
@@ -227,7 +229,9 @@ def signatory_in_token(
             session.close()  # otherwise the next caller finds the token still logged in
             raise
     except UnicodeDecodeError as error:
-        raise Refused(f"{told}: type the PIN in UTF-8") from error
+        raise Refused(
+            f"{told}: the PIN is not UTF-8 text; set the terminal to UTF-8, and type it again"
+        ) from error
     except pkcs11.exceptions.PKCS11Error as error:
         reason = str(error) or type(error).__name__
         raise Refused(

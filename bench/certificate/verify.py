@@ -233,7 +233,8 @@ def _verify_pdf(found: Findings, file: bytes) -> tuple[ShownValues, dict[str, by
         raise NoCertificate("it is a draft and was never issued")
     if set(attached) != set(RELATIONS):
         raise NotIntact(
-            f"attached are {', '.join(sorted(attached))}, and a certificate has {', '.join(sorted(RELATIONS))}"
+            f"the PDF has the attachments {', '.join(sorted(attached))}, but a certificate has "
+            f"{', '.join(sorted(RELATIONS))}"
         )
     try:
         shown, digital = _verify_xml(found, attached[DCC])
@@ -345,7 +346,9 @@ def against_record(found: Findings, shown: ShownValues, runs: Path) -> None:
         k = next(iter(shown.says.coefficients.values())).k
         again = found_by(seal.run, runs, k, _asked(shown))
     except (Refused, RecordError, CalibrationError) as error:
-        found.wrong.append(f"{folder}: the record gives no result ({error})")
+        found.wrong.append(
+            f"{folder}: the record gives no result ({error}); remove the cause, then verify again"
+        )
         return
     told = f"the record in {folder} is unchanged"
     if again.result_json.encode() == shown.files["result.json"]:

@@ -209,7 +209,10 @@ def _command(control: str | None, text: str) -> int:
     Raises `Refused` if there is no answer or the command is refused.
     """
     if control is None or not text:
-        raise Refused("give a command for the served bench: bench simulate --control HOST:PORT 'turn 45 deg'")
+        raise Refused(
+            "--control needs an address and a command for the served bench; give both: bench simulate "
+            "--control HOST:PORT 'turn 45 deg'"
+        )
     host, _, port = control.rpartition(":")
     if not host or not port.isascii() or not port.isdecimal() or int(port) > 65535:
         raise Refused(f"--control {control}: expected HOST:PORT as 'bench simulate' shows it")

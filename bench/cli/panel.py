@@ -58,7 +58,7 @@ def _of_people(request: ServePanel, what: PeopleCommand) -> int:
 
     out, name, runs = printing.console(), request.name or "", runs_folder(request.runs)
     if what in {PeopleCommand.TOKEN, PeopleCommand.REVOKE} and not name:
-        raise Refused(f"name the person: bench panel {what} NAME")
+        raise Refused(f"no person is named; give the name: bench panel {what} NAME")
     if request.role not in list(Role):
         raise Refused(f"--role {request.role}: choose from {', '.join(Role)}")
     if what is PeopleCommand.LINK:

@@ -109,12 +109,13 @@ def export(request: ExportReadings) -> int:
 @command("bench import readings.csv --name unit-17-by-hand", "import")
 def import_(request: ImportReadings) -> int:
     """Import a readings file that was measured elsewhere as a run."""
-    from bench.services.conclusion import import_readings, preview_log
+    from bench.services.conclusion import check_preview, import_readings, preview_log
 
     out = printing.console()
     if request.preview:
         log = preview_log(request)
         sys.stdout.write(f"{log.preview()}\n")
+        check_preview(request, log)
         out.print(f"{log.rows} rows, {len(log.skipped)} left out; nothing was imported")
         return 0
 

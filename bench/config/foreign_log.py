@@ -17,6 +17,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -32,7 +33,7 @@ from bench.base.text import shortened
 from bench.base.units import plain_unit, unit_of
 from bench.base.yaml_files import FileModel, Place
 from bench.readings.csv import LISTED_AT_ONCE, ReadingsError
-from bench.readings.table import REFERENCE_SD_V, REFERENCE_V, UNITS
+from bench.readings.table import REFERENCE_SD_V, REFERENCE_V, SCAN_ORDER, TEMPERATURE_SOURCE, UNITS
 
 SUFFIXES: Final[Mapping[str, str]] = {"_v": "V", "_s": "s", "_a": "A"}
 """The SI unit of a column of a readings file, by its suffix; other columns are not converted."""
@@ -41,6 +42,9 @@ SCATTER: Final[Mapping[str, str]] = {REFERENCE_V: REFERENCE_SD_V} | {
 }
 """The columns of a readings file that have a column of scatter, with its name."""
 TIME: Final = "time_s"
+INSTALLATION: Final = "installation"
+TEXTS: Final = (INSTALLATION, SCAN_ORDER, TEMPERATURE_SOURCE)
+"""The columns of a readings file whose cells are texts, taken as they are written in the log."""
 TEMPERATURES: Final[Mapping[str, tuple[float, float]]] = {
     "degC": (1.0, 0.0), "K": (1.0, -273.15), "degF": (5.0 / 9.0, -160.0 / 9.0),
 }  # fmt: skip
@@ -64,7 +68,8 @@ class LogColumn(FileModel):
 
     With a `time_format`, the cells of several columns of time (date and time of day) are joined by a blank instead.
     The scatter of several columns is kept for a signal (`ux_sd_v`) and for `reference_v` (`reference_sd_v`) alone.
-    `unit` is the unit in the log. `add`, in the unit of the readings file, is added to the mean.
+    `unit` is the unit in the log. `add`, in the unit of the readings file, is added to the mean. A label of an
+    installation may be written as a decimal number: 1.0 is 1.
     """
 
     columns: Annotated[tuple[str, ...], BeforeValidator(_listed)]
@@ -89,11 +94,16 @@ class LogColumns(FileModel):
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield place and sentence for a unit that does not fit its column, and a column twice in one mean."""
+        """Yield place and sentence for a unit that does not fit its column, and columns that make no mean."""
         columns = data.get("columns") if isinstance(data, dict) else None
         for name, value in columns.items() if isinstance(columns, dict) else ():
             unit = value.get("unit") if isinstance(value, dict) else None
             listed = value.get("columns") if isinstance(value, dict) else value
+            if name in TEXTS:
+                several = isinstance(listed, list) and len(listed) != 1
+                if several or (isinstance(value, dict) and {"unit", "add"} & set(value)):
+                    yield ("columns", name), f"{name} is a text; name one column, without 'unit' and 'add'"
+                continue
             for one in _repeated(listed) if isinstance(listed, list) else ():
                 yield ("columns", name), f"the mean has the column {shortened(str(one))} twice; list it once"
             if isinstance(unit, str):
@@ -117,7 +127,7 @@ def _factor(name: str, unit: str | None) -> float:
         return 1.0
     if name.endswith("_c"):
         if plain_unit(unit) not in TEMPERATURES:
-            raise ValueError(f"{name} is a temperature: its unit is degC, K or degF")
+            raise ValueError(f"the unit {unit} of {name} is no unit of temperature; state degC, K or degF")
         return TEMPERATURES[plain_unit(unit)][0]
     size, dimension = unit_of(plain_unit(unit))
     if wanted is None or dimension != unit_of(wanted)[1]:
@@ -160,7 +170,9 @@ def convert_log(
         raise ReadingsError(f"{path}: not a UTF-8 text file; save it as UTF-8") from error
     separator = {"tab": "\t", "\\t": "\t"}.get(mapping.separator, mapping.separator)
     if len(separator) != 1:
-        raise ReadingsError(f"{path}: the separator of a log is one character or 'tab', not {separator!r}")
+        raise ReadingsError(
+            f"{path}: the separator {separator!r} is not one character; state one character, or 'tab'"
+        )
     lines = [
         (number, line)
         for number, line in enumerate(text.splitlines(), start=1)
@@ -170,7 +182,7 @@ def convert_log(
         csv.reader(io.StringIO("\n".join(line for _, line in lines), newline=""), delimiter=separator)
     )
     if not rows:
-        raise ReadingsError(f"{path}: it has no line but comments; give a log with a header and rows")
+        raise ReadingsError(f"{path}: the log has only comments; give a log with a header and rows")
     if len(rows) != len(lines):
         raise ReadingsError(
             f"{path}: a cell in quotes runs over the end of its line; remove the line break, or close the quote"
@@ -178,7 +190,7 @@ def convert_log(
     header = [cell.strip() for cell in rows[0]]
     _require(path, header, mapping)
     if len(rows) == 1:
-        raise ReadingsError(f"{path}: no row follows its header; give a log with rows")
+        raise ReadingsError(f"{path}: the log has a header but no row; give a log with rows")
     reader = _Rows(header, mapping)
     made, bad = [], []
     for (number, _), cells in zip(lines[1:], rows[1:], strict=True):
@@ -205,13 +217,19 @@ def _require(path: Path, header: Sequence[str], mapping: LogColumns) -> None:
     missing = [name for name in dict.fromkeys(wanted) if name not in header]
     if missing:
         raise ReadingsError(
-            f"{path}, line 1: the header lacks {', '.join(missing)}; the log has {', '.join(header)}"
+            f"{path}, line 1: the log lacks the columns {', '.join(missing)} that the mapping names; correct the "
+            f"mapping (the log has {', '.join(header)})"
         )
     for name in wanted:
         if len(at := [str(k) for k, one in enumerate(header, start=1) if one == name]) > 1:
             raise ReadingsError(
                 f"{path}, line 1: columns {' and '.join(at)} have the same name {name}; give each a name of its own"
             )
+
+
+def _text(name: str, cell: str) -> str:
+    """Return a cell of a column of `TEXTS`; a label such as 1.0 becomes 1."""
+    return re.sub(r"^(\d+)[.,]0*$", r"\1", cell) if name == INSTALLATION else cell
 
 
 class _HourRepeatedError(Exception):
@@ -244,6 +262,9 @@ class _Rows:
             raise ValueError(f"expected {len(self._header)} cells as in the header, got {len(cells)}")
         values, scatter = [], []
         for name, column in self.mapping.columns.items():
+            if name in TEXTS:
+                values.append(_text(name, cells[self._at[name][0]].strip()))
+                continue
             if name == TIME and self.mapping.time_format is not None:
                 joined = " ".join(cells[k].strip() for k in self._at[name])
                 numbers = [self._since_begin(" and ".join(column.columns), joined)]
@@ -252,7 +273,7 @@ class _Rows:
             mean = statistics.fmean(numbers) + self._add[name]
             values.append("" if math.isnan(mean) else repr(mean))
             if name in self._scatter:
-                scatter.append(repr(statistics.stdev(numbers)))
+                scatter.append("" if math.isnan(mean) else repr(statistics.stdev(numbers)))
         return [*self.mapping.constants.values(), *values, *scatter]
 
     def _number(self, name: str, column: str, cell: str) -> float:

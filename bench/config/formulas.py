@@ -112,7 +112,7 @@ class _DimensionReading:
                 return self.operation("+", arguments[0], arguments[1])
             case _ if name == LAGGED:
                 if arguments[1][1] != unit_of("s")[1] and arguments[1][0] is None:
-                    raise ExpressionError("state a time as the second argument of 'lagged'")
+                    raise ExpressionError("the second argument of 'lagged' is not a time; state a time")
                 return None, of_first
         if of_first:
             raise ExpressionError(f"{name} needs a plain number or an angle, not {_told(of_first)}")
@@ -340,7 +340,7 @@ def _shape(name: str, stated: FormulaParameter) -> Parameter:
         raise ValueError(f"{name}: state all values of the grid in units of one kind")
     grid = tuple(number * si for (number, _), (si, _) in zip(numbers, units, strict=True))
     if min(grid) < 0.0:
-        raise ValueError(f"{name}: state a shape of 0 or more")
+        raise ValueError(f"{name}: a shape in the grid is negative; state shapes of 0 or more")
     default = grid[len(grid) // 2]
     if stated.default is not None:
         number, unit = _number(name, stated.default)

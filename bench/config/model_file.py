@@ -311,7 +311,7 @@ class _Reader:
             u = self._number(written["u"], (*place, "u"))
             self.u[rows] = u
             if u < 0.0:
-                self.problems.append(((*place, "u"), "state a standard uncertainty of 0 or more"))
+                self.problems.append(((*place, "u"), "the standard uncertainty is negative; state 0 or more"))
 
     def _number(self, written: Any, place: Place) -> float:
         parameter = self._parameter

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import orth
@@ -96,8 +96,7 @@ KIND_PRIOR: Final = (0.03, 0.01, 0.96)
 """Prior probabilities that an unnamed form with a formula, one without, or a catalogue effect is missing."""
 
 
-@dataclass(frozen=True)
-class Column:
+class Column(NamedTuple):
     """What one column of the design matrix estimates: a parameter, in one channel, in some mountings.
 
     `channel` is 0, 1 or 2, or None if the value is common to all channels. `mounts` are labels of mountings
@@ -109,8 +108,7 @@ class Column:
     mounts: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class Variant:
+class Variant(NamedTuple):
     """One form that a family may take: in which channels and mountings it acts, and with which shape.
 
     `columns` are the indices of the variant's columns in `Candidates.columns`. The last `starts` of them are
@@ -136,7 +134,7 @@ class Variant:
     @property
     def plain(self) -> Variant:
         """The variant without the starting states, as if each mounting began in equilibrium."""
-        return replace(self, columns=self.sizes, starts=0)
+        return self._replace(columns=self.sizes, starts=0)
 
     @property
     def named(self) -> bool:
@@ -255,15 +253,16 @@ def with_terms(candidates: Candidates, linear: LinearSystem) -> Candidates:
     Terms of one course that act on the same quantity of the model are one family, whatever their channels and
     sizes.
     """
-    columns, scale, variants = [candidates.columns], candidates.scale.tolist(), list(candidates.variants)
-    kinds = list(candidates.kinds)
+    columns: list[Floats] = []
+    kinds, scale, variants = list(candidates.kinds), candidates.scale.tolist(), list(candidates.variants)
     for term, channels, sizes in dictionary(linear):
         places = tuple(range(len(kinds), len(kinds) + len(sizes)))
         kinds += [Column(size, channel) for size, channel, _ in sizes]
         scale += [term.unit.plausible] * len(sizes)
-        columns += [column[:, None] for *_, column in sizes]
+        columns += [column for *_, column in sizes]
         variants.append(Variant(term.family, places, channels, term=term))
-    return Candidates(np.concatenate(columns, axis=1), tuple(kinds), np.array(scale), tuple(variants))
+    whole = np.column_stack([candidates.columns, np.array(columns).reshape(-1, len(linear)).T])
+    return Candidates(whole, tuple(kinds), np.array(scale), tuple(variants))
 
 
 def is_form(candidates: Candidates, family: str) -> bool:
@@ -410,7 +409,7 @@ def _add_form(
                 started = tuple(i for c in channels for i in starts.get(c, ()))
                 if started:
                     collector.variants.append(
-                        replace(variant, columns=columns + started, starts=len(started))
+                        variant._replace(columns=columns + started, starts=len(started))
                     )
 
 

@@ -142,8 +142,9 @@ def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Conf
     """Compare a new record at a known input with a model's effects, and diagnose it for further ones.
 
     The effects keep their values. Their sizes from the new record alone are averages over the shapes that this
-    record allows, so that u includes the uncertainty of a lag, a width or a time constant; a jump keeps its time,
-    and a supply its rail. Root mean squares are in V. Raises `CalibrationError` if the record cannot be evaluated,
+    record allows, so that u includes the uncertainty of a lag, a width or a time constant, and of the state at
+    the start of a lag; a jump keeps its time, and a supply its rail. Root mean squares are in V. Raises
+    `CalibrationError` if the record cannot be evaluated,
     or could not show any of the effects.
     """
     record = make_record(readings)
@@ -172,12 +173,19 @@ def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Conf
         if course is not None and mine:
             # estimate each effect from this record alone, with the others at the model's values
             alone = left.less(-record.added(applied))
+            if lag_s := dict(course.shape).get(
+                "lag", 0.0
+            ):  # a record may begin while the temperature changes
+                alone = alone.settling(lag_s)
             tried = [] if course.family == MOVE else forms_of(record, *forms[number])
             free = replace(alone, candidates=courses_of(record, tried))
             near = free.nearest(course.family, course.shape) if len(tried) > 1 else None
-            size, u_size = alone.sizes([course]) if near is None else free.shaped([near], 0)[2:]
+            size, spread = (alone if near is None else free).alone(near or course, keeps_shape=near is None)
             at = [0 if (c := unknowns[i].channel) is None else record.channels.index(c) for i in mine]
-            of.change[mine], of.covariance[mine, mine] = size[at] - of.found[mine], u_size[at] ** 2
+            of.change[mine], of.covariance[np.ix_(mine, mine)] = (
+                size[at] - of.found[mine],
+                spread[np.ix_(at, at)],
+            )
     p_after = float(special.chdtrc(freedom, after.reduced * freedom))
     return Confirmation(
         before, after, p_after, judged(model, unknowns, of), diagnose_record(readings, effects), "V"
@@ -316,8 +324,8 @@ def judged(
         )
     if not any(effect.verdict for effect in effects):
         raise CalibrationError(
-            "these readings could not show what the model has: at its values it is too small beside their noise "
-            f"({'; '.join(seen)}, in units of noise); measure with the procedure in which it was found, or "
+            "these readings cannot confirm the model: its effects are too small for their noise "
+            f"({'; '.join(seen)}, in units of noise); measure with the procedure in which they were found, or "
             "more passes"
         )
     return tuple(effects)

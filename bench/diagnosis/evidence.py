@@ -167,6 +167,13 @@ class Group:
     vectors: Floats
     values: Floats
 
+    def squares(self, left: Data) -> Floats:
+        """Return the squared projections of the data on the eigenvectors, shape (ratios, variants, p, sets)."""
+        along = left.along[:, self.columns]
+        return np.asarray(
+            (along if self.columns.shape[1] == 1 else np.swapaxes(self.vectors, 2, 3) @ along) ** 2
+        )
+
 
 @dataclass(frozen=True)
 class Search:
@@ -209,24 +216,8 @@ class Search:
         if self.half.shape[1]:
             seen = np.moveaxis(self.half[:, :, columns], 1, 2)
             blocks = blocks - np.swapaxes(seen, 2, 3) @ seen
-        if columns.shape[1] == 1:
-            values, vectors = blocks[:, :, 0], np.ones_like(blocks)
-        else:
-            values, vectors = np.linalg.eigh(blocks)
+        values, vectors = _eigen(blocks)
         return Group(members, columns, vectors, np.maximum(values, 0.0))
-
-    @cached_property
-    def _together(self) -> tuple[Ints, Ints, Floats]:
-        """The variants of all groups, as three arrays.
-
-        They are: the indices (v,) of the v variants; the position (v,) of each variant's first eigenvalue in the
-        third array; all e eigenvalues at each noise ratio (ratios, e).
-        """
-        values = [group.values for group in self.groups]
-        counts = np.concatenate([np.full(of.shape[1], of.shape[2]) for of in values])
-        starts = np.cumsum(counts) - counts
-        flat = np.concatenate([of.reshape(len(of), -1) for of in values], axis=1)
-        return np.concatenate([group.members for group in self.groups]), starts, flat
 
     def between(self, ratio: int, columns: Sequence[int]) -> Floats:
         """Return the Gram matrix (k, k) of the k `columns`, with the known columns projected out.
@@ -276,28 +267,22 @@ class Search:
 
     def _score(self, left: Data) -> Scores:
         grid = self.whitened.grid
-        base = (grid.log_prior + grid.log_det + self.log_det)[:, None]
-        of_null = base + grid.log_likelihood(left.square)
+        base = grid.log_prior + grid.log_det + self.log_det
+        of_null = base[:, None] + grid.log_likelihood(left.square)
         null = _log_sum(of_null)
         # a variant with a column that the model already has
         out = np.full((len(self.whitened.candidates.variants), left.sets), np.finfo(np.float64).min)
-        if self.groups:
-            out[self._together[0]] = _log_sum(base[:, None] + self._likelihoods(left))
+        for group in self.groups:
+            squares, logs = group.squares(left), []
+            for size, log_weight in zip(SIZES, LOG_SIZE_WEIGHTS, strict=True):
+                weight = 1.0 / (group.values + 1.0 / size**2)
+                explained = np.einsum("rvp,rvps->rvs", weight, squares)
+                rest = np.maximum(left.square[:, None] - explained, 1e-12 * left.square[:, None])
+                cost = 0.5 * np.sum(np.log1p(size**2 * group.values), axis=2)
+                prior = base[:, None] + log_weight - cost
+                logs.append(prior[:, :, None] + grid.log_likelihood(rest))
+            out[group.members] = _log_sum(np.concatenate(logs))
         return Scores(out - null, np.exp(of_null - null))
-
-    def _likelihoods(self, left: Data) -> Floats:
-        """Return ln of the marginal likelihood of the data with each variant, shape (ratios, v, sets)."""
-        grid = self.whitened.grid
-        _, starts, values = self._together
-        squares = np.concatenate([_along(group, left) for group in self.groups], axis=1)
-        of_size = []
-        for size, log_weight in zip(SIZES, LOG_SIZE_WEIGHTS, strict=True):
-            weight = 1.0 / (values + 1.0 / size**2)
-            explained = np.add.reduceat(squares * weight[:, :, None], starts, axis=1)
-            rest = np.maximum(left.square[:, None] - explained, 1e-12 * left.square[:, None])
-            cost = 0.5 * np.add.reduceat(np.log1p(size**2 * values), starts, axis=1)
-            of_size.append(log_weight - cost[:, :, None] + grid.log_likelihood(rest))
-        return _log_sum(np.stack(of_size))
 
 
 @dataclass(frozen=True)
@@ -325,12 +310,21 @@ class Scores:
         return mean
 
 
-def _along(group: Group, left: Data) -> Floats:
-    """Return the squared projections of the data on a group's eigenvectors, shape (ratios, e, sets)."""
-    along = left.along[:, group.columns]
-    if group.columns.shape[1] > 1:
-        along = np.swapaxes(group.vectors, 2, 3) @ along
-    return np.asarray(along.reshape(len(along), -1, left.sets) ** 2)
+def _eigen(matrices: Floats) -> tuple[Floats, Floats]:
+    """Return eigenvalues (…, p), ascending, and eigenvectors (…, p, p) of symmetric matrices (…, p, p).
+
+    For p = 2 they follow from the angle of the larger principal axis, as `eigh` is slow for many small matrices.
+    """
+    size = matrices.shape[-1]
+    if size == 1:
+        return matrices[..., 0], np.ones_like(matrices)
+    if size > 2:
+        return np.linalg.eigh(matrices)
+    first, across, second = matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 1]
+    mean, half = (first + second) / 2.0, (first - second) / 2.0
+    radius, angle = np.hypot(half, across), np.arctan2(across, half) / 2.0
+    turn = np.array([[-np.sin(angle), np.cos(angle)], [np.cos(angle), np.sin(angle)]])
+    return np.stack([mean - radius, mean + radius], axis=-1), np.moveaxis(turn, (0, 1), (-1, -2))
 
 
 def _log_sum(logarithms: Floats) -> Floats:

@@ -208,8 +208,8 @@ def fit_sensor(signal: Floats) -> Block:
     off = float(np.sqrt(np.mean((np.linalg.norm(block.specific_force(signal), axis=1) - 1.0) ** 2)))
     if not off < max(ERRORS_G):  # errors of sensors cause a tenth of this
         raise CalibrationError(
-            f"{len(signal)} free positions are {off:.2g} g off |a| = 1 g even with the coefficients that fit them "
-            "best (root mean square), as no readings at rest are; leave out those in motion, or of another sensor"
+            f"even with the best coefficients, {len(signal)} free positions are {off:.2g} g off |a| = 1 g (root "
+            "mean square), which readings at rest never are; leave out readings in motion or of another sensor"
         )
     return block
 
@@ -227,7 +227,11 @@ def make_rows(
     temperature that the tables lack.
     """
     if len({table.unit for table in tables}) > 1:
-        raise CalibrationError("signals in different units cannot be evaluated together; use one unit")
+        raise CalibrationError(
+            "the signals are in different units "
+            f"({', '.join(sorted({table.unit for table in tables}))}); evaluate the files of "
+            "each unit separately"
+        )
     # tables of one sensor are different records, even if their times agree
     records = list(range(len(tables))) if one_sensor else _records(tables)
     sensors = _sensors(tables, records, one_sensor)

@@ -23,7 +23,7 @@ from bench.diagnosis.levels import BY_CHANCE, INSEPARABLE, LEAST_FREEDOM, MOSTLY
 from bench.diagnosis.linear import MODULUS, LinearSystem, Rows
 from bench.diagnosis.naming import ALIAS, FoundEffect, Naming, find
 from bench.diagnosis.noise_grid import RATIOS, coupled, make_noise_grid, make_whitener
-from bench.diagnosis.posterior import NoiseSize, posterior, predicted_error
+from bench.diagnosis.posterior import NoiseSize, posterior, whiten_rows
 
 FLOOR: Final = 1.0
 """Expected reduced chi-square of held-out readings if the model lacks no effect."""
@@ -368,7 +368,10 @@ def _fold(
     """
     part, candidates = restrict(linear, ~held), whitened.candidates
     kept = replace(candidates, columns=candidates.columns[~held])
-    predict = partial(_held_out, linear, candidates, noise, held)
+
+    def predict(columns: Sequence[int]) -> HeldOut:
+        return held_out(linear, candidates.columns[:, list(columns)], noise, held)
+
     before = predict(())
     if not most:
         return Fold(label, {}, before, before)
@@ -386,14 +389,17 @@ def _fold(
     return Fold(label, gains, before, after)
 
 
-def _held_out(
-    linear: LinearSystem, candidates: Candidates, noise: NoiseSize, held: Mask, columns: Sequence[int]
-) -> HeldOut:
-    """Predict the rows in the mask `held` (N,) from the others; `columns` (indices) are in the model."""
-    effects = candidates.columns[:, list(columns)]
+def held_out(linear: LinearSystem, effects: Floats, noise: NoiseSize, held: Mask) -> HeldOut:
+    """Predict the rows in the mask `held` (N,) from the others, with the effects' columns `effects` (N, m).
+
+    The chi-square is computed with the covariance of the noise plus that of the estimates.
+    """
     fitted = posterior(linear, effects, noise, ~held)
-    error, chi2 = predicted_error(linear, effects, noise, fitted, held)
     design = linear.design(effects)[held]
+    error = linear.response[held] - design @ fitted.mean
+    white = whiten_rows(linear, noise, np.column_stack([design, error]), held)
+    spread = np.eye(len(error)) + white[:, :-1] @ fitted.covariance @ white[:, :-1].T
+    chi2 = float(white[:, -1] @ np.linalg.solve(spread, white[:, -1]))
     variance = (noise.reading * linear.relative[held]) ** 2 + (noise.setting_rad * linear.slope[held]) ** 2
     variance += np.einsum("ni,ij,nj->n", design, fitted.covariance, design)
     to_g = linear.g_per_signal[held]

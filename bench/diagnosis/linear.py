@@ -18,7 +18,7 @@ from bench.diagnosis.levels import FAR, ONE_DIRECTION
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect, Stage
 from bench.model.effects.base import Seen, rows_of
-from bench.model.forward import ForwardModel
+from bench.model.forward import ForwardModel, Stages
 from bench.model.geometry import STAND_ANGLES, Block, Installation, specific_force_on_platform
 from bench.readings.table import FREE, REFERENCE, SHORTED, VERIFICATION, Readings
 
@@ -132,7 +132,7 @@ class LinearSystem:
     (N, q) are the derivatives by the other unknowns, times their prior standard deviations. Its columns belong to
     the stand angles, then to the effects of the given model (`problem` describes both), then to unknown
     references. The last `of_noise` columns are not unknowns of the bench but noise that readings share, such as
-    slow noise in `slow_channels`.
+    slow noise in `slow_channels`, or of the meters' references if `slow_reference`.
 
     `slope` (N,) is the derivative of each row's signal by the head angle, or 0 in a row that does not depend on
     it. `setting` (N,) is the number of each row's setting of the head, or -1 in a row without a setting.
@@ -164,6 +164,7 @@ class LinearSystem:
     by_place: Floats | None = field(default=None, kw_only=True)
     of_noise: int = field(default=0, kw_only=True)
     slow_channels: tuple[int, ...] = field(default=(), kw_only=True)
+    slow_reference: bool = field(default=False, kw_only=True)
 
     def __len__(self) -> int:
         return len(self.response)
@@ -266,12 +267,9 @@ class LinearSystem:
         return self.view.rows_of(change)
 
     @cached_property
-    def _still(self) -> Floats:
-        """The readings without any effect, shape (n, 3)."""
-        return self.view.read(replace(self.model, effects=()), self.block)
-
-    def _change(self, applied: AppliedEffect) -> Floats:
-        return self.view.read(replace(self.model, effects=(applied,)), self.block) - self._still
+    def _still(self) -> Stages:
+        """The stages of the forward model without any effect."""
+        return self.view.stages(replace(self.model, effects=()), self.block)
 
     def stage_columns(
         self, of: AppliedEffect | Floats, stage: Stage, adds_to: str = "", *, of_force: bool = False
@@ -292,9 +290,9 @@ class LinearSystem:
             return self.view.rows_of(by_angle[:, :, number, None] * np.asarray(of)[:, None])[:, :, None]
         of_block = stage is Stage.BLOCK_OUTPUT
         if isinstance(of, AppliedEffect):
-            change = of.addition(Seen(force if of_block else self._still, self.conditions, self.block))[
-                ..., None
-            ]
+            change = of.addition(
+                Seen(force if of_block else self._still.readings, self.conditions, self.block)
+            )[..., None]
         else:
             change = np.repeat(of[:, None], 3, axis=1)
             if of_block:
@@ -320,17 +318,17 @@ class LinearSystem:
         steps = [STEP_RAD * (np.arange(len(STAND_ANGLES)) == i) for i in range(len(STAND_ANGLES))]
         differences = [acting(still + step) - acting(still - step) for step in steps]
         differences.append(acting(still, STEP_RAD) - acting(still, -STEP_RAD))
-        force = np.asarray(self.block.specific_force(self.view.read(model, self.block)))
+        force = np.asarray(self.block.specific_force(self._still.readings))
         return force, np.stack(differences, axis=2) / (2 * STEP_RAD)
 
     def effect_column(self, applied: AppliedEffect) -> Floats:
         """Return the change (N,) of the rows that an effect with its values causes."""
-        return self.view.rows_of(self._change(applied))
+        return np.asarray(self.effect_columns(applied).sum(axis=1))
 
     def effect_columns(self, applied: AppliedEffect) -> Floats:
         """Return the change of the rows if an effect acts with its values, split by channel, (N, 3)."""
-        change = self._change(applied)
-        return np.stack([self.view.rows_of(change * (np.arange(3) == i)) for i in range(3)], axis=1)
+        change = self._still.instead(None, applied) - self._still.readings
+        return self.view.rows_of(change[:, :, None] * np.eye(3))
 
 
 @dataclass(frozen=True)
@@ -357,19 +355,13 @@ class View:
         """Return the change of the signals (n, 3) if all `effects` act together on the output of `block`."""
         if not effects:
             return np.zeros(self.force.shape)
-        return self.read(replace(model, effects=effects), block) - self.read(
-            replace(model, effects=()), block
-        )
+        with_effects, without = (self.stages(replace(model, effects=of), block) for of in (effects, ()))
+        return with_effects.readings - without.readings
 
-    def read(self, model: ForwardModel, block: Block) -> Floats:
-        """Return the signals (n, 3) that the model, with its effects, predicts for all readings.
-
-        Stand angles and setting errors are zero.
-        """
+    def stages(self, model: ForwardModel, block: Block) -> Stages:
+        """Return the stages of the model for all readings; stand angles and setting errors are zero."""
         still = np.zeros((len(self.conditions.mounts), len(STAND_ANGLES)))
-        return model.readings_in_order(
-            block, self.conditions, still, force=self.force, voltage_v=self.voltage_v
-        )
+        return Stages(model, block, self.conditions, still, force=self.force, voltage_v=self.voltage_v)
 
     def rows_of(self, change: Floats) -> Floats:
         """Return the change of the rows, (N, …), that a change of the signals (n, 3, …) causes."""
@@ -479,8 +471,9 @@ def own_column(problem: Problem, block: Block, view: View, number: int) -> Float
     """
     step = np.zeros_like(problem.prior_u)
     step[number] = 1e-3 * problem.prior_u[number]
-    up, down = (problem.effects_at(problem.prior_mean + sign * step) for sign in (1, -1))
-    return (view.own(problem.model, up, block) - view.own(problem.model, down, block)) / 2e-3
+    ways = (problem.effects_at(problem.prior_mean + sign * step) for sign in (1, -1))
+    up, down = (view.stages(replace(problem.model, effects=effects), block).readings for effects in ways)
+    return (up - down) / 2e-3
 
 
 def _columns(

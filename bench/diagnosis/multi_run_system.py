@@ -63,10 +63,6 @@ class JointSystem(LinearSystem):
         """The conditions of all readings, in the order of measurement."""
         return self.readings.conditions()
 
-    def effect_column(self, applied: AppliedEffect) -> Floats:
-        """Return the change of the rows, (N,), if an effect acts with its values on all blocks."""
-        return np.concatenate([part.effect_column(applied) for part in self.parts])
-
     def effect_columns(self, applied: AppliedEffect) -> Floats:
         """Return the change of the rows if an effect acts on all blocks, split by channel, (N, 3)."""
         return np.concatenate([part.effect_columns(applied) for part in self.parts])

@@ -338,7 +338,8 @@ class _Bill:
         else:
             path, minutes, settles = max(bills, key=lambda b: sum(s.after - s.before for s in b[2]) / b[1])
         why = _why_settles(settles, path.stem, minutes) + self._without()
-        chances.sort(key=lambda one: (-one.answers, one.hours))
+        # rounded, so that rounding errors do not decide between equal prospects
+        chances.sort(key=lambda one: (-round(one.answers, 9), one.hours))
         return Proposal(why, path, minutes, settles, left_out=self.left_out, chances=tuple(chances))
 
     def _answers(

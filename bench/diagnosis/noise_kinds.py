@@ -1,4 +1,4 @@
-"""Hypotheses on the noise, compared by evidence: by channel, run or place, heavy-tailed, slow, or larger.
+"""Hypotheses on the noise, compared by evidence: by channel, run or place, heavy-tailed, slow, of a reference.
 
 A hypothesis changes the covariance of the readings; it competes with missing effects in explaining the
 readings. For heavy tails, each row has its own precision, with a prior that makes the noise t-distributed.
@@ -9,7 +9,7 @@ part compares the noise with what the bench file and the samples state.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -18,7 +18,7 @@ from scipy import special
 
 from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints, Mask, quadratic_forms, rms
 from bench.base.languages import message
-from bench.base.numbers import quantity
+from bench.base.numbers import quantity, two_digits
 from bench.diagnosis.evidence import KNOWN_SIZE
 from bench.diagnosis.levels import HARDLY_EVER, STEPS
 from bench.diagnosis.linear import LinearSystem, RunSizes
@@ -33,14 +33,13 @@ from bench.diagnosis.noise_grid import (
 )
 from bench.diagnosis.posterior import NoiseSize, posterior, whiten_rows
 from bench.readings.table import Readings
+from bench.stats import HALF_WAVES, flicker_waves
 from bench.stats.repeats_likelihood import believed_sizes
 
-LOG_PRIOR: Final = dict.fromkeys(("channels", "runs", "place", "tails", "slow"), math.log(0.1))
+LOG_PRIOR: Final = dict.fromkeys(("channels", "runs", "place", "tails", "slow", "reference"), math.log(0.1))
 """ln of the prior odds of each kind of noise against ordinary noise, which is normal and has one size."""
 TAIL_DOF: Final = 4.0
 """Degrees of freedom of the t distribution of heavy tails: clearly not normal, and of finite variance."""
-WAVES: Final = 16
-"""Largest number of half waves of slow noise over a run: faster ones resemble the noise of readings."""
 SIZES: Final = tuple(np.geomspace(0.05, 20.0, 61))
 """Sizes of slow noise: root mean squares in units of the noise of a reading, all equally probable a priori."""
 
@@ -73,6 +72,8 @@ def noise_hypotheses(linear: LinearSystem, effects: Floats, noise: NoiseSize) ->
         yield _with_tails(linear, effects, noise)
     if not linear.slow_channels:
         yield from _slow(linear, effects, noise)
+    if not linear.slow_reference:
+        yield from _of_reference(linear, effects, noise)
 
 
 def log_null(grid: NoiseGrid) -> float:
@@ -340,32 +341,65 @@ def slow_noise(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple
     whichever has the larger evidence. The result is empty if there is none.
     """
     white = make_whitener(linear.with_random(effects * KNOWN_SIZE), noise.reading, noise.setting_rad)
-    left = white @ (linear.response / noise.reading)
     waves = [_waves(linear, channel) for channel in range(3)]
-    sets = [(0, 1, 2), *((channel,) for channel in range(3))]
-    all_alike, *each = (
-        _in_channels(linear, white, left, noise.reading, channels, [waves[c] for c in channels])
-        for channels in sets
-    )
+    all_alike = _likeliest(linear, white, noise.reading, (0, 1, 2), np.hstack(waves))
+    # a single channel pays for the choice among three
+    each = (_likeliest(linear, white, noise.reading, (c,), waves[c], choices=3) for c in range(3))
     own = [one for one in each if one.evidence > 0.0]
     if all_alike.evidence > max(sum(one.evidence for one in own), 0.0):
         return (all_alike,)
     return tuple(own)
 
 
-def _in_channels(
+def _of_reference(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
+    """Yield the likelier of two hypotheses: 1/f noise of one reference for all channels, or of one for each.
+
+    The noise is a fraction of each signal. It resembles slow noise where a channel reads the same voltage
+    throughout.
+    """
+    white = make_whitener(linear.with_random(effects * KNOWN_SIZE), noise.reading, noise.setting_rad)
+    signal = linear.readings.signal[linear.rows.reading, np.minimum(linear.rows.channel, 2)]
+    own = [_waves(linear, channel)[:, :HALF_WAVES] * signal[:, None] for channel in range(3)]
+    if any(not waves.shape[1] for waves in own):
+        return
+    oriented = linear.setting >= 0
+    typical = rms(signal[oriented])
+    every = {"one": sum(own, np.zeros_like(own[0])) / typical, "each": np.hstack(own) / typical}
+    found = {
+        which: _likeliest(linear, white, noise.reading, (0, 1, 2), waves, choices=2)
+        for which, waves in every.items()
+    }
+    which, best = max(found.items(), key=lambda item: item[1].evidence)
+    if best.evidence <= 0.0:
+        return
+    whose = message("the voltage reference of the meters") if which == "one" else (
+        message("the voltage reference of each channel's meter")
+    )  # fmt: skip
+    told = f"{two_digits(1e6 * best.size / typical)} ppm"
+    yield NoiseHypothesis(
+        "reference",
+        replace(linear.with_noise(best.columns), slow_reference=True),
+        LOG_PRIOR["reference"] + best.cost,
+        message(
+            f"{whose} has 1/f noise, over the run {told} (root mean square): it hides smaller changes of the scale "
+            "factors, and the u of the coefficients includes it"
+        ),
+    )
+
+
+def _likeliest(
     linear: LinearSystem,
     white: Whitener,
-    left: Floats,
     sigma: float,
     channels: tuple[int, ...],
-    waves: Sequence[Floats],
+    columns: Floats,
+    choices: int = 1,
 ) -> SlowNoise:
-    """Return the likeliest slow noise of one size in `channels`; `waves` has draws (N, waves) for each
-    channel.
+    """Return the likeliest size of slow noise with the draws `columns` (N, k) of root mean square 1.
+
+    The hypothesis is one of as many `choices`.
     """
-    columns = np.concatenate(waves, axis=1)
-    inside = white @ columns
+    left, inside = white @ (linear.response / sigma), white @ columns
     values, vectors = np.linalg.eigh(inside.T @ inside)
     values = np.maximum(values, 0.0)
     square = (vectors.T @ (inside.T @ left)) ** 2
@@ -375,8 +409,8 @@ def _in_channels(
     freedom = len(linear) - linear.fixed.shape[1]
     more = 0.5 * np.sum(np.log(weight), axis=1) - 0.5 * freedom * np.log(rest / (left @ left))
     best = int(np.argmax(more))
-    # the likelihood is averaged over all sizes and, for a single channel, over the choice among three
-    cost = float(special.logsumexp(more) - np.log(len(SIZES) * (3 if len(channels) == 1 else 1)) - more[best])
+    # the likelihood is averaged over all sizes, and over the choices
+    cost = float(special.logsumexp(more) - np.log(len(SIZES) * choices) - more[best])
     # with slow noise in the model, the white noise is smaller than `sigma`
     size = float(SIZES[best]) * sigma * math.sqrt(float(rest[best]) / freedom)
     return SlowNoise(channels, size, float(more[best]) + cost, cost, size * columns)
@@ -390,13 +424,11 @@ def _waves(linear: LinearSystem, channel: int) -> Floats:
     """
     own = np.flatnonzero((linear.setting >= 0) & (linear.rows.channel == channel))
     time = linear.conditions.elapsed_s[linear.rows.reading[own]]
-    span = float(np.ptp(time))
-    if len(own) < 2 * WAVES or not span > 0.0:
+    if len(own) < 2 * HALF_WAVES or not np.ptp(time) > 0.0:
         return np.zeros((len(linear), 0))
-    k = np.arange(1, WAVES + 1)
-    waves = np.cos(np.pi * k * (time[:, None] - time.min()) / span) / np.sqrt(k)
-    columns = np.zeros((len(linear), WAVES + 1))
-    mean = np.full((len(own), 1), np.sqrt(0.5))
+    waves = flicker_waves(time)
+    columns = np.zeros((len(linear), HALF_WAVES + 1))
+    mean = np.full((len(own), 1), np.log(10.0) ** -0.5)
     columns[own] = np.hstack([waves, mean]) / np.sqrt(np.mean(np.sum(waves**2, axis=1)))
     return columns
 
@@ -408,7 +440,7 @@ def _waves(linear: LinearSystem, channel: int) -> Floats:
 class NoiseKind:
     """A departure of the noise from normal noise of one size.
 
-    `what` is "channels", "runs", "place", "tails", "slow" or "resolution"; `words` is a sentence.
+    `what` is "channels", "runs", "place", "tails", "slow", "reference" or "resolution"; `words` is a sentence.
     """
 
     what: str

@@ -97,7 +97,7 @@ def _of(
     # as much in all, however many there are
     part = PART * np.sqrt(_steps(effect, variant.shape) / len(others)) if others else 0.0
     for shape in others:
-        of_shape = replace(variant, shape=shape)
+        of_shape = variant._replace(shape=shape)
         yield from applied_of(candidates, of_shape, 0.0 * amplitudes, part * np.abs(amplitudes))
     if plausible is not None and any(p.per_channel for p in effect.parameters):
         yield from _in_other_channels(candidates, variant, np.abs(amplitudes), plausible)

@@ -139,7 +139,8 @@ def diagnose(
             *(finding.words for finding in findings),
             *(kind.words for kind in kinds),
             *(
-                f"left out: {one.variant.family} (ln odds {one.total:.1f}); held-out readings do not confirm it"
+                f"left out of the model: {one.variant.family} (ln odds {one.total:.1f}), because held-out "
+                "readings do not confirm it; more passes may"
                 for one in weak
             ),
             *assumed(linear),
@@ -555,7 +556,7 @@ def _shown(
 
 def _slow(linear: LinearSystem) -> Floats | None:
     """Return the signals (n, 3, k) of the slow noise found, for one standard deviation of each of k components."""
-    if not linear.slow_channels:
+    if not (linear.slow_channels or linear.slow_reference):
         return None
     rows, own = linear.rows, linear.setting >= 0
     signals = np.zeros((len(linear.readings), 3, linear.of_noise))

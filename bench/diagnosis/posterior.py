@@ -231,22 +231,6 @@ def whiten_rows(linear: LinearSystem, noise: NoiseSize, columns: Floats, rows: M
     return white
 
 
-def predicted_error(
-    linear: LinearSystem, effects: Floats, noise: NoiseSize, fitted: Posterior, rows: Mask
-) -> tuple[Floats, float]:
-    """Return measured minus predicted, (n,), in n rows that the fit did not use, and their chi-square.
-
-    `rows` is the mask (N,) of these rows. `fitted` are the estimates from the other rows with the effects'
-    columns `effects` (N, m). The chi-square is computed with the covariance of the noise plus that of the
-    estimates.
-    """
-    design = linear.design(effects)[rows]
-    error = linear.response[rows] - design @ fitted.mean
-    white = whiten_rows(linear, noise, np.column_stack([design, error]), rows)
-    spread = np.eye(len(error)) + white[:, :-1] @ fitted.covariance @ white[:, :-1].T
-    return error, float(white[:, -1] @ np.linalg.solve(spread, white[:, -1]))
-
-
 ADDED: Final = ("warm_up", "bias_drift", "thermal_bias", "turn_on_shift")
 """Effects that add to the signals independently of the acceleration."""
 

@@ -15,9 +15,12 @@ import numpy as np
 from scipy.special import softmax
 
 from bench.base.arrays import CHANNELS, Floats, Ints, u_of
+from bench.calibration.budget.coefficients import unknown_courses
+from bench.calibration.budget.error_source import ErrorSource
 from bench.diagnosis.levels import FOLDS
 from bench.diagnosis.record_model import (
     LEAST,
+    ZERO_V,
     Noise,
     NoiseTrials,
     Record,
@@ -42,11 +45,6 @@ With less, u of the gain is over 200 times that from one level with a known offs
 """
 GAIN: Final = "voltmeter_gain"
 """The effect that adds a multiple of the reference to a signal."""
-ZERO_V: Final = 1e-3
-"""If the reference has a single level below this, V, the record determines the offset only.
-
-An offset of 1 µV would change the gain by 0.1 %.
-"""
 
 
 @dataclass(frozen=True)
@@ -115,20 +113,25 @@ class RecordCalibration:
         return np.column_stack(left)
 
 
-def calibrate_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -> RecordCalibration:
+def calibrate_record(
+    readings: Readings, effects: Sequence[AppliedEffect] = (), unread: Sequence[ErrorSource] = ()
+) -> RecordCalibration:
     """Calibrate meters from readings at a known input, after known effects are subtracted.
 
     Effects with a stated u keep their values, and their u adds to the result. Effects without u were found in
     these readings and are estimated again together with gain and offset; u includes the uncertainty of their
     shapes (lag, width, time constant). u also includes the slow noise and the scatter of the reference (column
-    `reference_sd_v`). Raises `CalibrationError` if the readings cannot be evaluated.
+    `reference_sd_v`). `unread` are `unread_sources`: what effects of the meters' temperature leave in a record
+    without this temperature. Raises `CalibrationError` if the readings cannot be evaluated.
     """
     record = make_record(readings)
+    unread = unread if record.conditions.meter_c is None else ()
     known = record.added_by(effects)
     left = record.less(known)
     scatter, note = _scatter(readings, record)
     errors = [np.repeat(scatter[:, None], len(record.channels), axis=1)]
     errors += [_one_u(record, one) for one in effects if one.u]
+    errors += [error for one in unread for error in _of_unknown_temperature(record, one)]
     apart = _levels_apart(record)
     level = float(record.reference_v.mean())
     return RecordCalibration(
@@ -139,7 +142,7 @@ def calibrate_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) 
         level_v=level,
         known_v=known,
         not_observable=() if apart else tuple(_hidden(level)),
-        notes=(*record.notes, *note, *_shapes_kept(record, effects)),
+        notes=(*record.notes, *note, *_shapes_kept(record, effects), *_widened(unread)),
         repeats=_parts(left, apart),
     )
 
@@ -183,6 +186,10 @@ def _shapes_kept(record: Record, effects: Sequence[AppliedEffect]) -> Iterator[s
                 f"{one.effect.name} keeps {one.shapes_text()} of the model; u leaves out the uncertainty of this "
                 "shape, which no model file states"
             )
+
+
+def _widened(unread: Sequence[ErrorSource]) -> Iterator[str]:
+    return (f"u includes {one.name}: {one.origin}" for one in unread)
 
 
 def _levels_apart(record: Record) -> bool:
@@ -318,6 +325,15 @@ def _one_u(record: Record, applied: AppliedEffect) -> Floats:
     """Return the voltages (n, c), V, that an effect adds if its size is one standard uncertainty."""
     values = applied.complete_values()
     return record.added(AppliedEffect(applied.effect, {**values, **applied.u}, applied.channels))
+
+
+def _of_unknown_temperature(record: Record, source: ErrorSource) -> Iterator[Floats]:
+    """Yield independent voltages (n, c), V, that a source of `unread_sources` adds, each of one u."""
+    factors, names = source.factors or {}, [CHANNELS[channel] for channel in record.channels]
+    gain, offset = (np.array([factors[f"{of} {name}"] for name in names]) for of in ("gain", "offset"))
+    per_kelvin = record.reference_v[:, None] * gain + offset
+    for course in unknown_courses(record.conditions.elapsed_s, source.correlation_s).T:
+        yield source.u * course[:, None] * per_kelvin
 
 
 def _hidden(level: float) -> Iterator[str]:

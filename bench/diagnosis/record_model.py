@@ -39,6 +39,8 @@ LEAST: Final = 30
 """Least number of means from which noise and effects can be separated: they give the noise to 13 %."""
 ROUNDING: Final = 1e-12
 """Larger than the rounding errors of a mean, and less than the noise of any meter, as a fraction of the signal."""
+ZERO_V: Final = 1e-3
+"""A reference below this, V, counts as a short circuit: an offset of 1 µV would change a gain by 0.1 %."""
 OF_MEDIAN: Final = 1.0 / float(special.ndtri(0.75))
 """Standard deviation of a normal distribution, as a multiple of its median absolute deviation."""
 
@@ -121,6 +123,7 @@ def make_record(readings: Readings) -> Record:
         )
     elif not any(map(str.strip, readings.extra.get(METER_C, ()))):
         notes.append(f"the temperature of the room ({ROOM_C}) is used as the meter's temperature")
+    notes += _far_from_reference(readings.signal[:, channels], reference_v, channels)
     if begin:
         minutes = (time_s[first] - time_s[0]) / MINUTE
         notes.append(f"the first {minutes:.0f} min are left out: the input had not settled")
@@ -146,6 +149,17 @@ def make_record(readings: Readings) -> Record:
     if wrong := list(without_noise(record)):
         raise CalibrationError(f"{readings.source}: {'; '.join(wrong)}")
     return record
+
+
+def _far_from_reference(signal_v: Floats, reference_v: Floats, channels: Sequence[int]) -> Iterator[str]:
+    """Yield a sentence for each channel whose signals (n, c) differ from the reference (n,) by a wrong unit."""
+    level_v = float(np.median(np.abs(reference_v)))
+    for channel, read_v in zip(channels, np.median(np.abs(signal_v), axis=0).tolist(), strict=True):
+        if level_v >= ZERO_V and not 1.0 / LARGER < read_v / level_v < LARGER:
+            yield (
+                f"u{CHANNELS[channel]}_v is {read_v:.3g} V where {REFERENCE_V} is {level_v:.3g} V; check their "
+                "units in the mapping"
+            )
 
 
 def without_noise(record: Record) -> Iterator[str]:

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from scipy import linalg, special
 
-from bench.base.arrays import CHANNELS, Floats
+from bench.base.arrays import CHANNELS, HOUR, Floats
 from bench.diagnosis.candidates import Candidates, Variant
 from bench.diagnosis.evidence import NULLS, SEED, Scores, Threshold, fit_tail
 from bench.diagnosis.levels import INSEPARABLE, OFTEN, STEPS
@@ -114,6 +114,12 @@ class RecordWork:
     def less(self, added_v: Floats) -> RecordWork:
         """Return the work with known voltages `added_v` (n, c), V, subtracted from the record."""
         return replace(self, record=self.record.less(added_v))
+
+    def settling(self, lag_s: float) -> RecordWork:
+        """Return the work with one more column of the trend: what a lag leaves of an unknown state at the start."""
+        left = np.exp(-(self.record.time_h - self.record.time_h[0]) * HOUR / lag_s)
+        trend = np.column_stack([self.trials.trend, left / self.record.scale])
+        return replace(self, trials=replace(self.trials, trend=trend))
 
     @property
     def helmert(self) -> Floats:
@@ -230,7 +236,7 @@ class RecordWork:
             scale=np.concatenate([of.scale, np.tile(of.scale[own], len(order))]),
         )
         shapes = [
-            replace(course, columns=tuple(range(at, at + len(own))), shape=((parameter, value),))
+            course._replace(columns=tuple(range(at, at + len(own))), shape=((parameter, value),))
             for at, value in zip(begin.tolist(), values[order].tolist(), strict=True)
         ]
         return replace(self, candidates=more), shapes
@@ -267,6 +273,17 @@ class RecordWork:
         scored = self._scored(courses, number, self._columns(self.candidates, [courses[number]]))
         return self._averaged(courses[number], *scored)
 
+    def alone(self, course: Variant, *, keeps_shape: bool) -> tuple[Floats, Floats]:
+        """Return the size of a course that is alone in the model, and its covariance, in plausible sizes.
+
+        Both have an entry for each channel, or one entry if the size is common: channels share the noise of the
+        mean. Unless the course `keeps_shape`, they are averaged over its shapes as in `shaped`.
+        """
+        if keeps_shape:
+            return self._jointly(course, *self._scored([course], 0, self._columns(self.candidates, [course])))
+        forms = self.forms([course], 0)
+        return self._jointly(course, forms.log, forms.size, forms.variance)
+
     def shaped(self, courses: Sequence[Variant], number: int) -> tuple[Variant, float | None, Floats, Floats]:
         """Return the course `number` with its mean shape, the u of the shape (SI), its size, and u of the size.
 
@@ -282,7 +299,7 @@ class RecordWork:
         value = float(forms.of_values @ forms.values)
         steps = np.gradient(forms.values)
         u = float(np.sqrt(forms.of_values @ ((forms.values - value) ** 2 + steps**2 / 12.0)))
-        return replace(course, shape=((forms.parameter, value),)), u, *averaged
+        return course._replace(shape=((forms.parameter, value),)), u, *averaged
 
     def forms(self, courses: Sequence[Variant], number: int) -> Forms:
         """Return the forms that the course `number` may have, with the likelihood of each.
@@ -359,12 +376,17 @@ class RecordWork:
         self, course: Variant, log: Floats, size: Floats, variance: Floats
     ) -> tuple[Floats, Floats]:
         """Return size and u of a course in each channel, as an average over forms with the likelihoods `log`."""
+        mean, covariance = self._jointly(course, log, size, variance)
+        return mean, np.sqrt(np.diag(covariance))
+
+    def _jointly(self, course: Variant, log: Floats, size: Floats, variance: Floats) -> tuple[Floats, Floats]:
+        """Return size and covariance of a course in the channels, as an average as in `_averaged`."""
         weight = special.softmax(log)
         mean = size @ weight
-        variance = (variance + (size - mean[:, None]) ** 2) @ weight
+        covariance = np.diag((variance + (size - mean[:, None]) ** 2) @ weight)
         if not self.of_channels(course):
-            return mean, np.sqrt(variance)
-        return self.helmert.T @ mean, np.sqrt(self.helmert.T**2 @ variance)
+            return mean, covariance
+        return self.helmert.T @ mean, self.helmert.T @ covariance @ self.helmert
 
     def named(self, finds: Sequence[FoundEffect], limit: Threshold) -> tuple[NamedEffect, ...]:
         """Return `finds` as named effects with values; `limit` is the threshold of the search.
@@ -379,7 +401,7 @@ class RecordWork:
             seen = special.chdtrc(1, (size / u) ** 2) < OFTEN
             if self.of_channels(variant) and seen.any():
                 columns, channels = (tuple(compress(of, seen)) for of in (variant.columns, variant.channels))
-                variant = replace(variant, columns=columns, channels=channels)
+                variant = variant._replace(columns=columns, channels=channels)
                 size, u = size[seen], u[seen]
             shown.append(replace(one, variant=variant))
             u_of_shapes.append(u_shape)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -13,8 +13,8 @@ from bench.diagnosis.levels import CHUNK
 from bench.diagnosis.linear import LinearSystem
 from bench.model.conditions import Conditions
 from bench.model.effects import CATALOGUE, AppliedEffect, Parameter, Stage
-from bench.model.effects.base import Seen
-from bench.model.effects.formula import SUBSYSTEM_OF, FormulaEffect, names_in
+from bench.model.effects.base import Seen, lagged
+from bench.model.effects.formula import SUBSYSTEM_OF, FormulaEffect, ValueReading, interpret, variables_of
 from bench.model.effects.voltmeter import LOW_RANGE_V
 
 SIZE_NAMES: Final = ("A", "B")
@@ -141,59 +141,69 @@ def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
     """
     terms = list(_terms(linear))
     for term, columns in zip(terms, _columns(linear, terms), strict=True):
-        if not any(np.any(column) for column in columns):
-            continue
-        each = dict(zip(SIZE_NAMES, columns, strict=False))
-        channels = range(3) if term.stage in WITH_CHANNELS else ()
-        for channel in channels:
-            if any(np.any(column[:, channel]) for column in columns):
-                yield term, (channel,), [(size, channel, column[:, channel]) for size, column in each.items()]
-        yield term, (0, 1, 2), [(size, None, column.sum(axis=1)) for size, column in each.items()]
+        shown = np.any(columns, axis=(0, 2)).tolist()
+        for channel in range(3) if term.stage in WITH_CHANNELS else ():
+            if shown[channel]:
+                each = [column[channel] for column in columns]
+                yield term, (channel,), list(zip(SIZE_NAMES, [channel] * len(each), each, strict=False))
+        if any(shown):
+            whole = np.sum(columns, axis=1)
+            yield term, (0, 1, 2), list(zip(SIZE_NAMES, [None] * len(whole), whole, strict=False))
 
 
 WITH_CHANNELS: Final = (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
 
 
 def _columns(linear: LinearSystem, terms: Sequence[DictionaryTerm]) -> list[list[Floats]]:
-    """Return, for each size of each term, the change of the rows by a plausible size: (N, 3) by channel, or (N,
-    1).
+    """Return, for each size of each term, the change of the rows by a plausible size, (3, N) or (1, N).
+
+    It has a row for each channel if the term is `WITH_CHANNELS`.
     """
     columns: list[list[Floats]] = [[] for _ in terms]
     of_courses: dict[TimeCourse, list[Floats]] = {}
+    values_of = _values_of(linear)
     places: dict[tuple[Stage, str, bool], list[tuple[int, Floats]]] = {}
     for number, term in enumerate(terms):
         if term.course is None:
             columns[number] = list(_of_effect(linear, term))
             continue
         if term.course not in of_courses:
-            of_courses[term.course] = [
-                _course(linear, text, term.constants) for text in term.course.expressions
-            ]
+            of_courses[term.course] = values_of(term.course)
         added = [(number, term.unit.plausible * course) for course in of_courses[term.course]]
         places.setdefault((term.stage, term.adds_to, term.of_force), []).extend(added)
     for (stage, adds_to, of_force), added in places.items():
         for start in range(0, len(added), CHUNK):
             numbers, courses = zip(*added[start : start + CHUNK], strict=True)
             changes = linear.stage_columns(np.stack(courses, axis=1), stage, adds_to, of_force=of_force)
-            for number, column in zip(numbers, np.moveaxis(changes, 1, 0), strict=True):
-                columns[number].append(column)
+            for number, of_channels in zip(numbers, changes.transpose(1, 2, 0).copy(), strict=True):
+                columns[number].append(of_channels)
     return columns
 
 
 def _of_effect(linear: LinearSystem, term: DictionaryTerm) -> Iterator[Floats]:
-    """Yield, for each size of a term of force or voltage, the change of the rows by a plausible size, (N, 3)."""
+    """Yield, for each size of a term of force or voltage, the change of the rows by a plausible size, (3, N)."""
     effect = term.effect("term", per_channel=True)
     for size in SIZE_NAMES[: len(term.expressions)]:
         applied = AppliedEffect(effect, {size: np.full(3, term.unit.plausible)})
-        yield linear.stage_columns(applied, term.stage)[:, 0]
+        yield linear.stage_columns(applied, term.stage)[:, 0].T
 
 
-def _course(linear: LinearSystem, text: str, constants: tuple[Parameter, ...]) -> Floats:
-    """Return the values (n,) of a course, computed from its formula as an effect of the head angle would be."""
-    own = tuple(p for p in constants if p.name in names_in(text))
-    term = DictionaryTerm("", Stage.HEAD_ANGLE, (text,), ANGLE, constants=own)
-    applied = AppliedEffect(term.effect("course", per_channel=False), {SIZE_NAMES[0]: np.ones(())})
-    return applied.addition(Seen(linear.conditions.angle_rad, linear.conditions, linear.block))
+def _values_of(linear: LinearSystem) -> Callable[[TimeCourse], list[Floats]]:
+    """Return a function for the values (n,) of the formulas of a course; they are 0 in a reading that has none."""
+    conditions = linear.conditions
+    seen = Seen(conditions.angle_rad, conditions, linear.block)
+    variables = {name: of(seen) for name, of in variables_of(Stage.HEAD_ANGLE).items()}
+
+    def values_of(course: TimeCourse) -> list[Floats]:
+        names = variables | {p.name: np.asarray(p.default) for p in course.constants}
+        reading = ValueReading(names, lambda of, lag: lagged(of, conditions.elapsed_s, float(lag)))
+        with np.errstate(all="ignore"):
+            found = [
+                np.broadcast_to(interpret(text, reading), len(conditions)) for text in course.expressions
+            ]
+        return [np.where(np.isfinite(values), values, 0.0) for values in found]
+
+    return values_of
 
 
 # --- terms ------------------------------------------------------------------------------------------

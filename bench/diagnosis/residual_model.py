@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import count
 from typing import Final
 
@@ -151,7 +151,7 @@ def _terms(
         effect = variant.term.effect(next(names), per_channel=per_channel)
         shape = tuple((p.name, p.default) for p in effect.parameters if p.is_shape)
         (applied,) = applied_of(
-            candidates, replace(variant, shape=shape), fitted.amplitudes[mine], u[mine], effect=effect
+            candidates, variant._replace(shape=shape), fitted.amplitudes[mine], u[mine], effect=effect
         )
         rho, p = fitted.significance(mine)
         yield FormTerm(applied, variant.family, one.ties[:LISTED_IN_SENTENCE], rho, p)

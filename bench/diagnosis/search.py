@@ -420,8 +420,7 @@ def _embedded(candidates: Candidates, one: FoundEffect, run: _Run) -> tuple[Cand
     kinds = tuple(
         Column(kind.parameter, kind.channel, kind.mounts or labels) for kind in (own.kinds[i] for i in chosen)
     )
-    variant = replace(
-        one.variant,
+    variant = one.variant._replace(
         columns=tuple(range(first, first + len(chosen))),
         mounts=one.variant.mounts or labels,
     )

@@ -290,12 +290,12 @@ def _points(readings: Readings, problem: Problem, fit: gls.Fit) -> tuple[Modulus
     unknown = ~np.isin(readings.installation, [VERIFICATION, *problem.model.installations])
     voltage_v = np.where(unknown[:, None], readings.signal, np.nan)
 
-    def modulus(unknowns: Floats) -> tuple[Floats, Floats]:
+    def modulus(unknowns: Floats, by_effects: Floats | float = 0.0) -> tuple[Floats, Floats]:
         block = Block.from_vector(unknowns[:FIXED])
         model = replace(problem.model, effects=problem.effects_at(unknowns[FIXED:]))
         force = np.full((len(readings), 3), np.nan)
-        force[chosen] = block.specific_force(rows.signal)
-        for _ in range(gls.MOST_ITERATIONS if model.effects else 1):
+        force[chosen] = block.specific_force(rows.signal) + by_effects
+        for _ in range(gls.MOST_ITERATIONS if model.effects else 0):
             predicted = model.readings_in_order(block, conditions, stand, force=force, voltage_v=voltage_v)
             step = np.linalg.solve(block.K, (rows.signal - predicted[chosen]).T).T
             force[chosen] += step
@@ -304,12 +304,14 @@ def _points(readings: Readings, problem: Problem, fit: gls.Fit) -> tuple[Modulus
         return force[chosen], np.linalg.norm(force[chosen], axis=1)
 
     force, size = modulus(start)
+    by_effects = force - fit.block.specific_force(rows.signal)
     steps = np.full(len(start), 1e-4 * float(np.max(np.abs(fit.block.K))))
     steps[FIXED:] = [problem.other_step(j)[j] for j in range(len(fit.others))]
     columns = np.zeros((len(rows), len(start)))  # a modulus does not depend on the stand's angles
     for j in [*range(FIXED), *range(FIXED + len(problem.stand), len(start))]:
         change = steps * (np.arange(len(start)) == j)
-        columns[:, j] = (modulus(start + change)[1] - modulus(start - change)[1]) / (2 * steps[j])
+        up, down = (modulus(start + step, by_effects)[1] for step in (change, -change))
+        columns[:, j] = (up - down) / (2 * steps[j])
     by_signal = (force / size[:, None]) @ np.linalg.inv(fit.block.K)
     variance = np.einsum("mp,pq,mq->m", columns, fit.covariance, columns)
     variance += np.sum((by_signal * fit.noise.by_channel) ** 2, axis=1)

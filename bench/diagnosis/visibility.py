@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from bench.diagnosis.candidates import ROUND, Candidates, Variant, plausible_col
 from bench.diagnosis.evidence import KNOWN_SIZE, Search, Threshold, Whitened
 from bench.diagnosis.levels import BEYOND_BELIEF, NEGLIGIBLE
 from bench.diagnosis.linear import LinearSystem
-from bench.diagnosis.noise_grid import make_whitener
+from bench.diagnosis.noise_grid import Whitener, make_whitener
 from bench.diagnosis.posterior import NoiseSize
 from bench.model.effects import CATALOGUE, AppliedEffect, Parameter
 from bench.readings.table import VERIFICATION
@@ -193,32 +194,31 @@ class ReadingDesign:
         self.linear = linear
         self._noise = noise
         self._unseen: dict[EffectPart, Floats] = {}
-        self._make_free([self._column(part) * KNOWN_SIZE for form in others for part in form])
+        self._seen: dict[EffectPart, Floats] = {}
+        self._known = [self._column(part) * KNOWN_SIZE for form in others for part in form]
 
     def remounted(self, families: Sequence[str], before: Sequence[str]) -> None:
         """Add, for each mounting not in `before`, an unknown error of the mounting, of plausible size.
 
         Of the effects `families`, only those are added that differ from mounting to mounting and do not
-        outlast a remount: the error of one mounting says nothing about the next.
+        outlast a remount: the error of one mounting says nothing about the next. Call it before `seen`.
         """
         labels = [str(m) for m in self.linear.moved.mounts if m.installation != VERIFICATION]
         effects = [CATALOGUE[family] for family in families]
         of_mounts = [effect.name for effect in effects if effect.per_mount and not effect.lasts]
-        new = [
+        self._known += [
             self._column(part)
             for family in of_mounts
             for label in labels
             if label not in before
             for part in forms_everywhere(family, (label,))[0]
         ]
-        self._make_free([*self._known, *new])
 
-    def _make_free(self, known: list[Floats]) -> None:
-        """Project out the coefficients and, up to their priors, the stand angles and the `known` columns."""
-        self._known = known
-        self._seen: dict[EffectPart, Floats] = {}
-        rows = self.linear.with_random(*known)
-        self._white = make_whitener(rows, self._noise.reading, self._noise.setting_rad)
+    @cached_property
+    def _white(self) -> Whitener:
+        """The map that projects out the coefficients and, up to their priors, stand angles and known columns."""
+        rows = self.linear.with_random(*self._known)
+        return make_whitener(rows, self._noise.reading, self._noise.setting_rad)
 
     def _left(self, columns: Floats) -> Floats:
         """Return the whitened columns (N, m) with the free columns projected out."""
@@ -242,7 +242,7 @@ class ReadingDesign:
         if new:
             left = self._left(np.column_stack([self._column(part) for part in new]))
             self._seen.update(zip(new, left.T, strict=True))
-        return np.column_stack([self._seen[part] for part in form])
+        return np.array([self._seen[part] for part in form]).T
 
     def divergence(self, found: Sequence[AppliedEffect], rivals: Sequence[Form]) -> float:
         """Return the divergence D between an effect, with its values `found`, and the rival form most like
@@ -253,6 +253,7 @@ class ReadingDesign:
         total = np.sum([self.linear.effect_column(applied) for applied in found], axis=0)
         one = self._left(total[:, None])[:, 0]
         least = float(one @ one)
+        self.seen(tuple(dict.fromkeys(part for form in rivals for part in form)))
         for form in rivals:
             other = self.seen(form)
             left = one - other @ np.linalg.lstsq(other, one, rcond=1e-9)[0]

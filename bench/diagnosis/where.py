@@ -12,7 +12,7 @@ from scipy import special
 from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.base.languages import message
 from bench.diagnosis.evidence import KNOWN_SIZE
-from bench.diagnosis.levels import ALIKE, BY_CHANCE, FAR, INSEPARABLE, LISTED
+from bench.diagnosis.levels import ALIKE, BY_CHANCE, CHUNK, FAR, INSEPARABLE, LISTED
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.diagnosis.noise_grid import NoiseGrid, make_whitener
 from bench.diagnosis.noise_kinds import TAIL_DOF
@@ -211,12 +211,14 @@ def far_readings(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tup
         (float(of), int(reading), _CHANNEL[channel])
         for of, reading, channel in zip(size, linear.rows.reading, linear.rows.channel, strict=True)
     ]
-    for number in range(linear.settings):
-        own = np.where(linear.setting == number, linear.slope, 0.0)[:, None]
-        seen = float((own.T @ white.weigh(own))[0, 0])
-        if seen > 0.0:
-            along = abs(float(own[:, 0] @ pull)) / np.sqrt(seen)
-            off.append((along, int(linear.rows.reading[np.argmax(linear.setting == number)]), "setting"))
+    for start in range(0, linear.settings, CHUNK):
+        numbers = np.arange(start, min(start + CHUNK, linear.settings))
+        own = np.where(linear.setting[:, None] == numbers, linear.slope[:, None], 0.0)
+        along, seen = np.abs(pull @ own), np.sum(own * white.weigh(own), axis=0)
+        first = linear.rows.reading[np.argmax(linear.setting[:, None] == numbers, axis=0)]
+        known = seen > 0.0
+        of_settings = zip((along[known] / np.sqrt(seen[known])).tolist(), first[known].tolist(), strict=True)
+        off += [(of, reading, "setting") for of, reading in of_settings]
     told: dict[int, FarReading] = {}
     readings, looks = linear.readings, len(size) + linear.settings
     for of, i, channel in sorted((one for one in off if one[0] >= FAR), key=lambda one: -one[0]):

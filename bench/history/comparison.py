@@ -256,7 +256,10 @@ def compare(snapshots: Sequence[Snapshot]) -> Comparison:
     units = sorted({snapshot.unit for snapshot in snapshots})
     if len(units) > 1:
         listed = ", ".join(f"{snapshot.name} in {snapshot.unit}" for snapshot in snapshots)
-        raise CalibrationError(f"use coefficients in one unit to compare ({listed})")
+        raise CalibrationError(
+            f"the coefficients are in different units ({listed}); compare calibrations whose "
+            "signals have one unit"
+        )
     free = [snapshot.name for snapshot in snapshots if _of_free_positions(snapshot)]
     for snapshot in snapshots:
         if snapshot.name not in free:
@@ -321,7 +324,7 @@ def _require_regular(snapshot: Snapshot) -> None:
     u = u_of(snapshot.covariance)
     if not np.all(u > 0) or np.linalg.cond(snapshot.covariance / np.outer(u, u)) > MOST_CONDITION:
         raise CalibrationError(
-            f"{snapshot.name}: its covariance is singular, so not all twelve coefficients were found from "
+            f"{snapshot.name}: the covariance is singular, so not all twelve coefficients were found from "
             "readings; calibrate in installations of known orientation"
         )
 

@@ -77,8 +77,9 @@ class UnitDrift:
         years = (days - self.first.astype("datetime64[s]")).astype(float).ravel() / SECONDS_PER_YEAR
         if not np.all(years >= self.states.last_year - 1e-9):
             raise CalibrationError(
-                f"a history predicts only times after its last calibration ({self.last.astype('datetime64[D]')}); "
-                f"asked for {days.min().astype('datetime64[D]')}"
+                f"{days.min().astype('datetime64[D]')} is before the last calibration "
+                f"({self.last.astype('datetime64[D]')}), and a history predicts only later times; ask for a "
+                "later date"
             )
         value, variance = self.states.predicted(years)
         shape = (*days.shape, len(self.rate))
@@ -163,7 +164,8 @@ def drift_of_unit(measured: ComparedCalibrations) -> OfUnit:
     units, benches = (sorted(set(labels.tolist())) for labels in (measured.unit, measured.bench))
     if len(units) > 1:
         raise CalibrationError(
-            f"a drift is of one unit, not {len(units)}: add unit=…, such as unit='{units[0]}'"
+            f"the conditions match {len(units)} units, but a drift is of one; add unit=…, such as "
+            f"unit='{units[0]}'"
         )
     notes: tuple[str, ...] = ()
     if len(benches) > 1:

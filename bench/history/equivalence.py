@@ -463,7 +463,7 @@ def against_others(
         covariances = covariances + np.diag(transport**2)
     if n < LEAST_LABORATORIES:
         raise CalibrationError(
-            f"{n} laboratories; {LEAST_LABORATORIES} or more are needed to say which is off"
+            f"{n} laboratories are too few to say which is off; give results of {LEAST_LABORATORIES} or more"
         )
     found = []
     for own in range(n):

@@ -357,10 +357,14 @@ def learn(
     """
     if len(runs) < LEAST_RUNS:
         raise CalibrationError(
-            f"{len(runs)} run cannot show which errors all runs share; give {LEAST_RUNS} or more"
+            f"{len(runs)} run cannot show which errors all runs share; give {LEAST_RUNS} runs or more"
         )
     if len({run.unit for run in runs}) > 1:
-        raise CalibrationError("these runs have signals in different units; use runs in one unit")
+        raise CalibrationError(
+            "the runs have signals in different units "
+            f"({', '.join(sorted({run.unit for run in runs}))}); leave out the runs in other "
+            "units"
+        )
     kept = list(runs)
     layout = Layout.of(kept, stand_u, by_installation=by_installation, waves=waves)
     noise = pooled_noise(kept)

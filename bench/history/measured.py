@@ -119,7 +119,7 @@ def nine_of(name: str, vector: Floats, covariance: Floats) -> Derived:
     try:
         return intrinsic(Block.from_vector(vector), covariance)
     except np.linalg.LinAlgError as error:
-        raise CalibrationError(f"{name}: its K describes no block, as {error}") from error
+        raise CalibrationError(f"{name}: the matrix K describes no block, as {error}") from error
 
 
 def coded(labels: Sequence[str] | Labels) -> tuple[Labels, Ints]:

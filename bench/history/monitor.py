@@ -68,6 +68,7 @@ def monitor_chart(runs: Sequence[CheckRun], baseline: int = BASELINE) -> Control
         raise CalibrationError("the runs turned different axes; chart runs of one monitor procedure")
     if len(ordered[:baseline]) < LEAST_BASELINE:
         raise CalibrationError(
-            f"{len(ordered[:baseline])} runs; name {LEAST_BASELINE} or more, the first of which set the limits"
+            f"{len(ordered[:baseline])} runs are too few to set the limits; name {LEAST_BASELINE} runs or more, "
+            "and a baseline of as many"
         )
     return control_chart(ordered[:baseline], ordered[baseline:], ChartDesign())

@@ -76,10 +76,14 @@ def prior_of(measured: ComparedCalibrations) -> Prior:
     kinds, _ = coded(measured.kind)
     units, unit = coded(measured.unit)
     if len(kinds) > 1:
-        raise CalibrationError(f"a prior is for one type of unit; name one of {', '.join(kinds.tolist())}")
+        raise CalibrationError(
+            f"the conditions match units of several types ({', '.join(kinds.tolist())}), but "
+            "a prior is for one; add type=…"
+        )
     if len(units) < LEAST_UNITS:
         raise CalibrationError(
-            f"{len(units)} units of type {kinds[0]}: a prior needs {LEAST_UNITS} or more, each calibrated"
+            f"{len(units)} units of type {kinds[0]} are too few for a prior; calibrate {LEAST_UNITS} units or "
+            "more"
         )
     of_g = measured.gravity
     measured = replace(measured, covariance=measured.covariance - of_g[:, :, None] * of_g[:, None, :])

@@ -75,7 +75,8 @@ def read_static(path: Path) -> StaticRecord:
     suffixes = [s for s in UNITS if any(f"u{axis}_{s}" in header for axis in "xyz")]
     if len(suffixes) > 1:
         raise ReadingsError(
-            f"{path}, line 1: signal columns in different units ({', '.join(suffixes)}); use one unit for all three"
+            f"{path}, line 1: signal columns in different units ({', '.join(suffixes)}); convert the columns to "
+            "one unit"
         )
     suffix = suffixes[0] if suffixes else "v"
     names = ["time_s", *(f"u{axis}_{suffix}" for axis in "xyz")]
@@ -91,7 +92,13 @@ def read_static(path: Path) -> StaticRecord:
     if bad:
         more = [f"… and {len(bad) - LISTED_AT_ONCE} more"] if len(bad) > LISTED_AT_ONCE else []
         raise ReadingsError(
-            "\n".join([*bad[:LISTED_AT_ONCE], *more, "nothing was used; cut the record at the gap"])
+            "\n".join(
+                [
+                    *bad[:LISTED_AT_ONCE],
+                    *more,
+                    "the record was not used; correct these cells, or cut the record there",
+                ]
+            )
         )
     table = np.array(rows, dtype=np.float64).reshape(-1, 4)
     return from_columns(str(path), UNITS[suffix], table[:, 0], table[:, 1:])
@@ -106,8 +113,8 @@ def from_columns(source: str, unit: str, time_s: Floats, signal: Floats) -> Stat
     """
     if len(time_s) < LEAST_SAMPLES:
         raise CalibrationError(
-            f"{source}: {len(time_s)} samples; an Allan deviation needs {LEAST_SAMPLES} or more, and "
-            "covers averaging up to a quarter of the record"
+            f"{source}: {len(time_s)} samples are too few for an Allan deviation; record {LEAST_SAMPLES} or more "
+            "(it covers averaging up to a quarter of the record)"
         )
     whole = np.isfinite(time_s) & np.isfinite(signal).all(axis=1)
     if not np.all(whole):
@@ -150,7 +157,7 @@ def on_grid(source: str, time_s: Floats, signal: Floats, channels: tuple[str, ..
     """
     if len(time_s) < LEAST_SAMPLES:
         raise CalibrationError(
-            f"{source}: {len(time_s)} readings; an Allan deviation needs {LEAST_SAMPLES} or more"
+            f"{source}: {len(time_s)} readings are too few for an Allan deviation; record {LEAST_SAMPLES} or more"
         )
     steps = np.diff(time_s)
     usual = float(np.median(steps[steps > 0.0]))
@@ -158,7 +165,8 @@ def on_grid(source: str, time_s: Floats, signal: Floats, channels: tuple[str, ..
     place = np.rint((time_s - time_s[0]) / interval_s).astype(np.int64)
     if place[-1] > LONGEST_GAPS * len(place):
         raise CalibrationError(
-            f"{source}: readings cover {100.0 * len(place) / place[-1]:.1f} % of the time; cut it at its gaps"
+            f"{source}: readings cover {100.0 * len(place) / place[-1]:.1f} % of the time; cut the record at its "
+            "gaps"
         )
     count = np.bincount(place)
     sums = np.stack([np.bincount(place, column) for column in signal.T], axis=1)
@@ -259,7 +267,9 @@ def reading_advice(
     cycles = tau_s * line_frequency_hz
     usable = sorted(n for n in nplc if n >= REJECTS_LINE)
     if not usable:
-        raise CalibrationError("the voltmeters cannot integrate over a whole power-line cycle; use others")
+        raise CalibrationError(
+            "the voltmeters cannot integrate over a whole power-line cycle; use other voltmeters"
+        )
     fitting = [n for n in usable if n * LEAST_OF_A_READING <= cycles] or usable[:1]
     each = fitting[-1]
     samples = max(LEAST_OF_A_READING, int(np.ceil(cycles / each - 1e-9)))

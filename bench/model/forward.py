@@ -70,14 +70,8 @@ class ForwardModel:
         replaces the block's signal at the meter inputs. A row in an unknown installation is NaN unless `force` or
         `voltage_v` is given for it. Other arguments are as for `specific_force`.
         """
-        acting = self._force_of_stand(conditions, stand_rad, block, setting_error_rad)
-        if force is not None:
-            acting = np.where(np.isnan(force), acting, force)
-        acting = self.force(acting, conditions, block)
-        at_inputs = self.output(acting, conditions, block)
-        if voltage_v is not None:
-            at_inputs = np.where(np.isnan(voltage_v), at_inputs, voltage_v)
-        return self.voltmeter_readings(at_inputs, conditions, block)
+        given = (self, block, conditions, stand_rad, setting_error_rad)
+        return Stages(*given, force=force, voltage_v=voltage_v).readings
 
     def readings_at(self, force: Floats, conditions: Conditions, block: Block) -> Floats:
         """Return the predicted readings in volts, shape (n, 3), for given specific forces instead of orientations.
@@ -159,3 +153,74 @@ class ForwardModel:
             turns = np.stack([_UNKNOWN_TURN if i is None else i.block_from_platform for i in known])
             kept = conditions.memory["turns"] = self.installations, turns
         return kept[1]
+
+
+class Stages:
+    """The stages from stand to readings, evaluated once at a point; a step then evaluates only the later stages.
+
+    `readings` are those of `ForwardModel.readings_in_order`, with the same arguments.
+    """
+
+    def __init__(
+        self,
+        model: ForwardModel,
+        block: Block,
+        conditions: Conditions,
+        stand_rad: Floats,
+        setting_error_rad: Floats | float = 0.0,
+        *,
+        force: Floats | None = None,
+        voltage_v: Floats | None = None,
+    ) -> None:
+        self._model, self._given = model, (conditions, block)
+        self._known_force, self._known_v = force, voltage_v
+        rows, angle_rad = stand_rad[conditions.mount], conditions.angle_rad + setting_error_rad
+        self._stand, self._angle = model.angles(conditions, rows, angle_rad, block)
+        static = self._static(self._stand, self._angle)
+        self._force = model.force(static, *self._given)
+        self._voltage_v = model.output(self._force, *self._given)
+        self._signals = {
+            Stage.STAND: rows,
+            Stage.HEAD_ANGLE: angle_rad,
+            Stage.SPECIFIC_FORCE: static,
+            Stage.BLOCK_OUTPUT: self._force,
+            Stage.VOLTMETER_READING: _unless_known(voltage_v, self._voltage_v),
+        }
+        self.readings = self._read(self._voltage_v)
+
+    def of(self, block: Block) -> Floats:
+        """Return the readings (n, 3) of another block, if no effect of the model changes the force."""
+        conditions, _ = self._given
+        return self._model.voltmeter_readings(
+            self._model.output(self._force, conditions, block), conditions, block
+        )
+
+    def instead(self, old: AppliedEffect | None, new: AppliedEffect) -> Floats:
+        """Return the readings (n, 3) with the effect `new` in place of `old` of the model (None: added to it)."""
+        model, stage = self._model, new.effect.stage
+        change = model.addition(new, self._signals[stage], *self._given)
+        if old is not None:
+            change = change - model.addition(old, self._signals[stage], *self._given)
+        if stage is Stage.VOLTMETER_READING:
+            return self.readings + change
+        if stage is Stage.BLOCK_OUTPUT:
+            return self._read(self._voltage_v + change)
+        if stage is Stage.SPECIFIC_FORCE:
+            force = self._force + change
+        else:
+            stand = self._stand + change if stage is Stage.STAND else self._stand
+            angle = self._angle + change if stage is Stage.HEAD_ANGLE else self._angle
+            force = model.force(self._static(stand, angle), *self._given)
+        return self._read(model.output(force, *self._given))
+
+    def _static(self, stand_rad: Floats, angle_rad: Floats) -> Floats:
+        static = self._model.static_force(self._given[0], stand_rad, angle_rad)
+        return _unless_known(self._known_force, static)
+
+    def _read(self, voltage_v: Floats) -> Floats:
+        return self._model.voltmeter_readings(_unless_known(self._known_v, voltage_v), *self._given)
+
+
+def _unless_known(known: Floats | None, computed: Floats) -> Floats:
+    """Return `known` where it is given and not NaN, elsewhere `computed`."""
+    return computed if known is None else np.where(np.isnan(known), computed, known)

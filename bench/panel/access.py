@@ -238,7 +238,12 @@ def private_folder(folder: Path) -> Path:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         found = folder.lstat()
         if not stat.S_ISDIR(found.st_mode):
-            raise RecordError(message(f"{folder}: is a link where the panel needs a folder; remove it"))
+            raise RecordError(
+                message(
+                    f"{folder}: a file or a symbolic link is where the panel needs a folder; "
+                    "remove the file or link"
+                )
+            )
         if os.name == "posix" and stat.S_IMODE(found.st_mode) & 0o077:
             folder.chmod(0o700)
     except OSError as error:

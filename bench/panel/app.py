@@ -362,6 +362,9 @@ def open_panel(runs: Path, after: str = "/", name: str = "", laboratory: Path | 
     return new_link(runs, after, name, laboratory)
 
 
+_SLOW: Final = "starting takes too long; start the panel with 'bench panel'"
+
+
 def begin_panel(runs: Path, ports: Sequence[int] = (PORT, 0), laboratory: Path | None = None) -> Started:
     """Start a panel that outlives this program, on the first free of `ports`. Raises `RecordError`."""
     state = private_folder(runs / STATE)
@@ -375,7 +378,7 @@ def begin_panel(runs: Path, ports: Sequence[int] = (PORT, 0), laboratory: Path |
                 return started
         except Refusal as refusal:
             trouble = refusal.text
-    raise RecordError(f"{runs}: no panel started there: {trouble or 'it takes too long'}")
+    raise RecordError(f"{runs}: the panel did not start: {trouble or _SLOW}")
 
 
 def new_link(runs: Path, after: str = "/", name: str = "", laboratory: Path | None = None) -> str:
@@ -386,7 +389,8 @@ def new_link(runs: Path, after: str = "/", name: str = "", laboratory: Path | No
     url = url_of(runs)
     if not is_loopback((urlsplit(url).hostname or "").strip("[]")):
         raise RecordError(
-            f"links work on the bench's computer only, but this panel is at {url or 'no address'}"
+            f"the panel at {url} is open to other computers, where sign-in links do not work; make a token with "
+            "'bench panel token NAME'"
         )
     secret = Access(runs / STATE, laboratory=laboratory).new_link(name or login_name())
     return f"{url}/sign-in?link={secret}" + (f"&next={quote(after)}" if after != "/" else "")

@@ -9,7 +9,7 @@ import types
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import count
-from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Final, Literal, TypeGuard, Union, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
@@ -20,8 +20,18 @@ from bench.base.languages import message
 from bench.base.units import AccelerationMS2, QuantityKind, quantity_of, written_quantity
 from bench.base.yaml_files import FileMistake, Place, dotted
 from bench.config.bench_file.file import BenchFile
-from bench.config.bench_file.stand import Location, MeasuredGravity, StandSection, UnitUnderTest
-from bench.config.devices.device import Certificate, RangeValues, Role, VoltmeterCertificate
+from bench.config.bench_file.sections import CheckBlockSection
+from bench.config.bench_file.stand import (
+    InstallationSection,
+    Location,
+    MeasuredGravity,
+    StandSection,
+    UncertaintySection,
+    UnitSupplySection,
+    UnitUnderTest,
+    VerificationSection,
+)
+from bench.config.devices.device import Role
 from bench.config.devices.registry import devices
 
 GRAVITY_FORM: Final = "form:gravity"
@@ -29,8 +39,22 @@ METERS: Final = "form:voltmeters"
 OF_BENCH: Final = ("name", "description", "line_frequency")
 METERS_PLACE: Final[Place] = ("instruments", "voltmeters")
 GRAVITY: Final[Place] = ("gravity",)
-ONE_ROLE: Final[tuple[tuple[Role, bool], ...]] = (("head", True), ("chamber", False))
-"""Roles other than the voltmeters that have a form, each with whether a bench must fill it."""
+ROLES: Final[Mapping[Role, str]] = {
+    "head": message("Head"), "chamber": message("Chamber"), "level": message("Level"),
+    "thermometer": message("Thermometer at the block"), "power_supply": message("Power supply"),
+}  # fmt: skip
+"""The instruments other than the voltmeters that have a form, with their titles; only the head is required."""
+INSTALLATIONS: Final[Place] = ("installations",)
+NEW_INSTALLATION: Final = "form:installation"
+SUPPLY: Final[Place] = ("unit_under_test", "supply")
+FURTHER: Final[tuple[tuple[str, type[BaseModel], str], ...]] = (
+    (message("Further uncertainty"), UncertaintySection, "uncertainty"),
+    (message("Verification"), VerificationSection, "verification"),
+    (message("Check block"), CheckBlockSection, "check_block"),
+)
+"""The sections at the end of the form: their titles, models and keys."""
+MOST_ROWS: Final = 72
+"""The most rows of a table that the form adds; a head's table at every 5° has as many."""
 
 Values = Mapping[str, str]
 """The texts of a bench file or of its form, by dotted path; keys "form:…" are choices that only the form has."""
@@ -40,8 +64,8 @@ Values = Mapping[str, str]
 class BenchField:
     """A field of the form: an input whose name is the dotted path of its value in the bench file.
 
-    `choices` are pairs (value, words), empty for a text field; `shows` says whether the choice decides which
-    other fields exist.
+    `choices` are pairs (value, words), empty for a text field; `shows` says whether the value decides which other
+    fields exist. A field that is not `required` is folded away while it is empty.
     """
 
     name: str
@@ -55,14 +79,15 @@ class BenchField:
     """Whether the value is the resource of an instrument; the form then offers the resources found."""
     many: bool = False
     """Whether the value is a list, written with commas between its members."""
+    rows: type[BaseModel] | None = None
+    """The model of a row, if the field is the number of rows of the table at `at`."""
 
 
 @dataclass(frozen=True)
 class Group:
-    """A section of the form with its fields.
+    """A section of the form with its fields, or a row of a table in a section.
 
-    `section` is the model of an instrument or of the stand errors, of which empty fields are folded away; None for
-    other sections.
+    `section` is the model of a section of which empty fields are folded away; None for other sections.
     """
 
     title: str
@@ -70,6 +95,7 @@ class Group:
     help: str
     fields: tuple[BenchField, ...]
     section: type[BaseModel] | None = None
+    row: bool = False
     own: bool = False
     """Whether the laboratory must state each value itself, such as its gravity; no example can know it."""
 
@@ -85,24 +111,110 @@ class Group:
 def groups_of(values: Values) -> list[Group]:
     """Return the groups of the form; the choices in `values` determine the fields."""
     others = frozenset(BenchFile.model_fields) - {*OF_BENCH}
-    bench = Group("Bench", (), "", tuple(fields_in(BenchFile, (), others)))
-    block = Group(
-        "Block",
-        ("unit_under_test",),
-        first_sentence(UnitUnderTest),
-        tuple(fields_in(UnitUnderTest, ("unit_under_test",))),
-        own=True,
+    block = tuple(fields_in(UnitUnderTest, ("unit_under_test",)))
+    groups = [Group(message("Bench"), (), "", tuple(fields_in(BenchFile, (), others))), _gravity(values)]
+    groups += _voltmeters(values)
+    for role, title in ROLES.items():
+        groups += _instrument(role, ("instruments", role), title, values, required=role == "head")
+    groups += _section(message("Stand errors"), StandSection, ("stand",), values, own=True)
+    groups += _installations(values)
+    groups.append(
+        Group(message("Block"), ("unit_under_test",), first_sentence(UnitUnderTest), block, own=True)
     )
-    instruments = [
-        _instrument(role, ("instruments", role), role.capitalize(), values, required=required)
-        for role, required in ONE_ROLE
-    ]
-    errors = [
-        one for key in StandSection.model_fields for one in _optional(StandSection, key, ("stand",), values)
-    ]
-    told = first_sentence(StandSection)
-    stand = Group(message("Stand errors"), ("stand",), told, tuple(errors), StandSection, own=True)
-    return [bench, _gravity(values), *_voltmeters(values), *instruments, stand, block]
+    if values.get("instruments.power_supply.driver"):
+        title = message("Supply of the block")
+        groups += _section(title, UnitSupplySection, SUPPLY, values, optional=True, own=True)
+    for title, model, key in FURTHER:
+        optional = not BenchFile.model_fields[key].is_required()
+        groups += _section(title, model, (key,), values, optional=optional)
+    return groups
+
+
+def _section(
+    title: str,
+    model: type[BaseModel],
+    at: Place,
+    values: Values,
+    *,
+    first: tuple[BenchField, ...] = (),
+    optional: bool = False,
+    own: bool = False,
+) -> Iterator[Group]:
+    """Yield the group of a section, with the fields `first`, and a group for each row of its tables."""
+    skip = frozenset(str(one.at[-1]) for one in first)
+    fields = (*first, *_fields_of(model, at, values, skip, optional=optional))
+    yield Group(title, at, first_sentence(model), fields, model, own=own)
+    for table in fields:
+        for number in range(number_of_rows(table.at, values) if table.rows else 0):
+            row = (*table.at, number)
+            inner = tuple(
+                replace(one, help="" if number else one.help)  # the first row explains the others
+                for one in _fields_of(table.rows or model, row, values)
+            )
+            yield Group(message(f"{title}: row {number + 1}"), row, "", inner, row=True, own=own)
+
+
+def _fields_of(
+    model: type[BaseModel],
+    at: Place,
+    values: Values,
+    skip: frozenset[str] = frozenset(),
+    *,
+    optional: bool = False,
+) -> Iterator[BenchField]:
+    """Yield the fields of a section and of the sections in it; of a table, the number of its rows.
+
+    In an `optional` section, no field is required before one of them is filled.
+    """
+    inner = {key: info for key, info in model.model_fields.items() if key not in skip}
+    sections = {key: found for key, info in inner.items() if (found := _optional_section(info.annotation))}
+    written = {key for key in sections if within((*at, key), values)}
+    fields = fields_in(model, at, skip | written)
+    yield from _as_begun(fields, at, values) if optional else fields
+    for key, info in inner.items():
+        if (row := _row_model(info.annotation)) is not None:
+            yield _number_field(row, (*at, key), values)
+        elif key in written or (key in sections and _words(info.annotation, info.metadata) is None):
+            yield from _fields_of(sections[key], (*at, key), values, optional=True)
+
+
+def _number_field(row: type[BaseModel], at: Place, values: Values) -> BenchField:
+    """Return the field for the number of rows of a table."""
+    name, number = f"form:{dotted(at)}", number_of_rows(at, values)
+    choices = tuple((str(one), str(one)) for one in range(1, MOST_ROWS + 1))
+    if not values.get(name):
+        choices = (("", str(number or "none")), *choices)
+    label = _label(f"number_of_{at[-1]}", at[:-1])
+    return BenchField(name, at, label, choices=choices, required=number > 0, shows=True, rows=row)
+
+
+def number_of_rows(at: Place, values: Values) -> int:
+    """Return the number of rows of a table: as chosen in the form, else at least 1 if its section has values."""
+    chosen = values.get(f"form:{dotted(at)}", "")
+    if chosen.isdecimal() and len(chosen) < 3:
+        return min(int(chosen), MOST_ROWS)
+    return next(n for n in count(int(_is_begun(at[:-1], values))) if not within((*at, n), values))
+
+
+def _is_begun(at: Place, values: Values) -> bool:
+    """Whether a value of the section at a path is filled, or the number of rows of a table in it is chosen."""
+    inside = f"{dotted(at)}."
+    return any(text.strip() for name, text in values.items() if name.removeprefix("form:").startswith(inside))
+
+
+def _installations(values: Values) -> Iterator[Group]:
+    """Yield the group with the label of a new installation, and a group for each installation of the file."""
+    told = message("Installations 1 and 2 are known. State each further one that a procedure uses.")
+    label = message("Label of a further installation")
+    field = BenchField(NEW_INSTALLATION, INSTALLATIONS, label, message("such as V or 1T90"), shows=True)
+    yield Group(message("Installations"), INSTALLATIONS, told, (field,))
+    keys = "|".join(InstallationSection.model_fields)
+    found = (re.fullmatch(rf"installations\.(.+)\.(?:{keys})", name) for name in values)
+    for label in dict.fromkeys([values.get(NEW_INSTALLATION, ""), *(match[1] for match in found if match)]):
+        if label:
+            at = (*INSTALLATIONS, label)
+            fields = tuple(_fields_of(InstallationSection, at, values, optional=True))
+            yield Group(message(f"Installation {label}"), at, "", fields, row=True)
 
 
 def _gravity(values: Values) -> Group:
@@ -124,14 +236,14 @@ def _voltmeters(values: Values) -> Iterator[Group]:
         ("3", message("three, one for each signal")), ("2", "two"), ("1", message("one, which scans all signals")),
     )  # fmt: skip
     choice = BenchField(METERS, METERS_PLACE, message("Number of voltmeters"), choices=words, shows=True)
-    yield Group("Voltmeters", METERS_PLACE, "", (choice,))
+    yield Group(message("Voltmeters"), METERS_PLACE, "", (choice,))
     for index in range(number_of_meters(values)):
-        group = _instrument(
-            "voltmeter", (*METERS_PLACE, index), f"Voltmeter {index + 1}", values, required=True
-        )
-        signal = values.get(f"{group.place}.channels", "")
-        reads_one = any(one.at[-1] == "channels" for one in group.fields)
-        yield replace(group, title=message(f"Voltmeter of {signal}")) if signal and reads_one else group
+        at = (*METERS_PLACE, index)
+        device = devices().get(values.get(dotted((*at, "driver")), ""))
+        reads_one = device is not None and "channels" in device.section.model_fields
+        signal = values.get(dotted((*at, "channels")), "") if reads_one else ""
+        title = message(f"Voltmeter of {signal}") if signal else f"Voltmeter {index + 1}"
+        yield from _instrument("voltmeter", at, title, values, required=True)
 
 
 def number_of_meters(values: Values) -> int:
@@ -140,56 +252,25 @@ def number_of_meters(values: Values) -> int:
     return int(text) if text in {"1", "2", "3"} else len(CHANNELS)
 
 
-def _instrument(role: Role, at: Place, title: str, values: Values, *, required: bool) -> Group:
+def _instrument(role: Role, at: Place, title: str, values: Values, *, required: bool) -> Iterator[Group]:
     known = devices().of(role)
     name = dotted((*at, "driver"))
     words = tuple((one.name, f"by hand ({one.name})" if one.section.by_hand else one.name) for one in known)
-    stated = values.get(name, "")
     choices = words if required else (("", "none"), *words)
-    choice = BenchField(name, (*at, "driver"), "Instrument", choices=choices, required=required, shows=True)
-    device = devices().get(stated)
+    choice = BenchField(name, (*at, "driver"), "Instrument", choices=choices, required=True, shows=True)
+    device = devices().get(values.get(name, ""))
     if device is None or device not in known:
-        return Group(title, at, "", (choice,))
-    inner = tuple(fields_in(device.section, at, frozenset({"driver"})))
-    certificate = bare(device.section.model_fields["certificate"].annotation)
-    inner = (choice, *inner, *_certificate(certificate, (*at, "certificate"), values))
-    return Group(title, at, first_sentence(device.section), inner, device.section)
-
-
-def _certificate(model: type[Certificate], at: Place, values: Values) -> Iterator[BenchField]:
-    """Yield the fields of an instrument's certificate; none is required before one of them is filled.
-
-    For a voltmeter these include the corrections of each range with their U and k. For another instrument there are
-    fields only if the bench file has its certificate, because the form has none for the table of corrections.
-    """
-    of_meter = issubclass(model, VoltmeterCertificate)
-    if of_meter or within(at, values):
-        yield from _as_begun(fields_in(model, at), at, values)
-    for number in range(_rows(at, values) if of_meter else 0):
-        row = (*at, "values", number)
-        yield from _as_begun(fields_in(RangeValues, row), at, values)
-        for key in ("gain", "offset"):
-            yield from _optional(RangeValues, key, row, values)
-
-
-def _rows(at: Place, values: Values) -> int:
-    """Return the number of ranges in a voltmeter's certificate, at least 1 to be filled."""
-    return next(number for number in count(1) if not within((*at, "values", number), values))
-
-
-def _optional(model: type[BaseModel], key: str, at: Place, values: Values) -> Iterator[BenchField]:
-    """Yield the fields of the section `key` of `model`, whether or not the file may leave the section out."""
-    info = model.model_fields[key]
-    inner = fields_in(bare(info.annotation), (*at, key))
-    return inner if info.is_required() else _as_begun(inner, (*at, key), values)
+        yield Group(title, at, "", (choice,))
+    else:
+        yield from _section(title, device.section, at, values, first=(choice,))
 
 
 def _as_begun(fields: Iterable[BenchField], at: Place, values: Values) -> Iterator[BenchField]:
     """Yield the fields of a section that may be left out, required only if one of them is filled."""
-    begun = any(values[name].strip() for name in within(at, values))
+    begun = _is_begun(at, values)
     for one in fields:
-        choices = (("", message("left out")), *one.choices) if one.choices else ()
-        yield replace(one, required=one.required and begun, choices=choices)
+        left_out = (("", message("left out")),) if one.choices and one.required else ()
+        yield replace(one, required=one.required and begun, choices=(*left_out, *one.choices))
 
 
 def within(at: Place, values: Values) -> list[str]:
@@ -205,16 +286,16 @@ def fields_in(
 ) -> Iterator[BenchField]:
     """Yield the field for each value of a model and of its required sections; `at` is the model's path in the file.
 
-    Lists and optional sections, such as certificates, have no field here. `default` is the section that applies if
-    the file has none.
+    Tables and optional sections, such as certificates, have no field here. `default` is the section that applies if
+    the file has none. Coverage factor and degrees of freedom follow the value that they qualify.
     """
     model.model_rebuild()
-    for name, info in model.model_fields.items():
+    for name, info in sorted(model.model_fields.items(), key=lambda item: item[0] in {"k", "dof"}):
         key = info.alias or name
         if key in skip:
             continue
         inner = info.annotation
-        if inspect.isclass(inner) and not get_args(inner) and issubclass(inner, BaseModel):
+        if is_model(inner):
             value = info.get_default(call_default_factory=True, validated_data={})
             given = value if isinstance(value, BaseModel) else None
             yield from fields_in(inner, (*at, key), default=given)
@@ -244,21 +325,20 @@ def _fields_of_key(key: str, info: FieldInfo, at: Place, default: Any) -> Iterat
         choices = _choices(info.annotation)
         if choices and not required:
             choices = (("", message(f"left out: {left_out}") if left_out else message("left out")), *choices)
-        yield replace(one, help="" if choices else told, choices=choices)
+        yield replace(one, help="" if choices else told, choices=choices, many=_is_list(info.annotation))
 
 
-_WITHIN: Final = (
-    "serial", "scale_factors", "temperature", "certificate", "gain", "offset", *StandSection.model_fields,
-)  # fmt: skip
+_WITHIN: Final = frozenset({
+    "serial", "scale_factors", "temperature", "certificate", "gain", "offset", "current", "limits", "warm_up",
+    "population", "baseline_days", *StandSection.model_fields, *UncertaintySection.model_fields,
+})  # fmt: skip
 """Sections within a section, whose name precedes the label of each of their fields."""
 
 
 def _label(key: str, at: Place) -> str:
     own = key.replace("_", " ")
-    if at and at[-1] in _WITHIN:
+    if len(at) > 1 and at[-1] in _WITHIN:
         return f"{str(at[-1]).replace('_', ' ').capitalize()}: {own}"
-    if at[-2:-1] == ("values",):
-        return f"Certificate: {own}"
     return own if len(own) == 1 else own.capitalize()
 
 
@@ -272,7 +352,33 @@ def _words(annotation: Any, metadata: Iterable[Any]) -> str | None:
     kind = quantity_of(annotation, tuple(metadata))
     if kind is not None:
         return f"{kind.called} such as {kind.example}"
+    if _is_list(annotation):
+        return message("with commas between")
     return "" if _choices(annotation) else _PLAIN.get(bare(annotation))
+
+
+def _is_list(annotation: Any) -> bool:
+    """Whether the value is a list of words."""
+    return get_origin(bare(annotation)) is tuple and get_args(bare(annotation))[0] is str
+
+
+def is_model(kind: Any) -> TypeGuard[type[BaseModel]]:
+    """Whether a type is a model, that is a section of a file."""
+    return inspect.isclass(kind) and not get_args(kind) and issubclass(kind, BaseModel)
+
+
+def _optional_section(annotation: Any) -> type[BaseModel] | None:
+    """Return the model of a section that may be left out or written as a plain value; None for another type."""
+    kind = bare(annotation)
+    if is_model(annotation) or not (is_model(kind) or get_origin(kind) in {Union, types.UnionType}):
+        return None
+    return next((part for one in (kind, *get_args(kind)) if is_model(part := bare(one))), None)
+
+
+def _row_model(annotation: Any) -> type[BaseModel] | None:
+    """Return the model of a table's rows; None for any other type."""
+    kind = bare(annotation)
+    return get_args(kind)[0] if get_origin(kind) is tuple and is_model(get_args(kind)[0]) else None
 
 
 def bare(annotation: Any) -> Any:
@@ -322,9 +428,11 @@ def values_of(data: Any) -> dict[str, str]:
             for key, inner in part.items():
                 look(inner, (*at, key))
         elif isinstance(part, list):
-            if at[-1:] == ("channels",) and len(part) == 1:
-                values[dotted(at)] = str(part[0])
+            if all(not isinstance(one, dict | list) for one in part):
+                values[dotted(at)] = ", ".join(map(str, part))
                 return
+            if at != METERS_PLACE:
+                values[f"form:{dotted(at)}"] = str(len(part))
             for index, inner in enumerate(part):
                 look(inner, (*at, index))
         elif part is not None:
@@ -337,14 +445,6 @@ def values_of(data: Any) -> dict[str, str]:
     meters = instruments.get("voltmeters") if isinstance(instruments, dict) else None
     values[METERS] = str(len(meters)) if isinstance(meters, list) else str(len(CHANNELS))
     return values
-
-
-def listed(values: Values, name: str) -> str:
-    """Return the members of the list `name`, separated by commas, as its field shows them."""
-    members: list[str] = []
-    while (inside := f"{name}[{len(members) + 1}]") in values:
-        members.append(values[inside])
-    return ", ".join(members)
 
 
 FORMS_OF_GRAVITY: Final = {
@@ -384,8 +484,10 @@ def completed(values: Values, before: Values) -> dict[str, str]:
         device = devices().get(full.get(f"{name}.driver", ""))
         if device is not None and "channels" in device.section.model_fields:
             full[f"{name}.channels"] = full.get(f"{name}.channels") or CHANNELS[index]
-    for role, _ in ONE_ROLE:
+    for role in ROLES:
         _exemplify(full, before, dotted(("instruments", role)))
+    if within((*INSTALLATIONS, full.get(NEW_INSTALLATION, "")), full):
+        full[NEW_INSTALLATION] = ""
     return full
 
 
@@ -438,7 +540,8 @@ def placed(mistakes: Iterable[FileMistake], groups: Iterable[Group]) -> Placed:
     """Return the mistakes by field or, without a field, by group; those of neither are `elsewhere`."""
     groups = list(groups)
     fields = [one.name for group in groups for one in group.fields]
-    known = {*fields} | {group.place for group in groups if group.at}
+    tables = {dotted(one.at): one.name for group in groups for one in group.fields if one.rows}
+    known = {*fields, *tables} | {group.place for group in groups if group.at}
     result = Placed()
     for mistake in mistakes:
         place = mistake.place
@@ -451,7 +554,7 @@ def placed(mistakes: Iterable[FileMistake], groups: Iterable[Group]) -> Placed:
         while place and place not in known:
             place = place[: max(place.rfind("."), place.rfind("["), 0)]
         if place:
-            result.at.setdefault(place, []).append(mistake.text)
+            result.at.setdefault(tables.get(place, place), []).append(mistake.text)
         else:
             result.elsewhere.append(mistake)
     return result

@@ -131,7 +131,7 @@ def change(
     command is not allowed, `OSError` if the journal cannot be written.
     """
     if word not in WORDS:
-        raise Refusal(400, message(f"ask for one of {', '.join(WORDS)}"))
+        raise Refusal(400, message(f"there is no such command; send one of {', '.join(WORDS)}"))
     path = folder / JOURNAL
     with FileLock(folder / f".{JOURNAL}.lock", mode=0o600):
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
@@ -161,18 +161,21 @@ def _checked(holding: Holding, word: str, person: Person, to: str) -> str:
         case "take" | "ask" | "force" if holds:
             raise Refusal(409, message(f"{person.name} is already in control; no need to ask"))
         case "take" if holding.holder:
-            raise Refusal(409, message(f"{holding.holder} is in control; ask for it"))
+            raise Refusal(409, message(f"{holding.holder} is in control; ask for control"))
         case "ask" if not holding.holder:
             raise Refusal(409, message("nobody is in control; take control first"))
         case "ask" if len(holding.asking) >= MOST_ASKING:
-            raise Refusal(429, message("too many ask already; wait"))
+            raise Refusal(
+                429, message("too many persons ask for control already; wait until one of them is answered")
+            )
         case "ask" if person.name in holding.asking:
-            raise Refusal(409, message(f"{person.name} has already asked; wait"))
+            raise Refusal(409, message(f"{person.name} has already asked for control; wait for the answer"))
         case "grant" | "deny" | "release" if not holds:
             raise Refusal(
                 403,
                 message(
-                    f"only the person in control ({holding.holder or 'nobody'}) may do that; take control first"
+                    f"only the person in control ({holding.holder or 'nobody'}) may grant, deny or give up "
+                    "control; take control first"
                 ),
             )
         case "grant" | "deny":
@@ -182,7 +185,7 @@ def _checked(holding: Holding, word: str, person: Person, to: str) -> str:
                     409,
                     message(f"{to or 'nobody'} did not ask for control; choose from those who did")
                     if to
-                    else message("nobody asked for control; keep it or let go"),
+                    else message("nobody asked for control; keep control or give it up"),
                 )
             return to
     return ""
@@ -194,5 +197,6 @@ def require_holder(folder: Path, person: Person) -> None:
     holder = read_holding(folder).holder
     if holder != person.name:
         raise Refusal(
-            403, message(f"{holder or 'nobody'} is in control; {'ask for' if holder else 'take'} it first")
+            403,
+            message(f"{holder or 'nobody'} is in control; {'ask for' if holder else 'take'} control first"),
         )

@@ -80,7 +80,8 @@ def wait_until(begun: Callable[[], bool], started: Started, clock: Clock | None 
             raise Refusal(
                 409,
                 message(
-                    f"the run did not start (exit status {status}); correct what it says: {last_words(started.log)}"
+                    f"the run did not start (exit status {status}); remove the cause that it states: "
+                    f"{last_words(started.log)}"
                 ),
             )
         if clock.now_s() > until_s:

@@ -150,11 +150,17 @@ def new_path(kind: str, name: str) -> Path:
     """
     if NAME.fullmatch(name) is None:
         raise Refusal(
-            400, message("give up to 60 letters, digits, - and _, beginning with a letter or digit")
+            400,
+            message(
+                "the name is not allowed; give up to 60 letters, digits, - and _, beginning with a "
+                "letter or digit"
+            ),
         )
     path = Path(kind) / f"{name}.yaml"
     if not path.resolve().is_relative_to(Path().resolve()):
-        raise Refusal(409, message(f"the folder '{kind}' leads out of the working folder; remove that link"))
+        raise Refusal(
+            409, message(f"the folder '{kind}' is a symbolic link out of the working folder; remove the link")
+        )
     if path.exists() or path.is_symlink() or name in own_files(kind) or name in shipped_files(kind):
         raise Refusal(409, message(f"there is a {CALLED[kind]} {name} already; choose another name"))
     return path

@@ -19,7 +19,7 @@ from bench.base.yaml_files import FileMistake, FileMistakes, Place, dotted, read
 from bench.config.procedure.file import AngleSteps, OperatorTimeSection, ReadingSection, StepEntry, TurnVerb
 from bench.config.procedure.load import Procedure, load_procedure
 from bench.panel.access import Refusal
-from bench.panel.bench_fields import BenchField, Group, Values, bare, fields_in, listed, values_of
+from bench.panel.bench_fields import BenchField, Group, Values, bare, fields_in, values_of
 from bench.panel.round_trip import edited_text, in_one_line
 
 STEPS: Final[Place] = ("steps",)
@@ -129,7 +129,7 @@ def values_in(data: Any, fields: Iterable[BenchField]) -> dict[str, str]:
             inside = any(name.startswith(f"{place}.") for name in written)
             values[one.name] = AS_STEPS if inside else AS_LIST
         else:
-            values[one.name] = listed(written, one.name) if one.many else written.get(one.name, "")
+            values[one.name] = written.get(one.name, "")
     return values
 
 
@@ -194,7 +194,7 @@ def _block(text: str, at: Place) -> tuple[int, int, int]:
     lines = text.splitlines()
     first = read_yaml(text).lines.get(at, 0) - 1
     if first < 0 or not lines[first].lstrip().startswith("- "):
-        raise Refusal(409, message("this step stands in one line with others; change it in the text"))
+        raise Refusal(409, message("the step stands in one line with others; change it in the text"))
     mark = re.match(r" *- ", lines[first])
     indent = len(mark[0]) - 2 if mark else 0
     end = first + 1
@@ -220,7 +220,7 @@ def _compared(text: str, lines: list[str], at: Place, times: int) -> str:
     index = int(at[-1])
     steps[index : index + 1] = [steps[index]] * times
     if not steps or read_yaml(changed).data != wanted:
-        raise Refusal(409, message("this cannot be done in the table; change it in the text"))
+        raise Refusal(409, message("the table cannot make this change; make it in the text"))
     return changed
 
 

@@ -11,18 +11,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from bench.base.files import read_regular, write_whole
-from bench.base.yaml_files import Place, document_of, dotted, read_yaml, sha256_of_file, validated
+from bench.base.yaml_files import Place, document_of, dotted, part, read_yaml, sha256_of_file, validated
 from bench.config.bench_file.file import BenchFile
 from bench.panel.bench_fields import (
     FORMS_OF_GRAVITY,
     GRAVITY,
     GRAVITY_FORM,
-    ONE_ROLE,
+    ROLES,
+    SUPPLY,
     BenchField,
     Group,
     Values,
-    listed,
     number_of_meters,
+    number_of_rows,
     values_of,
     within,
 )
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 
 WIDEST: Final = 4096
 """The longest line that is not broken."""
+TABLES: Final = ("values", "rails")
 _NOTHING: Final = re.compile(r"~|null", re.IGNORECASE)
 
 
@@ -73,9 +75,7 @@ def edited_text(
     before = {name: there.get(name, "") for name in before}
     for one in fields:
         wanted = values.get(one.name, "").strip()
-        if not one.name.startswith("form:") and wanted != (
-            listed(before, one.name) if one.many else before.get(one.name, "")
-        ):
+        if not one.name.startswith("form:") and wanted != before.get(one.name, ""):
             _put(tree, one, wanted)
     out = io.StringIO()
     yaml.dump(tree, out)
@@ -107,7 +107,9 @@ def accept_certificate(request: ReadCertificate, section: str) -> str:
     have mistakes.
     """
     if request.into is None or not request.instrument or not request.by:
-        raise Refused("accepting a certificate needs --into FILE, --instrument NAME and --by NAME")
+        raise Refused(
+            "accepting a certificate needs --into FILE, --instrument NAME and --by NAME; add the missing ones"
+        )
     name, path = checked_name(request.by), Path(request.into)
     if (register := persons_of(laboratory_known(None))) is not None:
         register.chosen(name, Right.AUTHORISE, "--by")
@@ -160,27 +162,17 @@ def _yaml() -> YAML:
 
 
 def _arrange(tree: Any, values: Values, before: Values, groups: list[Group]) -> None:
-    """Add and remove the sections that the form's choices demand: voltmeters, chamber, way of stating gravity."""
+    """Add and remove what the form's choices demand: instruments, rows of tables, the way of stating gravity."""
     stated = values.get(GRAVITY_FORM, "")
     if not stated:
         _remove(tree, GRAVITY)
     elif stated != before.get(GRAVITY_FORM, ""):
         tree["gravity"] = _gravity(stated)
-    instruments = tree.get("instruments")
-    if not isinstance(instruments, dict):
-        instruments = tree["instruments"] = _mapping()
-    meters = instruments.get("voltmeters")
-    if not isinstance(meters, list):
-        meters = instruments["voltmeters"] = _sequence()
-    wanted = number_of_meters(values)
-    while len(meters) > wanted:
-        del meters[len(meters) - 1]
-    while len(meters) < wanted:
-        meters.append(_mapping())
-    for role, _ in ONE_ROLE:
-        if not values.get(f"instruments.{role}.driver", "").strip():
-            instruments.pop(role, None)
+    _arrange_instruments(tree, values)
     for group in groups:
+        for one in group.fields:
+            if one.rows is not None and isinstance(rows := part(tree, *one.at), list):
+                del rows[number_of_rows(one.at, values) :]
         driver = dotted((*group.at, "driver"))
         if group.section is not None and values.get(driver, "") != before.get(driver, ""):
             section = _reach(tree, group.at)
@@ -192,6 +184,24 @@ def _arrange(tree: Any, values: Values, before: Values, groups: list[Group]) -> 
             values[name].strip() for name in within(certificate, values)
         ):
             _remove(tree, certificate)
+
+
+def _arrange_instruments(tree: Any, values: Values) -> None:
+    instruments = tree.get("instruments")
+    if not isinstance(instruments, dict):
+        instruments = tree["instruments"] = _mapping()
+    meters = instruments.get("voltmeters")
+    if not isinstance(meters, list):
+        meters = instruments["voltmeters"] = _sequence()
+    wanted = number_of_meters(values)
+    while len(meters) > wanted:
+        del meters[len(meters) - 1]
+    while len(meters) < wanted:
+        meters.append(_mapping())
+    for role in ROLES:
+        stated = values.get(f"instruments.{role}.driver", "").strip()
+        if not stated and instruments.pop(role, None) is not None and role == "power_supply":
+            _remove(tree, SUPPLY)
 
 
 def _gravity(stated: str) -> Any:
@@ -234,7 +244,7 @@ def _scalar(text: str, before: Any) -> Any:
 
 
 def _remove(tree: Any, at: Place) -> None:
-    """Remove the key at a path, and the sections that become empty: of a list, the last row of a certificate."""
+    """Remove the key at a path, and the sections that become empty: of a list, the last row of a table."""
     section = tree
     for step in at[:-1]:
         if isinstance(section, dict) and step not in section:
@@ -242,10 +252,10 @@ def _remove(tree: Any, at: Place) -> None:
         section = section[step]
         if not isinstance(section, dict | list):
             return
-    last_row = isinstance(section, list) and at[-2:-1] == ("values",) and at[-1] == len(section) - 1
+    last_row = isinstance(section, list) and at[-2] in TABLES and at[-1] == len(section) - 1
     if last_row or (isinstance(section, dict) and at[-1] in section):
         del section[at[-1]]
-        if not section and len(at) > 1 and (not isinstance(at[-2], int) or at[-3] == "values"):
+        if not section and len(at) > 1 and (not isinstance(at[-2], int) or at[-3] in TABLES):
             _remove(tree, at[:-1])
 
 
@@ -255,8 +265,8 @@ def _reach(tree: Any, at: Place) -> Any:
     for step, inner in zip_longest(at, at[1:]):
         if isinstance(section, dict) and not isinstance(section.get(step), dict | list):
             section[step] = _sequence() if isinstance(inner, int) else _mapping()
-        elif isinstance(section, list) and step == len(section):
-            section.append(_mapping())
+        elif isinstance(section, list):
+            section.extend(_mapping() for _ in range(len(section), int(step) + 1))
         section = section[step]
     return section
 

@@ -80,8 +80,8 @@ class RunView:
         except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
             raise RecordError(
                 message(
-                    f"event {event.number} of the record cannot follow here ({error}); check it with 'bench "
-                    "show RUN --verify'"
+                    f"event {event.number} of the record contradicts those before it ({error}); check the record "
+                    "with 'bench show RUN --verify'"
                 )
             ) from error
 
@@ -261,6 +261,7 @@ class Tail:
     def _broken(self) -> RecordError:
         return RecordError(
             message(
-                f"{self._path}, line {self._count + 1}: cannot be trusted; 'bench show RUN --verify' shows why"
+                f"{self._path}, line {self._count + 1}: the record cannot be trusted; 'bench show RUN --verify' "
+                "shows why"
             )
         )

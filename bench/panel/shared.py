@@ -70,7 +70,7 @@ def looking(request: Request) -> Person:
     """Return the signed-in person who requests a page. Raises `Refusal` if nobody is signed in."""
     person = person_of(request)
     if person is None:
-        raise Refusal(401, message("sign in first"))
+        raise Refusal(401, message("nobody is signed in; sign in first"))
     return person
 
 
@@ -109,13 +109,18 @@ async def fields(request: Request, most: int = MOST_FIELDS) -> dict[str, str]:
         elif kind == "application/x-www-form-urlencoded" or not body:
             given = dict(parse_qsl(body.decode(), keep_blank_values=True, max_num_fields=most))
         else:
-            raise Refusal(415, message("send a form or a JSON object"))
+            raise Refusal(
+                415, message("the request is neither a form nor JSON; send a form or a JSON object")
+            )
     except ValueError:
-        raise Refusal(400, message("send a form or valid JSON")) from None
+        raise Refusal(400, message("the request cannot be read; send a form or valid JSON")) from None
     if isinstance(given, dict) and len(given) > most:
         raise Refusal(400, message(f"at most {most} fields are accepted; send fewer"))
     if not isinstance(given, dict) or not all(isinstance(value, str) for value in given.values()):
-        raise Refusal(400, message("send a JSON object whose values are texts"))
+        raise Refusal(
+            400,
+            message("the request's JSON is no object of texts; send a JSON object whose values are texts"),
+        )
     return given
 
 
@@ -229,7 +234,7 @@ SECTIONS: Final = frozenset({"/bench", "/procedures", "/queue", "/start"})
 def _back(request: Request) -> str:
     """Return the page to go back to after a refusal; "" for none but the list of runs."""
     path, name = request.scope["path"], request.path_params.get("name", "")
-    section = f"/{path.split('/')[1]}"
+    section = f"/{path.removeprefix('/').partition('/')[0]}"  # a request may name a path without a slash
     if section == "/runs" and person_of(request) is not None and panel_of(request).runs.holds(name):
         section = f"/runs/{quote(name)}/"
     elif section not in SECTIONS:

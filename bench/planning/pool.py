@@ -130,13 +130,14 @@ def pool_of(plan: Plan, line_hz: float = 50.0) -> Pool:
     """
     if any(isinstance(step, SetTemperature) for step in plan.steps):
         raise CalibrationError(
-            f"{plan.name}: sets temperatures, but this goal is for a calibration at one temperature; "
-            "run it whole, or choose a procedure without them"
+            f"{plan.name}: the procedure sets temperatures, but this goal is for a calibration at one "
+            "temperature; run the procedure whole, or choose one without temperatures"
         )
     found = _points(plan, line_hz)
     if not found:
         raise CalibrationError(
-            f"{plan.name}: has no reading in an installation of known orientation: choose another procedure"
+            f"{plan.name}: the procedure has no reading in an installation of known orientation; choose another "
+            "procedure"
         )
     visits = _visits(plan, found, line_hz)
     chosen = {i for point in found for i in point.steps} | {i for visit in visits for i in visit.steps}

@@ -178,7 +178,10 @@ def level_rad(extra: Mapping[str, Labels], rows: int) -> Floats | None:
     found = np.array(columns, dtype=np.float64).reshape(4, rows).T * ARCSEC
     whole = np.isfinite(found).all(axis=1)
     if np.any(np.isfinite(found).any(axis=1) & ~whole) or np.any(found[whole, 2:] <= 0.0):
-        raise ValueError(f"fill in {', '.join(ANGLES)} together, with u above 0, or none of them")
+        raise ValueError(
+            f"only some of {', '.join(ANGLES)} are stated, or a u is not above 0; fill in all of "
+            "them, or none"
+        )
     return found
 
 

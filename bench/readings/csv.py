@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -68,6 +69,10 @@ AS_TEXT: Final = (
     *LEVEL_COLUMNS,
 )
 """Documented columns that are kept as text."""
+
+
+_OTHER_UNIT: Final = re.compile(r"u[xyz]_(?!sd_)(\w+)")
+"""Pattern of a column of a signal; its group is the suffix for the unit."""
 
 
 class ReadingsError(ValueError):
@@ -260,8 +265,8 @@ def _refuse_header(path: Path, header: list[str], example: str) -> None:
         raise ReadingsError(f"{path}: empty; expected a header line such as {example}")
     if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
         raise ReadingsError(
-            f"{path}, line 1: separate columns by commas, and write decimals with a dot "
-            "('bench import --columns MAP.yaml' reads other logs)"
+            f"{path}, line 1: the columns are not separated by commas; separate them by commas, and write "
+            "decimals with a dot ('bench import --columns MAP.yaml' reads other logs)"
         )
     twice = sorted(map(shortened, repeated(header)))
     if twice:
@@ -284,17 +289,35 @@ def _signal_suffix(path: Path, header: list[str]) -> str:
     missing = [name for name in REQUIRED if name not in header]
     if len(present) > 1:
         raise ReadingsError(
-            f"{path}, line 1: signal columns in different units ({', '.join(present)}); "
-            "use one unit for all three, such as ux_v, uy_v, uz_v"
+            f"{path}, line 1: signal columns in different units ({', '.join(present)}); convert them to one "
+            "unit, such as ux_v, uy_v, uz_v"
         )
     suffix = present[0] if present else "v"
     missing += [f"u{axis}_{suffix}" for axis in "xyz" if f"u{axis}_{suffix}" not in header]
     if missing:
+        hint = "" if present else _on_units(header)
+        if not hint and not set(REQUIRED) & set(header):
+            hint = " ('bench import --columns MAP.yaml' reads other logs)"
         raise ReadingsError(
-            f"{path}, line 1: the header lacks {', '.join(missing)}; expected at least {_example_header()}"
-            + ("" if set(REQUIRED) & set(header) else " ('bench import --columns MAP.yaml' reads other logs)")
+            f"{path}, line 1: the header lacks {', '.join(missing)}; expected at least {_example_header()}{hint}"
         )
     return suffix
+
+
+def _on_units(header: Iterable[str]) -> str:
+    """Return what to do about a signal in a unit that readings files do not take; "" if there is none."""
+    found = next(filter(None, map(_OTHER_UNIT.fullmatch, header)), None)
+    if found is None:
+        return ""
+    read = ", ".join(f"{unit} (ux_{suffix})" for suffix, unit in UNITS.items())
+    mapped = f"{{columns: {found[0]}, unit: {found[1][:-1]}V}}"
+    by_map = (
+        f", or let 'bench import --columns MAP.yaml' convert them, by {found[0][:3]}v: {mapped} in MAP.yaml"
+    )
+    return (
+        f"; signals are read in {read} only, not as {found[0]}: convert them"
+        f"{by_map if found[1].endswith('v') else ''}"
+    )
 
 
 def _example_header() -> str:
@@ -480,7 +503,9 @@ def read_centrifuge(path: Path) -> CentrifugePoints:
     names = (*FORCES, *UNCERTAIN, *SIGNALS)
     missing = [name for name in names if name not in header]
     if missing:
-        raise ReadingsError(f"{path}, line 1: the header lacks {', '.join(missing)}; points have {EXAMPLE}")
+        raise ReadingsError(
+            f"{path}, line 1: the header lacks {', '.join(missing)}; add these columns: points have {EXAMPLE}"
+        )
     rows, bad = [], []
     for line, cells in body:
         text = dict(zip(header, cells, strict=False))

@@ -128,23 +128,31 @@ class Reading:
     def _check(self) -> None:
         """Raise `ValueError` or `TypeError` for a wrong number of values or a value of the wrong type."""
         if not len(self.mean) == len(self.sd) == len(CHANNELS):
-            raise ValueError("give a reading three channels")
+            raise ValueError("a reading lacks a channel; give mean and sd of three channels")
         for count in (self.series, self.pass_number, self.point, self.samples_taken):
             if type(count) is not int or not 0 <= count < 2**31:
-                raise ValueError("give series, pass, point and samples of a reading as whole numbers")
+                raise ValueError(
+                    "series, pass, point or samples of a reading is no whole number of 0 or more; "
+                    "give whole numbers"
+                )
         if self.direction not in (0, 1, -1):
-            raise ValueError("state a direction of 1, -1 or 0")
+            raise ValueError(f"the direction of a reading is {self.direction!r}; give 1, -1 or 0")
         for text in (self.installation, self.unit, self.scan_order, self.temperature_source):
             if type(text) is not str:
-                raise ValueError("give every text of a reading")
+                raise ValueError(
+                    "installation, unit, scan order or source of temperature of a reading is not a "
+                    "text; give texts"
+                )
         for number in (
             *self.mean, *self.sd, self.direction, self.angle_deg, self.target_deg, self.time_s, self.temperature_c,
             self.reference_v, self.chamber_c, self.meter_temperature_c, self.room_c,
         ):  # fmt: skip
             if number is not None and (type(number) not in (int, float) or not isfinite(number)):
-                raise ValueError("give every number of a reading")
+                raise ValueError(
+                    "a value of a reading is no finite number; give a number, or None if the value is unknown"
+                )
         if None in self.mean:
-            raise ValueError("give a reading the mean of each channel")
+            raise ValueError("a reading lacks the mean of a channel; give a number for each channel")
 
 
 _WHERE_KNOWN: Final = ("rails", "temperature_source", "chamber_c", METER_C, ROOM_C)

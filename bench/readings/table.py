@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -133,8 +134,12 @@ class Readings:
     def conditions(self) -> Conditions:
         """Return the conditions of the rows for the forward model, at the angles read back.
 
-        Raises `ValueError` if a cell of the column `scan_order` is invalid.
+        A second call returns the same object. Raises `ValueError` if a cell of the column `scan_order` is invalid.
         """
+        return self._conditions
+
+    @cached_property
+    def _conditions(self) -> Conditions:
         return Conditions.of(
             self.installation.tolist(),
             self.angle_rad,
@@ -244,7 +249,9 @@ def together(parts: Sequence[JoinedPart]) -> Readings:
     units = {part.readings.unit: part.readings.source for part in parts}
     if len(units) > 1:
         each = ", ".join(f"{source} in {unit}" for unit, source in units.items())
-        raise ValueError(f"use one unit for readings evaluated together, not {each}")
+        raise ValueError(
+            f"the readings are in different units ({each}); evaluate the files of each unit separately"
+        )
     ordered, starts, real = _starts(parts)
     tables: list[Readings] = []
     notes: list[str] = []

@@ -137,7 +137,9 @@ def read_manifest(folder: Path) -> Manifest:
     try:
         manifest = json.loads(read_regular(folder / MANIFEST).decode())
     except (FileNotFoundError, NotADirectoryError):
-        raise RecordError(f"{folder}: not a run (no {MANIFEST} in it)") from None
+        raise RecordError(
+            f"{folder}: the folder is not a run (no {MANIFEST} in it); name the folder of a run"
+        ) from None
     except OSError as error:
         raise RecordError(
             f"{folder / MANIFEST}: cannot be read ({error.strerror}); check name and permissions"

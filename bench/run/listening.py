@@ -207,7 +207,7 @@ class Asker:
             given = LeftAnswer(self._id, text, terminal.who)
             if not (after_another and terminal.by_hand and self._clock.now_s() - asked_s < READ_S):
                 break
-            self._refuse(given, "it was typed before this question appeared; answer again")
+            self._refuse(given, "the answer was typed before this question appeared; answer again")
         if problem := problem_with_answer(prompt, text):
             self._refuse(given, problem)
             self._refused = prompt.id.rpartition("#")[0]

@@ -197,7 +197,7 @@ def parse_wish(text: str) -> RunControl:
         known = ", ".join(f"{SIGN}{w.value}" for w in Wish)
         raise ValueError(f"{SIGN}{word} is unknown; type one of {known}") from None
     if wish is Wish.SKIP and not reason.strip():
-        raise ValueError(f"give a reason: {SIGN}skip REASON")
+        raise ValueError(f"a skip needs a reason; type {SIGN}skip REASON")
     return RunControl(wish, reason.strip(), by_person=True)
 
 
@@ -517,7 +517,11 @@ def confirm(person: Person, prompt: Prompt) -> None:
             return
         text = message(f"There is no hurry: answer yes when it is done. {prompt.text}")
         put = replace(prompt, id=f"{prompt.id}#wait{wait}", text=text)
-    raise BenchError("operator", f"answered no several times to: {prompt.text}", "do it, then resume the run")
+    raise BenchError(
+        "operator",
+        f"answered no several times to: {prompt.text}",
+        "do what the question asks, then resume the run",
+    )
 
 
 def agree(person: Person, prompt: Prompt) -> None:

@@ -381,8 +381,9 @@ def _until_settled(
     except NotSettled as moved:
         raise NotSettled(
             moved.instrument,
-            f"it was not warm {duration(wanted.timeout)} after it was switched on: {moved.cause}",
-            "find what moves or warms it and resume, or lengthen the timeout of its warm-up in the bench file",
+            f"the block was not warm {duration(wanted.timeout)} after it was switched on: {moved.cause}",
+            "find what moves or warms the block and resume, or lengthen the timeout of its warm-up in the bench "
+            "file",
             moved.state,
         ) from moved
 

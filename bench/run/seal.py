@@ -101,12 +101,17 @@ class Seal:
         wrong = []
         if now.events != self.events:
             wrong.append(
-                f"the seal covers {self.events} events, but the record has {now.events}; restore it from a copy"
+                f"the seal covers {self.events} events, but the record has {now.events}; restore the record from "
+                "a copy"
             )
         elif now.head != self.head:
-            wrong.append("the last hash of its chain differs from the sealed one; restore it from a copy")
+            wrong.append(
+                "the last hash of the record differs from the sealed one; restore the record from a copy"
+            )
         if (now.run, now.manifest_sha256, now.files) != (self.run, self.manifest_sha256, self.files):
-            wrong.append(f"its inputs ({MANIFEST}) differ from the sealed ones; restore them from a copy")
+            wrong.append(
+                f"the inputs of the run ({MANIFEST}) differ from the sealed ones; restore them from a copy"
+            )
         return tuple(f"the record changed after it was sealed: {text}" for text in wrong)
 
 
@@ -357,11 +362,13 @@ def ask_time_stamp(url: str, message: bytes) -> bytes:
         ) from error
     if info is None:
         raise NoTimeStamp(
-            f"{url}: no time stamp: the server refused it; try again or use another "
-            f"({', '.join(response.status_string)})"
+            f"{url}: no time stamp: the server refused it ({', '.join(response.status_string)}); try again, or "
+            "use another server"
         )
     if info.nonce != asked.nonce or info.message_imprint.message != hashlib.sha256(message).digest():
-        raise NoTimeStamp(f"{url}: no time stamp (it stamped other data); ask again, or use another server")
+        raise NoTimeStamp(
+            f"{url}: no time stamp: the server stamped other data; ask again, or use another server"
+        )
     return answer
 
 
@@ -395,9 +402,9 @@ def read_time_stamp(response: bytes, message: bytes, authority: Path | None) -> 
         decoded = rfc3161.decode_timestamp_response(response)
         info = decoded.tst_info
     except ValueError as error:
-        raise NoTimeStamp("its time stamp is damaged; restore the seal from a copy") from error
+        raise NoTimeStamp("the seal's time stamp is damaged; restore the seal from a copy") from error
     if info.message_imprint.message != hashlib.sha256(message).digest():
-        raise NoTimeStamp("its time stamp belongs to another seal; restore the seal from a copy")
+        raise NoTimeStamp("the time stamp belongs to another seal; restore the seal from a copy")
     if authority is None:
         return TimeStamp(info.gen_time, trusted=False)
     try:
@@ -415,7 +422,7 @@ def read_time_stamp(response: bytes, message: bytes, authority: Path | None) -> 
         builder.build().verify_message(decoded, message)
     except (rfc3161.VerificationError, ValueError) as error:
         raise NoTimeStamp(
-            f"its time stamp was not signed by the authority in {authority} ({error}); give that authority's "
+            f"the time stamp was not signed by the authority in {authority} ({error}); give that authority's "
             "certificate"
         ) from error
     return TimeStamp(info.gen_time, trusted=True)

@@ -529,7 +529,8 @@ class Workbench:
         if self.temperature_c is not None and not low_c <= self.temperature_c <= high_c:
             raise LimitExceeded(
                 "block",
-                f"it is at {self.temperature_c:g} °C, but may be given {low_c:g} to {high_c:g} °C only",
+                f"its temperature is {self.temperature_c:g} °C, outside the limits of the block, {low_c:g} to "
+                f"{high_c:g} °C",
                 "find out why the chamber went there, then continue",
             )
 

@@ -61,7 +61,8 @@ def read_prior(path: Path) -> Prior:
     file: PriorFile = load_prior(path)
     if file.per_g_m_s2 != STANDARD_GRAVITY:
         raise Refused(
-            f"{path}: per_g_m_s2 is {file.per_g_m_s2:g}, expected {STANDARD_GRAVITY}; make the file again"
+            f"{path}: per_g_m_s2 is {file.per_g_m_s2:g}, expected {STANDARD_GRAVITY}; make the file again with "
+            "'bench fleet prior'"
         )
     rows = [file.coefficients[name] for name in COEFFICIENTS]
     return Prior(
@@ -144,20 +145,24 @@ def _refuse_other(prior: Prior, found: Calibration, source: Source, path: Path) 
         )
     if (unit.type or "") != prior.kind:
         raise Refused(
-            f"{path}: is for type {prior.kind!r}, but this unit is of type {(unit.type or 'unknown')!r}; give its "
-            "own prior file"
+            f"{path}: the prior is for units of type {prior.kind!r}, but this unit is of type "
+            f"{(unit.type or 'unknown')!r}; give a prior for its type"
         )
     if found.unit != prior.signal:
         raise Refused(
-            f"{path}: coefficients in {prior.signal}/g, but the readings are in {found.unit}; use one unit"
+            f"{path}: the prior is in {prior.signal}/g, but the readings are in {found.unit}; give a prior made "
+            f"from calibrations in {found.unit}/g"
         )
     if source.simulated != prior.simulated:
         its, here = ("simulated", "real") if prior.simulated else ("real", "simulated")
-        raise Refused(f"{path}: made of {its} calibrations, this one is {here}: use one kind")
+        raise Refused(
+            f"{path}: the prior was made from {its} calibrations, but this run is {here}; give a prior "
+            f"made from {here} calibrations"
+        )
     if unit.serial and name in prior.units:
         raise Refused(
-            f"{path}: {name} is among its units and would count twice; make one without it: bench fleet "
-            f"prior 'type={prior.kind}' 'unit!={name}' --prior-out FILE"
+            f"{path}: the prior includes {name} itself, which would count twice; make a prior without this unit: "
+            f"bench fleet prior 'type={prior.kind}' 'unit!={name}' --prior-out FILE"
         )
 
 
@@ -459,7 +464,8 @@ def verification_of(
         taken, name = coefficients.as_coefficients(), coefficients.source.name
         if taken.unit != source.readings.unit:
             raise Refused(
-                f"coefficients in {taken.unit}/g, but the readings are in {source.readings.unit}; use one unit"
+                f"the coefficients are in {taken.unit}/g, but the readings in {source.readings.unit}; give the "
+                f"coefficients of a calibration in {source.readings.unit}/g"
             )
         if coefficients.source is source:
             return judged(source, judgement, taken, coefficients.calibration)

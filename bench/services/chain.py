@@ -124,7 +124,7 @@ class Chain:
         path = self.folder / LINES
         with refusing("check name and permissions", self.folder, verb="read"):
             if (path.stat().st_size if path.exists() else 0) < self.length:
-                raise Refused(f"{path}: its last lines are missing; restore it from a copy")
+                raise Refused(f"{path}: the last lines are missing; restore the file from a copy")
             if path.exists():
                 with open_regular(path) as file:
                     file.seek(self.length)

@@ -253,7 +253,8 @@ def _refuse_mixed(values: Sequence[CheckValues]) -> None:
     ):
         if len(own) > 1:
             raise Refused(
-                f"these runs are of different {what} ({', '.join(sorted(own))}); a chart shows one: name its runs"
+                f"the runs are of different {what} ({', '.join(sorted(own))}), but a chart shows one; name only "
+                "the runs of one"
             )
 
 
@@ -290,7 +291,8 @@ def _parts(
     if files:
         if len(section.reference) > 1:
             raise Refused(
-                "check_block: reference: state one result of 'bench calibrate --json' or runs, not both"
+                "check_block: reference: a result of 'bench calibrate --json' is listed with other entries; "
+                "state this result alone, or runs alone"
             )
         return [], runs, _reference((of_bench or Path()).parent / files[0], g_m_s2)
     if section.reference:
@@ -306,8 +308,8 @@ def _parts(
         inside = [run for run in runs if days.first <= run.when.astimezone().date() <= days.last]
         if not inside:
             raise Refused(
-                f"no run of the check block from {days.first} to {days.last}; correct "
-                "'baseline_days' or measure it"
+                f"no run of the check block from {days.first} to {days.last}; correct 'baseline_days', or "
+                "measure the check block"
             )
         return inside, [run for run in runs if run not in inside and run.when > inside[0].when], None
     return *_begun(runs, section), None
@@ -421,7 +423,9 @@ def _in_folder(folder: Path, bench: Bench, real: bool | None) -> tuple[list[Run]
     file, path, latest = _of_folder(folder, bench, kinds)
     section = file.check_block
     if section is None:
-        raise Refused(f"{path}: states no check_block; add it, or name the runs of the check block")
+        raise Refused(
+            f"{path}: the bench file has no section check_block; add it, or name the runs of the check block"
+        )
     simulated = latest.simulated if latest is not None else kinds[0]
     runs = check_block_runs(file, folder, simulated=simulated)
     if not runs:
@@ -492,7 +496,7 @@ def check_before(bench: BenchFile, path: Path, runs: Path, now: datetime, *, sim
     """Return the check by the last run of the check block, as of `now`. Raises `Refused` if there is no chart."""
     section = bench.check_block
     if section is None:
-        raise Refused(f"{path}: states no check_block; add it, or leave the check out")
+        raise Refused(f"{path}: the bench file has no section check_block; add it, or leave out the check")
     found = check_block_runs(bench, runs, simulated=simulated)
     kind = " simulated" if simulated else ""
     if not found:
@@ -542,7 +546,10 @@ def checked_before(
     checked. Raises `Refused` if the rule of the bench file forbids the run.
     """
     if bench.check_block is None:
-        raise Refused(f"{path}: states no check_block; remove --check-block and --despite-check")
+        raise Refused(
+            f"{path}: the bench file has no section check_block, which --check-block and "
+            "--despite-check need; add the section, or leave out these options"
+        )
     if despite is not None and (not despite.strip() or not despite.isprintable()):
         raise Refused("--despite-check: give the reason in words, for the record")
     if is_check_block(bench, manifest["unit_under_test"]):

@@ -77,7 +77,10 @@ def read_coefficients(path: Path, unit: str) -> Coefficients:
     """Return the coefficients in a result file of `calibrate --json`. Raises `Refused`, also for another `unit`."""
     taken = coefficients_of(_read(path), str(path))
     if taken.unit != unit:
-        raise Refused(f"{path}: coefficients in {taken.unit}/g, but the readings are in {unit}; use one unit")
+        raise Refused(
+            f"{path}: the coefficients are in {taken.unit}/g, but the readings in {unit}; give the "
+            f"coefficients of a calibration in {unit}/g"
+        )
     return taken
 
 
@@ -90,8 +93,8 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
     """Return the coefficients in a parsed result of `calibrate --json`; `where` is its file. Raises `Refused`."""
     if is_of_record(data):
         raise Refused(
-            f"{where}: calibrates meters from a record at a known input, without coefficients of a block; give "
-            "the calibration of a block"
+            f"{where}: the file calibrates meters by a record at a known input, and has no coefficients of a "
+            "block; give the calibration of a block"
         )
     try:
         values = np.array([_number(data["coefficients"][name]["value"]) for name in COEFFICIENTS])
@@ -105,10 +108,13 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
             "calibrate wrote"
         ) from error
     except (ValueError, TypeError, IndexError, AttributeError) as error:
-        raise Refused(f"{where}: not a result of 'bench calibrate --json' ({error})") from error
+        raise Refused(
+            f"{where}: not a result of 'bench calibrate --json' ({error}); give a file that calibrate wrote"
+        ) from error
     if not isinstance(theirs, str) or per != "g" or not isinstance(simulated, bool):
         raise Refused(
-            f"{where}: not a result of 'bench calibrate --json': check its members unit, per and simulated"
+            f"{where}: not a result of 'bench calibrate --json' (its members unit, per or simulated are wrong); "
+            "give a file that calibrate wrote"
         )
     if noise < 0 or g_m_s2 <= 0:
         raise Refused(f"{where}: has a negative noise or gravity; calibrate again")
@@ -171,7 +177,10 @@ def block_result(data: Any, where: str) -> BlockResult:
     taken = coefficients_of(data, where)
     if taken.unit not in UNITS.values():
         known = ", ".join(UNITS.values())
-        raise Refused(f"{where}: signals in {shortened(repr(taken.unit))}; a block gives one of {known}")
+        raise Refused(
+            f"{where}: the signals are in {shortened(repr(taken.unit))}, which no block gives; give a "
+            f"calibration whose signals are in {known}"
+        )
     _refuse_without_inverse(taken.block, taken.covariance, where)
     unit = data.get("unit_under_test")
     block = unit if isinstance(unit, Mapping) else {}
@@ -227,8 +236,9 @@ def require_temperature(results: Sequence[BlockResult], *, without: bool) -> Non
     for result in results:
         if result.temperature and not without:
             raise Refused(
-                f"{result.source}: used temperature ({result.temperature}), which these forms do not hold: 'bench "
-                "compensate' writes coefficients over temperature, --without-temperature writes these without it"
+                f"{result.source}: the coefficients are corrected for temperature ({result.temperature}), which "
+                "these file formats cannot state; write them over temperature with 'bench compensate', or "
+                "without the correction with --without-temperature"
             )
 
 
@@ -258,12 +268,13 @@ def _refuse_without_inverse(block: Block, covariance: Floats, where: str) -> Non
     largest = float(np.max(np.abs(block.vector)))
     if not largest < LARGEST or np.max(covariance) > LARGEST**2:
         raise Refused(
-            f"{where}: holds numbers beyond {LARGEST:g}; write it again with 'bench calibrate --json'"
+            f"{where}: the result has numbers beyond {LARGEST:g}; give a result that 'bench calibrate --json' "
+            "wrote"
         )
     scale = float(np.min(np.abs(np.diag(block.K))))
     if scale <= largest / WORST or np.linalg.cond(block.K) > WORST:
         raise Refused(
-            f"{where}: its matrix K cannot be inverted; write it again with 'bench calibrate --json'"
+            f"{where}: the matrix K of the result cannot be inverted; give the result of another calibration"
         )
 
 
@@ -274,7 +285,10 @@ def _further_covariance(data: Any, name: str, where: str) -> Floats | None:
     try:
         covariance = _covariance(data, name)
     except (ValueError, TypeError, IndexError) as error:
-        raise Refused(f"{where}: not a result of 'bench calibrate --json': its {name}: {error}") from error
+        raise Refused(
+            f"{where}: not a result of 'bench calibrate --json' (its {name}: {error}); give a file "
+            "that calibrate wrote"
+        ) from error
     _refuse_impossible(covariance, where)
     return covariance
 
@@ -287,10 +301,14 @@ def _block_terms(data: Any, where: str) -> Floats | None:
         rows = _numbers(data["block_terms"])
     except (ValueError, TypeError) as error:
         raise Refused(
-            f"{where}: not a result of 'bench calibrate --json': its block_terms: {error}"
+            f"{where}: not a result of 'bench calibrate --json' (its block_terms: {error}); give a file that "
+            "calibrate wrote"
         ) from error
     if any(len(row) != len(COEFFICIENTS) for row in rows):
-        raise Refused(f"{where}: not a result of 'bench calibrate --json': its block_terms need 12 columns")
+        raise Refused(
+            f"{where}: not a result of 'bench calibrate --json' (its block_terms need 12 columns); "
+            "give a file that calibrate wrote"
+        )
     return np.array(rows).reshape(-1, len(COEFFICIENTS)).T
 
 
@@ -460,7 +478,7 @@ def nominal_of(text: str | None, results: list[BlockResult]) -> Floats | None:
     for result in results:
         if result.unit in {"g", "m/s^2"}:
             raise Refused(
-                f"--nominal: the signals of {result.source} are in {result.unit} already; remove it"
+                f"--nominal: the signals of {result.source} are in {result.unit} already; leave out --nominal"
             )
         found = np.diag(result.block.K)
         if np.any(found * values < 0):

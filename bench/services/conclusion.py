@@ -336,6 +336,12 @@ def preview_log(request: asked.ImportReadings) -> ConvertedLog:
     return _converted(request, _given(request.file))
 
 
+def check_preview(request: asked.ImportReadings, log: ConvertedLog) -> None:
+    """Read a converted log as an import would. Raises as `import_readings`."""
+    taken, _ = bench_of(str(request.file), None, origin_beside(request.file), request.bench)
+    read_csv(request.file, taken.file.installation_models(), content=log.text.encode())
+
+
 def import_readings(
     request: asked.ImportReadings, announce: Callable[[BenchTaken, Sequence[str]], None]
 ) -> Run:

@@ -102,13 +102,13 @@ def confirmation_of(source: Source) -> ConfirmationResult:
         )
     if not source.model.effects:
         raise Refused(
-            f"--model {path}: it has no effects to confirm; give a model that 'bench diagnose' wrote"
+            f"--model {path}: the model has no effects to confirm; give a model that 'bench diagnose' wrote"
         )
     file = load_model(path, source.model.installations)
     if data_sha256(source.as_read) in (file.data_sha256 or "").split():
         raise Refused(
-            f"--model {path}: it was found in these same readings ({source.name}), which cannot confirm "
-            "it; measure new ones"
+            f"--model {path}: the model was found in these same readings ({source.name}), which cannot confirm "
+            "it; measure new readings"
         )
     if all_free([source.readings]):
         with knowing_effects_of(source):

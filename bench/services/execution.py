@@ -519,7 +519,10 @@ def unfinished_run(name: str | None, runs: Path, *, results_too: bool = False) -
         return waiting[-1]
     found = find_run(name, runs)
     if found.imported:
-        raise Refused(f"{found.name}: was imported from a readings file; it cannot be resumed; calibrate it")
+        raise Refused(
+            f"{found.name}: the run was imported from a readings file and cannot be resumed; evaluate "
+            f"it with 'bench calibrate {found.name}'"
+        )
     return found
 
 
@@ -536,7 +539,10 @@ def taken_up(
     record, history = Record.reopen(run.folder, utc_now, shield)
     if history.state in ENDED and not (results_too and _lacks_results(run, history.state)):
         record.close()
-        raise Refused(f"{run.name}: nothing to do, the run is {history.state}")
+        raise Refused(
+            f"{run.name}: the run is {history.state} and cannot be resumed; see its results with "
+            f"'bench show {run.name}', or start a new run"
+        )
     return record, history
 
 
@@ -562,7 +568,7 @@ def refuse_missing_devices(run: Run) -> None:
     ]
     if missing:
         raise Refused(
-            f"{run.name} needs {' and '.join(missing)}, which is missing here; name its folder with "
+            f"{run.name} needs {' and '.join(missing)}, which this computer lacks; name its folder with "
             "--devices or BENCH_DEVICES, or install its distribution"
         )
 

@@ -298,7 +298,8 @@ def _require_one_bench(sources: Sequence[Source]) -> None:
             )
         if source.simulated != first.simulated:
             raise Refused(
-                f"{source.name} is simulated or {first.name} is, and the other is not; use one kind"
+                f"{source.name} is {'simulated' if source.simulated else 'real'}, but {first.name} is "
+                f"{'simulated' if first.simulated else 'real'}; learn from runs of one kind"
             )
     hashes: dict[str, str] = {}
     for source in sources:
@@ -471,7 +472,10 @@ def monitored(request: asked.Monitor) -> Monitored:
             raise Refused(f"{source.name}: has no date; use runs, or a file that 'bench export' wrote")
     units = sorted({source.readings.unit for source in sources})
     if len(units) > 1:
-        raise Refused(f"signals in {', '.join(units)} cannot be charted together; name runs of one unit")
+        raise Refused(
+            f"signals in {', '.join(units)} cannot be shown in one chart; name runs whose signals have "
+            "one unit"
+        )
     return Monitored(monitor_chart([check_run(source) for source in sources], request.baseline), sources)
 
 

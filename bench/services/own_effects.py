@@ -98,8 +98,8 @@ def simulated_truth(bench: BenchFile, model: Path | None) -> ForwardModel:
         passes = [label for label in applied.installations if PASS in label]
         if passes:
             raise Refused(
-                f"effect {applied.effect.name} of {', '.join(passes)}: the simulated bench cannot have an "
-                "effect in single passes; name installations without passes (such as "
-                f"'{passes[0].split(PASS)[0]}'), or remove it"
+                f"effect {applied.effect.name} of {', '.join(passes)}: the simulated bench cannot have an effect "
+                f"in single passes; name installations without passes (such as '{passes[0].split(PASS)[0]}'), or "
+                "remove the effect"
             )
     return ForwardModel(installations, effects)

@@ -70,7 +70,10 @@ class Persons(Chain):
         name, before = entry.number, self.everyone.get(entry.number)
         present = before is not None and not before.ended
         if entry.kind not in {ADDED, CHANGED, ENDED} or present == (entry.kind == ADDED):
-            raise Refused(f"{where}: {entry.kind} of {name} is nothing that can follow here")
+            raise Refused(
+                f"{where}: the entry '{entry.kind}' of {name} contradicts the entries before it; "
+                "restore the register from a copy"
+            )
         if entry.kind == ENDED and before is not None:
             self.everyone[name] = replace(before, ended=entry.time)
         else:
@@ -162,7 +165,10 @@ def operator_of(name: str, laboratory: Path | None, *, needed: bool) -> tuple[st
         return name, None
     if not name:
         names = ", ".join(one.name for one in register.who_may(Right.OPERATE)) or "nobody"
-        raise Refused(f"{register.folder} lists who may operate; say --operator NAME, one of: {names}")
+        raise Refused(
+            f"{register.folder} lists who may operate, but no operator is named; give --operator NAME, "
+            f"one of: {names}"
+        )
     person = register.chosen(name, Right.OPERATE, "--operator")
     return name, {"role": person.role, "may": sorted(person.may), "register": register.head}
 
@@ -200,7 +206,7 @@ def persons(request: ChangePersons) -> PersonsResult:
     if request.what is PersonsCommand.END:
         needed["--reason TEXT"] = request.reason
     if lacking := [option for option, given in needed.items() if not given]:
-        raise Refused(f"persons {request.what} needs {', '.join(lacking)}")
+        raise Refused(f"bench persons {request.what} needs {', '.join(lacking)}; add what is missing")
     name, by = checked_name(str(request.name)), str(request.by)
     with opened(Persons(laboratory.absolute().parent / FOLDER)) as register:
         if register.entries:
@@ -220,8 +226,10 @@ def _entry(register: Persons, request: ChangePersons, name: str, by: str, token:
     before = register.everyone.get(name)
     present = before is not None and not before.ended
     if present == (request.what is PersonsCommand.ADD):
-        raise Refused(f"{name}: {'is a person of' if present else 'is no person of'} {register.folder}; "
-                      f"{'change or end' if present else 'add'} instead")  # fmt: skip
+        raise Refused(
+            f"{name}: {'already' if present else 'not'} a person in {register.folder}; use 'bench persons "
+            f"{'change' if present else 'add'}'"
+        )
     now, why = civil_now(), {"reason": request.reason or ""}
     if request.what is PersonsCommand.END:
         return Entry(ENDED, name, now, by, why)

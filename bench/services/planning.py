@@ -116,7 +116,7 @@ def _refuse_contradictions(request: PlanPoints) -> None:
     if request.up_to is not None and request.modulus is None:
         raise Refused("--up-to needs --modulus (the uncertainty of |a| up to so many g); add it")
     if request.least not in {"time", "settings"}:
-        raise Refused(f"--least: give time or settings, not {request.least!r}")
+        raise Refused(f"--least {request.least}: choose from time, settings")
     if not 3 <= request.angles <= MOST_ANGLES:
         raise Refused(f"--angles {request.angles}: give 3 to {MOST_ANGLES} angles a turn")
     out = request.out
@@ -175,7 +175,7 @@ def duration_s(option: str, text: str) -> float:
     """Return the time (s) in the `text` of an option. Raises `Refused` for an invalid time."""
     seconds = quantity(option, text, DURATION, plain=False)
     if seconds < 0:
-        raise Refused(f"{option} {text}: give a time of 0 or more")
+        raise Refused(f"{option} {text}: the time is negative; give a time of 0 or more")
     return seconds
 
 
@@ -187,7 +187,7 @@ def _times(request: PlanPoints) -> Times:
         duration_s("--warm-up", request.warm_up),
     )
     if times.turn_s <= 0:
-        raise Refused("--cost-setting: give at least 1 s for a setting")
+        raise Refused("--cost-setting: a setting takes no time; give at least 1 s")
     return times
 
 

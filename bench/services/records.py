@@ -146,7 +146,9 @@ def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
             told.append("the head equals the given one: no line was changed, removed or added since")
         else:
             problems.append(
-                "the head differs from the given one; check that it belongs to this run, or restore the run"
+                "--head: the hash of the record's last line differs from the given one; check that the given "
+                "hash is of this run; if it is, lines were changed, removed or added since: restore the run "
+                "from a copy"
             )
     try:
         seal = seals.read_seal(run.folder)

@@ -83,13 +83,14 @@ def at_rest(request: asked.Stability) -> RecordAtRest:
             None,
         )
     elif request.model is not None:
-        raise Refused("--model: only effects of a record at a known input are taken away; leave it out")
+        raise Refused("--model: a record at rest is evaluated without a model; leave out --model")
     else:
         record, run, recorded_s = _record_at_rest(request.record, runs, bench)
     integration_s = request.integration or recorded_s or record.interval_s
     if not 0 < integration_s <= record.interval_s:
         raise Refused(
-            f"--integration {integration_s:g}: give at most the {record.interval_s:.4g} s between samples"
+            f"--integration {integration_s:g}: not between 0 and the {record.interval_s:.4g} s between samples; "
+            "give a time in this range"
         )
     found = stability_of(
         record, integration_s, size, bench.line_frequency, bench.nplc_supported, bench.most_samples

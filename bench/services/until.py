@@ -117,7 +117,7 @@ def stated_aim(texts: Sequence[str], stand: design.Stand, bench: BenchFile) -> A
     for combined, asked_of in sizes.items():
         wanted += [UntilGoal(goal, combined) for goal in design.coefficient_goals(asked_of)]
     if not wanted and limit_s is None:
-        raise Refused(f"--until: give a goal, such as {EXAMPLE}")
+        raise Refused(f"--until: no goal is stated; state one, such as {EXAMPLE}")
     if not wanted:
         return Aim((UntilGoal(design.vector_goal(stand.block, 1.0, NO_GOAL)),), limit_s)
     whole = UntilGoal(design.whole_goal(stand.block, [one.goal for one in wanted]))
@@ -181,8 +181,8 @@ def _refuse_below_floor(found: Sequence[Floor]) -> None:
     others = list(dict.fromkeys(f.wanted.name for f in found if f.wanted.name != worst.wanted.name))
     raise Refused(
         f"--until: no number of readings at these points lowers the {worst.wanted.name} below "
-        f"{size_in_words(worst.u, unit)}, and {size_in_words(worst.wanted.goal.asked, unit)} is asked for; "
-        f"main contributions: {parts}"
+        f"{size_in_words(worst.u, unit)}, but {size_in_words(worst.wanted.goal.asked, unit)} is asked for; its "
+        f"main causes: {parts}"
         + (f"; nor the {', '.join(others)}" if others else "")
         + "; relax the goal, or reduce these errors"
     )
@@ -302,7 +302,7 @@ def outlook_until(
 def look_ahead(request: Check) -> Findings:
     """Return the findings of `bench check`: plan and expected outcome. Raises `Refused` with all mistakes."""
     if request.procedure is None:
-        raise Refused("name a procedure to check, or give --morning to check the bench")
+        raise Refused("no procedure is named; name one to check, or check the bench with --morning")
     plan, file = _load(request.procedure, request.bench)
     found = findings_of(plan, file, runs_folder(request.runs))
     if not request.until:
@@ -374,8 +374,8 @@ def _hints(bench: BenchFile) -> Iterator[str]:
     for meter in bench.instruments.voltmeters:
         if is_serial(meter.resource) and meter.interface == "lan":
             yield (
-                f"{meter.name}: {meter.resource} is a serial port, where a real meter needs remote mode; "
-                "state 'interface: rs232' (without it, it counts as a meter of 'bench simulate')"
+                f"{meter.name}: {meter.resource} is a serial port, where a real meter needs remote mode; state "
+                "'interface: rs232' (without this line, the program takes it for a meter of 'bench simulate')"
             )
 
 

@@ -144,7 +144,8 @@ class Validations(Chain):
             self.withdrawn.add(entry.number)
         else:
             raise Refused(
-                f"{where}: {entry.kind} of {entry.number} cannot follow here; restore the register from a copy"
+                f"{where}: the entry '{entry.kind}' of {entry.number} contradicts the entries before it; restore "
+                "the register from a copy"
             )
 
     def standing(self) -> list[Entry]:
@@ -191,7 +192,7 @@ def laboratory_needed(given: Path | None, why: str) -> Path:
     """Return the laboratory file as `laboratory_known` does; if there is none, raise `Refused` with `why`."""
     laboratory = laboratory_known(given)
     if laboratory is None:
-        raise Refused(f"give --laboratory FILE; {why}")
+        raise Refused(f"no laboratory file is named ({why}); give --laboratory FILE")
     return laboratory
 
 

@@ -74,7 +74,7 @@ def allan_curve(
     found = asked[(asked > 0) & (2 * asked < len(signal))].astype(np.int64)
     if not len(found):
         raise CalibrationError(
-            f"{len(signal)} samples are too few for two differences of such averages; average fewer"
+            f"{len(signal)} samples are too few for the averaging times asked for; ask for shorter ones"
         )
     # subtract the mean: in running sums a large mean would cost the noise its last digits
     sums = np.concatenate([[0.0], np.cumsum(np.where(known, signal - signal[known].mean(), 0.0))])

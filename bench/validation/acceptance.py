@@ -50,7 +50,7 @@ def accept(request: Validate, folder: Path) -> ValidationRegisterResult:
     with opened(Validations(register_beside(laboratory))) as register:
         digest = sha256(content)
         if any(one.data.get("result_sha256") == digest for one in register.standing()):
-            raise Refused(f"{folder}: this validation is registered already")
+            raise Refused(f"{folder}: this validation is registered already; nothing was changed")
         count = sum(one.kind == ACCEPTED for one in register.entries)
         data = {
             "role": person.role,
@@ -120,7 +120,7 @@ def _authority(request: Validate) -> tuple[Path, Person, str]:
         if not given
     ]
     if lacking or request.by is None or request.reason is None:
-        raise Refused(f"an entry of the register needs {' and '.join(lacking)}")
+        raise Refused(f"an entry of the register needs {' and '.join(lacking)}; add what is missing")
     return laboratory, load_laboratory(laboratory).authorised_person(request.by, "--by"), request.reason
 
 

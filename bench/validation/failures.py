@@ -55,7 +55,8 @@ class FailureRegister(Chain):
             self.noted[entry.number].append(entry)
         else:
             raise Refused(
-                f"{where}: {entry.kind} of {entry.number} cannot follow here; restore the register from a copy"
+                f"{where}: the entry '{entry.kind}' of {entry.number} contradicts the entries before it; restore "
+                "the register from a copy"
             )
 
     def keys(self) -> set[tuple[str, str, int]]:

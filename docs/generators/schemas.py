@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import ast
 import inspect
-import textwrap
+from functools import cache
 from importlib import import_module
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, Final
 
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
@@ -97,10 +98,16 @@ class _Described(GenerateJsonSchema):
 
 def _texts_below(model: type) -> dict[str, str]:
     """Return the text below each member in the source of a model."""
-    (source,) = ast.parse(textwrap.dedent(inspect.getsource(model))).body
     found = {}
-    for member, below in pairwise(source.body if isinstance(source, ast.ClassDef) else ()):
+    for member, below in pairwise(_classes(inspect.getfile(model))[model.__name__].body):
         match member, below:
             case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
                 found[name] = " ".join(text.split())
     return found
+
+
+@cache
+def _classes(file: str) -> dict[str, ast.ClassDef]:
+    """Return the classes of a module by name; `inspect.getsource` would parse the module for each."""
+    nodes = ast.walk(ast.parse(Path(file).read_text(encoding="utf-8")))
+    return {node.name: node for node in nodes if isinstance(node, ast.ClassDef)}

@@ -45,9 +45,8 @@ class AcutrolHead(MotorisedHead):
     ) -> None:
         if math.degrees(travel.tolerance_rad) < facts.FINEST_DEMAND_DEG:
             raise ValueError(
-                f"widen the tolerance of the head: it is finer than the {facts.FINEST_DEMAND_DEG:g}° to "
-                "which a demand is "
-                "rounded"
+                f"a demand is rounded to {facts.FINEST_DEMAND_DEG:g}°, which is coarser than the tolerance of "
+                "the head; widen the tolerance"
             )
         super().__init__(name, session, clock, travel, identity=Identity(facts.MAKER, facts.MODEL))
         self._axis = axis

@@ -155,7 +155,7 @@ class LeicaNivel:
                 raise BadReading(
                     self.name,
                     f"the reply to {command} is {said!r}, not {expected} with its check sum",
-                    "repeat it; if the fault returns, check cable, address and baud rate",
+                    "try again; if the fault returns, check cable, address and baud rate",
                 )
             return said.removeprefix(sender).strip()
 

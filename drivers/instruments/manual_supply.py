@@ -69,7 +69,9 @@ class ManualSupply(ByHand):
         """
         if wrong := self._limits.transgressions(settings):
             raise LimitExceeded(
-                self.name, f"cannot do {'; '.join(wrong)}", "change what the unit is given in the bench file"
+                self.name,
+                f"cannot do {'; '.join(wrong)}",
+                "change 'supply' under unit_under_test in the bench file",
             )
         for output, wanted in settings.items():
             self._on[output] = self._is_on(output, key)

@@ -240,7 +240,7 @@ class ZaberHead(MotorisedHead):
             raise BadReading(
                 self.name,
                 f"the reply {line!r} to '{text}' has a wrong checksum",
-                "repeat it; if the fault returns, check the cable",
+                "try again; if the fault returns, check the cable",
             )
 
     def _trouble(self, flag: str) -> InstrumentRefused:
@@ -266,15 +266,16 @@ def _checked(steps_per_degree: float, travel: Travel) -> float:
     Raises `ValueError` if the limits exceed the step counter, or if a step is coarser than the tolerance.
     """
     if not math.isfinite(steps_per_degree) or steps_per_degree == 0.0:
-        raise ValueError(f"state a number of steps per degree for the head, not {steps_per_degree:g}")
+        raise ValueError(f"steps_per_degree: state a number other than 0, not {steps_per_degree:g}")
     farthest_deg = math.degrees(max(abs(travel.minimum_rad), abs(travel.maximum_rad)))
     if farthest_deg * abs(steps_per_degree) > facts.MOST_STEPS:
         raise ValueError(
-            f"at {steps_per_degree:g} steps per degree narrow the limits of the head: they are more than "
-            f"{facts.MOST_STEPS} steps"
+            f"at {steps_per_degree:g} steps per degree, the limits of the head exceed {facts.MOST_STEPS} steps; "
+            "narrow the limits"
         )
     if 0.5 / abs(steps_per_degree) > math.degrees(travel.tolerance_rad):
         raise ValueError(
-            f"at {steps_per_degree:g} steps per degree a step of the head is coarser than its tolerance; widen it"
+            f"at {steps_per_degree:g} steps per degree, a step of the head is coarser than its tolerance; widen "
+            "the tolerance"
         )
     return steps_per_degree

@@ -164,7 +164,7 @@ class MessageSession:
             raise BadReading(
                 self.name,
                 f"the reply to {command} is {_shown(reply)}, not {expected}",
-                "repeat it; if the fault returns, check cable and terminations",
+                "try again; if the fault returns, check cable and terminations",
             )
         return reply
 
@@ -303,7 +303,7 @@ class MessageSession:
                 raise BadReading(
                     self.name,
                     f"more than one reply came to {command}, the first {_shown(_text(data).rstrip())}",
-                    "repeat it, and check that no other program uses the instrument",
+                    "try again, and check that no other program uses the instrument",
                 )
         return data
 
@@ -342,7 +342,7 @@ class MessageSession:
             self.name,
             f"the reply to {command} was cut short after {_shown(_text(data))}, "
             f"no end of line within {allowed_s:g} s",
-            "repeat it; if the fault returns, check cable and terminations",
+            "try again; if the fault returns, check cable and terminations",
         )
 
     def _closed(self, when: str) -> InstrumentLost:

@@ -161,6 +161,15 @@ def test_translated_templates_escape_values_and_leave_names(ukrainian):
     assert told.endswith("<p><code>0.5</code></p><option>0.5</option><pre>Rule: 0.5</pre></html>")
 
 
+@pytest.mark.parametrize("mark", ["{{- m('12.5') }}", "{{ m('12.5') -}}", "{{- -2.5 }}"])
+def test_white_space_control_stays_in_a_translated_template(ukrainian, mark):
+    environment = environment_for("uk", autoescape=True)
+    source = f"{{% macro m(x) %}}{{{{ x }}}}{{% endmacro %}}<nav>a<i>b</i> {mark} </nav>"
+    told = environment.from_string(source).render()
+    plain = environment_for("en", autoescape=True).from_string(source).render()
+    assert told == plain.replace("2.5", "2,5")
+
+
 def test_english_templates_are_rendered_as_they_stand():
     plain = environment_for("en", autoescape=True).from_string(TEMPLATE).render(a="<i>", b="0.5 V", c="0.5")
     assert plain.startswith('<html lang="en"><p>Rule: &lt;i&gt; – 0.5 V.</p>')

@@ -228,8 +228,11 @@ def test_a_query_asks_the_catalogue(runs, tmp_path):
     ("over", "told"),
     [
         (["there/*"], "--over there/*: no run is there"),
-        (["unit=Q-17", "runs/*"], "--over runs/*: a pattern and a query together (unit=Q-17)"),
-        ([""], "--over: name the runs"),
+        (
+            ["unit=Q-17", "runs/*"],
+            "--over runs/*: patterns of names and conditions (unit=Q-17) cannot be mixed",
+        ),
+        ([""], "--over names no run"),
     ],
 )
 def test_what_names_no_run_is_refused(runs, tmp_path, over, told):

@@ -185,7 +185,7 @@ def workers():
         yield made
 
 
-@pytest.mark.slow
+@pytest.mark.slow(10)
 def test_a_worker_killed_in_the_middle_loses_and_repeats_nothing(workers, tmp_path):
     runs = [str(run) for run in runs_in(tmp_path / "runs", 10)]
     job, killed = Job(CALIBRATE), []
@@ -216,7 +216,8 @@ def test_a_worker_killed_in_the_middle_loses_and_repeats_nothing(workers, tmp_pa
 def test_a_worker_with_another_program_is_refused(workers, tmp_path, monkeypatch):
     monkeypatch.setattr(processes, "program", lambda: {**program(), "version": "0.0.9"})
     with pytest.raises(
-        Refused, match=r"a worker has another version; install the same one: its version is .*, here 0\.0\.9"
+        Refused,
+        match=r"a worker has other versions than this computer; install .*: its version is .*, here 0\.0\.9",
     ):
         list(by_scheduler(Job(CALIBRATE), iter(["/runs/1"]), workers.scheduler_address))
 
@@ -230,7 +231,9 @@ def test_a_scheduler_that_is_not_there_is_told(monkeypatch):
         list(by_scheduler(Job(CALIBRATE), iter([]), "nonsense://x"))
 
 
-@pytest.mark.slow
+@pytest.mark.slow(5)
 def test_the_program_is_compared_before_a_run_is_touched():
-    with pytest.raises(RuntimeError, match="another version; install the same one: its code is"):
+    with pytest.raises(
+        RuntimeError, match="other versions than this computer; install the same ones there: its code is"
+    ):
         of_program({**program(), "code": "0" * 16}, Job(CALIBRATE), "/runs/1")

@@ -69,7 +69,7 @@ def test_names_of_a_twin_are_judged_by_those_of_its_record(record, twin, word):
     assert judged(record, twin) == word
 
 
-@pytest.mark.slow
+@pytest.mark.slow(13)
 def test_the_means_of_a_twin_are_drawn_from_the_model_that_was_found(tmp_path):
     readings = read_csv(switched_on(tmp_path, 3100, 20e-6, 30), ())
     found, record = diagnose_record(readings), make_record(readings)

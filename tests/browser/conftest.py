@@ -8,13 +8,14 @@ from typing import Any
 import pytest
 
 from bench.panel.access import Role
+from tests.support.browser_runs import PATIENCE_S
 from tests.support.browsers import find_chromium, what_is_missing
 from tests.support.plotted_runs import make_plotted
 from tests.support.served_panel import ServedPanel, served
 
 HERE = Path(__file__).parent
 RECORDS = HERE.parent / "data" / "records"
-PATIENCE_MS = 60_000
+PATIENCE_MS = 1000 * PATIENCE_S
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -68,12 +68,24 @@ def test_a_bench_is_made_found_written_and_tried_without_a_file_opened(visit, pa
 
 
 def test_a_choice_shows_its_fields_and_keeps_what_is_typed(visit, panel):
-    page = visit("/bench/form?start=paper-stand&name=two", viewport={"width": 1280, "height": 900})
+    page = visit("/bench/form?start=paper-stand&name=two", viewport={"width": 1024, "height": 768})
     page.fill("[id='description']", "kept")
     page.select_option("[id='instruments.head.driver']", "zaber")
     page.wait_for_selector("[id='instruments.head.steps_per_degree']")
     assert page.input_value("#description") == "kept"
+    page.click("text=More fields of Head")
+    page.select_option("[id='form:instruments.head.certificate.values']", "8")
+    page.fill("[id='instruments.head.certificate.values[8].angle']", "315")
+    page.fill("[id='form:installation']", "U1")
+    page.keyboard.press("Tab")  # leaves the field: the new installation has its fields
+    page.fill("[id='installations.U1.axes']", "-x, z, y")
     page.select_option("[id='form:voltmeters']", "1")
     page.wait_for_selector("[id='instruments.voltmeters[1].inputs.x']")
+    assert page.input_value("[id='installations.U1.axes']") == "-x, z, y"
+    wrong = page.locator(
+        ".field.wrong", has=page.locator("[id='instruments.head.certificate.values[8].angle']")
+    )
+    assert "without a unit" in wrong.inner_text()
+    assert page.evaluate("document.documentElement.scrollWidth") <= 1024
     assert page.input_value("[id='instruments.voltmeters[1].inputs.z']") == "103"
     assert page.locator("[id='instruments.voltmeters[2].driver']").count() == 0

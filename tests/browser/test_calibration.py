@@ -6,7 +6,7 @@ import json
 import pytest
 
 from bench.base.numbers import rounded
-from tests.support.browser_runs import Begun, answer_on, prompt_of, typed_for
+from tests.support.browser_runs import Begun, answer_by_keys, answer_on, prompt_of, tab_to, typed_for
 
 NOT_OF_THE_RUN = {"time", "prev", "by", "role", "where", "line", "n", "id"}
 
@@ -28,17 +28,19 @@ def readings(run):
     return [event["reading"] for event in run.events() if "reading" in event]
 
 
-def test_answers_typed_in_a_browser_are_worth_those_of_the_terminal(visit, panel, begin):
+def test_a_calibration_by_keys_alone_is_worth_one_at_the_terminal(visit, panel, begin):
     run, terminal = begin("browser", "quick", "folder"), begin("terminal", "quick", "terminal")
     run.wait_for_events()
-    page = visit("/runs/browser/", viewport={"width": 1280, "height": 900})
-    page.click("text=Take control")
+    page = visit("/runs/browser/", viewport={"width": 1024, "height": 768}, color_scheme="dark")
+    tab_to(page, "Take control")
+    page.keyboard.press("Enter")
+    page.wait_for_selector("text=You are in control")
     typed, asked_id = [], ""
     while asked_id := prompt_of(page, asked_id):
         asked = run.of_type("asked")[-1]
         assert asked["id"] == asked_id
         typed.append(typed_for(asked, len(typed)))
-        answer_on(page, typed[-1])
+        answer_by_keys(page, typed[-1])
         terminal.type(typed[-1])
     page.wait_for_selector("#outcome[data-outcome=ready] .worst")
     assert page.locator("#outcome .whisker").count() == 4
@@ -58,7 +60,8 @@ def test_answers_typed_in_a_browser_are_worth_those_of_the_terminal(visit, panel
     assert [event["answer"] for event in answered] == typed
     assert {event["where"] for event in terminal.of_type("answered")} == {"terminal"}
 
-    page.click("text=Coefficients, certificate")
+    tab_to(page, "Coefficients, certificate")
+    page.keyboard.press("Enter")
     page.wait_for_selector("text=worst |Δg|")
     worst = max(
         json.loads((panel.runs / "browser" / "verify.json").read_text("utf-8"))["points"],
@@ -169,3 +172,30 @@ def test_what_is_half_typed_survives_a_pause_but_no_answer(visit, panel, begin, 
         page.click("[data-wish=redo]")
     assert prompt_of(page, asked_id).split("#")[0] == run.of_type("answered")[-1]["id"].split("#")[0]
     assert page.input_value("#typed") == ""
+
+
+TONES = """(() => { window.tones = []; const start = OscillatorNode.prototype.start;
+  OscillatorNode.prototype.start = function (at) { tones.push(this.frequency.value); start.call(this, at); };
+})()"""
+
+
+def test_without_hands_the_head_is_heard_to_be_read(visit, panel, begin, tmp_path):
+    (tmp_path / "two.yaml").write_text(SAME_ANGLE.replace("[0 deg]", "[10 deg]"), "utf-8")
+    more = ("--dry-run", "--bench", "bench-encoder")
+    run = begin("hands-free", str(tmp_path / "two.yaml"), "folder", more=more)
+    run.wait_for_events()
+    page = visit("/runs/hands-free/", viewport={"width": 390, "height": 844})
+    page.evaluate(TONES)
+    page.click("#sound")
+    page.click("text=Take control")
+    asked_id = ""
+    while asked_id := prompt_of(page, asked_id):
+        asked = next(one for one in run.of_type("asked") if one["id"] == asked_id)
+        if asked["action"]["do"] != "turn":
+            answer_by_keys(page, typed_for(asked, 0))
+    assert run.ended()[0] in {0, 1}
+    turns = [one["id"] for one in run.of_type("asked") if one["action"]["do"] == "turn"]
+    assert [one["by"] for one in run.of_type("answered") if one["id"] in turns] == ["encoder"] * 2
+    assert len(readings(run)) == 2
+    assert page.evaluate("tones.filter(one => one === 587).length") == 2
+    assert page.evaluate("tones.length") > 4  # questions are heard, too

@@ -2,6 +2,8 @@
 
 import json
 import shutil
+from datetime import timedelta
+from pathlib import Path
 from urllib.parse import quote
 
 import pytest
@@ -15,6 +17,7 @@ from bench.run.events import EVENTS, MANIFEST
 from bench.run.record import Record
 from drivers.clock import utc_now
 from tests.browser.conftest import RECORDS
+from tests.support.certified_bench import meter_certificate, write_bench
 from tests.support.served_panel import served
 
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
@@ -27,7 +30,7 @@ VIEWED = {
     "/procedures": ["/procedures"],
     "/procedures/form": ["/procedures/form?start=temperature"],
     "/bench": ["/bench"],
-    "/bench/form": ["/bench/form?start=bench-lan&name=two", "/bench/form?start=bench-multiplexer"],
+    "/bench/form": ["/bench/form?start=bench-stand&name=two", "/bench/form?file=certified"],
     "/catalogue": ["/catalogue", "/catalogue?ask=metre=1"],
     "/catalogue/unit/{unit:path}": ["/catalogue/unit/0001"],
     "/check": ["/check"],
@@ -100,8 +103,16 @@ def asked(panel):
 
 
 @pytest.fixture
-def queued(panel):
-    """A queue with units in every state, and a damaged run."""
+def queued(panel, monkeypatch):
+    """A queue with units in every state, a damaged run, a certificate that expired and one that is due."""
+    monkeypatch.chdir(panel.runs.parent)
+    today = utc_now().date()
+    until = {"x": today - timedelta(2), "y": today + timedelta(9), "z": today + timedelta(999)}
+    (Path("config")).mkdir()
+    write_bench(
+        Path("config"),
+        {one: meter_certificate(date="2020-01-01", valid_until=str(day)) for one, day in until.items()},
+    )
     queue = DayQueue(private_folder(panel.runs / STATE))
     for unit, run in (
         ("17-042", "done"),
@@ -110,6 +121,7 @@ def queued(panel):
     ):
         item = new_item(unit, "calibration", "bench-lan", "anna", dry_run=not run)
         queue.add([item.model_copy(update={"run": run})])
+    queue.add([new_item("17-045", "calibration", "certified", "anna", dry_run=False)])
     shutil.copytree(RECORDS / "finished", panel.runs / "broken")
     (panel.runs / "broken" / EVENTS).write_text("rubbish\n")
 
@@ -144,6 +156,9 @@ def test_no_page_keeps_people_out_or_scrolls_sideways(visit, panel, asked, plots
             page.goto(panel.url + path)
         if path in {"/runs/done/", "/runs/asked/", "/runs/mounting/"}:
             page.wait_for_selector("#plots[data-newest]")
+        if path == "/queue":
+            notes = page.locator(".bench-today .note")
+            assert [text[0] for text in notes.all_inner_texts()] == ["✗", "!"]
         if path == "/runs/later/plots":
             page.wait_for_selector("[data-shown]")
             page.locator("text=previous run earlier").first.click()

@@ -148,7 +148,7 @@ def test_a_rule_that_is_none_is_refused():
     with pytest.raises(CalibrationError, match="simple acceptance has no guard band"):
         DecisionRule.of("simple", 0.5)
     for band in (0.0, -1.0, float("nan"), float("inf")):
-        with pytest.raises(CalibrationError, match=r"expected a positive number, such as 0\.83"):
+        with pytest.raises(CalibrationError, match=r"give a positive number, such as 0\.83"):
             DecisionRule.of("guarded", band)
 
 
@@ -291,5 +291,5 @@ def test_risks_of_several_points_of_blocks_that_are_drawn(errors, monkeypatch):
 
 @pytest.mark.parametrize("sizes", [(0.0, 0.0), (0.0, -1.0), (float("nan"), 1.0)])
 def test_a_population_that_is_none_is_refused(sizes):
-    with pytest.raises(CalibrationError, match="expected two numbers, the second positive"):
+    with pytest.raises(CalibrationError, match="give two numbers, the second above 0"):
         Population(*sizes)

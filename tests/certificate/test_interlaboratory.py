@@ -168,7 +168,7 @@ def test_consensus_and_difference_are_those_of_the_textbook():
     assert last.chi2 == pytest.approx(np.sum((last.difference / last.u) ** 2))
 
 
-@pytest.mark.slow
+@pytest.mark.slow(5)
 def test_laboratories_whose_gravity_is_off_within_its_u_are_not_accused():
     """Seed 9, 50 rounds of five right laboratories, each at a place of its own, with u of g above that of S.
 

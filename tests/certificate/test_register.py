@@ -82,7 +82,7 @@ def test_lines_that_are_taken_away_while_it_is_known_are_noticed(tmp_path):
         pass
     lines = (tmp_path / LINES).read_bytes().splitlines(keepends=True)
     (tmp_path / LINES).write_bytes(lines[0])
-    with pytest.raises(Refused, match="its last lines are missing"), opened(tmp_path, register):
+    with pytest.raises(Refused, match="the last lines are missing"), opened(tmp_path, register):
         pass
 
 

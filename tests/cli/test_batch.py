@@ -66,11 +66,11 @@ def test_verdicts_that_would_be_different_are_told_counted_and_listed_and_shown_
     assert row["verdict"].startswith("failed")
     assert bench("batch", "show", "out", "--json", "told.json") == (1, out, "")
     keeps_to("batch", json.loads(Path("told.json").read_text()))
-    refusal = "bench: nothing: no batch there (no batch.json in it); name the folder of a batch\n"
+    refusal = "bench: nothing: the folder has no batch (no batch.json in it); name the folder of a batch\n"
     assert bench("batch", "show", "nothing")[2] == refusal
     err = refused(calibrate(bench, "--limit", "1e-6", "--estimator", "robust"))
     assert err.startswith(
-        "bench: out: its batch was started differently: --estimator was gls; use the same options"
+        "bench: out: its batch was started with other options: --estimator was gls; use the same options"
     )
     refused(bench("batch", "diagnose", "--over", "runs/*", "--out", "out"), "the command was calibrate")
 
@@ -102,7 +102,7 @@ def test_ctrl_c_says_what_is_done_and_the_same_command_goes_on(bench, runs, monk
         patch.setattr("bench.batch.processes.by_processes", stopped)
         status, out, err = calibrate(bench)
     assert (status, out) == (2, "")
-    assert err == "bench: stopped by Ctrl-C; 1 of 3 runs are done; the same command continues\n"
+    assert err == "bench: stopped by Ctrl-C; 1 of 3 runs are done; repeat the command to continue\n"
     status, out, err = calibrate(bench)
     assert (status, err) == (0, "note: 1 runs are done, 2 are left\n")
     assert "3 runs (3 simulated)" in out

@@ -137,7 +137,7 @@ def test_with_warn_the_run_goes_on_and_its_result_says_so(laboratory, tmp_path, 
 
 
 def test_a_bench_without_a_check_block_cannot_be_held_to_one(there):
-    with pytest.raises(Refused, match="states no check_block"):
+    with pytest.raises(Refused, match="has no section check_block"):
         new_run(RunRequest("quick", "paper-stand", dry_run=True, seed=1, check_block=True))
 
 

@@ -109,8 +109,8 @@ def test_free_positions_in_counts_have_the_scale_factors_that_are_asked_for(benc
         (("finished", "finished"), "two sources would write"),
         (("broken.json",), "broken.json: not a result of 'bench calibrate --json'"),
         (("odd.json",), "odd.json: the covariance is not symmetric"),
-        (("flat.json",), "flat.json: its matrix K cannot be inverted"),
-        (("huge.json",), "huge.json: holds numbers beyond 1e+12"),
+        (("flat.json",), "flat.json: the matrix K of the result cannot be inverted"),
+        (("huge.json",), "huge.json: the result has numbers beyond 1e+12"),
     ],
 )
 def test_mistakes_are_one_line_each(finished, arguments, told):
@@ -180,7 +180,7 @@ def test_a_result_that_used_temperature_is_written_without_it_only_on_request(be
     (tmp_path / "warm.json").write_text(json.dumps(told))
     status, _, err = bench("coefficients", "warm.json", "--as", "csv")
     assert status == 2
-    assert "used temperature (thermal_bias" in err
+    assert "corrected for temperature (thermal_bias" in err
     assert "--without-temperature" in err
     status, out, _ = bench("coefficients", "warm.json", "--as", "csv", "--without-temperature")
     assert status == 0

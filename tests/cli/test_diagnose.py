@@ -167,10 +167,10 @@ def test_what_is_there_again_is_confirmed_and_what_confirms_nothing_is_refused(b
     assert f"new.csv: CONFIRMED: gap closed {min(100 * result['closed'], 100):.0f} %, from " in out
     assert "quadratic_nonlinearity[y]: confirmed" in out
     assert program.confirm("new.csv", model="mine.yaml").to_dict() == result
-    same = "it was found in these same readings (first.csv), which cannot confirm it; measure new ones"
+    same = "the model was found in these same readings (first.csv), which cannot confirm it; measure new readings"
     refused(bench("confirm", first, "--model", "diagnose/first-model.yaml"), same)
     Path("empty.yaml").write_text("model_file: 1\nname: nothing\n", encoding="utf-8")
-    refused(bench("confirm", first, "--model", "empty.yaml"), "it has no effects")
+    refused(bench("confirm", first, "--model", "empty.yaml"), "the model has no effects")
 
 
 @pytest.mark.slow
@@ -261,7 +261,7 @@ def test_the_copy_of_a_run_stands_in_its_folder_and_tells_where_it_comes_from(be
         (["none.csv"], "none.csv: no such readings file"),
         (["null.csv", "--json", "nowhere/d.json"], "no such folder; create it or name another"),
         (["null.csv", "--model", "null.csv"], "null.csv"),
-        (["null.csv", "counts.csv", "--together"], "use one unit"),
+        (["null.csv", "counts.csv", "--together"], "evaluate the files of each unit separately"),
         (["null.csv", "null.csv"], "two sources would write"),
         (["short.csv"], "short.csv, line 1: the header lacks"),
     ],

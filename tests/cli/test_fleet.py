@@ -108,7 +108,7 @@ def test_simulated_and_real_are_not_mixed(laboratory):
     laboratory("catalogue", "sync", "further")
     refused(
         laboratory("fleet", "effects"),
-        "1 of 25 calibrations are simulated; add simulated=yes or simulated=no",
+        "1 of 25 calibrations are simulated, the others real; add simulated=yes or simulated=no",
     )
 
 
@@ -124,7 +124,7 @@ def test_a_units_history_and_what_is_expected_of_it(laboratory):
     assert len(told["intrinsic_per_year"]) == 9
     assert told["drifts"] == (told["p"] < 0.05)
     assert "at 2027-01-01" in out
-    refused(laboratory("fleet", "drift"), "a drift is of one unit, not 8: add unit=")
+    refused(laboratory("fleet", "drift"), "the conditions match 8 units, but a drift is of one; add unit=")
 
 
 @pytest.mark.slow
@@ -182,7 +182,7 @@ def test_a_calibration_with_the_prior_of_its_type(empty_folder, monkeypatch, ben
     Path("prior.yaml").write_text(yaml.safe_dump(text), encoding="utf-8")
     refused(
         bench("calibrate", "first", "--prior", "prior.yaml"),
-        "is for type 'another', but this unit is of type",
+        "the prior is for units of type 'another', but this unit is of type",
     )
     text["covariance"][0][1] = 1.0
     Path("prior.yaml").write_text(yaml.safe_dump(text), encoding="utf-8")
@@ -315,7 +315,7 @@ def test_real_calibrations_are_not_mixed_with_simulated_ones(synced):
     ("words", "said"),
     [
         ("unit 99", "no such unit"),
-        ("unit 1*", "name one unit"),
+        ("unit 1*", "give the name of one unit"),
         ("unit 17 --limit 0", "give a number above zero"),
         ("ask --of people", "choose from runs"),
         ("sync nowhere", "no such folder"),

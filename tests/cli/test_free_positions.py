@@ -34,9 +34,9 @@ def test_their_temperature_is_stated_and_no_certificate_is_made(bench, free):
 
 
 def test_without_verification_points_verify_says_so(bench, free):
-    refused(bench("verify", free), "it has no verification point (installation V)")
+    refused(bench("verify", free), "the readings have no verification point (installation V)")
     printed(bench("calibrate", free, "--json", "unit.json"))
-    refused(bench("verify", free, "--coefficients", "unit.json"), "it has no verification point")
+    refused(bench("verify", free, "--coefficients", "unit.json"), "the readings have no verification point")
 
 
 OPEN = {"Kyx", "Kzx", "Kzy", "Nyx", "Nzx", "Nzy", "alpha_xy", "alpha_xz", "alpha_yz"}

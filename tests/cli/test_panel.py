@@ -30,7 +30,7 @@ def test_a_token_is_told_once(bench):
 @pytest.mark.parametrize(
     ("typed", "said"),
     [
-        (["token"], "name the person: bench panel token NAME"),
+        (["token"], "no person is named; give the name: bench panel token NAME"),
         (["revoke", "ben"], "ben: has no token"),
         (["token", "ben", "--role", "king"], "choose from viewer, operator, supervisor"),
         (["link"], "no panel serves this folder"),
@@ -78,7 +78,7 @@ def test_beyond_loopback_it_says_how_to_put_tls_before_it_and_gives_no_link(tmp_
     assert "plain HTTP" in lines[1]
     assert "TLS" in lines[1]
     assert not [line for line in lines if "link=" in line]
-    with pytest.raises(RecordError, match="links work on the bench's computer only"):
+    with pytest.raises(RecordError, match="where sign-in links do not work"):
         new_link(tmp_path)
 
 

@@ -68,7 +68,7 @@ def test_resume_makes_the_results_that_a_run_lacks_and_no_others(bench, named):
     assert listed["to_go_on"] == ""
     again = bench("resume", *named)
     assert again[0] == 2
-    assert ("nothing to do, the run is finished" if named else "no unfinished run there") in again[2]
+    assert ("the run is finished and cannot be resumed" if named else "no unfinished run there") in again[2]
     assert bench("abort", *named)[0] == 2
 
 

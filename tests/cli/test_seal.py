@@ -70,7 +70,11 @@ def test_a_head_noted_elsewhere_betrays_them(bench, run, attack):
     out = printed(bench("show", "one", "--verify", "--head", head), "the head equals the given one")
     assert NOTHING_OUTSIDE not in out
     attack(run)
-    printed(bench("show", "one", "--verify", "--head", head), "the head differs from the given one", status=1)
+    printed(
+        bench("show", "one", "--verify", "--head", head),
+        "the hash of the record's last line differs from the given one",
+        status=1,
+    )
 
 
 def test_a_head_that_is_none_is_refused(bench, run):
@@ -206,7 +210,7 @@ def test_a_time_stamp_of_something_else_is_told(bench, run, key):
     bench("seal", "one", "--key", key)
     seal = json.loads((run / "seal.json").read_text())
     (run / "seal.json").write_text(json.dumps({**seal, "time_stamp": stamp}))
-    printed(bench("show", "one", "--verify"), "its time stamp belongs to another seal", status=1)
+    printed(bench("show", "one", "--verify"), "the time stamp belongs to another seal", status=1)
 
 
 def of_before(authority):
@@ -223,7 +227,7 @@ def of_before(authority):
     [
         (lambda authority: lambda request: b"<html>", "unexpected answer"),
         (lambda authority: lambda request: b"", "unexpected answer"),
-        (of_before, "it stamped other data"),
+        (of_before, "the server stamped other data"),
     ],
 )
 def test_an_answer_that_is_no_time_stamp_leaves_the_seal_without(bench, run, answer, why):

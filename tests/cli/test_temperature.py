@@ -149,4 +149,7 @@ def test_points_of_a_centrifuge_join_and_python_gives_the_same(bench, turns):
 
 
 def test_a_mistake_is_one_line(bench, turns):
-    refused(bench("tumble", "turn-12.csv", "--terms", "K2,K9"), "terms K9: give each once, from K2, K3, Koq")
+    refused(
+        bench("tumble", "turn-12.csv", "--terms", "K2,K9"),
+        "terms K9: unknown; give each once, from K2, K3, Koq",
+    )

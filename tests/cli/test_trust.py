@@ -1,4 +1,4 @@
-"""What must never be believed silently: missing points, another gravity, swapped wires, damaged runs."""
+"""What must never be believed silently: missing points, another gravity, swapped wires, copies."""
 
 import json
 import os
@@ -133,7 +133,7 @@ def test_a_pipe_to_which_nobody_writes_is_named(bench):
     """That no command waits for one, `test_special_files` shows."""
     os.mkfifo("pipe.csv")
     told = bench("import", "pipe.csv", "--name", "piped")
-    refused(told, "pipe.csv: cannot be read (this is a pipe without a writer)")
+    refused(told, "pipe.csv: cannot be read (the pipe has no writer)")
 
 
 def test_an_imported_run_is_not_taken_for_an_interrupted_one(bench, measured):
@@ -186,3 +186,20 @@ def test_the_closed_form_takes_360_degrees_written_as_0(bench, measured):
 def test_a_runs_folder_that_cannot_be_written_is_one_sentence(bench):
     Path("runs").write_text("in the way")
     refused(bench("run", "quick", "--dry-run"), "cannot be written")
+
+
+@pytest.mark.slow
+def test_a_pass_that_equals_another_in_every_digit_is_named(bench, paper_run):
+    measured = Run(Path("runs/run")).readings()
+    write_csv(measured, Path("own.csv"))
+    assert "in every digit" not in printed(bench("calibrate", "own.csv"))
+    signal = measured.signal.copy()
+    one = measured.installation == "1"
+    signal[one & (measured.pass_number == 3)] = signal[one & (measured.pass_number == 2)]
+    write_csv(replace(measured, signal=signal), Path("copied.csv"))
+    named = "pass 3 of series 1 in installation 1 equals pass 2 of series 1 in every digit"
+    for command in ("calibrate", "verify"):
+        assert named in " ".join(bench(command, "copied.csv")[1].split())
+    # with coarse digits, repeats of one value are no copies
+    write_csv(replace(measured, signal=np.round(signal, 3)), Path("coarse.csv"))
+    assert "in every digit" not in bench("calibrate", "coarse.csv")[1]

@@ -119,7 +119,7 @@ def test_samples_that_integrate_a_part_of_the_time_shorten_the_reading(bench, tm
         (("nothing.csv",), "nothing.csv: no such file"),
         (("nothing",), "nothing: no run of that name"),
         (("still.csv", "--size", "-1"), "--size -1.0: give a positive number"),
-        (("still.csv", "--integration", "7"), "give at most the 0.2 s"),
+        (("still.csv", "--integration", "7"), "not between 0 and the 0.2 s"),
     ],
 )
 def test_mistakes_are_one_line(bench, tmp_path, arguments, told):

@@ -77,7 +77,7 @@ def test_all_that_is_wrong_with_a_question_is_told_at_once(bench, unit):
     err = refused(
         bench(*unit, "--limit", "-1", "--rule", "guarded", "--guard-band", "-2", "--population", "0", "0")
     )
-    for problem in ("--limit -1.0", "a guard band of -2 U", "the second positive"):
+    for problem in ("--limit -1.0", "a guard band of -2 U", "the second above 0"):
         assert problem in err
     refused(bench(*unit, "--rule", "simple", "--guard-band", "0.5"), "simple acceptance has no guard band")
 

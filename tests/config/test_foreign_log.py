@@ -65,7 +65,8 @@ def test_all_bad_rows_are_told_at_once_and_can_be_left_out(tmp_path):
 
 def test_a_missing_column_is_named_with_those_that_are_there(tmp_path):
     with pytest.raises(
-        ReadingsError, match="the header lacks dut; the log has when, a/mV, b/mV, other, bath"
+        ReadingsError,
+        match=r"lacks the columns dut that the mapping names; correct the mapping \(the log has when, a/mV, ",
     ):
         convert_log(Path("log"), LOG.replace(";dut;", ";other;").encode(), mapping(tmp_path))
 
@@ -87,6 +88,55 @@ def test_a_log_is_previewed_and_imported_with_its_mapping(bench, tmp_path):
     folder = tmp_path / "runs/bath"
     assert (folder / "columns.yaml").read_text() == MAPPING
     assert "reference_sd_v" in (folder / "readings.csv").read_text()
+
+
+BLOCK = """
+log_columns: 1
+separator: ";"
+columns:
+  installation: Pos
+  pass: Pass
+  point: Pass
+  angle_deg: Angle
+  ux_v: {columns: Ax, unit: mV}
+  uy_v: {columns: Ay, unit: mV}
+  uz_v: {columns: Az, unit: mV}
+"""
+
+
+def of_block(tmp_path, *labels):
+    rows = "".join(f"{label};1;{45 * k};96.4;-163.6;-2556.2\n" for k, label in enumerate(labels))
+    (tmp_path / "log.csv").write_text("Pos;Pass;Angle;Ax;Ay;Az\n" + rows)
+    mapping(tmp_path, BLOCK)
+    return "import", "log.csv", "--columns", "columns.yaml", "--name", "block"
+
+
+def test_a_column_of_installations_is_taken_as_it_is_written(bench, tmp_path):
+    command = of_block(tmp_path, "1", "1.0", "2", "2,00", "V", "1T180")
+    (tmp_path / "log.csv").write_text((tmp_path / "log.csv").read_text().replace(";1;", ";{};"))
+    lines = (tmp_path / "log.csv").read_text().split("\n")
+    (tmp_path / "log.csv").write_text("\n".join(line.format(k) for k, line in enumerate(lines)))
+    status, out, _ = bench(*command, "--preview")
+    assert status in (0, None)
+    assert "6 rows, 0 left out; nothing was imported" in out
+    assert bench(*command)[0] in (0, None)
+    rows = (tmp_path / "runs/block/readings.csv").read_text().splitlines()[1:]
+    assert [row.split(",")[0] for row in rows] == ["1", "1", "2", "2", "V", "1T180"]
+
+
+def test_a_preview_shows_what_the_import_would_refuse(bench, tmp_path):
+    command = of_block(tmp_path, "1", "upside down")
+    status, out, told = bench(*command, "--preview")
+    assert status == 2
+    assert "\nupside down,1.0,1.0,45.0," in out.replace("\r", "")
+    assert "column installation: expected one of 1, " in told
+    assert bench(*command)[2] == told
+
+
+@pytest.mark.parametrize("column", ["[Pos, Pass]", "{columns: Pos, unit: V}", "{columns: Pos, add: 1}"])
+def test_an_installation_is_no_mean_and_has_no_unit(tmp_path, column):
+    with pytest.raises(FileMistakes, match=r"columns.yaml:5: columns\.installation: installation is a text"):
+        mapping(tmp_path, BLOCK.replace("installation: Pos", f"installation: {column}"))
 
 
 @pytest.mark.parametrize("column", ["time_s: t, ux_v: v", "time_s: v, ux_v: t"])
@@ -168,7 +218,7 @@ def test_a_temperature_in_fahrenheit_is_converted(tmp_path, unit):
 
 def test_a_temperature_in_another_unit_is_refused_with_the_units_there_are(tmp_path):
     with pytest.raises(
-        FileMistakes, match="meter_temperature_c is a temperature: its unit is degC, K or degF"
+        FileMistakes, match="of meter_temperature_c is no unit of temperature; state degC, K or degF"
     ):
         mapping(tmp_path, MAPPING.replace("unit: K", "unit: mV"))
 
@@ -185,5 +235,13 @@ def test_date_and_time_of_day_in_two_columns_are_one_time(tmp_path, form):
 
 
 def test_a_log_without_rows_is_refused(tmp_path):
-    with pytest.raises(ReadingsError, match="log: no row follows its header; give a log with rows"):
+    with pytest.raises(ReadingsError, match="log: the log has a header but no row; give a log with rows"):
         convert_log(Path("log"), LOG[: LOG.index("2024")].encode(), mapping(tmp_path))
+
+
+def test_a_mean_with_an_empty_cell_is_empty(tmp_path):
+    text = LOG.replace("1000,003;999999,5", ";999999,5")
+    made = convert_log(Path("log"), text.encode(), mapping(tmp_path))
+    first = dict(zip(*(line.split(",") for line in made.text.splitlines()[:2]), strict=True))
+    assert (first["reference_v"], first["reference_sd_v"]) == ("", "")
+    assert float(first["ux_v"]) == pytest.approx(0.9999995, rel=1e-12)

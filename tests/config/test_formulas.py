@@ -69,7 +69,7 @@ def test_a_formula_is_read_in_si_and_written_back_the_same(tmp_path):
         ("1 rev, 720 deg]", "1 min]", 7, "units of one kind"),
         ("default: 1 rev", "default: 3 rev", 7, "not in the grid"),
         ("lag: {grid: [0 min, 10 "
-        "min]}", "lag: {grid: [1 V]}", 6, "state a time as the second argument of 'lagged'"),
+        "min]}", "lag: {grid: [1 V]}", 6, "the second argument of 'lagged' is not a time"),
         ("travelled / turns", "time * turns", 6, "exp needs a plain number or an angle, not s"),
         ("+ B", "+ time * B", 6, "combines a plain number or an angle with s; give both the same unit"),
         ("travelled / turns", "turns * (time > 40 min)", None, None),

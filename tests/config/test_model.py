@@ -69,7 +69,7 @@ def test_all_mistakes_are_told_with_their_lines(tmp_path):
         "8 effects[1].parameters.K2.x: expected a value of K2 such as '30 ug/g^2', got '60 ug'",
         "8 effects[1].parameters.K2.z.uu: unknown key 'uu'; did you mean 'u'?",
         "10 effects[2].parameters.cosin: unknown parameter of head_eccentricity 'cosin'; did you mean 'co",
-        "10 effects[2].parameters.sine.u: state a standard uncertainty of 0 or more",
+        "10 effects[2].parameters.sine.u: the standard uncertainty is negative; state 0 or more",
     ]
     assert len(told) == len(expected), told
     for mistake, text in zip(told, expected, strict=True):

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from bench.diagnosis.evidence import KNOWN_SIZE
-from bench.diagnosis.gap import Fold, Gap, HeldOut, folds_of, measure_gap, restrict, thirds_of
+from bench.diagnosis.gap import Fold, Gap, HeldOut, folds_of, held_out, measure_gap, restrict, thirds_of
 from bench.diagnosis.naming import FoundEffect, Naming
 from bench.diagnosis.noise_grid import noise_of_repeats
 from bench.diagnosis.pipeline import diagnose
-from bench.diagnosis.posterior import NoiseSize, posterior, predicted_error
+from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.where import find_places
 from bench.results.diagnosis_parts import gap_part
 from bench.validation.paper_bench import SETTING_U_RAD
@@ -26,7 +26,7 @@ def test_prediction_is_the_conditional_gaussian(label):
     variant = next(v for v in one.candidates.variants if v.family == "quadratic_nonlinearity")
     effects = one.candidates.columns[:, list(variant.columns)]
     noise = NoiseSize(NOISE_V, SETTING_U_RAD, 100)
-    error, chi2 = predicted_error(linear, effects, noise, posterior(linear, effects, noise, ~held), held)
+    found = held_out(linear, effects, noise, held)
 
     same = (linear.setting[:, None] == linear.setting[None, :]) & (linear.setting >= 0)[:, None]
     covariance = NOISE_V**2 * np.eye(len(linear))
@@ -41,8 +41,8 @@ def test_prediction_is_the_conditional_gaussian(label):
     both = np.concatenate([-predictor, np.eye(held.sum())], axis=1)
     order = np.concatenate([np.flatnonzero(~held), np.flatnonzero(held)])
     spread = both @ covariance[np.ix_(order, order)] @ both.T
-    np.testing.assert_allclose(error, expected, atol=1e-9)
-    assert chi2 == pytest.approx(expected @ np.linalg.solve(spread, expected), rel=1e-4)
+    np.testing.assert_allclose(found.error, expected, atol=1e-9)
+    assert found.chi2 == pytest.approx(expected @ np.linalg.solve(spread, expected), rel=1e-4)
 
 
 @pytest.mark.slow
@@ -57,9 +57,7 @@ def test_held_out_chi_square_of_nulls_is_its_floor():
         linear = set_up(paper_run(rng, verification=False)).linear
         nothing = np.zeros((len(linear), 0))
         noise = NoiseSize(NOISE_V, SETTING_U_RAD, 100)
-        for _, held in folds_of(linear):
-            fitted = posterior(linear, nothing, noise, ~held)
-            values.append(predicted_error(linear, nothing, noise, fitted, held)[1] / held.sum())
+        values += [held_out(linear, nothing, noise, held).reduced for _, held in folds_of(linear)]
     assert abs(np.mean(values) - 1.0) < 4 * 0.0203
 
 
@@ -167,14 +165,14 @@ ROWS = 50
 NOISE = NoiseSize(15e-6, 1.6e-5, 150)
 
 
-def held_out(reduced, rms=20e-6):
+def made_up(reduced, rms=20e-6):
     error = np.full(ROWS, rms)
     return HeldOut(error, error / 2.0, np.full(ROWS, 9e-6), reduced * ROWS)
 
 
 def fold(label, before, after, rms=(30e-6, 20e-6), name="bias_drift"):
     gains = {name: ROWS * (before - after)} if name else {}
-    return Fold(label, gains, held_out(before, rms[0]), held_out(after, rms[1]))
+    return Fold(label, gains, made_up(before, rms[0]), made_up(after, rms[1]))
 
 
 def gap(*folds, named=("bias_drift",), undetermined=()):
@@ -212,7 +210,7 @@ def test_what_does_not_shrink_is_not_confirmed_and_says_so(folds):
 
 def test_of_two_names_the_one_that_gains_nothing_is_told():
     both = {"bias_drift": 100.0, "backlash": 1.0}
-    one = gap(Fold("pass 1", both, held_out(3.0, 30e-6), held_out(1.0)), named=("bias_drift", "backlash"))
+    one = gap(Fold("pass 1", both, made_up(3.0, 30e-6), made_up(1.0)), named=("bias_drift", "backlash"))
     assert one.shrinks is False
     assert one.unconfirmed == ("backlash",)
     assert "do not confirm backlash (" in one.reason

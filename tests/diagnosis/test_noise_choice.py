@@ -7,9 +7,10 @@ import pytest
 
 from bench.diagnosis.evidence import null_responses
 from bench.diagnosis.noise_grid import RATIOS
-from bench.diagnosis.noise_kinds import WAVES, larger_scatter, noise_hypotheses, residuals, slow_noise
+from bench.diagnosis.noise_kinds import larger_scatter, noise_hypotheses, residuals, slow_noise
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.search import SearchTask, find_effects
+from bench.stats import HALF_WAVES
 from bench.validation.paper_bench import SETTING_U_RAD, STAND_U
 from tests.support.diagnosis_bench import MODEL, NOISE_V, OneThreshold, paper_run, set_up
 
@@ -62,10 +63,49 @@ def test_what_is_random_holds_slow_noise(made):
     (slow, *_) = next(each for each in drawn(made, 20, 5, 3.0) if each)
     own = (made.linear.setting >= 0) & np.isin(made.linear.rows.channel, slow.channels)
     assert not np.any(slow.columns[~own])
-    of_channels = slow.columns[own].reshape(np.count_nonzero(own), len(slow.channels), WAVES + 1)
+    of_channels = slow.columns[own].reshape(np.count_nonzero(own), len(slow.channels), HALF_WAVES + 1)
     waves, mean = of_channels[:, :, :-1], of_channels[:, :, -1]
     np.testing.assert_allclose(np.sqrt(np.mean(np.sum(waves**2, axis=(1, 2)))), slow.size)
     np.testing.assert_allclose(np.sqrt(2.0) * mean.max(), waves.max())
+
+
+def of_reference(made, count, seed, size, channels):
+    """The hypothesis of a noisy reference (None: not offered) in so many draws of noise, with what was added, V.
+
+    The added noise is a fraction of the signal, with the root mean square `size` in units of a reading's noise, and
+    one course for each of 1 or 3 `channels`.
+    """
+    linear, rng = made.linear, np.random.default_rng(seed)
+    white = null_responses(linear, NOISE_V, np.full(count, RATIOS[RATIO]), rng)
+    noise = NoiseSize(NOISE_V, RATIOS[RATIO] / linear.typical_slope * NOISE_V, 150)
+    channel = np.minimum(linear.rows.channel, 2)
+    signal = linear.readings.signal[linear.rows.reading, channel]
+    for response in white.T:
+        course = np.broadcast_to(
+            wandering(rng, len(linear.readings))[:, :channels], (len(linear.readings), 3)
+        )
+        added = size * NOISE_V * course[linear.rows.reading, channel] * signal / np.sqrt(np.mean(signal**2))
+        added = np.where(linear.setting >= 0, added, 0.0)
+        told = noise_hypotheses(replace(linear, response=response + added), np.zeros((len(linear), 0)), noise)
+        yield next((one for one in told if one.what == "reference"), None), added[linear.setting >= 0]
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_noise_of_a_reference_is_offered_at_its_size(made, channels):
+    """8 draws of three times the noise of a reading (seed 9); one draw has a spread of a third at most."""
+    ratios = []
+    for found, added in of_reference(made, 8, 9, 3.0, channels):
+        assert found is not None
+        system = found.linear
+        columns = system.random[system.setting >= 0][:, system.random.shape[1] - system.of_noise :]
+        ratios.append(np.sqrt(np.mean(np.sum(columns**2, axis=1)) / np.mean(added**2)))
+    assert 0.75 < np.median(ratios) < 1.35
+
+
+@pytest.mark.slow
+def test_white_noise_is_seldom_that_of_a_reference(made):
+    """40 draws (seed 10), two hypotheses: at 2 % each, 7 come once in 500 times."""
+    assert sum(found is not None for found, _ in of_reference(made, 40, 10, 0.0, 1)) < 7
 
 
 def test_slow_noise_too_small_in_each_channel_is_found_in_all(made):
@@ -118,6 +158,8 @@ def noisy(seed, kind, **hidden):
         "normal": lambda: rng.normal(size=(n, 3)),
         "tails": lambda: rng.standard_t(3, (n, 3)),
         "slow": lambda: rng.normal(size=(n, 3)) + 3.0 * wandering(rng, n),
+        "reference": lambda: rng.normal(size=(n, 3)) + 3.0 * wandering(rng, n)[:, :1] * readings.signal,
+        "references": lambda: rng.normal(size=(n, 3)) + 3.0 * wandering(rng, n) * readings.signal,
     }[kind]()
     return replace(readings, signal=readings.signal + NOISE_V * noise)
 
@@ -131,12 +173,20 @@ def test_slow_noise_is_chosen_and_nothing_is_named():
 
 
 @pytest.mark.slow
-def test_normal_noise_is_left_normal():
-    """Three runs, three kinds of prior odds 0.1: chance gives a Bayes factor of 10 in a tenth of them at most.
+@pytest.mark.parametrize("kind", ["reference", "references"])
+def test_noise_of_a_reference_is_chosen_and_nothing_is_named(kind):
+    kinds, naming = chosen(noisy(0, kind))
+    assert "reference" in kinds
+    assert not any(one.variant.named and not one.ties for one in naming.found)
 
-    More than 3 of 9 then come in 1 of 100 times at most (binomial).
+
+@pytest.mark.slow
+def test_normal_noise_is_left_normal():
+    """Three runs, four kinds of prior odds 0.1: chance gives a Bayes factor of 10 in a tenth of them at most.
+
+    More than 4 of 12 then come in 1 of 100 times at most (binomial).
     """
-    assert sum(len(chosen(noisy(seed, "normal"))[0]) for seed in range(3)) <= 3
+    assert sum(len(chosen(noisy(seed, "normal"))[0]) for seed in range(3)) <= 4
 
 
 @pytest.mark.slow
@@ -159,6 +209,6 @@ def test_each_kind_of_noise_is_offered_once(made):
     told = list(noise_hypotheses(made.linear, np.zeros((len(made.linear), 0)), noise))
     assert len({one.what for one in told}) == len(told)
     for one in told:
-        assert one.what in {"channels", "tails", "slow"}
+        assert one.what in {"channels", "tails", "slow", "reference"}
         again = [o.what for o in noise_hypotheses(one.linear, np.zeros((len(made.linear), 0)), noise)]
         assert one.what == "channels" or one.what not in again

@@ -5,8 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bench.calibration.budget.sources import unread_sources
+from bench.config.bench_file.file import load_bench
+from bench.config.shipped import find_bench
 from bench.diagnosis.record_calibration import calibrate_record
 from bench.diagnosis.record_diagnosis import diagnose_record
+from bench.model import ForwardModel
 from bench.model.effects import CATALOGUE, AppliedEffect
 from bench.readings.csv import read_csv
 from tests.support.known_inputs import switched_on
@@ -118,3 +122,29 @@ def test_a_note_says_that_a_model_states_no_u_of_a_shape(tmp_path):
     again = calibrate_record(readings, [replace(applied, u={})])
     assert not any(note in one for one in again.notes)
     assert abs(again.channels[0].gain.value - GAIN) < 4 * again.channels[0].gain.u
+
+
+@pytest.mark.parametrize("unit", ["gain", "offset"])
+def test_an_effect_of_a_temperature_that_is_not_recorded_widens_u(tmp_path, unit):
+    """With a lag far longer than the record, 5 ppm/K (µV/K) within ±5 K: 14.4 ppm, or 14.4 µV."""
+    readings = record(tmp_path, 5)
+    values = {unit: np.full(3, 3e-6), "lag": np.array(1e9)}
+    effect = AppliedEffect(CATALOGUE[f"voltmeter_thermal_{unit}"], values, u={unit: np.full(3, 4e-6)})
+    unread = tuple(unread_sources(load_bench(find_bench("paper-stand")), ForwardModel({}, effects=(effect,))))
+    without = {name: cells for name, cells in readings.extra.items() if name != "meter_temperature_c"}
+    found = calibrate_record(replace(readings, extra=without), [effect], unread)
+    (x,) = found.channels
+    assert (x.gain.u if unit == "gain" else x.offset_v.u) == pytest.approx(
+        5e-6 * 5.0 / np.sqrt(3.0), rel=1e-3
+    )
+    assert (x.offset_v.u if unit == "gain" else x.gain.u) < 1e-6
+    assert any("temperature not recorded" in note for note in found.notes)
+    known = calibrate_record(readings, [effect], unread)
+    assert not any("temperature not recorded" in note for note in known.notes)
+
+
+def test_signals_in_another_unit_than_the_reference_are_told(tmp_path):
+    readings = record(tmp_path, 6, levels=(10.0,))
+    assert not any("units" in note for note in calibrate_record(readings).notes)
+    found = calibrate_record(replace(readings, signal=1e-6 * readings.signal))
+    assert "ux_v is 1e-05 V where reference_v is 10 V; check their units in the mapping" in found.notes

@@ -1,5 +1,7 @@
 """Diagnoses of records at a known input: strangers' records, nulls of them, and twins with a known truth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -152,6 +154,37 @@ def test_a_new_record_confirms_a_model_or_not(of_twin, tmp_path, gain_per_k, ver
     found = confirm_record(read_csv(twin(tmp_path, 2, gain_per_k), ()), of_twin.applied)
     assert found.verdict == verdict
     assert (found.unit, found.effects[0].verdict) == ("V", verdict)
+
+
+def test_an_unknown_state_at_the_start_of_a_lag_changes_no_size(tmp_path):
+    """What a lag leaves of any state at the start is a multiple of exp(-t / lag)."""
+    lag_s = 5700.0
+    record = make_record(read_csv(twin(tmp_path, 6), ()))
+    forms = [(CATALOGUE["voltmeter_thermal_offset"], (("lag", lag_s),))]
+    left_v = 5e-6 * np.exp(-(record.conditions.elapsed_s - record.conditions.elapsed_s[0]) / lag_s)
+    sizes = []
+    for added_v in (0.0 * left_v, left_v):
+        work = RecordWork.of(record.less(added_v[:, None]), courses_of(record, forms)).settling(lag_s)
+        sizes.append(work.alone(work.candidates.variants[0], keeps_shape=True))
+    for first, second in zip(*sizes, strict=True):
+        assert first == pytest.approx(second, rel=1e-6)
+
+
+def test_channels_share_the_noise_of_the_mean(tmp_path):
+    """Sizes in two channels with one large common noise and little of their own are almost equal in error."""
+    rng = np.random.default_rng(12)
+    both = read_csv(twin(tmp_path, 8), ())
+    signal = both.signal.copy()
+    signal[:, 1] = signal[:, 0] + rng.normal(0.0, 1e-8, len(both))
+    record = make_record(replace(both, signal=signal))
+    work = RecordWork.of(
+        record, courses_of(record, [(CATALOGUE["voltmeter_thermal_offset"], (("lag", 5700.0),))])
+    )
+    size, covariance = work.alone(work.candidates.variants[0], keeps_shape=True)
+    u = np.sqrt(np.diag(covariance))
+    assert covariance[0, 1] / (u[0] * u[1]) > 0.99
+    assert u == pytest.approx(work.sizes(work.candidates.variants)[1])
+    assert abs(size[0] - size[1]) < 0.1 * u[0]
 
 
 @pytest.mark.slow

@@ -67,7 +67,7 @@ def lines() -> Iterator[list[str]]:
                     yield [word.strip() for word in part.split("\0") if word.strip()]
 
 
-@pytest.mark.slow
+@pytest.mark.slow(5)
 def test_every_shell_line_in_its_order(bench, on_simulated_instruments, monkeypatch):
     served = []
     monkeypatch.setattr("bench.panel.app.serve", lambda settings, tell: served.append(settings.runs))

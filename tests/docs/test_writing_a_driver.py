@@ -103,7 +103,7 @@ def test_on_a_wire_that_fails_the_driver_tells_the_truth_or_why_not(page: dict[s
     assert all(message.startswith("chamber: ") for message in messages)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(6)
 def test_it_passes_what_every_instrument_must_do(folder):
     suite = [sys.executable, "-m", "pytest", "tests/conformance", "-n", "0", "-k"]
     suite.append("frostline or turnwell or all_devices")

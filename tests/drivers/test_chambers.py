@@ -1,11 +1,12 @@
-"""What chambers share: limits, band, plausibility, the set point read back."""
+"""What chambers share, and attempts to make an instrument safe."""
 
 import math
 
 import pytest
 
 from drivers.chambers import ChamberLimits, refuse_other_set_point
-from drivers.interfaces import BadReading, InstrumentRefused, LimitExceeded
+from drivers.interfaces import BadReading, InstrumentLost, InstrumentRefused, LimitExceeded
+from drivers.making_safe import Attempts
 
 LIMITS = ChamberLimits(-40.0, 85.0, band_c=2.0)
 
@@ -41,3 +42,22 @@ def test_a_set_point_may_differ_by_rounding_only() -> None:
 def test_limits_that_cannot_be_are_refused(low: float, high: float, band: float | None) -> None:
     with pytest.raises(ValueError, match="the chamber"):
         ChamberLimits(low, high, band)
+
+
+def _lose() -> None:
+    raise InstrumentLost("head", "no reply", "look at the cable")
+
+
+def test_a_task_that_is_left_is_no_failure() -> None:
+    attempts = Attempts()
+    assert attempts.make("by hand", lambda: "press its local key")
+    attempts.refuse_failed("head", "it did not stop", "stop it")
+    assert attempts.end() == "press its local key"
+
+
+def test_what_failed_is_raised_with_its_cause_beside_a_task_that_is_left() -> None:
+    attempts = Attempts()
+    attempts.make("by hand", lambda: "press its local key")
+    attempts.make("by hand", _lose)
+    with pytest.raises(InstrumentLost, match="it did not stop: no reply"):
+        attempts.refuse_failed("head", "it did not stop", "stop it")

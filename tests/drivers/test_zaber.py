@@ -162,8 +162,8 @@ def test_a_garbled_reply_to_the_move_itself_ends_it_with_a_stop() -> None:
 @pytest.mark.parametrize(
     ("steps", "words"),
     [
-        (0.0, "state a number of steps"),
-        (1e8, "more than 2147483647 steps"),
+        (0.0, "steps_per_degree: state a number other than 0"),
+        (1e8, "exceed 2147483647 steps"),
         (100.0, "coarser than its tolerance"),
     ],
 )

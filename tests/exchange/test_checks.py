@@ -69,7 +69,7 @@ def test_the_workbook_computes_its_check_vectors(tmp_path):
 @pytest.mark.parametrize("form", FORMS)
 def test_every_form_draws_its_signs_and_says_that_temperature_is_left_out(form, tmp_path):
     warm = BlockResult(Block(K, U0), 1e-10 * np.eye(12), "V", 9.81, "run-17", temperature="thermal_bias")
-    with pytest.raises(Refused, match=r"used temperature .*without.temperature"):
+    with pytest.raises(Refused, match=r"corrected for temperature .*without.temperature"):
         write_form(warm, tmp_path / "x", form, None)
     assert not (tmp_path / "x").exists()
     write_form(warm, tmp_path / "x", form, None, without_temperature=True)

@@ -95,11 +95,13 @@ def test_scale_factors_are_per_local_gravity():
 
 def test_refusals_of_a_prior():
     few, _ = measured(np.random.default_rng(1), 5, 2, 1.0)
-    with pytest.raises(CalibrationError, match="5 units of type A: a prior needs 6 or more"):
+    with pytest.raises(
+        CalibrationError, match="5 units of type A are too few for a prior; calibrate 6 units or more"
+    ):
         prior_of(few)
     many, _ = measured(np.random.default_rng(1), 12, 2, 1.0)
     two = ComparedCalibrations(**{**many.__dict__, "kind": np.where(np.arange(24) < 12, "A", "B")})
-    with pytest.raises(CalibrationError, match="name one of A, B"):
+    with pytest.raises(CalibrationError, match=r"several types \(A, B\), but a prior is for one; add type="):
         prior_of(two)
 
 

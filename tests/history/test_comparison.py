@@ -210,9 +210,9 @@ def test_other_blocks_simulations_and_copies_are_noted():
 def test_what_cannot_be_compared_is_refused():
     with pytest.raises(CalibrationError, match="two or more calibrations"):
         compare([snapshot(TRUTH)])
-    with pytest.raises(CalibrationError, match=r"one unit to compare \(x in V, y in counts\)"):
+    with pytest.raises(CalibrationError, match=r"in different units \(x in V, y in counts\)"):
         compare([snapshot(TRUTH), snapshot(TRUTH, name="y", unit="counts")])
-    with pytest.raises(CalibrationError, match="y: its covariance is singular"):
+    with pytest.raises(CalibrationError, match="y: the covariance is singular"):
         compare([snapshot(TRUTH), snapshot(TRUTH, name="y", covariance=np.diag([0.0] + [1e-10] * 11))])
 
 

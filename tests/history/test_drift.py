@@ -116,7 +116,7 @@ def test_refusals() -> None:
     with pytest.raises(CalibrationError, match="more than a day"):
         of(np.full(4, 1.0), np.zeros((4, 12)))
     found = of(np.arange(4.0), np.random.default_rng(1).normal(size=(4, 12)))
-    with pytest.raises(CalibrationError, match=r"after its last calibration \(2022-12-31\); asked for 2021-"):
+    with pytest.raises(CalibrationError, match=r"2021-.* is before the last calibration \(2022-12-31\)"):
         found.predicted(np.datetime64("2021-06-01"))
 
 

@@ -91,9 +91,7 @@ def test_rows_without_an_orientation_are_no_part_of_a_monitor(tmp_path, label, t
 
 def test_too_few_runs_for_limits_are_refused_in_a_sentence():
     rng = np.random.default_rng(7)
-    with pytest.raises(
-        CalibrationError, match=r"^2 runs; name 3 or more, the first of which set the limits$"
-    ):
+    with pytest.raises(CalibrationError, match=r"^2 runs are too few to set the limits; name 3 runs or more"):
         monitor_chart([run(rng, day) for day in range(2)])
 
 

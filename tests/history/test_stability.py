@@ -188,7 +188,7 @@ def test_a_file_that_is_no_static_record_says_where(tmp_path, text, told):
 @pytest.mark.parametrize(
     ("times", "told"),
     [
-        (range(10), "10 samples; an Allan deviation needs 32"),
+        (range(10), "10 samples are too few for an Allan deviation; record 32"),
         ([*range(20), *range(25, 45)], r"not uniform: 6 s after sample 20 \(at 19 s\), 1 s elsewhere"),
         ([*range(20), *range(10, 40)], "does not rise after sample 20"),
         (np.cumsum(np.linspace(1.0, 1.3, 100)), r"interval changes by \d+\.\d % along the record"),

@@ -54,6 +54,16 @@ def test_other_methods_are_refused(client, method):
     assert client.request(method, "/", headers=OWN).status_code == 405
 
 
+def test_every_page_is_there_in_ukrainian(judged, anna):
+    pages = ("/", "/start", "/queue", "/procedures", "/procedures/form?start=quick", "/bench", "/check")
+    pages += ("/bench/form?start=bench-stand", "/runs/run/", "/runs/run/verdict", "/runs/run/plots")
+    for path in pages:
+        reply = anna.get(path, headers={"accept-language": "uk"})
+        assert (path, reply.status_code) == (path, 200)
+        assert "Черга</a>" in reply.text
+    assert anna.get("/none", headers={"accept-language": "uk"}).status_code == 404
+
+
 # --- tokens -----------------------------------------------------------------------------------------
 
 

@@ -84,6 +84,10 @@ def test_what_a_client_breaks_leaves_a_line_and_no_traceback(tmp_path, monkeypat
             # answered before the body had come
             exchanged(panel, "POST /x", "Host: evil\r\nTransfer-Encoding: chunked\r\n\r\nzz\r\n")
             exchanged(panel, "PUT /x", "Transfer-Encoding: chunked\r\n\r\n1\r\na\r\nzz\r\n")
+        for method in ("GET", "TRACE"):  # a path without a slash
+            assert exchanged(panel, f"{method} sign-in", "Connection: close\r\n\r\n").startswith(
+                b"HTTP/1.1 40"
+            )
         assert exchanged(panel, "GET /sign-in", "Connection: close\r\n\r\n").startswith(b"HTTP/1.1 200")
     assert not [record.getMessage() for record in written if record.levelno > logging.WARNING]
     assert len(written) <= 2

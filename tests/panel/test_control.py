@@ -53,7 +53,7 @@ def lines(file):
 def test_the_holder_answers_the_question_that_stands(anna, one, alive):
     answer = {"id": QUESTION.id, "text": "yes"}
     status, told = anna.ask("/runs/one/answer", **answer)
-    assert (status, told["problem"]) == (403, "nobody is in control; take it first")
+    assert (status, told["problem"]) == (403, "nobody is in control; take control first")
     assert anna.ask("/runs/one/control", do="take")[0] == 200
     assert anna.ask("/runs/one/answer", **answer) == (200, {"done": "answered"})
     who = {"by": "anna", "role": "operator", "where": "panel"}
@@ -163,8 +163,8 @@ def test_resuming_takes_control_where_nobody_has_it(anna, runs, one, monkeypatch
 def test_a_file_that_cannot_be_written_is_refused_with_its_remedy(anna, one, alive, monkeypatch):
     anna.ask("/runs/one/control", do="take")
     for number, remedy in (
-        (errno.ENOSPC, "free the disk"),
-        (errno.EROFS, "make the folder of the run writable"),
+        (errno.ENOSPC, "free disk space"),
+        (errno.EROFS, "make it writable"),
     ):
 
         def fails(*_, number=number):
@@ -172,7 +172,7 @@ def test_a_file_that_cannot_be_written_is_refused_with_its_remedy(anna, one, ali
 
         monkeypatch.setattr("bench.panel.pages.run.leave_answer", fails)
         status, told = anna.ask("/runs/one/answer", id=QUESTION.id, text="yes")
-        assert (status, told["problem"]) == (409, f"it cannot be written (why); {remedy}")
+        assert (status, told["problem"]) == (409, f"the run's folder cannot be written (why); {remedy}")
 
 
 def test_taking_over_asks_and_is_answered(anna, runs, one):
@@ -211,7 +211,7 @@ def refusal(folder, *what):
 
 def test_taking_over_asks_who_holds(tmp_path):
     change(tmp_path, "take", ANNA)
-    assert refusal(tmp_path, "take", BEN) == (409, "anna is in control; ask for it")
+    assert refusal(tmp_path, "take", BEN) == (409, "anna is in control; ask for control")
     change(tmp_path, "ask", BEN)
     assert read_holding(tmp_path).asking == ("ben",)
     assert refusal(tmp_path, "grant", BEN)[0] == 403

@@ -1,14 +1,21 @@
-"""The house itself: no file grows too long, tests stand where what they test stands, nothing bends the path."""
+"""The house itself: files, folders, packages and what is installed with them."""
 
 import re
+import shutil
+import subprocess
+import tomllib
+from importlib import metadata
 from pathlib import Path
 
 import pytest
 import yaml
+from packaging.requirements import Requirement
 
 from docs.generators import rooms
-from tests.project.test_distribution import PROJECT, ROOT
+from tests.support import browsers
 
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 MOST_LINES = 600
 PACKAGES = ("bench", "drivers", "sim")
 SOURCES = [path for top in (*PACKAGES, "benchmarks", "tests") for path in sorted((ROOT / top).rglob("*.py"))]
@@ -67,3 +74,87 @@ def test_the_hooks_before_a_commit_are_our_own_tools():
 def test_the_list_of_rooms_for_contributors_is_that_of_the_code():
     text = rooms.CONTRIBUTING.read_text(encoding="utf-8")
     assert text == rooms.listing(text), "call docs.generators.rooms.write()"
+
+
+def name_of(requirement):
+    return re.sub(r"[-_.]+", "-", requirement.name).lower()
+
+
+def installed_with(name, found):
+    """Add to `found` what is installed with a distribution, as its metadata tell."""
+    if name in found:
+        return
+    found.add(name)
+    for text in metadata.requires(name) or ():
+        requirement = Requirement(text)
+        if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):
+            installed_with(name_of(requirement), found)
+
+
+def runtime():
+    """Names of all distributions that a bench brings."""
+    found = set()
+    for text in PROJECT["dependencies"]:
+        installed_with(name_of(Requirement(text)), found)
+    return found
+
+
+def licence_of(name):
+    told = metadata.metadata(name)
+    classifiers = [c for c in told.get_all("Classifier") or () if c.startswith("License ::")]
+    return told.get("License-Expression") or " ".join(classifiers) or str(told.get("License"))
+
+
+def test_a_bench_installs_no_tool_of_tests_or_of_documentation():
+    found = runtime()
+    assert {"numpy", "scipy", "typing-extensions"} <= found
+    assert found.isdisjoint({"allantools", "pytest", "sphinx", "numpydoc", "docutils", "hypothesis", "gtc"})
+
+
+def test_a_dry_run_installs_the_program_alone():
+    """`make -n` says what would be done and does nothing."""
+    make = shutil.which("make")
+    if make is None:
+        pytest.skip("there is no make")
+    told = {}
+    for target in ("dry-run", "test"):
+        command = [make, "--dry-run", "--always-make", target]
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)  # noqa: S603
+        told[target] = re.findall(r"pip install .*--editable (\S+)", done.stdout)
+    assert told == {"dry-run": ["."], "test": [".", "'.[test,dev]'"]}
+
+
+def test_no_licence_of_what_a_bench_installs_forbids_apache_2():
+    """All of them permit; one that asks for its own terms (GPL) would not."""
+    permissive = re.compile(r"\b(MIT|BSD|Apache|PSF|Python Software Foundation|ISC|HPND|Zlib|0BSD)\b")
+    assert PROJECT["license"] == "Apache-2.0"
+    told = {name: licence_of(name) for name in runtime()}
+    assert {name: text for name, text in told.items() if not permissive.search(text) or "GPL" in text} == {}
+
+
+def test_what_is_missing_is_one_sentence_that_names_it(monkeypatch, tmp_path):
+    monkeypatch.delenv(browsers.NAMED, raising=False)
+    if any(browsers.find_spec(name) is None for name in browsers.PACKAGES):
+        pytest.skip("the packages that drive a browser are not installed here")
+    said = browsers.what_is_missing(str(tmp_path))
+    assert "chromium" in said
+    assert "apt install" in said
+    assert "\n" not in said
+
+
+def test_missing_packages_are_named(monkeypatch):
+    monkeypatch.setattr(browsers, "find_spec", lambda name: None)
+    assert "playwright" in browsers.what_is_missing()
+    assert "triaxial-bench[browser]" in browsers.what_is_missing()
+
+
+def test_make_test_needs_no_browser_and_the_gate_runs_both():
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["pytest"]["ini_options"]
+    assert "-m 'not browser'" in settings["addopts"]
+    makefile = (ROOT / "Makefile").read_text("utf-8")
+    assert '-m "not slow and not browser"' in makefile
+    assert "-m browser" in makefile
+    commands = (ROOT / ".ci" / "run").read_text("utf-8").splitlines()
+    assert commands.index("make test-browser") == commands.index("make test") + 1
+    marked = [path.name for path in (ROOT / "tests" / "browser").glob("test_*.py")]
+    assert marked

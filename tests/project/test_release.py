@@ -99,7 +99,7 @@ def test_what_differs_from_the_release_is_named(released, old, new, of, where):
     assert where in wrong[of]
 
 
-@pytest.mark.slow
+@pytest.mark.slow(8)
 def test_an_upgrade_keeps_runs_and_registers(bench, tmp_path, monkeypatch):
     """The whole list is `python -m release.upgrade`; here, what a laboratory would miss first.
 

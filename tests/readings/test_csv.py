@@ -6,6 +6,7 @@ Source of the format: RFC 4180 and the promises on the columns in `bench.reading
 import csv
 import io
 import math
+import re
 
 import numpy as np
 import pytest
@@ -208,7 +209,7 @@ def test_a_file_of_bad_rows_only_is_refused_with_the_reasons(read):
         (b"", "empty; expected a header line such as installation,pass,point,angle_deg,ux_v"),
         (b"\n\n", "empty; expected a header line"),
         (HEADER, "no readings"),
-        (HEADER.replace(",", ";") + "\n1;1;1;0;0,1;0,2;0,3\n", "separate columns by commas"),
+        (HEADER.replace(",", ";") + "\n1;1;1;0;0,1;0,2;0,3\n", "the columns are not separated by commas"),
         (HEADER.replace("uy_v", "uy_g"), "signal columns in different units (v, g)"),
         (HEADER.replace(",point", ""), "the header lacks point"),
         (HEADER.replace(",uy_v", ""), "the header lacks uy_v"),
@@ -224,6 +225,37 @@ def test_files_that_cannot_be_read(read, content, says):
     assert "readings.csv" in message
     assert says in message
     assert "\n" not in message
+
+
+@pytest.mark.parametrize(
+    ("suffix", "says"),
+    [
+        ("mv", "not as ux_mv: convert them, or let 'bench import --columns MAP.yaml' convert them, by ux_v: "
+               "{columns: ux_mv, unit: mV} in MAP.yaml"),
+        ("raw", "only, not as ux_raw: convert them"),
+    ],
+)  # fmt: skip
+def test_signals_in_another_unit_are_refused_with_the_units_that_are_read(read, suffix, says):
+    told = refusal(read, HEADER.replace("_v", f"_{suffix}"))
+    assert "the header lacks ux_v, uy_v, uz_v; " in told
+    assert "signals are read in V (ux_v), counts (ux_counts), g (ux_g), m/s^2 (ux_ms2) only" in told
+    assert told.endswith(says)
+
+
+def test_signals_in_millivolts_are_imported_by_the_mapping_that_their_refusal_names(bench, tmp_path):
+    (tmp_path / "mv.csv").write_text(
+        "installation,pass,point,angle_deg,ux_mv,uy_mv,uz_mv\n1,1,1,0,96.4,-163,-2556\n"
+    )
+    told = bench("calibrate", "mv.csv")[2]
+    column = re.search(r"ux_v: \{columns: ux_mv, unit: mV\}", told)[0]
+    columns = [column, column.replace("ux", "uy"), column.replace("ux", "uz")]
+    columns += [f"{name}: {name}" for name in ("installation", "pass", "point", "angle_deg")]
+    (tmp_path / "map.yaml").write_text(
+        "log_columns: 1\ncolumns:\n" + "".join(f"  {one}\n" for one in columns)
+    )
+    assert bench("import", "mv.csv", "--columns", "map.yaml")[0] in (0, None)
+    row = (tmp_path / "runs/mv/readings.csv").read_text().splitlines()[1]
+    assert [float(cell) for cell in row.split(",")[:3]] == pytest.approx([0.0964, -0.163, -2.556])
 
 
 def test_a_file_that_is_not_there(tmp_path):

@@ -1,7 +1,8 @@
-"""The report: one page that says what was found, rounded as a metrologist rounds, and stands alone."""
+"""Pages of results: what was found, rounded as a metrologist rounds; each stands alone."""
 
 import re
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from html.parser import HTMLParser
 
 import numpy as np
@@ -10,12 +11,16 @@ import pytest
 from bench.base.numbers import concise, fixed, rounded, scale_for
 from bench.calibration import calibrate
 from bench.calibration.verification import verify
+from bench.history.control_chart import CheckRun, control_chart
 from bench.model import ForwardModel
 from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import make_readings
 from bench.results import plots
+from bench.results.control_chart import CheckBlockChart, render_chart
 from bench.results.page import render_report
-from bench.validation.paper_bench import STAND_U, simulate
+from bench.results.records import render_commissioning
+from bench.stats.control_charts import ChartDesign
+from bench.validation.paper_bench import STAND_U, TRUTH, simulate
 from bench.validation.registry import REFERENCE
 
 MODEL = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
@@ -113,7 +118,7 @@ def test_what_a_user_wrote_cannot_become_markup(calibration):
     assert "<b>T</b>" in Text(page).text
 
 
-@pytest.mark.slow
+@pytest.mark.slow(6)
 @pytest.mark.figures
 def test_the_page_stands_alone_and_draws_every_reading_and_the_same_each_time(calibration):
     """54 readings of three channels, each drawn once against the angle: a marker is a <use> in the drawing."""
@@ -175,3 +180,79 @@ def test_free_positions_alone_have_no_stand_and_no_block_that_nobody_named(bench
     assert "Setting error" not in page
     assert page.count("by convention") >= 3
     assert "0.000000000" not in page
+
+
+def result(status, *findings, **more):
+    return {
+        "bench": "b<ench>", "bench_file": "bench.yaml", "simulated": False, "status": status, "ended": "",
+        "began": "2026-11-22T20:00:00+00:00", "took_s": 780.0, "findings": list(findings), "to_do": {},
+        "instruments": [{"name": "head", "address": "by hand", "identity": None}], "wire_log": "wire.log",
+        "versions": {}, **more,
+    }  # fmt: skip
+
+
+def finding(state, said, remedy=""):
+    figure = {"what": "took", "value": 1.23456, "unit": "s", "expected": "1 s"}
+    told = {"state": state, "said": said, "figures": [figure], "remedy": remedy}
+    return {"check": "stop", "instrument": "head", **told}
+
+
+def test_what_is_wrong_stands_first_with_what_to_do_and_is_escaped():
+    findings = finding("works", "fine"), finding("other", "<script>", "do <b>this</b>")
+    page = render_commissioning(result(1, *findings, to_do={"head": "off"}))
+    assert "<script>" not in page
+    assert "b&lt;ench&gt;" in page
+    assert page.index("&lt;script&gt;") < page.index("Every check") < page.index("fine")
+    assert "Do &lt;b&gt;this" in page
+    assert "1 do not work as expected" in page
+    assert "head: off" in page
+    assert "took 1.235 s (1 s)" in page
+    assert "SIMULATED" not in page
+
+
+def test_an_evening_that_ended_early_says_why():
+    page = render_commissioning(result(2, ended="stopped by a signal"))
+    assert "Ended early: stopped by a signal." in page
+    assert "could not be tested" in page
+
+
+NOTHING = np.zeros((12, 12))
+U = 1e-4
+
+
+def check_run(day: int, shift: float = 0.0) -> CheckRun:
+    rng = np.random.default_rng(day)
+    value = TRUTH + U * rng.normal(size=12)
+    value[3] += shift * U
+    when = datetime(2026, 3, 1, tzinfo=UTC) + timedelta(days=day)
+    covariance = U**2 * np.eye(12)
+    own = np.full(12, U / 2), 1e-4, 36.0, "plan", (), NOTHING, NOTHING
+    return CheckRun(f"<check-{day}>", when, value, covariance, *own)
+
+
+def page(later: list[CheckRun]) -> str:
+    baseline = [check_run(day) for day in range(8)]
+    nine = control_chart([run.in_nine() for run in baseline], [run.in_nine() for run in later], ChartDesign())
+    twelve = control_chart(baseline, later, ChartDesign())
+    return render_chart(CheckBlockChart(nine, twelve, "a block <1>", "V", 9.81, True, ("a note",)))
+
+
+@pytest.mark.slow
+def test_the_page_shows_the_verdict_the_charts_and_what_is_behind_them():
+    html = page([check_run(8), check_run(9, shift=20.0)])
+    assert "✗ Out of control" in html
+    assert "SIMULATED" in html
+    assert "<check-9>" not in html
+    assert "&lt;check-9&gt;" in html
+    assert len(re.findall("<svg ", html)) == 2
+    assert not re.findall(r"(?:src|href)=\"http", html)
+    assert "Short term and long term" in html
+    assert re.search(r'class="bad"><th scope="row"><i>θ</i><sub>xy</sub>', html)
+    assert re.search(r'class="bad"><th scope="row"><i>K</i><sub>yx</sub>', html)
+
+
+def test_without_a_run_to_judge_there_is_no_chart():
+    html = page([])
+    assert "No verdict yet" in html
+    assert "NO VERDICT yet: &lt;check-7&gt; is the first" in html
+    assert "<svg " not in html

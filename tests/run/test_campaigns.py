@@ -1,14 +1,17 @@
-"""Campaigns of signals and supplies in miniature: each finds nothing amiss, and could."""
+"""Campaigns of signals, supplies and commands in miniature: each finds nothing amiss, and could."""
 
 import signal
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, Phase, settings
+from hypothesis.stateful import run_state_machine_as_test
 
 from bench.run.power import WATCH_S
 from benchmarks import signal_campaign
 from benchmarks import supply_campaign as campaign
 from benchmarks.campaign import command
+from benchmarks.commands_campaign import Evenings
 from benchmarks.signal_campaign import PATTERNS, PHASES, TROUBLES, Trial, draw, worker
 from sim.world.power import Disturbance
 
@@ -24,6 +27,7 @@ TRIALS = [
 ]
 
 
+@pytest.mark.slow(11)
 @with_sighup
 def test_the_bench_is_left_safe_at_every_signal(monkeypatch):
     monkeypatch.setattr(signal_campaign, "LIMIT_S", NEVER_S)
@@ -49,6 +53,7 @@ def stands(tmp_path_factory):
     return campaign.stands(tmp_path_factory.mktemp("stands"), campaign.WAYS[1:])
 
 
+@pytest.mark.slow(14)
 def test_a_short_campaign_has_no_violation(stands, tmp_path: Path) -> None:
     trials = campaign.draw(len(campaign.KINDS), SEED, stands)
     outcomes = [campaign.carry_out(trial, tmp_path) for trial in trials]
@@ -88,3 +93,36 @@ def test_the_judge_sees_a_value_that_is_wrong_and_a_cause_that_is_not_named(stan
     judged.said = "bench: power_supply: did something"
     campaign.judge_stop(2, judged)
     assert "the cause is not named" in judged.violations[-1]
+
+
+pytest.importorskip("starlette")
+
+
+def test_no_record_is_lost_whatever_is_done():
+    """Drawn steps, the same each time."""
+    run_state_machine_as_test(
+        Evenings,
+        settings=settings(
+            max_examples=1,
+            stateful_step_count=10,
+            derandomize=True,
+            deadline=None,
+            phases=[Phase.generate],
+            suppress_health_check=list(HealthCheck),
+        ),
+    )
+
+
+def test_resumed_with_a_meter_off_and_killed_it_is_brought_to_its_end():
+    """What broke records before, step by step: it needs no luck of the draw."""
+    evening = Evenings()
+    try:
+        evening.run("meter off", 12)
+        evening.resume(0, "", 0)
+        evening.press_resume(0, "", 0)
+        evening.switch("voltmeter.y")
+        evening.resume(0, "kill", 9)
+        evening.press_resume(0, "results", 4)
+        evening.bring_to_its_end(0)
+    finally:
+        evening.teardown()

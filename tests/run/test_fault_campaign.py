@@ -48,6 +48,7 @@ def tried(stand: Stand, runs: Path, name: str, *faults: Fault) -> Outcome:
     return outcome
 
 
+@pytest.mark.slow(6)
 def test_a_short_campaign_has_no_violation(tmp_path_factory: pytest.TempPathFactory) -> None:
     runs = tmp_path_factory.mktemp("short")
     trials = campaign.draw(FAULTS, SEED, campaign.stands(runs, BENCHES, SHORT))

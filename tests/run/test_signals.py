@@ -129,7 +129,7 @@ def test_the_handlers_are_given_back():
     assert signal.getsignal(signal.SIGINT) is before
 
 
-@pytest.mark.slow
+@pytest.mark.slow(8)
 def test_hit_by_a_signal_killed_and_resumed_it_ends_as_if_nothing_had_been(bench, tmp_path):
     """SIGTERM, then SIGKILL to what resumed it, each while the run is under way; the wire and the disk are real."""
     (tmp_path / "long.yaml").write_text(LONG.replace("times: 40", "times: 3"))
@@ -170,7 +170,7 @@ def test_hit_by_a_signal_killed_and_resumed_it_ends_as_if_nothing_had_been(bench
         assert np.array_equal(getattr(run.readings(), column), getattr(whole, column))
 
 
-@pytest.mark.slow
+@pytest.mark.slow(5)
 def test_a_run_is_paused_and_aborted_from_another_program(bench, tmp_path):
     # so long that it is not over before another program, on a machine however slow, has been heard
     (tmp_path / "long.yaml").write_text(LONG.replace("times: 40", "times: 150"))

@@ -212,4 +212,4 @@ def test_it_asks_a_person_or_is_dry(bench):
     assert "start it in a terminal, or add --dry-run" in refused(
         bench("check", "--morning", "--bench", "bench-lan")
     )
-    assert "name a procedure to check" in refused(bench("check"))
+    assert "no procedure is named" in refused(bench("check"))

@@ -57,8 +57,8 @@ def test_each_change_is_in_the_chain_and_no_secret_is(laboratory):
 @pytest.mark.parametrize(
     ("what", "name", "more", "said"),
     [
-        ("add", "A. Example", {}, "is a person of"),
-        ("change", "C. Example", {}, "is no person of"),
+        ("add", "A. Example", {}, "already a person in"),
+        ("change", "C. Example", {}, "not a person in"),
         ("end", "A. Example", {"reason": "left"}, "nobody would be left"),
         ("end", "A. Example", {}, "needs reason TEXT"),
         ("change", "A. Example", {"may": "operate"}, "nobody would be left"),
@@ -145,7 +145,7 @@ def test_an_operator_is_picked_and_the_record_keeps_what_was_known(bench, labora
         "register": persons_of(laboratory).head,
     }
     said = refused(bench("run", "quick", "--bench", "bench-lan", *more))
-    assert "say --operator NAME, one of: A. Example" in said
+    assert "give --operator NAME, one of: A. Example" in said
 
 
 @pytest.mark.slow

@@ -70,11 +70,29 @@ def test_the_zero_drifts_with_autozero_off():
 
 def test_the_1_f_noise_has_the_stated_power_in_each_decade():
     """Four sines of random frequency in each of five decades: variance 5 · deviation² within the seen time."""
-    converter = Converter(
-        a_world().terminals("x"), facts, noise=False, accuracy=None, line_hz=50.0, flaws={"flicker_v": 1e-6}
-    )
-    seen = [converter._flicker_v(1e-6, t) for t in np.linspace(0.0, 3e6, 4001)]
+    converter = Converter(a_world().terminals("x"), facts, noise=False, accuracy=None, line_hz=50.0)
+    seen = [converter._flicker("voltmeter flicker", 1e-6, t) for t in np.linspace(0.0, 3e6, 4001)]
     assert np.var(seen) == pytest.approx(5e-12, rel=0.1)  # 20 sines, 4001 unequal phases
+
+
+def test_noise_of_the_reference_is_a_fraction_of_the_signal():
+    """The fraction depends on meter and time alone: a reading of half the voltage changes by the same fraction."""
+    world = a_world()
+    clean, noisy = a_meter(world), a_meter(world, flaws={"reference_flicker": 1e-3})
+    half = a_meter(world, flaws={"reference_flicker": 1e-3, "source_ohm": 10e6})
+    for meter in (clean, noisy, half):
+        tell(meter, "CONF:VOLT:DC 10")
+    parts = []
+    for _ in range(2):
+        world.clock.sleep(500.0)
+        begun_s, values = world.clock.now_s(), []
+        for meter in (clean, noisy, half):
+            world.clock.return_to(begun_s)
+            values.append(read(meter))
+        parts.append(values[1] / values[0] - 1.0)
+        assert 2.0 * values[2] == pytest.approx(values[1], abs=4e-8)
+    assert abs(parts[0] - parts[1]) > 1e-4
+    assert np.max(np.abs(parts)) < 20 * math.sqrt(0.5) * 1e-3
 
 
 # --- port and firmware ------------------------------------------------------------------------------

@@ -129,12 +129,12 @@ def typed_for(asked: dict[str, Any], turn: int) -> str:
 
 def prompt_of(page: Any, before: str) -> str:
     """Return the id of the question that follows the question `before` on the page; "" once the run ended."""
-    page.wait_for_function(
+    found = page.wait_for_function(
         "before => { const live = document.getElementById('live').dataset;"
-        " return live.ended === 'true' || (live.prompt && live.prompt !== before) }",
+        " return live.ended === 'true' ? [''] : live.prompt && live.prompt !== before && [live.prompt] }",
         arg=before,
     )
-    return str(page.get_attribute("#live", "data-prompt"))
+    return str(found.json_value()[0])  # not read again: without hands a question goes by itself
 
 
 def answer_on(page: Any, text: str) -> None:
@@ -144,3 +144,25 @@ def answer_on(page: Any, text: str) -> None:
         page.press("#typed", "Enter")
     else:
         page.click(f"#buttons button >> text={'Yes' if text == 'yes' else text}")
+
+
+def tab_to(page: Any, words: str) -> None:
+    """Press Tab until the button, link or field of these words, or of this id, has the focus."""
+    for _ in range(80):
+        page.keyboard.press("Tab")
+        said = page.evaluate("(at => [at.id, at.ariaLabel || at.textContent.trim()])(document.activeElement)")
+        if words == said[0] or said[1].startswith(words):
+            return
+    raise AssertionError(f"no key leads to {words}")
+
+
+def answer_by_keys(page: Any, text: str) -> None:
+    """Answer the question on the page with the keyboard alone; a field has the focus already."""
+    if page.is_visible("#typed"):
+        page.wait_for_function(
+            "() => { const at = document.activeElement; return at.id === 'typed' && !at.readOnly; }"
+        )
+        page.keyboard.type(text)
+    else:
+        tab_to(page, "Yes" if text == "yes" else text)
+    page.keyboard.press("Enter")

@@ -45,7 +45,7 @@ def test_an_entry_can_be_withdrawn_once(tmp_path):
         register.append(entry("1", kind=WITHDRAWN))
         assert not register.accepts("p", None)
         for again in (entry("1", kind=WITHDRAWN), entry("1")):
-            with pytest.raises(Refused, match="cannot follow here"):
+            with pytest.raises(Refused, match="contradicts the entries before it"):
                 register.append(again)
 
 

@@ -43,6 +43,7 @@ from bench.model.conditions import Conditions
 from bench.model.effects import Stage
 from bench.model.effects.base import Seen
 from bench.model.geometry import COEFFICIENTS, STAND_ANGLES, modulus_slopes
+from bench.stats import FLICKER_RMS
 
 DIRECTIONS: Final = 1000
 MAGNITUDES_G: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
@@ -131,12 +132,13 @@ def _of_reading(
     if source.kind in {"voltmeter_error", "voltmeter_linearity"}:
         own = source.u * per_channel * source.on_channels
         return none, np.broadcast_to(own, (len(force), 3, 3))
-    if source.kind in {"voltmeter_gain", "voltmeter_offset"}:
-        sensed = block.output(force) if source.kind == "voltmeter_gain" else np.ones_like(force)
-        sensed = sensed * source.on_channels
+    if source.kind in {"voltmeter_gain", "voltmeter_offset", "reference_noise"}:
+        sensed = np.ones_like(force) if source.kind == "voltmeter_offset" else block.output(force)
+        sensed = sensed * source.on_channels * (FLICKER_RMS if source.kind == "reference_noise" else 1.0)
         meters = np.unique(budget.setup.meters, return_inverse=True)[1]
         errors = source.acting(sensed[:, :, None] * np.eye(int(meters.max()) + 1)[meters][None])
-        return (errors, alone) if same_voltmeters else (none, errors)
+        same = same_voltmeters and source.kind != "reference_noise"
+        return (errors, alone) if same else (none, errors)
     if source.name in {"K2", "K3"}:
         power = force ** int(source.name[1]) * np.diag(block.K) * source.on_channels
         return source.u * power[:, :, None] * per_channel, alone

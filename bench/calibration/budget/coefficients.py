@@ -28,6 +28,7 @@ from bench.model.effects.base import lagged
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block
 from bench.readings.table import UNORIENTED, VERIFICATION, Readings, make_readings
+from bench.stats import flicker_waves
 
 _SAME_FORCE_G: Final = 1e-6
 
@@ -187,7 +188,8 @@ def make_setup(
     setup = Setup(chain, conditions, about, meters_of(bench))
     if not np.any(setup.fitted):
         raise CalibrationError(
-            f"{plan.name}: has verification points only; a calibration needs installations"
+            f"{plan.name}: the procedure has verification points only, but a calibration needs readings in "
+            "installations of known orientation; choose another procedure"
         )
     return setup
 
@@ -364,11 +366,6 @@ def _temperature(source: ErrorSource, seen: AnyReadings) -> _Patterns:
     return _unknown_and_recorded(source, seen, seen.conditions.warmth_k - seen.calibrated_k)
 
 
-def corrected(channel: str) -> str:
-    """Return the key of `factors` that marks `channel` as corrected for the thermal gain of its meter."""
-    return f"corrected {channel}"
-
-
 def _room(source: ErrorSource, seen: AnyReadings) -> _Patterns:
     """Return the patterns of meter gains that follow the temperature of the room with a lag.
 
@@ -376,15 +373,32 @@ def _room(source: ErrorSource, seen: AnyReadings) -> _Patterns:
     limits.
     """
     conditions, factors, on = seen.conditions, source.factors or {}, source.on_channels
-    if conditions.meter_c is not None:
-        on = on * [corrected(channel) not in factors for channel in CHANNELS]
     if conditions.meter_c is not None and source.u > 0:
         behind = lagged(conditions.meter_warmth_k, conditions.elapsed_s, source.correlation_s)
         courses = [(behind - behind.mean()) / source.u]
     else:
-        courses = list(_unknown(conditions.elapsed_s, source.correlation_s).T)
+        courses = list(unknown_courses(conditions.elapsed_s, source.correlation_s).T)
     gain, meters = factors["scale"] * seen.signal * on, np.array(seen.meters)
     return [(gain * course[:, None], meters[None, :]) for course in courses]
+
+
+def _unread(source: ErrorSource, seen: AnyReadings) -> _Patterns:
+    """Return the patterns of an effect of the meters' temperature that the model has, and no column shows.
+
+    With a recorded temperature there are none: the model corrects the readings.
+    """
+    factors = source.factors or {}
+    gain, offset = (np.array([factors[f"{of} {c}"] for c in CHANNELS]) for of in ("gain", "offset"))
+    added = (gain * seen.signal + offset) * (seen.conditions.meter_c is None)
+    courses = unknown_courses(seen.conditions.elapsed_s, source.correlation_s)
+    return [(added * course[:, None], np.array(seen.meters)[None, :]) for course in courses.T]
+
+
+def _reference(source: ErrorSource, seen: AnyReadings) -> _Patterns:
+    # the mean over the run is an error of the gain, which "voltmeter_gain" contains
+    on = seen.signal * source.on_channels
+    waves = flicker_waves(seen.conditions.elapsed_s)
+    return [(on * wave[:, None], np.array(seen.meters)[None, :]) for wave in waves.T]
 
 
 def _supply(source: ErrorSource, seen: AnyReadings) -> _Patterns:
@@ -395,7 +409,7 @@ def _supply(source: ErrorSource, seen: AnyReadings) -> _Patterns:
 
 def _unknown_and_recorded(source: ErrorSource, seen: AnyReadings, known: Floats) -> _Patterns:
     """Return the patterns of two variations in time: an unknown one within limits, and the `known` one (n,)."""
-    courses = list(_unknown(seen.conditions.elapsed_s, source.correlation_s).T)
+    courses = list(unknown_courses(seen.conditions.elapsed_s, source.correlation_s).T)
     if source.u > 0 and np.any(known):
         courses.append(known / source.u)
     return [pattern for course in courses for pattern in _warmed(source, seen, course)]
@@ -425,7 +439,7 @@ HARDLY_ANY: Final = 1e-3
 """Principal components with less than this fraction of the total variance are left out."""
 
 
-def _unknown(time_s: Floats, correlation_s: float) -> Floats:
+def unknown_courses(time_s: Floats, correlation_s: float) -> Floats:
     """Return the principal components (n, q) of a stationary process of unit variance.
 
     With an infinite correlation time the process is a constant, which averaging over passes does not reduce:
@@ -461,6 +475,8 @@ _PATTERNS: Final[Mapping[str, Callable[[ErrorSource, AnyReadings], _Patterns]]] 
     "gravity": lambda _, s: [(s.force @ s.block.K.T, _EVERYTHING)],
     "temperature": _temperature,
     "room_temperature": _room,
+    "meter_temperature": _unread,
+    "reference_noise": _reference,
     "thermometer": lambda own, s: _warmed(own, s, np.ones(len(s.signal))),
     "supply_voltage": _supply,
     "turn_on": _turn_on,

@@ -13,13 +13,13 @@ import numpy as np
 from bench.base.arrays import CHANNELS
 from bench.base.languages import message
 from bench.base.text import exact_duration
-from bench.calibration.budget.coefficients import Setup, corrected
+from bench.calibration.budget.coefficients import Setup
 from bench.calibration.budget.error_source import Common, ErrorSource, foundation_of, learned_sources
 from bench.calibration.budget.meters import KnownMeters, Size, linearity_of, size_of, thermometer_size
 from bench.calibration.design import SYMBOLS, WEAK
 from bench.calibration.noise import KnownStand
 from bench.config.bench_file.file import STAND_ERRORS, BenchFile
-from bench.config.bench_file.stand import ErrorSize, Location, MeasuredGravity
+from bench.config.bench_file.stand import ErrorSize, Location, MeasuredGravity, RoomError
 from bench.config.devices.sections import VoltmeterForm
 from bench.model import STAND_ANGLES, Distribution, ForwardModel
 
@@ -34,6 +34,14 @@ SCALE_PER_K: Final = Distribution(180e-6, "rectangular")
 """Priors of the block's temperature coefficients, g/K and 1/K: limits of a quartz-flexure accelerometer."""
 GAIN_PER_K: Final = Distribution(1e-6)
 """Prior of the change of a voltmeter's gain per kelvin, relative; a 34420A in an air bath had 0.75 ppm/K."""
+ROOM: Final = Distribution(5.0, "rectangular")
+"""Prior of a meter's temperature about 23 °C, K: the range for which data sheets of voltmeters hold."""
+REFERENCE_NOISE: Final = Distribution(0.1e-6)
+"""Prior of the 1/f noise of a voltmeter's reference per decade of frequency, relative.
+
+LM399, as in the 34401A: about 4 uV peak to peak of 7 V from 0.1 to 10 Hz (eevblog.com, "LM399 based 10 V
+reference", reply 1000), which is 0.07 ppm per decade; single ones have twice as much.
+"""
 BIAS_PER_V: Final = Distribution(20e-6)
 SCALE_PER_V: Final = Distribution(20e-6)
 """Priors of a block's sensitivity to its supply, g/V and 1/V: the catalogue's plausible sizes, 1 sigma."""
@@ -91,7 +99,9 @@ def hidden_sources(
     """
     return (
         *_voltmeter_sources(bench, day, meters),
+        *_reference_source(bench),
         *_room_source(bench, model),
+        *unread_sources(bench, model),
         *_head_table_source(bench),
         *_gravity_source(bench),
         _temperature_source(bench),
@@ -181,22 +191,72 @@ def _voltmeter_sources(
             yield replace(_of_size(called, symbol, unit, common, one), channels=meter.channels)
 
 
+def _reference_source(bench: BenchFile) -> Iterator[ErrorSource]:
+    """Yield the 1/f noise of the references in the voltmeters, per decade of frequency."""
+    stated = bench.uncertainty.reference_noise
+    size = (
+        Size(REFERENCE_NOISE, message("prior: an LM399"), prior=True)
+        if stated is None
+        else Size.stated(stated)
+    )
+    yield _of_size("reference_noise", "1/f", "1", "time", size)
+
+
+THERMAL: Final = {"voltmeter_thermal_gain": "gain", "voltmeter_thermal_offset": "offset"}
+"""The effects that follow the temperature of the meters, each with its size."""
+
+
 def _room_source(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]:
     """Yield the gain error of voltmeters that follow the room's temperature with a lag.
 
-    There is no such source unless the bench file states the room's temperature changes. `factors` names the
-    channels whose model has such an effect: readings with a temperature are corrected for it.
+    There is no such source unless the bench file states the room's temperature changes. It acts on the channels
+    whose model has no such gain.
     """
     room, stated = bench.uncertainty.room_temperature, bench.uncertainty.voltmeter_temperature_coefficient
-    known = {c for a in model.effects if a.effect.name == "voltmeter_thermal_gain" for c in a.channels}
-    if room is None:
+    known = {c for a in model.effects if THERMAL.get(a.effect.name) == "gain" for c in a.channels}
+    left = tuple(channel for channel in CHANNELS if channel not in known)
+    if room is None or not left:
         return
     coefficient = (GAIN_PER_K if stated is None else stated.to_distribution()).u
     size = Size.stated(room)
     origin = message(f"{size.origin}; {coefficient * 1e6:.3g} ppm/K (1σ), {exact_duration(room.lag)} late")
     source = _of_size("room_temperature", "T room", "K", "time", replace(size, origin=origin))
-    factors = {"scale": coefficient, **{corrected(c): 1.0 for c in known}}
-    yield replace(source, prior=stated is None, factors=factors, correlation_s=room.lag)
+    yield replace(
+        source, prior=stated is None, factors={"scale": coefficient}, correlation_s=room.lag, channels=left
+    )
+
+
+def unread_sources(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]:
+    """Yield a source for each thermal gain or offset of the meters in the model, in readings without a temperature.
+
+    The temperature is unknown within the limits of the room. It changes no faster than the effect's lag, nor than
+    that of the room. A coefficient without u has the catalogue's plausible size as u.
+    """
+    room = bench.uncertainty.room_temperature
+    for applied in model.effects:
+        name = THERMAL.get(applied.effect.name)
+        if name is None:
+            continue
+        of = next(p for p in applied.effect.parameters if p.name == name)
+        values, acts = applied.complete_values(), np.isin(CHANNELS, applied.channels)
+        u = np.broadcast_to(applied.u.get(name, 0.0), (3,))
+        sizes = np.hypot(values[name], np.where(u > 0.0, u, of.plausible)) * acts
+        lag_s = max(float(values["lag"]), RoomError.LAG_S if room is None else room.lag)
+        limits = Size(ROOM, message("not stated: 23 °C ± 5 K, the range of data sheets"), prior=True)
+        size = limits if room is None else Size.stated(room)
+        shown = ", ".join(
+            f"{c} {one / of.si_per_unit:.3g}" for c, one in zip(CHANNELS, sizes, strict=True) if one
+        )
+        origin = message(
+            f"{size.origin}; temperature not recorded; {name} {shown} {of.unit} of the model, "
+            f"{exact_duration(lag_s)} late"
+        )
+        source = _of_size(f"meter_temperature[{name}]", "T meter", "K", "time", replace(size, origin=origin))
+        factors = {f"{each} {c}": 0.0 for each in THERMAL.values() for c in CHANNELS}
+        factors |= {f"{name} {c}": float(one) for c, one in zip(CHANNELS, sizes, strict=True)}
+        yield replace(
+            source, prior=size.prior or not np.all(u[acts] > 0.0), factors=factors, correlation_s=lag_s
+        )
 
 
 def _of_size(name: str, symbol: str, unit: str, common: Common, size: Size) -> ErrorSource:
@@ -347,10 +407,12 @@ def effect_sources(setup: Setup) -> Iterator[ErrorSource]:
     """Yield a source for each parameter of the model's effects, with the u that the model file states.
 
     Without a stated u the size is the catalogue's plausible one. (A fit uses a wider prior, so that the data
-    decide.)
+    decide.) Effects of a temperature that is not recorded are "meter_temperature" of `hidden_sources`.
     """
-    problem = setup.effect_problem
+    problem, unread = setup.effect_problem, setup.conditions.meter_c is None
     for name, unknown in zip(problem.names(), problem.effects, strict=True):
+        if unread and setup.model.effects[unknown.effect].effect.name in THERMAL:
+            continue
         parameter = problem.parameter(unknown)
         yield ErrorSource(
             name=name,

@@ -110,7 +110,7 @@ def sign(
     """
     repeats = tuple(_zero_repeats(calibration, bench))
     taken = _taken(calibration, readings, bench)
-    of_bench = _acting(calibration, bench, model, day, meters)
+    of_bench = _acting(calibration, readings, bench, model, day, meters)
     own = tuple(_source(error, taken, calibration.gain) for error in of_bench if error.name != GRAVITY)
     roll = calibration.covariance - calibration.covariance_readings
     moving = _foundation(readings, bench)
@@ -214,7 +214,9 @@ TURNED: Final = 0.1
 """Relative change of K K^T, or of a bias in g, below which a change of K of size 1 is a turn of the block."""
 
 
-OF_METERS: Final = ("voltmeter_gain", "voltmeter_offset", "voltmeter_linearity", "room_temperature")
+OF_METERS: Final = (
+    *METERS, "voltmeter_linearity", "reference_noise", "room_temperature", "meter_temperature",
+)  # fmt: skip
 """Sources that act only on readings in volts: errors of the bench's voltmeters."""
 
 
@@ -310,7 +312,7 @@ def delta_g_contributions(
         for c, size in enumerate(calibration.drift.size.tolist()):
             drifted = size**2 * gone * np.outer(by_signal[:, c], by_signal[:, c])
             found["drift"] = found.get("drift", 0.0) + drifted
-    for error in _acting(calibration, bench, model, day, meters):
+    for error in _acting(calibration, readings, bench, model, day, meters):
         if error.name != GRAVITY:
             parts = parts_of(error, taken, functionals)
             found[error.name] = parts @ parts.T
@@ -329,6 +331,7 @@ def _taken(calibration: Calibration, readings: Readings, bench: BenchFile) -> Me
 
 def _acting(
     calibration: Calibration,
+    readings: Readings,
     bench: BenchFile,
     model: ForwardModel,
     day: date | None,
@@ -336,13 +339,16 @@ def _acting(
 ) -> list[ErrorSource]:
     """Return the errors that no reading shows.
 
-    The meters' nonlinearity is left out if repeats share an error at least as large, which then includes it.
+    The meters' nonlinearity is left out if repeats share an error at least as large, which then includes it. The
+    effects of the meters' temperature are left out if the readings have it: the model corrects them.
     """
+    read = readings.conditions().meter_c is not None
     shown = max((c.size for c in calibration.shared if c.what == "setting"), default=0.0)
     return [
         error
         for error in acting_sources(calibration.unit, bench, model, day, meters)
-        if error.kind != "voltmeter_linearity" or error.u > shown
+        if (error.kind != "voltmeter_linearity" or error.u > shown)
+        and not (read and error.kind == "meter_temperature")
     ]
 
 

@@ -62,7 +62,10 @@ def document_of(certificate: Certificate) -> bytes:
         certificate.laboratory, certificate.order, certificate.unit, certificate.issue, certificate.calibrated,
     )  # fmt: skip
     if laboratory is None or order is None or unit is None or issue is None or days is None:
-        raise ValueError("give a machine-readable certificate a laboratory, an order, dates and a number")
+        raise ValueError(
+            "the XML of a certificate cannot be written without laboratory, order, unit, dates and "
+            "number; give all of them"
+        )
     root = etree.Element(
         f"{{{NAMESPACES['dcc']}}}digitalCalibrationCertificate", nsmap={**NAMESPACES, "xsi": _XSI}
     )

@@ -107,12 +107,12 @@ def _shown_coefficients(root: Node) -> tuple[Floats, dict[str, CertifiedCoeffici
     if found is None:
         return np.empty((0, 0)), {}
     if found.covariance is None or found.uncertainty is None:
-        raise NotRead(f"{found.words}: they lack covariance or uncertainties")
+        raise NotRead(f"{found.words}: the list lacks its covariance or uncertainties")
     U, k = found.uncertainty
     if {len(found.labels), len(U), len(k)} != {len(found.values)}:
-        raise NotRead(f"{found.words}: their names or uncertainties are of another number")
+        raise NotRead(f"{found.words}: the counts of values, names and uncertainties differ")
     if not np.isfinite([found.values, U, k]).all():
-        raise NotRead(f"{found.words}: a number is not finite")
+        raise NotRead(f"{found.words}: a value or an uncertainty is not finite")
     columns = zip(found.values.tolist(), U.tolist(), k.tolist(), found.units, strict=True)
     return found.covariance, {
         label: CertifiedCoefficient(value=value, U=expanded, k=factor, unit=unit)
@@ -221,14 +221,17 @@ def _ours(path: Path, root: Node, listed: RealList) -> dict[str, Any]:
     try:
         data = from_text(files_in(root)[_FILE])
     except (NotRead, KeyError) as error:
-        raise Refused(f"{path}: it has no readable {_FILE}; ask the laboratory for the original") from error
+        raise Refused(
+            f"{path}: the certificate has no readable {_FILE}; ask the laboratory for the original"
+        ) from error
     taken = coefficients_of(data, str(path))
     if listed.covariance is None or not (
         np.array_equal(listed.values, taken.block.vector)
         and np.array_equal(listed.covariance, taken.covariance)
     ):
         raise Refused(
-            f"{path}: its {_FILE} and its list state different coefficients; ask the laboratory for the original"
+            f"{path}: {_FILE} and the list of the certificate state different coefficients; ask the laboratory "
+            "for the original"
         )
     told = {name: value for name, value in data.items() if name != "verification"}
     return {**told, "certificate": _about(root)}
@@ -268,13 +271,16 @@ def _others(
     wanting = [] if g_m_s2 is not None else ["--g, the local gravity for which K is to be stated (m/s²)"]
     wanting += [] if noise_v is not None else ["--noise, the noise of a reading (V), which a check needs"]
     if g_m_s2 is None or noise_v is None:
-        raise Refused(f"{path}: a certificate of another program; give {' and '.join(wanting)}")
+        raise Refused(
+            f"{path}: the certificate, of another program, does not state everything; give "
+            f"{' and '.join(wanting)}"
+        )
     dimensions = [listed.dimensions[i] for i in order]
     kinds = set(dimensions[:9])
     if kinds not in ({_VOLT}, {_VOLT_PER_MS2}) or set(dimensions[9:]) != {_VOLT}:
         raise Refused(
-            f"{path}: {listed.words}: give K in \\volt (per local g) or "
-            "\\volt\\metre\\tothe{-1}\\second\\tothe{2}, and U0 in \\volt"
+            f"{path}: {listed.words}: K or U0 has a unit that no block has; ask the laboratory for K in \\volt "
+            "(per local g) or \\volt\\metre\\tothe{{-1}}\\second\\tothe{{2}}, and for U0 in \\volt"
         )
     scale = np.ones(12)
     if kinds == {_VOLT_PER_MS2}:
@@ -284,7 +290,9 @@ def _others(
     covariance = listed.covariance
     if covariance is None:
         if listed.u is None:
-            raise Refused(f"{path}: {listed.words}: it states no uncertainty; ask its laboratory for one")
+            raise Refused(
+                f"{path}: {listed.words}: the list states no uncertainty; ask its laboratory for one"
+            )
         covariance = np.diag(listed.u**2)
         notes += ("it states no covariance; its coefficients are assumed uncorrelated, which is seldom true",)
     covariance = covariance[np.ix_(order, order)] * np.outer(scale, scale)

@@ -141,12 +141,14 @@ def read_schemas(folder: Path) -> etree.XMLSchema:
         path = there.get(name.lower())
         if path is None:
             raise Refused(
-                f"--schema {folder}: there is no {name}; give the folder with the institute's schemas"
+                f"--schema {folder}: the folder has no {name}; give the folder with PTB's schemas of DCC and "
+                f"D-SI ({', '.join(_FILES)})"
             )
         stated = _version_of(path)
         if stated != version:
             raise Refused(
-                f"{path}: is version {stated}, but certificates follow {version}; give the schemas of {version}"
+                f"{path}: the schema has version {stated}, but certificates follow {version}; give the schemas "
+                f"of {version}"
             )
     base: Any = etree.Resolver
 

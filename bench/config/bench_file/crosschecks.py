@@ -129,7 +129,10 @@ def _surrounding_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
         stated = part(data, "instruments", key)
         chamber = part(data, "instruments", "chamber")
         if stated == "chamber" and chamber is None:
-            yield ("instruments", key), "this bench has no chamber whose air it could be; state a thermometer"
+            text = (
+                "'chamber' takes the temperature from a chamber, but this bench has none; state a thermometer"
+            )
+            yield ("instruments", key), text
         elif stated == "chamber" and part(chamber, "driver") == "manual-chamber":
             text = "a person reads this chamber once per mounting only; state a thermometer"
             yield ("instruments", key), text

@@ -295,14 +295,17 @@ class Standing:
         which = f"{self.instrument}: its {certificate.words}"
         if self.foreign:
             yield (
-                f"{which}, is for serial number {certificate.serial}, but instrument {self.answered} answered: "
-                "the certificate's values are not used; take the right instrument, or state the certificate of "
-                "this one in the bench file"
+                f"{which}, is for serial number {certificate.serial}, but the connected instrument has "
+                f"{self.answered}: the certificate's values are not used; connect the right instrument, or state "
+                "the certificate of the connected one in the bench file"
             )
             return
         if self.expired:
             until = certificate.valid_until
-            yield f"{which}, expired on {until}: its values are used with the drift since; have it calibrated"
+            yield (
+                f"{which}, expired on {until}: its values are used with an allowance for drift since then; "
+                "have the instrument calibrated"
+            )
         if self.day < certificate.date:
             yield (
                 f"{which}, is dated after the readings ({self.day}): its values are used for earlier days "

@@ -283,7 +283,8 @@ class PriorFile(FileModel):
         if not usable:
             yield (
                 ("covariance",),
-                "is not a covariance (not symmetric or not positive); restore the file from 'bench learn'",
+                "the matrix is no covariance (not symmetric or not positive); restore the file from 'bench "
+                "learn'",
             )
 
 

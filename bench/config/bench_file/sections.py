@@ -158,7 +158,9 @@ class OperatorTruth(FileModel):
     @classmethod
     def _in_order(cls, turn_time_s: tuple[float, ...]) -> tuple[float, ...]:
         if turn_time_s[0] > turn_time_s[1]:
-            raise ValueError("state the shortest time first, then the longest")
+            raise ValueError(
+                "the shortest time is above the longest; state the shortest first, then the longest"
+            )
         return turn_time_s
 
 
@@ -182,11 +184,13 @@ class FaultSection(FileModel):
         if self.probability is not None and self.at is not None:
             raise ValueError("a fault strikes with a probability or at an exchange; remove one of the two")
         if self.probability is None and self.at is None and self.matching is None:
-            raise ValueError(f"say when '{self.fault}' strikes: give probability, at or matching")
+            raise ValueError(
+                f"'{self.fault}' has no time at which it strikes; state probability, at or matching"
+            )
         if self.seconds and self.fault not in _TAKE_SECONDS:
             raise ValueError(f"'{self.fault}' has no duration; remove 'seconds'")
         if self.fault == "late" and not self.seconds:
-            raise ValueError("state 'seconds', the delay of 'late'")
+            raise ValueError("'late' has no delay; state 'seconds'")
         if self.error is not None and self.fault != "error":
             raise ValueError(f"'{self.fault}' puts no error into the queue; remove 'error'")
         return self
@@ -297,7 +301,7 @@ class CheckBlockSection(FileModel):
             if name not in COEFFICIENTS:
                 raise ValueError(f"{name} is not a coefficient; choose from {', '.join(COEFFICIENTS)}")
             if section.value(name)[1] < 0.0:
-                raise ValueError(f"{name}: state a standard uncertainty of 0 or more")
+                raise ValueError(f"{name}: the standard uncertainty is negative; state 0 or more")
         return drift
 
     @model_validator(mode="after")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
@@ -100,15 +100,15 @@ def can_come_about(
     `span_s` (called `span`) before `timeout_s` has passed.
     """
     if size <= 0.0:
-        raise ValueError(f"state a {what} above 0: no two samples are equal")
+        raise ValueError(f"the {what} is not above 0, but no two samples are equal; state one above 0")
     if not 0.0 < interval_s <= span_s:
-        raise ValueError(f"state an interval above 0 and at most {span}")
+        raise ValueError(f"the interval is not between 0 and {span}; state one above 0 and at most {span}")
     if timeout_s > MOST_SAMPLES * interval_s:
         raise ValueError(
-            f"this interval takes more than {MOST_SAMPLES} samples until the timeout; lengthen it"
+            f"the interval would take more than {MOST_SAMPLES} samples until the timeout; lengthen the interval"
         )
     if timeout_s < span_s + interval_s:
-        raise ValueError(f"state a timeout of at least {span} and one interval")
+        raise ValueError(f"the timeout is too short; state at least {span} and one interval")
 
 
 class DriftForm(FileModel):
@@ -249,9 +249,9 @@ class ErrorSize(FileModel):
     @model_validator(mode="after")
     def _k_where_normal(self) -> ErrorSize:
         if self.distribution == "normal" and self.k is None:
-            raise ValueError("state 'k', the limit of a normal distribution in standard deviations")
+            raise ValueError("a normal distribution needs 'k', its limit in standard deviations; add 'k'")
         if self.distribution == "rectangular" and self.k is not None:
-            raise ValueError("a rectangular distribution has no 'k'; remove it")
+            raise ValueError("a rectangular distribution has no 'k'; remove 'k'")
         return self
 
     def to_distribution(self) -> Distribution:
@@ -333,7 +333,7 @@ class ScaleFactors(FileModel):
     @classmethod
     def _not_zero(cls, scale_v_g: float) -> float:
         if scale_v_g == 0.0:
-            raise ValueError("state a scale factor other than 0")
+            raise ValueError("the scale factor is 0; state another number")
         return scale_v_g
 
     @property
@@ -380,7 +380,9 @@ class StatedRule(FileModel):
     @model_validator(mode="after")
     def _band_with_its_rule(self) -> Self:
         if self.rule == "simple acceptance" and self.guard_band is not None:
-            raise ValueError("simple acceptance has no guard band; remove it, or state 'rule: guarded'")
+            raise ValueError(
+                "simple acceptance has no guard band; remove 'guard_band', or state 'rule: guarded'"
+            )
         return self
 
 
@@ -439,8 +441,10 @@ class RoomError(ErrorSize):
     The lag is 100 min by default, as a published record of a 34420A in an air bath shows.
     """
 
+    LAG_S: ClassVar[float] = 6000.0
+
     limit: SizeK
-    lag: Annotated[SpanS, above_zero("state a lag above 0 min")] = 6000.0
+    lag: Annotated[SpanS, above_zero("state a lag above 0 min")] = LAG_S
 
 
 class BiasPerKelvin(ErrorSize):
@@ -504,7 +508,10 @@ class ZeroRepeats(FileModel):
     @model_validator(mode="after")
     def _one_of_them(self) -> Self:
         if sum(one is not None for one in (self.restart, self.drift, self.scale)) != 1:
-            raise ValueError("state one of restart, drift and scale, with a size for each channel")
+            raise ValueError(
+                "not one of restart, drift and scale is stated, but none or several; state one, "
+                "with a size for each channel"
+            )
         return self
 
 
@@ -513,11 +520,13 @@ class UncertaintySection(FileModel):
 
     The default for voltmeters is the maker's limits, for temperature the chamber's band, and for rail voltages
     their tolerance. The deviations of temperature and rail voltages are assumed constant throughout a run.
+    `reference_noise` is the 1/f noise of the references in the voltmeters, per decade of frequency.
     """
 
     voltmeter_gain: RatioError | None = None
     voltmeter_offset: VoltageError | None = None
     voltmeter_linearity: VoltageError | None = None
+    reference_noise: RatioError | None = None
     gravity: GravityError | None = None
     temperature: TemperatureError | None = None
     room_temperature: RoomError | None = None

@@ -319,7 +319,7 @@ class RangeValues(FileModel):
     @model_validator(mode="after")
     def _says_something(self) -> RangeValues:
         if self.gain is None and self.offset is None:
-            raise ValueError("state 'gain', 'offset' or both for this range")
+            raise ValueError("the range has neither 'gain' nor 'offset'; state one or both")
         if self.offset is not None and abs(self.offset.correction) > LARGEST_GAIN * self.range:
             raise ValueError(
                 f"state a zero correction within 1 % of the range, not {self.offset.correction:g} V"
@@ -367,7 +367,10 @@ class Certificate(FileModel):
     def _later(cls, until: datetime.date | None, info: ValidationInfo) -> datetime.date | None:
         begun = info.data.get("date")
         if until is not None and begun is not None and until < begun:
-            raise ValueError(f"the certificate is of {begun}: but expired before, on {until}")
+            raise ValueError(
+                f"the certificate expired on {until}, before its own date {begun}; correct one of "
+                "the two dates"
+            )
         return until
 
     def years_until(self, day: datetime.date) -> float:

@@ -55,8 +55,8 @@ class AcutrolSection(MotorisedHeadForm):
         finest_rad = math.radians(acutrol.FINEST_DEMAND_DEG)
         if tolerance_rad < finest_rad:
             raise ValueError(
-                f"the tolerance is finer than the {acutrol.FINEST_DEMAND_DEG:.4f}° "
-                f"({finest_rad / ARCSEC:.1f} arcsec) to which it rounds demands; widen it"
+                f"the controller rounds demands to {acutrol.FINEST_DEMAND_DEG:.4f}° ({finest_rad / ARCSEC:.1f} "
+                "arcsec), which is coarser than this tolerance; widen the tolerance"
             )
         return tolerance_rad
 
@@ -160,7 +160,7 @@ class ZaberSection(MotorisedHeadForm):
     def _steps_fit(self) -> ZaberSection:
         steps_per_degree = abs(self.steps_per_degree)
         if steps_per_degree == 0.0:
-            raise ValueError("state 'steps_per_degree' other than 0, from the stage's data sheet")
+            raise ValueError("'steps_per_degree' is 0; state the number from the stage's data sheet")
         farthest_rad = max(abs(self.minimum), abs(self.maximum))
         if math.degrees(farthest_rad) * steps_per_degree > zaber.MOST_STEPS:
             raise ValueError("the limits of the head exceed the controller's range of steps; narrow them")
@@ -287,7 +287,10 @@ class EncoderLineSection(ReadOutHeadForm, LineForm):
     @model_validator(mode="after")
     def _has_counts(self) -> EncoderLineSection:
         if (self.unit == "counts") != (self.counts_per_turn is not None):
-            raise ValueError("state 'counts_per_turn' if, and only if, the unit is counts")
+            raise ValueError(
+                "the unit counts needs 'counts_per_turn', and no other unit takes it; add or "
+                "remove 'counts_per_turn'"
+            )
         return self
 
     @property

@@ -132,7 +132,7 @@ class ManualOutput(FileModel):
         if self.minimum >= self.maximum:
             raise ValueError(f"the minimum {self.minimum:g} V must be below the maximum {self.maximum:g} V")
         if self.current == 0.0 or self.voltage_digit <= 0.0 or self.current_digit == 0.0:
-            raise ValueError("state a value above 0")
+            raise ValueError("current, voltage_digit or current_digit is not above 0; state a value above 0")
         return self
 
     def limits(self) -> OutputLimits:

@@ -308,8 +308,8 @@ class UnknownVoltmeter(VoltmeterForm):
         """Raise `BenchError`: without the driver, limits and accuracy are unknown."""
         raise BenchError(
             self.name,
-            f"the driver '{self.driver}' is missing, and with it the accuracy of its voltmeters",
-            "name its folder with --devices or BENCH_DEVICES, or install it",
+            f"the driver '{self.driver}' is missing, so the accuracy of its voltmeters is unknown",
+            "name the driver's folder with --devices or BENCH_DEVICES, or install it",
         )
 
 

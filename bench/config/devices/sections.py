@@ -13,6 +13,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator, mod
 from bench.base.arrays import ARCSEC
 from bench.base.units import (
     DIFFERENCE,
+    RATIO,
     AngleRad,
     QuantityKind,
     Ratio,
@@ -103,7 +104,8 @@ class VoltmeterTruth(FileModel):
     errors in the certificates; without it there are none. The further keys are flaws of a real input: a source of
     `source_ohm` is loaded by 10 MΩ unless the high impedance is on; `mains` is the amplitude of the mains voltage
     on the signal, which an integration over whole cycles cancels; `zero_drift` is the drift of the zero per hour
-    with autozero off; `flicker` is the standard deviation of 1/f noise per decade of frequency. `firmware` names
+    with autozero off; `flicker` is the standard deviation of 1/f noise of the input per decade of frequency,
+    `reference_flicker` that of the meter's reference, as a fraction of the signal. `firmware` names
     the versions of the meters in turn; "3-1-1" sends a comma after the last reading. `errors_at_start` are errors
     in the queue at switch-on. With `real_port`, an RS-232 meter loses messages sent between a query and its reply,
     and stops responding after ten idle minutes.
@@ -115,17 +117,19 @@ class VoltmeterTruth(FileModel):
     mains: SizeV = 0.0
     zero_drift: SizeV = 0.0
     flicker: SizeV = 0.0
+    reference_flicker: Annotated[float, not_negative(RATIO)] = 0.0
     firmware: tuple[Annotated[str, Field(pattern=r"^\d+(-\d+){2}$")], ...] = ()
     errors_at_start: tuple[Annotated[int, Field(ge=-499, le=-100)], ...] = ()
     real_port: bool = False
 
     def flaws(self) -> dict[str, float]:
-        """Return the flaws of an input: source resistance (Ω), mains, 1/f noise (V), zero drift (V/s)."""
+        """Return the flaws of an input: source (Ω), mains (V), zero drift (V/s), 1/f noise (V, relative)."""
         return {
             "source_ohm": self.source_ohm,
             "mains_v": self.mains,
             "zero_drift_v_s": self.zero_drift / 3600.0,
             "flicker_v": self.flicker,
+            "reference_flicker": self.reference_flicker,
         }
 
 
@@ -291,7 +295,7 @@ class MotorisedHeadForm(HeadForm, WiredForm):
                 f"sides; widen them, or shorten the back-off of {math.degrees(self.backoff):g}°"
             )
         if self.backoff <= self.tolerance:
-            raise ValueError("state a back-off above the tolerance")
+            raise ValueError("the back-off is not above the tolerance; state a larger back-off")
         return self
 
     def travel(self) -> dict[str, float]:
@@ -333,9 +337,9 @@ class ReadOutHeadForm(HeadForm, WiredForm):
     @model_validator(mode="after")
     def _can_be_come_to(self) -> ReadOutHeadForm:
         if self.backoff <= self.tolerance:
-            raise ValueError("state a back-off above the tolerance")
+            raise ValueError("the back-off is not above the tolerance; state a larger back-off")
         if self.settle == 0.0:
-            raise ValueError("state 'settle' above 0 s, because the head must rest for this time")
+            raise ValueError("'settle' is 0 s, but the head must rest for this time; state a time above 0 s")
         if self.hands_free and self.typed:
             raise ValueError("state 'hands_free' or 'typed', not both: typing needs a hand")
         return self

@@ -61,7 +61,15 @@ def _flaws(truth: VoltmeterTruth) -> dict[str, Any]:
     return {"flaws": flaws} if any(flaws.values()) else {}
 
 
-_OF_THE_INPUT: Final = ("noise", "accuracy", "source_ohm", "mains", "zero_drift", "flicker")
+_OF_THE_INPUT: Final = (
+    "noise",
+    "accuracy",
+    "source_ohm",
+    "mains",
+    "zero_drift",
+    "flicker",
+    "reference_flicker",
+)
 
 
 _AGILENT_34401A = Device(
@@ -147,7 +155,7 @@ _KEITHLEY_2000 = Device(
 def _on_a_card(number: int) -> int:
     if number // 100 not in multiplexer.SLOTS or number % 100 not in multiplexer.CARD_CHANNELS:
         raise ValueError(
-            f"a {multiplexer.CARD} has only the channels {multiplexer.CHANNELS_TEXT}, not {number}"
+            f"a {multiplexer.CARD} has no channel {number}; choose from {multiplexer.CHANNELS_TEXT}"
         )
     return number
 

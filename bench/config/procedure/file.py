@@ -308,7 +308,10 @@ class InputVerb(FileModel):
     @model_validator(mode="after")
     def _voltage_of_a_reference(self) -> InputVerb:
         if (self.source == "reference") != (self.voltage is not None):
-            raise ValueError("state 'voltage' if, and only if, the source is 'reference'")
+            raise ValueError(
+                "the source 'reference' needs 'voltage', and no other source takes it; add or "
+                "remove 'voltage'"
+            )
         return self
 
 
@@ -337,9 +340,15 @@ class PromptVerb(ActionVerb):
     @model_validator(mode="after")
     def _default_fits(self) -> PromptVerb:
         if (self.kind is PromptKind.CHOOSE) != bool(self.choices):
-            raise ValueError("state 'choices' if, and only if, the prompt is of kind 'choose'")
+            raise ValueError(
+                "a prompt of kind 'choose' needs 'choices', and no other kind takes them; add or "
+                "remove 'choices'"
+            )
         if self.kind is not PromptKind.NUMBER and not (self.minimum is None and self.maximum is None):
-            raise ValueError("remove 'minimum' and 'maximum', or make the prompt of kind 'number'")
+            raise ValueError(
+                "only a prompt of kind 'number' takes 'minimum' and 'maximum'; remove them, or "
+                "write 'kind: number'"
+            )
         if self.default is None:
             return self
         if self.kind is PromptKind.CHOOSE and self.default not in self.choices:
@@ -358,11 +367,13 @@ class PromptVerb(ActionVerb):
         try:
             value = float(default)
         except ValueError:
-            raise ValueError(f"the default '{default}' is not a number") from None
+            raise ValueError(f"the default '{default}' is not a number; state a number") from None
         low = -math.inf if self.minimum is None else self.minimum
         high = math.inf if self.maximum is None else self.maximum
         if not low <= value <= high:
-            raise ValueError(f"the default {value:g} is not between {low:g} and {high:g}")
+            raise ValueError(
+                f"the default {value:g} is outside the limits; state a number from {low:g} to {high:g}"
+            )
 
 
 class TemperatureVerb(ActionVerb):

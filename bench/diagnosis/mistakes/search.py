@@ -79,7 +79,7 @@ class MistakesLeaveTooLittle(CalibrationError):
     def __str__(self) -> str:
         """Return a sentence with the mistakes, and with what the other readings lack."""
         mistakes = "; ".join(one.words for one in self.search.mistakes)
-        return f"a mistake: {mistakes}; in the corrected copy {self.reason}"
+        return f"a mistake was found: {mistakes}; with it corrected, {self.reason}"
 
 
 def find_mistakes(

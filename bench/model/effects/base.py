@@ -207,6 +207,15 @@ def lagged(signal: Floats, time_s: Floats, lag_s: float) -> Floats:
     return np.array(behind)
 
 
+def warmth_behind(conditions: Conditions, lag_s: float) -> Floats:
+    """Return `Conditions.warmth_k` after a first-order lag, K, shape (n,); it is cached in the conditions."""
+    kept = conditions.memory
+    if ("warmth", lag_s) not in kept:
+        kept["warmth", lag_s] = lagged(conditions.warmth_k, conditions.elapsed_s, lag_s)
+    known: Floats = kept["warmth", lag_s]
+    return known
+
+
 def fading(conditions: Conditions, lag_s: float) -> Floats:
     """Return the fraction (n,) of a deviation at the start of a mounting that is left after a first-order lag."""
     if lag_s <= 0.0:

@@ -19,8 +19,8 @@ from bench.model.effects.base import (
     Values,
     fading,
     lag_of,
-    lagged,
     time_constant,
+    warmth_behind,
 )
 
 # --- nonlinearity -----------------------------------------------------------------------------------
@@ -177,10 +177,7 @@ class Hysteresis(BlockEffect):
         is None.
         """
         width_g = float(values["width_g"])
-        kept = seen.conditions.memory
-        if (self.name, width_g) not in kept:
-            kept[self.name, width_g] = state(seen.conditions, width_g)
-        added = values["size"] * kept[self.name, width_g]
+        added = values["size"] * state(seen.conditions, width_g)
         if np.any(start := values.get("start", 0.0)):
             risen, fallen = (state(seen.conditions, width_g, start) for start in (1.0, -1.0))
             added = added + start * (risen - fallen) / 2.0
@@ -196,10 +193,17 @@ def state(conditions: Conditions, width_g: float, start: float = 0.0) -> Floats:
     """Return each channel's position in its hysteresis loop, (n, 3), from -1 (force has fallen) to 1 (risen).
 
     `start` is the position at the start of each mounting. Rows without an angle or in an unknown installation
-    have 0 and do not count as settings.
+    have 0 and do not count as settings. The result is cached in the conditions.
     """
-    path = head_path(conditions)
-    result = np.zeros((len(conditions), 3))
+    kept, key = conditions.memory, ("hysteresis", width_g, start)
+    if key not in kept:
+        kept[key] = _state(head_path(conditions), len(conditions), width_g, start)
+    known: Floats = kept[key]
+    return known
+
+
+def _state(path: HeadPath, count: int, width_g: float, start: float) -> Floats:
+    result = np.zeros((count, 3))
     if len(path.rows) == 0:
         return result
     # nominal force on a channel: sine part times sin(phi) + cosine part times cos(phi)
@@ -274,7 +278,7 @@ class LaggedEffect(BlockEffect):
         With `of_scale` the result is multiplied by a_i.
         """
         lag_s, acts = float(values["lag"]), seen.signal if self.of_scale else 1.0
-        warmth = lagged(seen.conditions.warmth_k, seen.conditions.elapsed_s, lag_s)
+        warmth = warmth_behind(seen.conditions, lag_s)
         added = warmth[:, None] * acts * (seen.scale * values[self.parameters[0].name])
         if np.any(start := values.get("start", 0.0)):
             added = added + fading(seen.conditions, lag_s)[:, None] * acts * (seen.scale * start)

@@ -96,7 +96,9 @@ def parse(text: str) -> ast.expr:
         tree = ast.parse(plain, mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
         reason = error.msg if isinstance(error, SyntaxError) else type(error).__name__
-        raise ExpressionError(f"this is not a formula ({reason}); use numbers, names and operators") from None
+        raise ExpressionError(
+            f"the expression is not a formula ({reason}); use numbers, names and operators"
+        ) from None
     _refuse_others(tree, plain, MOST_NESTED)
     return tree
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -22,7 +23,7 @@ from bench.config.shipped import CONFIG
 from bench.panel.access import STATE, Refusal, Role
 from bench.panel.bench_fields import (
     METERS_PLACE,
-    OF_BENCH,
+    ROLES,
     Group,
     completed,
     groups_of,
@@ -45,10 +46,10 @@ from bench.panel.round_trip import changed_text
 from bench.panel.searching import IDENTIFY, OFFERS, TEST, Findings, Search
 from bench.panel.shared import Panel, acting, operator, page, panel_of
 
-TARGETS: Final = ("x", "y", "z", "scanner", "head", "chamber")
+TARGETS: Final = ("x", "y", "z", "scanner", *ROLES)
 """Instruments to which a found resource may be assigned.
 
-They are the voltmeter of a signal, the scanning voltmeter, the head and the chamber.
+They are the voltmeter of a signal, the scanning voltmeter, and the other instruments that have a form.
 """
 
 
@@ -93,7 +94,8 @@ def mistakes_in(text: str, path: Path) -> tuple[tuple[FileMistake, ...], BenchFi
 # --- the form ---------------------------------------------------------------------------------------
 
 
-_OF_FORM: Final = ("form:", "gravity", "instruments.", "unit_under_test.")
+_OF_FORM: Final = re.compile(rf"form:|(?:{'|'.join(BenchFile.model_fields)})(?:[.\[]|$)")
+"""Beginnings of the names of the form's fields; other names are of its buttons and of found instruments."""
 
 
 @dataclass
@@ -104,7 +106,7 @@ class BenchForm(EditedFile):
     """
 
     KIND = CONFIG
-    MOST_FIELDS = 400
+    MOST_FIELDS = 1500
     CHANGED = message("Not written: the file changed since this form was opened. See the difference below.")
 
     values: dict[str, str] = field(default_factory=dict)
@@ -134,11 +136,16 @@ class BenchForm(EditedFile):
         """Take over the typed values; begin a search if its button was pressed. Raises `Refusal` for odd texts."""
         for text in given.values():
             if len(text) > LONGEST and "\n" not in text:
-                raise Refusal(400, message(f"shorten the field to at most {LONGEST} characters"))
+                raise Refusal(
+                    400,
+                    message(f"the text of a field is too long; shorten it to at most {LONGEST} characters"),
+                )
         for name, text in given.items():
-            if name in OF_BENCH or name.startswith(_OF_FORM):
+            if _OF_FORM.match(name):
                 if visible(text) != text or not (text.isprintable() or not text):
-                    raise Refusal(400, message(f"{name}: use printable characters only"))
+                    raise Refusal(
+                        400, message(f"{name}: the text has characters that cannot be printed; remove them")
+                    )
                 self.values[name] = text.strip()
         search = search_of(panel)
         self.refusal = _assign(self.values, given, search.found())
@@ -159,7 +166,13 @@ class BenchForm(EditedFile):
         try:
             self.text = changed_text(self.base.text, self.values, self.groups)
         except (yaml.YAMLError, TypeError, LookupError, AttributeError) as error:
-            raise Refusal(409, message("the form cannot show this file; correct it in an editor")) from error
+            raise Refusal(
+                409,
+                message(
+                    "the form cannot show this file, because the file is not valid YAML or a "
+                    "section has the wrong structure; correct the file in an editor"
+                ),
+            ) from error
         mistakes, self.file = mistakes_in(self.text, self.base.path)
         self.placed = placed(mistakes, self.groups)
 
@@ -245,7 +258,7 @@ def _assign(values: dict[str, str], given: Mapping[str, str], found: Findings) -
 def _assigned(values: Mapping[str, str]) -> dict[str, tuple[str, str]]:
     """Return what each resource in the values is: its target and the path of its instrument."""
     number = number_of_meters(dict(values))
-    places = {f"instruments.{role}": role for role in ("head", "chamber")}
+    places = {f"instruments.{role}": str(role) for role in ROLES}
     for index, signal in enumerate("xyz"[:number]):
         place = dotted((*METERS_PLACE, index))
         places[place] = "scanner" if number == 1 else values.get(f"{place}.channels", signal)
@@ -258,7 +271,7 @@ def _assigned(values: Mapping[str, str]) -> dict[str, tuple[str, str]]:
 
 def _place_of(target: str, values: dict[str, str]) -> str:
     """Return the path of `target`, which gets a found resource; change the number of voltmeters if it must."""
-    if target in {"head", "chamber"}:
+    if target in ROLES:
         return f"instruments.{target}"
     if target == "scanner":
         values["form:voltmeters"] = "1"
@@ -294,9 +307,9 @@ def _by_place(file: BenchFile | None, results: Mapping[str, Any]) -> dict[str, A
         return {}
     meters = enumerate(file.instruments.voltmeters)
     places = {dotted((*METERS_PLACE, index)): meter.name for index, meter in meters}
-    places["instruments.head"] = file.instruments.head.name
-    if file.instruments.chamber is not None:
-        places["instruments.chamber"] = file.instruments.chamber.name
+    for role in ROLES:
+        if (section := getattr(file.instruments, role)) is not None:
+            places[f"instruments.{role}"] = section.name
     return {place: results[name] for place, name in places.items() if name in results}
 
 

@@ -218,7 +218,13 @@ def _from_table(text: str, given: Mapping[str, str]) -> str:
     try:
         return table_text(text, values, fields)
     except (yaml.YAMLError, TypeError, KeyError, AttributeError, IndexError, RecursionError) as error:
-        raise Refusal(409, message("the table cannot show this file; change it in the text")) from error
+        raise Refusal(
+            409,
+            message(
+                "the table cannot show this file, because the file is not valid YAML or a "
+                "step has the wrong structure; correct the file in the text"
+            ),
+        ) from error
 
 
 def _named(state: ProcedureTable) -> str:

@@ -272,7 +272,9 @@ def _changed(panel: Panel, person: Person, sent: dict[str, str]) -> None:
         case "put aside":
             panel.queue.put_aside()
         case _:
-            raise Refusal(400, message("the queue knows no such action"))
+            raise Refusal(
+                400, message("there is no such action for the queue; load the page again and use its buttons")
+            )
 
 
 def _known_bench(name: str) -> str:
@@ -316,7 +318,9 @@ def _item_changed(panel: Panel, person: Person, item_id: str, do: str) -> str:
             )
         panel.queue.change(item_id, wish="", run="", begun=None)
     else:
-        raise Refusal(400, message("the queue knows no such action"))
+        raise Refusal(
+            400, message("there is no such action for the queue; load the page again and use its buttons")
+        )
     return "/queue"
 
 

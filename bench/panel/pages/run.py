@@ -156,7 +156,7 @@ async def answer(request: Request) -> Response:
     await _doing(require_holder, run.folder, person)
     prompt_id, text = sent.get("id", ""), sent.get("text", "")
     if len(text) > LONGEST:
-        raise Refusal(413, message(f"shorten the answer to at most {LONGEST} characters"))
+        raise Refusal(413, message(f"the answer is too long; shorten it to at most {LONGEST} characters"))
     asked = await panel_of(request).followers.prompt(run.folder)
     if asked is None or asked.prompt.id != prompt_id:
         raise Refusal(409, message("this question was answered, or another one is open; load the page again"))
@@ -174,7 +174,9 @@ async def wish(request: Request) -> Response:
     if word != STOP:
         await _doing(require_holder, run.folder, person)
     if len(reason) > LONGEST_REASON:
-        raise Refusal(413, message(f"shorten the reason to at most {LONGEST_REASON} characters"))
+        raise Refusal(
+            413, message(f"the reason is too long; shorten it to at most {LONGEST_REASON} characters")
+        )
     try:
         asked = parse_wish(f"{word} {reason}")
     except ValueError as mistake:
@@ -238,9 +240,11 @@ async def _doing(work: Callable[..., Told], *given: object) -> Told:
         return await run_in_threadpool(work, *given)
     except OSError as error:
         if error.errno in DISK_FULL:
-            raise Refusal(409, message(f"it cannot be written ({error.strerror}); free the disk")) from error
+            raise Refusal(
+                409, message(f"the run's folder cannot be written ({error.strerror}); free disk space")
+            ) from error
         raise Refusal(
-            409, message(f"it cannot be written ({error.strerror}); make the folder of the run writable")
+            409, message(f"the run's folder cannot be written ({error.strerror}); make it writable")
         ) from error
 
 

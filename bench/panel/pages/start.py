@@ -163,7 +163,11 @@ async def go(request: Request) -> Response:
 def _begun(panel: Panel, person: Person, wish: WishFolder) -> str:
     if not wish.found().startable:
         raise Refusal(
-            409, message("the check found an obstacle or is not finished; see the check, then start again")
+            409,
+            message(
+                "the check is not finished or found an obstacle; read the check, remove the obstacle, "
+                "then start again"
+            ),
         )
     wanted = wish.wanted()
     name = name_of(wanted, panel.runs)

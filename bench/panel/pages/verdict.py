@@ -59,7 +59,7 @@ def view(request: Request) -> Response:
     run, what = run_of(request), request.path_params["what"]
     title, file = VIEWS.get(what, ("", ""))
     if not title:
-        raise Refusal(404, message("no such page of a run; go back to the run"))
+        raise Refusal(404, message("the run has no such page; go back to the run"))
     read_page(run, file)  # says what is missing, in the panel's own page
     here = f"/runs/{quote(run.name)}"
     return page(
@@ -154,7 +154,7 @@ async def table(request: Request) -> Response:
     found, panel = run_of(request), panel_of(request)
     name, form = request.path_params["table"], request.path_params["form"]
     if form not in FORMS:
-        raise Refusal(404, message("no such form of a table; choose one of the page"))
+        raise Refusal(404, message(f"there is no such file format; choose one of {', '.join(FORMS)}"))
     if name == LIVE:
         rows = live_table(without_infinity(await panel.followers.points(found.folder)))
     else:

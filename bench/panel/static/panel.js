@@ -6,7 +6,7 @@
   const $ = (id) => document.getElementById(id);
   const { made } = BenchDrawing;
   const me = { name: live.dataset.person, role: live.dataset.role, csrf: live.dataset.csrf };
-  const LATE_S = 5, OPEN_AGAIN_S = 7, MOST_OUTCOMES = 120;
+  const LATE_S = 5, OPEN_AGAIN_S = 7, SOON = 120;
   const MARKS = { ready: "○", running: "▶", paused: "❚❚", finished: "✓", failed: "✗", interrupted: "■", aborted: "✗", dead: "✗" };
 
   let state = JSON.parse(live.dataset.state);
@@ -19,6 +19,7 @@
   let checkTimer = 0, checkNumber = 0, sureOf = "";
   let held = false;                   /* whether this person was in control */
   let called = "", outcomeAsked = 0;  /* the question that was announced; how often the outcome was asked for */
+  let heardTaken = (state.answered || {}).id;  /* the last answer of an encoder that was told by a tone */
 
   const put = (id, told) => { const at = $(id), text = _(told); if (at.textContent !== text) at.textContent = text; };
   const show = (id, shown) => { $(id).hidden = !shown; };
@@ -278,8 +279,9 @@
 
   let audio = null, awake = null;
   const soundOn = () => $("sound").getAttribute("aria-pressed") === "true";
-  const beep = () => {
-    for (const [at, hertz] of [[0, 880], [0.25, 1175]]) {
+  const ASKED = [[0, 880], [0.25, 1175]], TAKEN = [[0, 587]];
+  const beep = (tones) => {
+    for (const [at, hertz] of tones) {
       const tone = audio.createOscillator(), gain = audio.createGain();
       tone.frequency.value = hertz;
       gain.gain.setValueAtTime(0.2, audio.currentTime + at);
@@ -290,7 +292,7 @@
     }
   };
   const call = () => {
-    if (soundOn() && audio) { audio.resume(); beep(); return; }
+    if (soundOn() && audio) { audio.resume(); beep(ASKED); return; }
     $("now").classList.remove("flash");
     void $("now").offsetWidth;  /* the animation begins again */
     $("now").classList.add("flash");
@@ -351,6 +353,9 @@
     draw(prompt ? prompt.drawing : "");
     if ((prompt || {}).id !== (shownPrompt || {}).id) askedAnew(prompt);
     if (prompt && holding() && called !== prompt.id) { called = prompt.id; call(); }
+    const taken = state.answered || {};
+    if (taken.id !== heardTaken && taken.by === "encoder" && holding() && soundOn() && audio) beep(TAKEN);
+    heardTaken = taken.id;
     showAlarm();
     if (state.ended) askOutcome(); else if ($("end").firstElementChild) { $("end").replaceChildren(); outcomeAsked = 0; }
     show("todo", !state.ended || !$("end").textContent.trim());
@@ -439,7 +444,7 @@
   const askOutcome = async () => {
     const shown = $("outcome") ? $("outcome").dataset.outcome : "";
     const key = `${state.events} ${state.alive}`;
-    if (askOutcome.busy || (askOutcome.key === key && shown !== "waiting") || outcomeAsked > MOST_OUTCOMES) return;
+    if (askOutcome.busy || (askOutcome.key === key && shown !== "waiting")) return;
     if (shown === "ready" || shown === "none") { if (askOutcome.key === undefined) { askOutcome.key = key; return; } }
     askOutcome.busy = true;
     askOutcome.key = key;
@@ -452,7 +457,7 @@
       $("end").replaceChildren(document.importNode(parsed, true));
       show("todo", !$("end").textContent.trim());
     } catch { /* the loss of connection is shown elsewhere */ } finally { askOutcome.busy = false; }
-    if ($("outcome") && $("outcome").dataset.outcome === "waiting") setTimeout(askOutcome, 1000);
+    if ($("outcome") && $("outcome").dataset.outcome === "waiting") setTimeout(askOutcome, outcomeAsked < SOON ? 1000 : 10_000);
   };
 
   const showReading = () => {

@@ -118,7 +118,7 @@ def loaded_class(section: InstrumentForm, which: Literal["driver", "simulation"]
         return device.class_of(which)
     except Exception as error:
         cause = f"the {which} {getattr(device, which)} cannot be loaded ({type(error).__name__}: {error})"
-        raise BenchError(section.name, cause, "correct it, then start again") from error
+        raise BenchError(section.name, cause, f"correct the {which}, then start again") from error
 
 
 def _thermometers(sections: InstrumentsSection, meters: Sequence[Any], given: Surroundings) -> dict[str, Any]:

@@ -74,7 +74,10 @@ class MorningCourse:
         for instrument in evening.instruments.all():
             evening.carry_out(IDENTITY, instrument, partial(who, evening, instrument))
         if not any(meter.name in evening.identities for meter in evening.instruments.voltmeters):
-            raise SessionEnded("no voltmeter responds, so nothing else was checked")
+            raise SessionEnded(
+                "no voltmeter responds, so nothing else was checked; check the meters' power, "
+                "cables and addresses"
+            )
         if not isinstance(form, MotorisedHeadForm):
             with_head(HOME, look=partial(_at_home, evening, stands))
         jobs = _jobs(

@@ -87,7 +87,7 @@ class ImportReadings:
     name: str | None = option(None, "Name of the run (default: the file's).")
     columns: Path | None = option(None, "Mapping of the columns of a stranger's log, as YAML.")
     preview: bool = option(
-        False, "Show the first rows as they would be imported, and import nothing.", rare=True
+        False, "Show the first rows as imported, and what would be refused; import nothing.", rare=True
     )
     skip_bad_rows: bool = option(False, "Leave out rows of a log that cannot be read.", rare=True)
     bench: BenchField = None

@@ -8,9 +8,9 @@ import pytest
 import yaml
 
 from bench.calibration import CalibrationError
-from bench.calibration.budget.coefficients import make_budget, make_setup
+from bench.calibration.budget.coefficients import make_budget, make_setup, parts_of
 from bench.calibration.budget.propagation import coverage_factor
-from bench.calibration.budget.sources import bench_sources, hidden_sources, stand_source
+from bench.calibration.budget.sources import bench_sources, effect_sources, hidden_sources, stand_source
 from bench.config.bench_file.file import FileMistakes, load_bench
 from bench.config.devices.registry import devices
 from bench.config.devices.sections import VoltmeterKind
@@ -61,8 +61,8 @@ def test_the_shipped_bench():
     assert found["gravity"].u == pytest.approx(5e-4 / SHIPPED.gravity_m_s2)
     assert found["K2"].u == pytest.approx(30e-6)
     assert [s.name for s in found.values() if s.prior] == [
-        "mounting_roll", "voltmeter_gain", "voltmeter_offset", "voltmeter_linearity", "gravity", "temperature",
-        "K2", "K3",
+        "mounting_roll", "voltmeter_gain", "voltmeter_offset", "voltmeter_linearity", "reference_noise", "gravity",
+        "temperature", "K2", "K3",
     ]  # fmt: skip
 
 
@@ -82,6 +82,7 @@ def test_the_section_uncertainty_is_used(tmp_path):
             "voltmeter_gain": {"limit": "35 ppm", "distribution": "normal", "k": 1, "dof": 12},
             "voltmeter_offset": {"limit": "20 uV", "distribution": "rectangular"},
             "voltmeter_linearity": {"limit": "5 uV", "distribution": "rectangular"},
+            "reference_noise": {"limit": "0.3 ppm", "distribution": "normal", "k": 1},
             "gravity": {"limit": "2e-5 m/s^2", "distribution": "normal", "k": 2},
             "temperature": {"limit": "0.1 K", "distribution": "rectangular"},
             "bias_temperature_coefficient": {"limit": "15 ug/K", "distribution": "normal", "k": 1},
@@ -95,6 +96,7 @@ def test_the_section_uncertainty_is_used(tmp_path):
     assert u["voltmeter_gain"] == pytest.approx(35e-6)
     assert found["voltmeter_gain"].dof == 12
     assert u["voltmeter_offset"] == pytest.approx(20e-6 / np.sqrt(3))
+    assert u["reference_noise"] == pytest.approx(0.3e-6)
     assert u["gravity"] == pytest.approx(1e-5 / bench.gravity_m_s2)
     assert u["temperature"] == pytest.approx(0.1 / np.sqrt(3))
     assert found["temperature"].factors == pytest.approx({"bias": 15e-6, "scale": 60e-6})
@@ -115,7 +117,7 @@ def test_gravity_as_a_number_is_known_to_its_last_digit(tmp_path, written, u):
 
 
 def test_mistakes_in_the_section_are_told(tmp_path):
-    with pytest.raises(FileMistakes, match=r"voltmeter_gain.*'k', the limit of a normal"):
+    with pytest.raises(FileMistakes, match=r"voltmeter_gain.*a normal distribution needs 'k'"):
         edited(tmp_path, uncertainty={"voltmeter_gain": {"limit": "35 ppm", "distribution": "normal"}})
     wrong = {"bias_temperature_coefficient": {"limit": "30 ug", "distribution": "rectangular"}}
     with pytest.raises(FileMistakes, match="temperature coefficient of the bias"):
@@ -298,22 +300,66 @@ def test_a_recorded_temperature_of_the_meters_takes_the_place_of_any_course(tmp_
     assert np.any(make_budget(with_meter_c(course), [source], "closed-form").combined.u > 1e-9)
 
 
-def test_a_model_replaces_the_room_only_in_readings_with_a_temperature(tmp_path):
-    """The model corrects channel x; without a temperature there is nothing to correct it with."""
-    room = {"limit": "2 K", "distribution": "normal", "k": 2}
+@pytest.mark.parametrize(("name", "unit", "of"), [("gain", 1e-6, "Kxx"), ("offset", 1e-6, "U0x")])
+def test_a_model_without_a_temperature_leaves_what_the_unknown_temperature_does(tmp_path, name, unit, of):
+    """A lag far longer than the run makes the unknown temperature one number: coefficient × limit × signal."""
+    value, u, of_room = 3.0, 4.0, {"limit": "2 K", "distribution": "normal", "k": 2}
+    lag = {"lag": np.array(1e9)}
+    effect = AppliedEffect(
+        CATALOGUE[f"voltmeter_thermal_{name}"], {name: np.full(3, value * unit)} | lag, ("x",),
+        {name: np.full(3, u * unit)},
+    )  # fmt: skip
     setup = paper_setup()
+    setup = dataclasses.replace(setup, model=dataclasses.replace(setup.model, effects=(effect,)))
+    place, other = COEFFICIENTS.index(of), COEFFICIENTS.index(of.replace("x", "y"))
+    scale = abs(TRUTH[0]) if name == "gain" else 1.0
+
+    def found(**uncertainty):
+        bench = edited(tmp_path, uncertainty=uncertainty) if uncertainty else SHIPPED
+        (source,) = (one for one in hidden_sources(bench, setup.model) if one.kind == "meter_temperature")
+        return source, make_budget(setup, [source], "closed-form").combined.u
+
+    source, u_stated = found(room_temperature=of_room)
+    assert not source.prior
+    assert u_stated[place] == pytest.approx(np.hypot(value, u) * unit * scale, rel=1e-4)
+    assert u_stated[other] < 1e-12
+    presumed, u_presumed = found()
+    assert presumed.prior
+    assert u_presumed[place] == pytest.approx(5.0 / np.sqrt(3.0) * u_stated[place], rel=1e-9)
+    assert not [one for one in effect_sources(setup) if one.effect]
+    known = np.full(len(setup.conditions), 25.0)
+    read = dataclasses.replace(setup, conditions=dataclasses.replace(setup.conditions, meter_c=known))
+    assert np.all(make_budget(read, [source], "closed-form").combined.u == 0.0)
+    assert [one.name for one in effect_sources(read)]
+
+
+def test_a_model_replaces_the_room_in_its_channels(tmp_path):
     gain = AppliedEffect(CATALOGUE["voltmeter_thermal_gain"], {"gain": np.full(3, 1e-6)}, channels=("x",))
-    model = dataclasses.replace(setup.model, effects=(gain,))
-    found = hidden_sources(edited(tmp_path, uncertainty={"room_temperature": room}), model)
-    (source,) = (one for one in found if one.name == "room_temperature")
-    x, y = COEFFICIENTS.index("Kxx"), COEFFICIENTS.index("Kyy")
-    u = make_budget(setup, [source], "closed-form").combined.u
-    assert min(u[x], u[y]) > 1e-7
-    course = 23.0 + np.arange(len(setup.conditions)) * 0.1
-    known = dataclasses.replace(setup.conditions, meter_c=course)
-    u = make_budget(dataclasses.replace(setup, conditions=known), [source], "closed-form").combined.u
-    assert u[x] == 0.0
-    assert u[y] > 1e-7
+    bench = edited(
+        tmp_path, uncertainty={"room_temperature": {"limit": "1 K", "distribution": "normal", "k": 2}}
+    )
+    model = dataclasses.replace(paper_setup().model, effects=(gain,))
+    found = {one.kind: one for one in hidden_sources(bench, model)}
+    assert found["room_temperature"].channels == ("y", "z")
+    assert found["meter_temperature"].correlation_s == 6000.0
+
+
+def test_noise_of_a_reference_has_its_size_per_decade(tmp_path):
+    """Each wave of a meter has the variance of the spectrum 1/(f ln 10) in a band of half a period of the run."""
+    size = {"limit": "0.3 ppm", "distribution": "normal", "k": 1}
+    source = by_name(edited(tmp_path, uncertainty={"reference_noise": size}))["reference_noise"]
+    setup = paper_setup()
+    rng = np.random.default_rng(3)
+    functional = rng.normal(size=(1, len(setup.conditions), 3))
+    time_s = setup.conditions.elapsed_s
+    lowest_hz = 0.5 / np.ptp(time_s)
+    variance = 0.0
+    for k in range(1, 17):  # the integral of 1/(f ln 10) over a band of the width of the lowest frequency
+        wave = np.cos(2.0 * np.pi * k * lowest_hz * (time_s - time_s[0]))
+        by_meter = np.einsum("ni,n->i", functional[0] * setup.signal, wave)
+        variance += 2.0 / (k * np.log(10.0)) * np.sum((0.3e-6 * by_meter) ** 2)
+    parts = parts_of(source, setup, functional)
+    assert np.sum(parts**2) == pytest.approx(variance, rel=1e-9)
 
 
 def test_a_correlation_time_is_more_than_nothing(tmp_path):

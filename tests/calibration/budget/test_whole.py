@@ -212,7 +212,7 @@ def test_readings_in_g_lack_only_the_errors_of_the_voltmeters(run):
         for one in (run, dataclasses.replace(run, unit="g", signal=run.signal / 2.0))
     )
     assert {s.name for s in in_volts.sources} - {s.name for s in in_g.sources} == {
-        "voltmeter_gain", "voltmeter_offset", "voltmeter_linearity",
+        "voltmeter_gain", "voltmeter_offset", "voltmeter_linearity", "reference_noise",
     }  # fmt: skip
     for one in in_g.sources:
         np.testing.assert_allclose(
@@ -230,5 +230,5 @@ def test_readings_in_g_lack_only_the_errors_of_the_voltmeters(run):
 
 
 def test_one_kind_of_scatter_is_stated():
-    with pytest.raises(ValueError, match="state one of restart, drift and scale"):
+    with pytest.raises(ValueError, match="not one of restart, drift and scale is stated"):
         ZeroRepeats.model_validate({"restart": ["1 mg"] * 3, "scale": [1, 1, 1]})

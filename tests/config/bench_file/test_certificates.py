@@ -74,8 +74,8 @@ def test_all_mistakes_are_told_at_once(tmp_path):
         "voltmeters[1].certificate.date: there is no day 2026-02-30: expected a date such as 2026-03-02",
         "voltmeters[1].certificate.valid_untl: unknown key 'valid_untl'; did you mean 'valid_until'?",
         "voltmeters[1].certificate.values[1].gain: 'k' is missing",
-        "voltmeters[1].certificate.values[2]: state 'gain', 'offset' or both for this range",
-        "voltmeters[2].certificate.valid_until: the certificate is of 2026-01-01: but expired before",
+        "voltmeters[1].certificate.values[2]: the range has neither 'gain' nor 'offset'",
+        "voltmeters[2].certificate.valid_until: the certificate expired on ",
         "voltmeters[2].certificate.values[1].gain.correction: state a gain correction within ±1 %",
         "voltmeters[2].certificate.values[1].gain.drift: expected a drift of the gain such as '8 ppm/year'",
         "voltmeters[2].certificate.values[1].gain.k: expected more than 0.0, got '0'",
@@ -126,7 +126,7 @@ def test_an_expired_certificate_is_said_from_the_day_after(tmp_path):
     assert list(on_the_day.remarks()) == []
     assert list(after.remarks()) == [
         "voltmeter.y: its certificate C-1 of 2026-01-01, Met Lab, expired on 2026-06-01: its values are "
-        "used with the drift since; have it calibrated"
+        "used with an allowance for drift since then; have the instrument calibrated"
     ]
 
 
@@ -146,7 +146,7 @@ def test_a_certificate_of_another_serial_number_counts_nothing(tmp_path, answere
     own = without(bench, {found.instrument} if found.foreign else set())
     assert bool(corrections_of(own)) != foreign
     if foreign:
-        assert "is for serial number MY1, but instrument MY2 answered" in next(found.remarks())
+        assert "is for serial number MY1, but the connected instrument has MY2" in next(found.remarks())
 
 
 def test_a_head_that_a_person_turns_states_no_serial_number(tmp_path):

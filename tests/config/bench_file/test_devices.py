@@ -184,7 +184,7 @@ def test_a_recorded_run_is_evaluated_without_it_and_resuming_says_what_is_missin
     assert json.loads(Path("runs/done/calibrate.json").read_text())["coefficients"] == with_it
     recorded = load_recorded_bench(Path("runs/done/bench.yaml"))
     assert [meter.name for meter in recorded.instruments.voltmeters] == [f"voltmeter.{c}" for c in "xyz"]
-    with pytest.raises(BenchError, match="'my-meter' is missing, and with it the accuracy"):
+    with pytest.raises(BenchError, match="'my-meter' is missing, so the accuracy"):
         _ = recorded.instruments.voltmeters[0].kind
     Path("runs/done/events.jsonl").write_bytes(b"".join(lines[: len(lines) // 2]))
     status, _, err = bench("resume", "done")

@@ -115,7 +115,7 @@ def program(tmp_path):
     return run
 
 
-@pytest.mark.slow
+@pytest.mark.slow(4)
 def test_a_kind_of_step_is_one_new_module_and_one_edited_file(program, tmp_path):
     done = program(
         "check tapped.yaml --bench paper-stand --json check.json",

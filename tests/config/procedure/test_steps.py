@@ -65,9 +65,9 @@ def test_what_can_never_settle_is_a_mistake(mistakes):
 """
     )
     expected = [
-        "4 steps[1].settle: state a precision above 0",
-        "5 steps[2].settle: state a timeout of at least the window and one interval",
-        "6 steps[3].settle: state an interval above 0 and at most the window",
+        "4 steps[1].settle: the precision is not above 0",
+        "5 steps[2].settle: the timeout is too short; state at least the window and one interval",
+        "6 steps[3].settle: the interval is not between 0 and the window",
         "7 steps[4].settle.precision: expected a voltage such as '0.3 mV', got '0.1 K'",
         "8 steps[5].temperature.settle.precision: expected a difference of temperatures such as '0.1 K', got",
         "9 steps[6].settle.what: expected signals, got 'humidity'",
@@ -123,8 +123,8 @@ def test_what_stands_wrong_about_inputs_and_temperatures_is_told(mistakes):
 """
     )
     expected = [
-        "4 steps[1].input: state 'voltage' if, and only if, the source is 'reference'",
-        "5 steps[2].input: state 'voltage' if, and only if, the source is 'reference'",
+        "4 steps[1].input: the source 'reference' needs 'voltage', and no other source takes it",
+        "5 steps[2].input: the source 'reference' needs 'voltage', and no other source takes it",
         "6 steps[3].input.source: expected short or reference, got 'open'",
         "10 steps[4].installation.steps[1].input.steps[1].turn: a turn is inside an input",
         "10 steps[4].installation.steps[1].input.steps[2].input: an input is inside an input",
