@@ -168,12 +168,12 @@ def chosen_in_words(data: Mapping[str, Any]) -> str:
 
 
 def _goal_in_words(reached: Mapping[str, Any] | None) -> str:
-    """Return the state of a goal, such as "u of Kxy 61 µV/g of 50 µV/g"; empty for None."""
+    """Return the state of a goal, such as "u of Kxy is 61 µV/g, goal 50 µV/g"; empty for None."""
     if reached is None:
         return ""
-    words = f"{reached['goal']} {size_in_words(reached['u'], reached['unit'])}"
+    words = f"{reached['goal']} is {size_in_words(reached['u'], reached['unit'])}"
     asked = reached.get("asked")
-    return f"{words} of {size_in_words(asked, reached['unit'])}" if asked else words
+    return f"{words}, goal {size_in_words(asked, reached['unit'])}" if asked else words
 
 
 def size_in_words(u: float, unit: str) -> str:

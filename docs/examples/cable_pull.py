@@ -15,7 +15,7 @@ class CablePull(StandEffect):
     name = "cable_pull"
     parameters = (Parameter("per_turn", "arcsec", ARCSEC, 20 * ARCSEC, per_channel=False),)
     sentence = "a cable pulls at the block as the head turns"
-    shown_by = "turning beyond 360 deg; another way for the cable"
+    shown_by = "turning beyond 360 deg; routing the cable differently"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
         """Return the turn in the column of the mounting error, rad, shape (n, 5)."""

@@ -38,7 +38,7 @@ instruments absent at start or resume
     run/test_runner.py test_every_absent_instrument_is_named_at_once
     run/test_way_out.py test_instruments_that_were_opened_before_one_failed_are_let_go
     run/test_runner.py test_resumed_with_the_instruments_still_off_a_run_stays_as_it_was
-    run/test_commands_campaign.py test_no_record_is_lost_whatever_is_done
+    run/test_campaigns.py test_no_record_is_lost_whatever_is_done
 power cut of the computer, SIGKILL
     run/test_runner.py test_stopped_at_the_task_to_mount_it_asks_for_that_mounting_and_not_for_the_one_before
     run/test_signals.py test_hit_by_a_signal_killed_and_resumed_it_ends_as_if_nothing_had_been
@@ -62,7 +62,7 @@ request to stop (`bench control RUN stop`, panel, `:stop`)
 second, late or unsuitable answer
     run/test_asking.py test_the_first_answer_counts_and_the_other_place_says_so
     run/test_asking.py test_what_is_stale_double_ill_fitting_or_garbage_is_refused_on_record_and_the_question_stands
-program that reads the output ended (a closed pipe), or no standard output
+program that reads the output through a pipe has ended, or no standard output
     cli/test_program.py test_a_run_whose_output_nobody_reads_any_more_goes_on_to_its_verdict
     cli/test_program.py test_without_a_standard_output_a_command_ends_with_its_status
 suspended laptop, or computer's clock set by somebody
