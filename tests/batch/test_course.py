@@ -186,7 +186,7 @@ def test_a_damaged_part_is_named(runs, tmp_path):
     carried_out(tmp_path / "out", runs, Rows())
     part = tmp_path / "out" / "parts" / "part-0000001.parquet"
     part.write_bytes(part.read_bytes()[:100])
-    with pytest.raises(Refused, match=r"part-0000001.parquet: damaged .* delete it"):
+    with pytest.raises(Refused, match=r"part-0000001.parquet: damaged .* delete this file"):
         carried_out(tmp_path / "out", runs, Rows())
 
 

@@ -147,7 +147,7 @@ def test_a_file_that_was_changed_is_not_handed_out(tmp_path):
     (tmp_path / "1.pdf").write_bytes(b"other")
     (tmp_path / "1.xml").unlink()
     with opened(tmp_path) as register:
-        with pytest.raises(Refused, match="not the issued file"):
+        with pytest.raises(Refused, match="the file differs from the issued one"):
             register.file("1.pdf")
         assert len(register.damaged_files()) == 2
         with pytest.raises(Refused, match=r"no file \.\./1\.pdf was issued"):

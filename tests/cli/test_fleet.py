@@ -186,7 +186,7 @@ def test_a_calibration_with_the_prior_of_its_type(empty_folder, monkeypatch, ben
     )
     text["covariance"][0][1] = 1.0
     Path("prior.yaml").write_text(yaml.safe_dump(text), encoding="utf-8")
-    refused(bench("calibrate", "first", "--prior", "prior.yaml"), "is not a covariance")
+    refused(bench("calibrate", "first", "--prior", "prior.yaml"), "the matrix is no covariance")
 
 
 RECORDS = Path(__file__).parents[1] / "data" / "records"

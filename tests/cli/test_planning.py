@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.check import check as check_against
@@ -205,15 +206,24 @@ def test_the_file_that_is_written_is_a_procedure_of_the_bench(bench, stand):
 
 @pytest.mark.slow
 def test_a_run_of_the_plan_signs_what_it_promised(bench, result):
-    """About 20 degrees of freedom tell the noise, and most of u is what no reading shows: within 20 %, seed 3."""
+    """Only the estimated noise may differ from the promise: as chi-square allows in 99.8 %, seed 3.
+
+    With ν degrees of freedom its variance in u is larger by ν/(ν − 2) (scaled t distribution).
+    """
     stand = ("--bench", "paper-stand")
     status, plan = result("plan-points", "--u", "all=1e-4", "--angles", 12, *stand, "--out", "plan.yaml")
     assert status == 0
     assert bench("run", "plan.yaml", "--dry-run", "--seed", 3, "--name", "made", *stand)[0] == 0
     status, found = result("calibrate", "made")
     assert status == 0
-    signed = [found["coefficients"][name]["u"] for name in found["order"]]
-    np.testing.assert_allclose(np.sqrt(np.diag(plan["covariance"])), signed, rtol=0.2)
+    u, of_readings = (
+        np.array([found["coefficients"][name][member] for name in found["order"]])
+        for member in ("u", "u_readings")
+    )
+    promised = np.diag(plan["covariance"]) - (u**2 - of_readings**2)
+    dof = found["noise"]["dof"]
+    ratio = of_readings**2 / promised * (dof - 2.0)
+    assert np.all((stats.chi2.ppf(0.001, dof) <= ratio) & (ratio <= stats.chi2.ppf(0.999, dof)))
 
 
 @pytest.mark.slow

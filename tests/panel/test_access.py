@@ -131,7 +131,7 @@ def test_a_session_ends_by_itself_after_a_week_and_by_signing_out(runs):
 def test_a_folder_that_is_a_link_is_no_place_for_secrets(tmp_path):
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / STATE).symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(RecordError, match="is a link"):
+    with pytest.raises(RecordError, match="a symbolic link is where the panel needs a folder"):
         Access(tmp_path / STATE)
 
 

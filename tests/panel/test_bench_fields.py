@@ -309,7 +309,7 @@ def test_mistakes_in_certificates_and_stand_errors_stand_at_their_fields():
     assert "'values' is missing" in found.at["instruments.voltmeters[3].certificate.values[1].range"]
     assert "'number' is missing" in found.at[f"{SECOND}.number"]
     assert "without a unit" in found.at["stand.zero_offset.limit"][0]
-    assert "state 'k'" in found.at["stand.axis_tilt.k"][0]
+    assert "add 'k'" in found.at["stand.axis_tilt.k"][0]
     fields = {one.name for group in groups_of(values) for one in group.fields}
     assert set(found.at) <= fields
 

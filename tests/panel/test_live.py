@@ -114,7 +114,7 @@ def test_a_stream_of_a_damaged_record_says_so_as_an_event(client, runs):
     reply = client.get("/runs/done/stream")
     assert reply.status_code == 200
     assert reply.text.startswith("event: trouble\n")
-    assert "line 1: cannot be trusted" in reply.text
+    assert "line 1: the record cannot be trusted" in reply.text
 
 
 MOMENTS = ("now",)

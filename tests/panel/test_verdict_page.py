@@ -156,7 +156,7 @@ def test_the_certificates_of_this_very_record_are_handed_out(runs, judged, tmp_p
     (folder / "A-1.pdf").write_bytes(b"changed")
     assert ben.get("/runs/run/certificate/A-1.pdf").status_code == 409
     (folder / "register.jsonl").write_text("{}\n")
-    assert "restore it from a copy" in ben.get("/runs/run/verdict").text
+    assert "restore the file from a copy" in ben.get("/runs/run/verdict").text
 
 
 def test_a_diagnosis_is_a_process_of_its_own(anna, judged, monkeypatch, tmp_path):

@@ -139,7 +139,7 @@ def test_a_time_alone_is_used_up_and_kept_to():
         (["Kqq=3", "vector=abc"], "Kqq.*\n.*vector"),
         (["time=1h"], "too short"),
         (["combined:delta-g=1e-4"], "cancel in Δg"),
-        ([" "], "give a goal"),
+        ([" "], "no goal is stated; state one"),
     ],
 )
 def test_what_cannot_be_reached_is_refused_before_the_run(goals, said):

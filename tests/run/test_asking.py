@@ -209,7 +209,10 @@ def test_a_line_typed_for_a_question_that_somebody_else_has_answered_does_not_an
         lambda: keyboard.write(b"no\n"),
     ]
     assert person.ask(MOUNT).text == "no"
-    assert run.told("answer_refused")[0]["why"] == "it was typed before this question appeared; answer again"
+    assert (
+        run.told("answer_refused")[0]["why"]
+        == "the answer was typed before this question appeared; answer again"
+    )
 
 
 def test_an_answer_that_does_not_fit_is_refused_at_the_terminal_and_the_question_is_the_same_one(

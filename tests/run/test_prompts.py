@@ -150,7 +150,7 @@ def test_a_wish_typed_at_a_prompt_is_heard_and_a_misspelt_one_explained():
         person.ask(Prompt("1#1", PromptKind.ANGLE, "Turn"))
     assert heard.value.control == RunControl(Wish.SKIP, "the cable came loose", by_person=True)
     assert ":rdo is unknown; type one of :pause, :continue, :redo" in shown.getvalue()
-    assert "give a reason" in shown.getvalue()
+    assert "a skip needs a reason" in shown.getvalue()
 
 
 def test_wishes_left_in_the_folder_are_heard_once_and_in_order(tmp_path):

@@ -94,7 +94,7 @@ def _indefinite(data):
         (lambda d: d["coefficients"]["Kxx"].update(value=float("nan")), "text of another kind"),
         (lambda d: d["noise"].update(reading_v=-1.0), "negative"),
         (lambda d: d.update(unit=["V"]), "unit"),
-        (lambda d: d.update(unit="mV"), "coefficients in mV/g"),
+        (lambda d: d.update(unit="mV"), "the coefficients are in mV/g"),
         (lambda d: d.update(per="m/s^2"), "per"),
         (lambda d: d.update(simulated="false"), "simulated"),
     ],

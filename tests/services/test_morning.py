@@ -171,7 +171,9 @@ def test_nobody_is_asked_for_anything_if_no_voltmeter_responds(morning, evenings
     evenings.prepare = unplugged
     result, by_check, out = morning(by_hand(60), status=2)
     assert by_check.keys() == {"identity"}
-    assert result["ended"] == "no voltmeter responds, so nothing else was checked"
+    assert result["ended"] == (
+        "no voltmeter responds, so nothing else was checked; check the meters' power, cables and addresses"
+    )
     assert "voltmeter.z: identity: no answer; plug it in" in out.splitlines()[-1]
 
 

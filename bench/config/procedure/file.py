@@ -372,7 +372,7 @@ class PromptVerb(ActionVerb):
         high = math.inf if self.maximum is None else self.maximum
         if not low <= value <= high:
             raise ValueError(
-                f"the default {value:g} is outside the limits; state a number from {low:g} to {high:g}"
+                f"the default {value:g} is not between 'minimum' ({low:g}) and 'maximum' ({high:g}); correct it"
             )
 
 

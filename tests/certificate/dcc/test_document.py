@@ -247,6 +247,6 @@ def test_what_people_write_cannot_become_markup(issued_certificate):
 
 
 def test_a_draft_has_no_document(issued_certificate):
-    with pytest.raises(ValueError, match="a number"):
+    with pytest.raises(ValueError, match="dates and number"):
         document_of(replace(issued_certificate, issue=None))
     assert ORDER["units"][0]["state"] == issued_certificate.state

@@ -112,7 +112,7 @@ def test_coefficients_of_anothers_list_are_taken_by_their_names(bench, empty_fol
         (real_list([*NAMES[:11], "U0"]), "no list of the twelve"),
         (real_list() * 2, "more than one list"),
         (real_list(u=""), "states no uncertainty"),
-        (real_list(k_unit=r"\ampere"), "give K in"),
+        (real_list(k_unit=r"\ampere"), "ask the laboratory for K in"),
         (real_list(k_unit=r"\furlong"), "furlong is unknown"),
         (real_list(values=VALUES[:11]), "11 values, but 12 units"),
         (real_list().replace("0.07", "seven"), "'seven' is not a number"),

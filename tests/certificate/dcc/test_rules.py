@@ -77,7 +77,7 @@ def test_schemas_of_the_user_are_checked_against(tmp_path, document):
 
 
 def test_schemas_of_another_version_or_none_are_refused(tmp_path):
-    with pytest.raises(Refused, match=r"there is no dcc\.xsd"):
+    with pytest.raises(Refused, match=r"the folder has no dcc\.xsd"):
         read_schemas(tmp_path)
     (tmp_path / "dcc.xsd").write_text(SCHEMA.format("3.2.0", "https://ptb.de/dcc", ">"))
     with pytest.raises(Refused, match=r"version 3\.2\.0"):

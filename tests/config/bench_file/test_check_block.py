@@ -42,7 +42,10 @@ def test_a_section_is_read_in_si(tmp_path):
         ("between_runs: [voltmeter_gain]", "mounting_roll"),
         ("drift: {Kxw: {per_year: 1 uV/g, u: 1 uV/g}}", "Kxw is not a coefficient"),
         ("drift: {Kxx: {per_year: 1 uV, u: 1 uV/g}}", "scale factor"),
-        ("drift: {Kxx: {per_year: 1 uV/g, u: -1 uV/g}}", "of 0 or more"),
+        (
+            "drift: {Kxx: {per_year: 1 uV/g, u: -1 uV/g}}",
+            "the standard uncertainty is negative; state 0 or more",
+        ),
         ("reference: [a]\n  baseline_days: {first: 2026-01-01, last: 2026-01-02}", "remove one"),
     ],
 )

@@ -127,7 +127,7 @@ def test_many_mistakes_are_told_at_once_with_their_lines(mistakes):
         "13 steps[5].waite: unknown key 'waite'; did you mean 'wait'?",
         "14 steps[6]: state one verb a step from",
         "15 steps[6].read: a read is outside of an installation",
-        "16 steps[7].prompt: the default 9 is not between 10 and inf",
+        "16 steps[7].prompt: the default 9 is not between 'minimum' (10) and 'maximum' (inf); correct it",
     ]
     assert len(told) == len(expected), told
     for start in expected:
