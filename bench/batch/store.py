@@ -123,6 +123,8 @@ def _sorted(found: Iterable[Path], others: Iterable[Path]) -> Listed:
 
 
 FORMAT: Final = 1
+_OF_JOB: Final = ("format", "command", "asked", "over", "program", "differing", "begun")
+"""The members of the file of a batch."""
 BATCH: Final = "batch.json"
 PARTS: Final = "parts"
 RUNS: Final = "runs.parquet"
@@ -211,14 +213,19 @@ class Store:
         file = self.folder / BATCH
         try:
             noted: dict[str, Any] = from_text(read_regular(file))
+            if lacking := [name for name in _OF_JOB if not isinstance(noted, dict) or name not in noted]:
+                raise ValueError(f"it lacks {', '.join(lacking)}")
             if noted["format"] != FORMAT or noted["command"] not in COLUMNS:
-                raise ValueError(f"format {noted['format']}")
+                raise ValueError(f"format {noted['format']}, command {noted['command']}")
         except FileNotFoundError:
             raise Refused(
                 f"{self.folder}: the folder has no batch (no {BATCH} in it); name the folder of a batch"
             ) from None
-        except (OSError, ValueError, KeyError, TypeError) as problem:
-            raise Refused(f"{file}: cannot be read ({problem}); name another folder with --out") from None
+        except (OSError, ValueError, TypeError) as problem:
+            raise Refused(
+                f"{file}: not a readable batch ({problem}); restore it from a copy, or start the batch again in "
+                "another folder"
+            ) from None
         return noted
 
     # --- what is done -------------------------------------------------------------------------------

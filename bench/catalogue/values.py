@@ -240,12 +240,12 @@ def compared(table: CoefficientTable, method: str | None = None) -> BenchCompari
     rows = np.flatnonzero(several[unit])
     if not len(rows):
         raise CalibrationError(
-            f"none of {len(units)} units was measured on two of {len(benches)} benches: widen the question"
+            f"none of {len(units)} units was measured on two of {len(benches)} benches; widen the question"
         )
     if len(rows) > MOST_COMPARED:
         raise Refused(
-            f"{len(rows)} calibrations join the benches; up to {MOST_COMPARED} are compared with their whole "
-            "covariance: narrow the question, as with after=, or ask for bench fleet effects"
+            f"{len(rows)} calibrations join the benches, but at most {MOST_COMPARED} can be compared with their "
+            "whole covariance; narrow the question (after=2026-01-01), or use 'bench fleet effects'"
         )
     there = [
         _snapshot(Path(path), block).per_standard_g()

@@ -143,9 +143,9 @@ def _missing(certificate: Certificate) -> Iterator[str]:
 def found_by(
     name: str, runs: Path, k: float, asked: VerdictOptions = NOTHING_ASKED, agreed: DecisionRule | None = None
 ) -> RunFindings:
-    """Evaluate a run with its own bench file and return the results, with U = `k` u of the coefficients.
+    """Evaluate a run with its own bench file and return the results; the coefficients' expanded U is `k` u.
 
-    `asked` are options of the verdict; `agreed` is the decision rule if the record names none. Raises as
+    `asked` are options of the verdict; `agreed` is the decision rule used if the record names none. Raises as
     `certificate_of`.
     """
     (source,) = load_sources(Request([name], runs))

@@ -235,7 +235,7 @@ def signatory_in_token(
     except pkcs11.exceptions.PKCS11Error as error:
         reason = str(error) or type(error).__name__
         raise Refused(
-            f"{told}: the token has no key ({reason}); check that it is connected and its PIN"
+            f"{told}: the token gave no key ({reason}); check that the token is connected, and type the PIN again"
         ) from error
     except RuntimeError as error:  # a file that is no module
         raise Refused(f"{module}: not a module of PKCS #11; give the token's library ({error})") from error
@@ -252,10 +252,12 @@ def _parts(address: str) -> tuple[dict[str, Any], str]:
             raise Refused(f"{address}: '{name}' is not allowed here; give an address such as {_SHOWN}")
         path[name] = unquote_to_bytes(value) if name == "id" else unquote(value)
     asked = dict(part.partition("=")[::2] for part in filter(None, query.split("&")))
-    if set(asked) != set(_QUERY) or not {"object", "id"} & set(path):
+    wrong = [] if {"object", "id"} & set(path) else ["'object' or 'id' is missing"]
+    wrong += [f"'{name}' is missing after '?'" for name in _QUERY if name not in asked]
+    wrong += [f"'{name}' is not allowed after '?'" for name in asked if name not in _QUERY]
+    if wrong:
         raise Refused(
-            f"{address}: does not name one key of one module; give an address such as {_SHOWN}, the "
-            "program asks for the PIN"
+            f"pkcs11:{body}: {', '.join(wrong)}; give an address such as {_SHOWN} (the program asks for the PIN)"
         )
     return path, unquote(asked["module-path"])
 

@@ -467,7 +467,9 @@ def accept(
     """
     known = unnamed_in(effects)
     if not known:
-        raise ValueError("this model file has no unnamed term; 'bench diagnose' writes them")
+        raise ValueError(
+            "has no unnamed term to name; give a model file of 'bench diagnose' that has one (unnamed_1, …)"
+        )
     strange = [term for term in terms if term not in known]
     if strange:
         raise ValueError(f"there is no term {', '.join(strange)}; choose from {', '.join(known)}")

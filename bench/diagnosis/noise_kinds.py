@@ -546,9 +546,9 @@ def noise_findings(
     """Return each noise that is significantly larger than stated, and by at least the factor `LARGER`.
 
     `stand_u` has the "setting_error" (rad) and the "voltmeter_error" (V) of the bench file. `typical_slope`
-    is the root mean square length of the derivative of the signals by the head angle, in their unit per rad.
-    `digit` is the step of the last digit of the signals. If `by_run` is given, each run is compared with what
-    is stated for it.
+    is the rms over the settings of |du/dφ|, in the unit of the signals per rad, as
+    `LinearSystem.typical_slope`. `digit` is the step of the last digit of the signals. With `by_run`, each run's
+    noise is compared with the noise stated for that run: by the bench file, or by the scatter of its samples.
     """
     found = [*_of_readings(noise, readings, stand_u, digit, by_run)]
     setting = stand_u.get("setting_error", 0.0)

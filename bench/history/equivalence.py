@@ -258,9 +258,9 @@ def together(
 ) -> tuple[JointDifference, ...]:
     """Return the chi-square tests of m vectors of differences (m, p) with standard uncertainties `u` (m, p).
 
-    `errors` (m, p, p) are covariances due to calibration errors; only their correlations between numbers are
-    used. `of_errors` (m, p) is the part of u due to these errors. The other part of u, such as the dark
-    uncertainty, is uncorrelated between coefficients.
+    `of_errors` (m, p) is the part of `u`, in quadrature, from calibration errors; `errors` (m, p, p) gives only
+    the correlations of this part. The rest of `u`, such as the dark uncertainty, counts as uncorrelated among
+    the p numbers.
     """
     chi2 = []
     for d, whole, covariance, own in zip(differences, u, errors, of_errors, strict=True):

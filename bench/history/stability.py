@@ -189,8 +189,13 @@ def _row(
             values[k] = read_number(text)
         except ValueError:
             values[k] = math.nan
-        if not abs(values[k]) < OVERLOAD:
-            bad.append(f"{path}, line {line}, column {name}: expected a number, got {shortened(text)!r}")
+        if math.isfinite(values[k]) and abs(values[k]) >= OVERLOAD:
+            wrong = f"the voltmeter was overloaded ({shortened(text)}); record again on a higher range"
+        elif not math.isfinite(values[k]):
+            wrong = f"expected a number, got {shortened(text)!r}"
+        else:
+            continue
+        bad.append(f"{path}, line {line}, column {name}: {wrong}")
     return values
 
 

@@ -267,13 +267,14 @@ def is_held(lock: FileLock) -> bool:
 class KeptList:
     """A list of JSON objects in a file with a lock, so that several programs can change it.
 
-    `remedy` ends the error message on a damaged file: what to do if there is no copy of it.
+    `path` is the path of the file. `remedy` ends the error message on a damaged file: what to do if there is no
+    copy of it.
     """
 
     def __init__(
         self, folder: Path, name: str, remedy: str = message("remove it and make new tokens")
     ) -> None:
-        self._path, self._remedy = folder / name, remedy
+        self.path, self._remedy = folder / name, remedy
         self._lock = FileLock(folder / f"{name}.lock", mode=0o600)
         self._stamp: tuple[int, int, int] | None = None
         self._rows: list[dict[str, Any]] = []
@@ -281,10 +282,10 @@ class KeptList:
     def rows(self) -> list[dict[str, Any]]:
         """Return the rows, cached until the file changes. Raises `RecordError` for a damaged file."""
         try:
-            found = self._path.stat()
+            found = self.path.stat()
             stamp = (found.st_mtime_ns, found.st_size, found.st_ino)
             if stamp != self._stamp:
-                rows = from_text(read_regular(self._path))
+                rows = from_text(read_regular(self.path))
                 if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
                     raise ValueError
                 self._rows, self._stamp = rows, stamp
@@ -292,7 +293,7 @@ class KeptList:
             self._rows, self._stamp = [], None
         except (OSError, ValueError) as error:
             raise RecordError(
-                message(f"{self._path}: cannot be read; put a copy in its place, or {self._remedy}")
+                message(f"{self.path}: cannot be read; put a copy in its place, or {self._remedy}")
             ) from error
         return list(self._rows)
 
@@ -302,7 +303,7 @@ class KeptList:
             try:
                 check(self.rows())
             except RecordError:
-                self._path.rename(f"{self._path}.damaged-{now:%Y%m%d-%H%M%S}")
+                self.path.rename(f"{self.path}.damaged-{now:%Y%m%d-%H%M%S}")
 
     @contextmanager
     def changed(self) -> Iterator[list[dict[str, Any]]]:
@@ -313,11 +314,11 @@ class KeptList:
                 before = json.dumps(rows)
                 yield rows
                 if json.dumps(rows) != before:
-                    write_whole(self._path, to_text(rows))
-                    self._path.chmod(0o600)
+                    write_whole(self.path, to_text(rows))
+                    self.path.chmod(0o600)
         except OSError as error:
             raise RecordError(
-                message(f"{self._path}: cannot be written ({error.strerror}); free disk space")
+                message(f"{self.path}: cannot be written ({error.strerror}); free disk space")
             ) from error
 
 

@@ -170,12 +170,14 @@ def _checked(holding: Holding, word: str, person: Person, to: str) -> str:
             )
         case "ask" if person.name in holding.asking:
             raise Refusal(409, message(f"{person.name} has already asked for control; wait for the answer"))
+        case "grant" | "deny" | "release" if not holding.holder:
+            raise Refusal(403, message("nobody is in control; take control first"))
         case "grant" | "deny" | "release" if not holds:
             raise Refusal(
                 403,
                 message(
-                    f"only the person in control ({holding.holder or 'nobody'}) may grant, deny or give up "
-                    "control; take control first"
+                    f"only the person in control ({holding.holder}) may grant, deny or give up control; ask "
+                    f"{holding.holder} for control"
                 ),
             )
         case "grant" | "deny":

@@ -173,7 +173,11 @@ def read_file(path: Path) -> FileText:
         return FileText(path, content.decode("utf-8-sig").replace("\r\n", "\n"), sha256(content))
     except OSError as error:
         raise Refusal(
-            409, message(f"{path}: cannot be read ({error.strerror}); check it on this computer")
+            409,
+            message(
+                f"{path}: cannot be read ({error.strerror}); check its name and permissions on the computer that "
+                "runs the panel"
+            ),
         ) from error
     except UnicodeDecodeError as error:
         raise Refusal(409, message(f"{path}: is not UTF-8 text; save it as UTF-8")) from error

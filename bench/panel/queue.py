@@ -24,7 +24,7 @@ ITEMS: Final = "queue.json"
 NOTES: Final = "day.json"
 MOST_ITEMS: Final = 200
 MOST_NOTES: Final = 100
-REMEDY: Final = message("put it aside on the page of the queue, and begin a new one")
+REMEDY: Final = message("put the file aside on the page of the queue, and begin a new queue")
 DUTY: Final = message("on duty")
 OFF_DUTY: Final = message("off duty")
 SWITCHED_ON: Final = message("switched on")
@@ -77,7 +77,7 @@ class DayQueue:
 
     def items(self) -> list[QueueItem]:
         """Return the items in order. Raises `RecordError` for a damaged file."""
-        return _read(self._items.rows(), QueueItem)
+        return _read(self._items.path, self._items.rows(), QueueItem)
 
     def item(self, item_id: str) -> QueueItem:
         """Return the item with this id. Raises `Refusal` (409) if it is not in the queue."""
@@ -144,16 +144,16 @@ class DayQueue:
 
     def put_aside(self) -> None:
         """Rename damaged files, so that an empty queue replaces them. Raises `OSError`."""
-        self._items.put_aside(utc_now(), lambda rows: _read(rows, QueueItem))
-        self._notes.put_aside(utc_now(), lambda rows: _read(rows, DayNote))
+        self._items.put_aside(utc_now(), lambda rows: _read(self._items.path, rows, QueueItem))
+        self._notes.put_aside(utc_now(), lambda rows: _read(self._notes.path, rows, DayNote))
 
     def _notes_read(self) -> list[DayNote]:
-        return _read(self._notes.rows(), DayNote)
+        return _read(self._notes.path, self._notes.rows(), DayNote)
 
     @contextmanager
     def _changed(self) -> Iterator[list[QueueItem]]:
         with self._items.changed() as rows:
-            items = _read(rows, QueueItem)
+            items = _read(self._items.path, rows, QueueItem)
             yield items
             rows[:] = [one.model_dump(mode="json") for one in items]
 
@@ -175,9 +175,15 @@ def _index(items: Sequence[QueueItem], item_id: str) -> int:
 Row = TypeVar("Row", QueueItem, DayNote)
 
 
-def _read(rows: Sequence[Mapping[str, Any]], kind: type[Row]) -> list[Row]:
+def _read(file: Path, rows: Sequence[Mapping[str, Any]], kind: type[Row]) -> list[Row]:
     """Return the rows of a file as objects. Raises `RecordError` for a row that cannot be understood."""
-    try:
-        return [kind.model_validate(row) for row in rows]
-    except ValidationError as error:
-        raise RecordError(message(f"a row of the queue's files cannot be understood; {REMEDY}")) from error
+    found: list[Row] = []
+    for number, row in enumerate(rows, start=1):
+        try:
+            found.append(kind.model_validate(row))
+        except ValidationError as error:
+            names = ", ".join(dict.fromkeys(str(one["loc"][0]) for one in error.errors() if one["loc"]))
+            raise RecordError(
+                message(f"{file}, row {number}: cannot be understood (wrong or missing: {names}); {REMEDY}")
+            ) from error
+    return found

@@ -417,7 +417,8 @@ class Stand:
             return
         if not self.sizes.get("voltmeter_error", 0.0) > 0:
             raise CalibrationError(
-                "the bench file states no voltmeter_error, which planning needs; state it in the section 'stand'"
+                "the bench file states no voltmeter_error above 0, which planning needs; state it in the section "
+                "'stand'"
             )
 
     @property

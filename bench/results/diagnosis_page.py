@@ -342,7 +342,7 @@ def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
 
 
 def most_telling(shown: ModelComparison) -> list[int]:
-    """Return the indices of the mountings; first comes that in which the effects found change the signals most."""
+    """Return the indices of the mountings, largest change of the signals by the effects found first."""
     before, last = shown.before.calibration, shown.last.calibration
     missing = before.residuals - last.residuals
     sizes = [float(np.mean(missing[rows] ** 2)) for _, rows in plots.mounts_of(before)]

@@ -66,11 +66,12 @@ def describe(samples: Mapping[str, Sequence[float]]) -> dict[str, Statistics]:
 def _statistics(channel: str, samples: Sequence[float]) -> Statistics:
     x = np.asarray(samples, dtype=np.float64)
     n = len(x)
-    mean = float(x.sum()) / n if n else math.nan
+    if not n:
+        raise ValueError(f"channel {channel}: no samples; check its voltmeter")
+    mean = float(x.sum()) / n
     if not math.isfinite(mean):
-        raise ValueError(
-            f"channel {channel}: expected one or more finite numbers, got {list(samples)!r}; check its wiring"
-        )
+        bad = n - int(np.isfinite(x).sum())
+        raise ValueError(f"channel {channel}: {bad} of {n} samples are not finite numbers; check its wiring")
     deviation = x - mean
     squares = float(deviation @ deviation)
     if squares <= n * (_ROUNDING * mean) ** 2:

@@ -68,7 +68,7 @@ class CheckValues:
     s_dof: float
 
     def per(self, g_m_s2: float) -> CheckValues:
-        """Return the values converted to a unit of acceleration g = `g_m_s2` (m/s²); biases stay the same."""
+        """Return the values with K per g of `g_m_s2` m/s² instead of the present g; biases stay the same."""
         factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / self.g_m_s2, 1.0)
         both = np.outer(factor, factor)
         return replace(
@@ -246,15 +246,16 @@ def _values(runs: Iterable[Run]) -> tuple[list[CheckValues], tuple[str, ...]]:
 
 
 def _refuse_mixed(values: Sequence[CheckValues]) -> None:
-    for what, own in (
-        ("blocks", {one.block for one in values}),
-        ("units", {one.unit for one in values}),
-        ("kinds, real and simulated", {str(one.simulated) for one in values}),
+    for what, one_of, own in (
+        ("runs of different blocks", "block", [f"of {one.block}" for one in values]),
+        ("runs in different units", "unit", [f"in {one.unit}" for one in values]),
+        ("real and simulated runs", "kind", ["simulated" if one.simulated else "real" for one in values]),
     ):
-        if len(own) > 1:
+        other = next((k for k, text in enumerate(own) if text != own[0]), 0)
+        if other:
             raise Refused(
-                f"the runs are of different {what} ({', '.join(sorted(own))}), but a chart shows one; name only "
-                "the runs of one"
+                f"{what} cannot share a chart ({values[0].name} is {own[0]}, {values[other].name} {own[other]}); "
+                f"name only runs of one {one_of}"
             )
 
 

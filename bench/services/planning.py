@@ -83,7 +83,10 @@ def planned(request: PlanPoints) -> PlannedPoints:
     _refuse_contradictions(request)
     taken = find_bench_file(request.bench)
     file = taken.file
-    stand = stand_of(file, ForwardModel(file.installation_models()), day=utc_now().date())
+    try:
+        stand = stand_of(file, ForwardModel(file.installation_models()), day=utc_now().date())
+    except CalibrationError as reason:
+        raise CalibrationError(f"{taken.where}: {reason}") from None
     verified = request.verify and VERIFICATION in stand.model.installations
     goals = _goals(request, stand, file)
     times = _times(request)

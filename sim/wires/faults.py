@@ -135,7 +135,7 @@ class Fault:
         if self.at is not None and self.at < 1:
             raise ValueError(f"count exchanges from 1; 'at' is {self.at}")
         if self.probability is not None and self.at is not None:
-            raise ValueError("a fault strikes with a probability or at an exchange; remove one of the two")
+            raise ValueError("'probability' and 'at' exclude each other; remove one of the two")
         if self.probability is None and self.at is None and not self.matching:
             raise ValueError(f"say when '{self.kind}' strikes: give probability, at or matching")
         if not 0.0 <= self.seconds < math.inf:

@@ -198,7 +198,7 @@ def test_nothing_is_overwritten_and_a_model_without_terms_is_told(accept, bench)
     assert accept(*one)[0] == 0
     refused(accept(*one), "slow_settling.yaml: this file exists")
     Path("plain.yaml").write_text("model_file: 1\nname: plain\n")
-    refused(bench("accept", "plain.yaml", *NAME), "this model file has no unnamed term")
+    refused(bench("accept", "plain.yaml", *NAME), "plain.yaml: has no unnamed term")
 
 
 def test_both_phases_of_a_wave_are_as_plausible_as_the_larger(accept):

@@ -170,7 +170,7 @@ def test_a_damaged_file_says_what_to_do_and_is_put_aside_not_lost(runs, anna, te
     file.write_bytes(text.encode("latin-1"))
     page = anna.get("/queue")
     assert page.status_code == 200
-    assert "put it aside" in page.text
+    assert "put the file aside" in page.text
     assert anna.post("/queue", **UNITS, units="2").status_code == 409
     assert anna.get("/").status_code == 200
     anna.post("/queue", do="put aside")
@@ -230,5 +230,5 @@ def test_a_stranger_is_sent_to_sign_in(runs, anna):
 
 def test_rows_of_an_unknown_form_are_no_items(runs):
     (runs / ITEMS).write_text(json.dumps([{"id": "0" * 12, "more": 1}]))
-    with pytest.raises(RecordError, match="put it aside"):
+    with pytest.raises(RecordError, match=rf"{ITEMS}, row 1: .*missing: unit, .*more.*put the file aside"):
         DayQueue(runs).items()

@@ -69,7 +69,14 @@ def test_one_and_two_samples_have_what_they_can_have():
     assert (told["z"].drift, told["z"].drift_p) == (pytest.approx(2.0), 0.0)
 
 
-@pytest.mark.parametrize("values", [[], [1.0, float("nan")], [float("inf")]])
-def test_samples_that_are_none_are_refused_with_the_channel(values):
-    with pytest.raises(ValueError, match="channel y"):
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ([], "no samples"),
+        ([1.0, float("nan")], "1 of 2 samples are not finite"),
+        ([float("inf")], "1 of 1 samples are not finite"),
+    ],
+)
+def test_samples_that_are_none_are_refused_with_the_channel(values, words):
+    with pytest.raises(ValueError, match=f"channel y: {words}"):
         describe({"y": values})

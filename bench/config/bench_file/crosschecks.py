@@ -360,7 +360,7 @@ def _voltages_against_block(rail: _Rail) -> Iterator[tuple[Place, str]]:
         end_v = worst_v[0] if voltage_v < 0.0 else worst_v[1]
         yield (
             ("over_voltage",),
-            f"a protection at {protection_v:g} V would strike within the rail's own tolerance, which ends at "
+            f"a protection at {protection_v:g} V would strike within the rail's own tolerance; state one beyond "
             f"{end_v:g} V",
         )
     elif span and not span[0] <= protection_v <= span[1]:
@@ -381,7 +381,10 @@ def _against_supply(rail: _Rail, output: Any, limits: SupplyLimits | None) -> It
     voltage_v, limit_a = rail.get("voltage"), rail.get("current_limit")
     if voltage_v is None or limit_a is None:
         return
-    settings = OutputSettings(voltage_v, limit_a, rail.get("over_voltage"))
+    protection_v = rail.get("over_voltage")
+    if protection_v is not None and abs(protection_v) <= abs(voltage_v):
+        protection_v = None  # reported at 'over_voltage' already: it would trip at once
+    settings = OutputSettings(voltage_v, limit_a, protection_v)
     for what in limits.outputs[output].transgressions(settings):
         yield ("output",), f"the supply's output {output} cannot do {what}"
 

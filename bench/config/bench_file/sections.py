@@ -182,10 +182,10 @@ class FaultSection(FileModel):
     @model_validator(mode="after")
     def _makes_sense(self) -> FaultSection:
         if self.probability is not None and self.at is not None:
-            raise ValueError("a fault strikes with a probability or at an exchange; remove one of the two")
+            raise ValueError("'probability' and 'at' exclude each other; remove one of the two")
         if self.probability is None and self.at is None and self.matching is None:
             raise ValueError(
-                f"'{self.fault}' has no time at which it strikes; state probability, at or matching"
+                f"nothing says when '{self.fault}' strikes; state 'probability', 'at' or 'matching'"
             )
         if self.seconds and self.fault not in _TAKE_SECONDS:
             raise ValueError(f"'{self.fault}' has no duration; remove 'seconds'")

@@ -507,10 +507,12 @@ class ZeroRepeats(FileModel):
 
     @model_validator(mode="after")
     def _one_of_them(self) -> Self:
-        if sum(one is not None for one in (self.restart, self.drift, self.scale)) != 1:
+        names = ("restart", "drift", "scale")
+        stated = [f"'{name}'" for name in names if getattr(self, name) is not None]
+        if len(stated) != 1:
             raise ValueError(
-                "not one of restart, drift and scale is stated, but none or several; state one, "
-                "with a size for each channel"
+                f"{len(stated)} of 'restart', 'drift' and 'scale' are stated ({', '.join(stated) or 'none'}); "
+                "state exactly one, with a size for each channel"
             )
         return self
 

@@ -286,11 +286,10 @@ class EncoderLineSection(ReadOutHeadForm, LineForm):
 
     @model_validator(mode="after")
     def _has_counts(self) -> EncoderLineSection:
-        if (self.unit == "counts") != (self.counts_per_turn is not None):
-            raise ValueError(
-                "the unit counts needs 'counts_per_turn', and no other unit takes it; add or "
-                "remove 'counts_per_turn'"
-            )
+        if self.unit == "counts" and self.counts_per_turn is None:
+            raise ValueError("the unit 'counts' has no 'counts_per_turn'; add it")
+        if self.unit != "counts" and self.counts_per_turn is not None:
+            raise ValueError(f"the unit '{self.unit}' takes no 'counts_per_turn'; remove it")
         return self
 
     @property

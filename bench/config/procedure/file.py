@@ -307,11 +307,10 @@ class InputVerb(FileModel):
 
     @model_validator(mode="after")
     def _voltage_of_a_reference(self) -> InputVerb:
-        if (self.source == "reference") != (self.voltage is not None):
-            raise ValueError(
-                "the source 'reference' needs 'voltage', and no other source takes it; add or "
-                "remove 'voltage'"
-            )
+        if self.source == "reference" and self.voltage is None:
+            raise ValueError("the source 'reference' has no 'voltage'; add it")
+        if self.source != "reference" and self.voltage is not None:
+            raise ValueError(f"the source '{self.source}' takes no 'voltage'; remove it")
         return self
 
 
@@ -339,10 +338,11 @@ class PromptVerb(ActionVerb):
 
     @model_validator(mode="after")
     def _default_fits(self) -> PromptVerb:
-        if (self.kind is PromptKind.CHOOSE) != bool(self.choices):
+        if self.kind is PromptKind.CHOOSE and not self.choices:
+            raise ValueError("a prompt of kind 'choose' has no 'choices'; add them")
+        if self.kind is not PromptKind.CHOOSE and self.choices:
             raise ValueError(
-                "a prompt of kind 'choose' needs 'choices', and no other kind takes them; add or "
-                "remove 'choices'"
+                f"a prompt of kind '{self.kind.value}' takes no 'choices'; remove them, or write 'kind: choose'"
             )
         if self.kind is not PromptKind.NUMBER and not (self.minimum is None and self.maximum is None):
             raise ValueError(

@@ -94,8 +94,8 @@ def find_mistakes(
     `stand_u` has the standard uncertainties of the stand angles (`STAND_ANGLES`) and of the "setting_error"
     by name, rad. `nominal_scale_factors` (3,) are those of the data sheet with their signs, in the unit of
     the signal per g. Without them (None), a mistake that only changes the coefficients, such as channels
-    exchanged in the whole run, cannot be found. `significance` is the probability that any single reading is
-    found wrong in a record without mistakes. Raises `CalibrationError` if no reading can be used, or a signal
+    exchanged in the whole run, cannot be found. `significance`: a reading or pass counts as wrong if the odds
+    for a mistake there exceed 1/`significance`. Raises `CalibrationError` if no reading can be used, or a signal
     is not a number.
     """
     usable_rows(readings, model)

@@ -31,7 +31,7 @@ from bench.panel.own_files import (
     shipped_files,
 )
 from bench.panel.pages.editing import LONGEST, EditedFile
-from bench.panel.pages.start import first_bench
+from bench.panel.pages.start import first_bench, printable
 from bench.panel.procedure_fields import (
     Row,
     judged,
@@ -211,10 +211,7 @@ def _from_table(text: str, given: Mapping[str, str]) -> str:
     fields = _fields_of(sections_of(data), rows_of(data))
     values = values_in(data, fields)
     for number, one in enumerate(fields):
-        typed = given.get(f"f{number}", values[one.name]).strip()
-        if len(typed) > LONGEST or visible(typed) != typed or not (typed.isprintable() or not typed):
-            raise Refusal(400, message(f"{one.label}: give at most {LONGEST} printable characters"))
-        values[one.name] = typed
+        values[one.name] = printable(given.get(f"f{number}", values[one.name]), one.label, LONGEST)
     try:
         return table_text(text, values, fields)
     except (yaml.YAMLError, TypeError, KeyError, AttributeError, IndexError, RecursionError) as error:

@@ -167,7 +167,11 @@ async def answer(request: Request) -> Response:
 
 
 async def wish(request: Request) -> Response:
-    """Store a wish for the program that carries out a run; all but stop (by anybody) need control of the run."""
+    """Store a wish for the program that carries out a run.
+
+    Anybody may wish a stop; any other wish needs control of the run. Without a program, abort is carried out at
+    once, and other wishes are refused.
+    """
     person, sent = await acting(request, Role.VIEWER)
     run = panel_of(request).runs.run(request.path_params["name"])
     word, reason = sent.get("wish", "").strip(), " ".join(sent.get("reason", "").split())

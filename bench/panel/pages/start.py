@@ -184,11 +184,13 @@ def _begun(panel: Panel, person: Person, wish: WishFolder) -> str:
     return run.name
 
 
-def printable(text: str, name: str) -> str:
-    """Return the `text` of a field without outer blanks. Raises `Refusal` (400) if it is not printable."""
+def printable(text: str, name: str, longest: int = LONGEST) -> str:
+    """Return a field's `text` without outer blanks. Raises `Refusal` (400) if it is too long or not printable."""
     text = text.strip()
-    if len(text) > LONGEST or (text and not text.isprintable()) or visible(text) != text:
-        raise Refusal(400, message(f"{name}: give at most {LONGEST} printable characters"))
+    if len(text) > longest:
+        raise Refusal(400, message(f"{name}: the text has more than {longest} characters; shorten it"))
+    if (text and not text.isprintable()) or visible(text) != text:
+        raise Refusal(400, message(f"{name}: the text has characters that cannot be printed; remove them"))
     return text
 
 

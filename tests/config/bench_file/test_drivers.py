@@ -204,15 +204,11 @@ def test_with_seven_bits_no_pseudo_terminal_stands_for_its_port():
             "correct the pattern: the angle in the example is not a number, but 'POS=45'",
         ),
         ("encoder-line", {"errors": {"POS=+999.99999": "none"}}, r"matches the error 'POS=\+999.99999'"),
-        (
-            "encoder-line",
-            {"unit": "counts"},
-            "the unit counts needs 'counts_per_turn', and no other unit takes it",
-        ),
+        ("encoder-line", {"unit": "counts"}, "the unit 'counts' has no 'counts_per_turn'; add it"),
         (
             "encoder-line",
             {"counts_per_turn": 4096},
-            "the unit counts needs 'counts_per_turn', and no other unit takes it",
+            "the unit 'degrees' takes no 'counts_per_turn'; remove it",
         ),
         ("encoder-line", {"request": "POS\r"}, "line ends are stated by"),
     ],

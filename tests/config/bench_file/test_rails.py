@@ -60,7 +60,11 @@ def test_a_warm_up_may_be_until_the_signals_have_settled(tmp_path):
         ({"current_limit": "120 mA"}, "current_limit", "is not above the 0.12 A of operation"),
         ({"current": {"minimum": "130 mA"}}, "current", "0.13 A is not below the largest of 0.12 A"),
         ({"limits": {"minimum": "19 V"}}, "limits", "19 V is not below the maximum of 18 V"),
-        ({"over_voltage": "15.1 V"}, "over_voltage", "within the rail's own tolerance, which ends at 15.2 V"),
+        (
+            {"over_voltage": "15.1 V"},
+            "over_voltage",
+            "within the rail's own tolerance; state one beyond 15.2 V",
+        ),
         ({"over_voltage": "-16 V"}, "over_voltage", "within the rail's own tolerance"),
         ({"over_voltage": "19 V"}, "over_voltage", "the block tolerates -0.5 to 18 V only"),
         ({"name": "+15 V"}, "name", "a small letter, then small letters and digits"),

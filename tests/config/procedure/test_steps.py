@@ -123,8 +123,8 @@ def test_what_stands_wrong_about_inputs_and_temperatures_is_told(mistakes):
 """
     )
     expected = [
-        "4 steps[1].input: the source 'reference' needs 'voltage', and no other source takes it",
-        "5 steps[2].input: the source 'reference' needs 'voltage', and no other source takes it",
+        "4 steps[1].input: the source 'reference' has no 'voltage'; add it",
+        "5 steps[2].input: the source 'short' takes no 'voltage'; remove it",
         "6 steps[3].input.source: expected short or reference, got 'open'",
         "10 steps[4].installation.steps[1].input.steps[1].turn: a turn is inside an input",
         "10 steps[4].installation.steps[1].input.steps[2].input: an input is inside an input",
