@@ -189,12 +189,11 @@ def _row(
             values[k] = read_number(text)
         except ValueError:
             values[k] = math.nan
-        if math.isfinite(values[k]) and abs(values[k]) >= OVERLOAD:
-            wrong = f"the voltmeter was overloaded ({shortened(text)}); record again on a higher range"
-        elif not math.isfinite(values[k]):
-            wrong = f"expected a number, got {shortened(text)!r}"
-        else:
+        if abs(values[k]) < OVERLOAD:
             continue
+        wrong = f"expected a number, got {shortened(text)!r}"
+        if k and math.isfinite(values[k]):
+            wrong = f"the voltmeter was overloaded ({shortened(text)}); record again on a higher range"
         bad.append(f"{path}, line {line}, column {name}: {wrong}")
     return values
 
