@@ -86,7 +86,8 @@ class Keysight34970A(LineMeter):
         self.cards = {_SLOTS[0]: facts.CARD} if cards is None else dict(cards)
         numbers = [slot + number for slot, card in self.cards.items() for number in CARDS[card]]
         if not wiring or not set(wiring) <= set(numbers):
-            raise ValueError(f"channels {sorted(wiring)} are not on the cards {self.cards}")
+            wired, slots = (", ".join(map(str, sorted(some))) for some in (wiring, self.cards))
+            raise ValueError(f"channels {wired} are not all on cards in the slots {slots}")
         common = wiring[min(wiring)]
         inputs = {number: CardInput(wiring.get(number), common) for number in numbers}
         self._channels = {

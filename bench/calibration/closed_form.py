@@ -106,7 +106,8 @@ def _cells(readings: Readings) -> tuple[Ints, Ints]:
     if np.any(off > FARTHEST_FROM_NOMINAL_RAD):
         worst = int(np.argmax(off))
         raise CalibrationError(
-            f"the closed form (8) needs point {readings.point[worst]} at "
+            f"the closed form (8) needs point {readings.point[worst]} of installation "
+            f"{readings.installation[worst]} at "
             f"{np.degrees(NOMINAL_RAD[readings.point[worst] - 1]):g}°, but the head stood at "
             f"{np.degrees(readings.angle_rad[worst]):.4f}°; use the default estimator"
         )

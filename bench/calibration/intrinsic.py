@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from scipy import special
 
-from bench.base.arrays import Floats, u_of
+from bench.base.arrays import CHANNELS, Floats, u_of
 from bench.base.text import listed
 from bench.calibration.budget.whole import dof_through
 from bench.calibration.result import COVERAGE_FACTOR, Calibration, Derived, through
@@ -49,7 +49,8 @@ def intrinsic(block: Block, covariance: Floats) -> Derived:
     """
     S = np.linalg.norm(block.K, axis=1)
     if not np.all(S > 0):
-        raise np.linalg.LinAlgError("a channel has no sensitivity; check its readings")
+        without = CHANNELS[int(np.argmin(S > 0))]
+        raise np.linalg.LinAlgError(f"channel {without} has no sensitivity; check its readings")
     axes, b = block.K / S[:, None], block.U0 / S
     values, rows = np.concatenate([S, np.zeros(3), b]), np.zeros((len(INTRINSIC), len(COEFFICIENTS)))
     for i in range(3):
@@ -60,7 +61,8 @@ def intrinsic(block: Block, covariance: Floats) -> Derived:
         cosine, sine = float(axes[i] @ axes[j]), float(np.linalg.norm(np.cross(axes[i], axes[j])))
         if sine == 0.0:
             raise np.linalg.LinAlgError(
-                "two sensing axes are parallel; check that each voltmeter has its own accelerometer"
+                f"the sensing axes of channels {CHANNELS[i]} and {CHANNELS[j]} are parallel; check that each "
+                "voltmeter has its own accelerometer"
             )
         values[at] = np.degrees(np.arctan2(sine, cosine))
         for one, other in ((i, j), (j, i)):

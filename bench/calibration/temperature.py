@@ -91,10 +91,11 @@ def sort_readings(tables: Sequence[Readings]) -> ThermalReadings:
     Each table is in the order of measurement. Raises `CalibrationError` if the tables differ in unit, have no
     oriented row, or an oriented row has no temperature.
     """
-    units = sorted({table.unit for table in tables})
+    units = {table.unit: table.source for table in tables}
     if len(units) > 1:
+        each = ", ".join(f"{source} in {unit}" for unit, source in sorted(units.items()))
         raise CalibrationError(
-            f"the readings are in different units ({', '.join(units)}); leave out the files in other units"
+            f"the readings are in different units ({each}); leave out the files in other units"
         )
     parts, mountings, visits, branches, means = [], [], [], [], []
     last_mounting = last_visit = 0

@@ -197,7 +197,7 @@ def measured_of(table: CoefficientTable) -> tuple[ComparedCalibrations, Mask, tu
     if len(signals) > 1:
         raise Refused(
             f"signals in {', '.join(signals)} cannot be compared; narrow the conditions to units with "
-            "one kind of signal, such as with type="
+            "one kind of signal (type=…)"
         )
     if np.isnan(kept.u_meters).any():
         notes.append(

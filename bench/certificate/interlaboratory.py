@@ -156,11 +156,11 @@ def evaluate_kit(
     there = {s.code: _read(Path(given[s.code]), g_m_s2) for s in kit.stops}
     pilots = [s.code for s in kit.stops if s.pilot]
     once = [s.code for s in kit.stops if s.code not in pilots[1:]]
-    units = sorted({one.unit for one in there.values()})
+    units = {one.unit: code for code, one in there.items()}
     if len(units) > 1:
+        each = ", ".join(f"{code} in {unit}" for unit, code in sorted(units.items()))
         raise Refused(
-            f"the results are in different units ({', '.join(units)}); compare calibrations whose "
-            "signals have one unit"
+            f"the results are in different units ({each}); compare calibrations whose signals have one unit"
         )
     nine = [there[code].per_standard_g().in_nine() for code in once]
     values, covariances = (np.array([getattr(one, of) for one in nine]) for of in ("vector", "covariance"))
@@ -232,7 +232,8 @@ def _by_code(given: Sequence[str]) -> dict[str, list[str]]:
     files: dict[str, list[str]] = {}
     for code, _, file in (one.partition("=") for one in given):
         if not code or not file:
-            raise Refused(f"{code or file}: code or file is missing; give each file as CODE=FILE")
+            lacking = "the file" if code else "the code"
+            raise Refused(f"'{code or file}': {lacking} is missing; give each file as CODE=FILE")
         files.setdefault(code, []).append(file)
     return files
 

@@ -199,8 +199,8 @@ class Laboratory(Contact, StatedRule):
     def _a_scheme(cls, scheme: str) -> str:
         if len(re.findall(r"\{count", scheme)) != 1 or _PLAIN.fullmatch(_FIELD.sub("0", scheme)) is None:
             raise ValueError(
-                f"expected a scheme such as '{{year}}-{{count:04}}', of letters, digits, . _ - and {{count}}, got "
-                f"'{scheme}'"
+                f"expected a scheme such as '{{year}}-{{count:04}}', of letters, digits, . _ - and {{count}} "
+                f"once, got '{scheme}'"
             )
         if scheme.upper().startswith(SIMULATED_SERIES):
             raise ValueError(

@@ -226,11 +226,11 @@ def make_rows(
     do not determine its coefficients, if units differ, or if an effect of the model needs an angle, time or
     temperature that the tables lack.
     """
-    if len({table.unit for table in tables}) > 1:
+    units = {table.unit: table.source for table in tables}
+    if len(units) > 1:
+        each = ", ".join(f"{source} in {unit}" for unit, source in sorted(units.items()))
         raise CalibrationError(
-            "the signals are in different units "
-            f"({', '.join(sorted({table.unit for table in tables}))}); evaluate the files of "
-            "each unit separately"
+            f"the signals are in different units ({each}); evaluate the files of each unit separately"
         )
     # tables of one sensor are different records, even if their times agree
     records = list(range(len(tables))) if one_sensor else _records(tables)

@@ -198,16 +198,20 @@ def _checked(readings: Readings) -> tuple[Floats, Floats, list[int]]:
     if readings.unit != "V":
         wrong.append(f"the signals are in {readings.unit}; give a record in volts (ux_v)")
     if not np.isfinite(readings.time_s).all():
-        wrong.append("time_s is empty in a row; fill it in, or delete the row")
-    elif np.any(np.diff(readings.time_s) < 0.0) or readings.time_s[-1] == readings.time_s[0]:
+        row = int(np.argmin(np.isfinite(readings.time_s))) + 1
+        wrong.append(f"time_s is empty in row {row}; fill it in, or delete the row")
+    elif np.any(back := np.diff(readings.time_s) < 0.0):
         wrong.append(
-            "time_s runs backwards or stands still; if the clock was put back, give times in UTC, otherwise sort "
-            "the rows"
+            f"time_s runs backwards in row {int(np.argmax(back)) + 2}; if the clock was put back, give times in "
+            "UTC, otherwise sort the rows"
         )
+    elif readings.time_s[-1] == readings.time_s[0]:
+        wrong.append("time_s is the same in all rows; state the time of each reading")
     known = readings.extra.get(REFERENCE_V)
     reference_v = np.full(len(readings), np.nan) if known is None else numbers(known)
     if not np.isfinite(reference_v).all():
-        wrong.append(f"{REFERENCE_V} is empty in a row; fill in the voltage at the inputs")
+        row = int(np.argmin(np.isfinite(reference_v))) + 1
+        wrong.append(f"{REFERENCE_V} is empty in row {row}; fill in the voltage at the inputs")
     channels = [i for i in range(3) if np.isfinite(readings.signal[:, i]).all()]
     if not channels:
         wrong.append("no signal column is complete; delete the rows with empty signals")

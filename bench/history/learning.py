@@ -359,11 +359,11 @@ def learn(
         raise CalibrationError(
             f"{len(runs)} run cannot show which errors all runs share; give {LEAST_RUNS} runs or more"
         )
-    if len({run.unit for run in runs}) > 1:
+    units = {run.unit: run.name for run in runs}
+    if len(units) > 1:
+        each = ", ".join(f"{name} in {unit}" for unit, name in sorted(units.items()))
         raise CalibrationError(
-            "the runs have signals in different units "
-            f"({', '.join(sorted({run.unit for run in runs}))}); leave out the runs in other "
-            "units"
+            f"the runs have signals in different units ({each}); leave out the runs in other units"
         )
     kept = list(runs)
     layout = Layout.of(kept, stand_u, by_installation=by_installation, waves=waves)

@@ -64,8 +64,11 @@ def monitor_chart(runs: Sequence[CheckRun], baseline: int = BASELINE) -> Control
     Raises `CalibrationError` if the runs are too few or watch different axes.
     """
     ordered = sorted(runs, key=lambda run: run.when)
-    if len({run.names for run in ordered}) > 1:
-        raise CalibrationError("the runs turned different axes; chart runs of one monitor procedure")
+    other = next((run for run in ordered if run.names != ordered[0].names), None)
+    if other is not None:
+        raise CalibrationError(
+            f"{ordered[0].name} and {other.name} turned different axes; chart runs of one monitor procedure"
+        )
     if len(ordered[:baseline]) < LEAST_BASELINE:
         raise CalibrationError(
             f"{len(ordered[:baseline])} runs are too few to set the limits; name {LEAST_BASELINE} runs or more, "

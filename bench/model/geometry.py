@@ -94,7 +94,7 @@ def axes_matrix(axes: Sequence[str]) -> Floats:
     matrix = np.array([unit[name] for name in axes], dtype=np.float64)
     if matrix.shape != (3, 3) or np.linalg.det(matrix) < 0.5:  # it is -1, 0 or 1
         raise ValueError(
-            f"the axes {list(axes)} are not three different axes in right-handed order "
+            f"the axes {', '.join(axes)} are not three different axes in right-handed order "
             "(installation 1 is [x, y, z], installation 2 is [-x, z, y])"
         )
     return matrix

@@ -389,8 +389,10 @@ class Access:
         with self._tokens.changed() as rows:
             kept = [row for row in rows if row["name"] != name]
             if len(kept) == len(rows):
-                there = ", ".join(str(row["name"]) for row in rows) or "none"
-                raise RecordError(message(f"{name}: has no token; there are tokens of: {there}"))
+                if not rows:
+                    raise RecordError(message(f"{name}: has no token, and nobody else has one"))
+                there = ", ".join(str(row["name"]) for row in rows)
+                raise RecordError(message(f"{name}: has no token; name one of those who have: {there}"))
             rows[:] = kept
 
     # --- one-time links -----------------------------------------------------------------------------

@@ -77,13 +77,16 @@ def wait_until(begun: Callable[[], bool], started: Started, clock: Clock | None 
         if (status := started.status) is not None:
             if begun():
                 return True
-            raise Refusal(
-                409,
-                message(
-                    f"the run did not start (exit status {status}); remove the cause that it states: "
-                    f"{last_words(started.log)}"
-                ),
-            )
+            if words := last_words(started.log):
+                told = message(
+                    f"the run did not start (exit status {status}); remove the cause that it states: {words}"
+                )
+            else:
+                told = message(
+                    f"the run did not start (exit status {status}) and stated no cause; start it with 'bench run' "
+                    "in a terminal"
+                )
+            raise Refusal(409, told)
         if clock.now_s() > until_s:
             return False
         clock.sleep(NAP_S)

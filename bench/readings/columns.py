@@ -177,11 +177,12 @@ def level_rad(extra: Mapping[str, Labels], rows: int) -> Floats | None:
     ]
     found = np.array(columns, dtype=np.float64).reshape(4, rows).T * ARCSEC
     whole = np.isfinite(found).all(axis=1)
-    if np.any(np.isfinite(found).any(axis=1) & ~whole) or np.any(found[whole, 2:] <= 0.0):
-        raise ValueError(
-            f"only some of {', '.join(ANGLES)} are stated, or a u is not above 0; fill in all of "
-            "them, or none"
-        )
+    if np.any(part := np.isfinite(found).any(axis=1) & ~whole):
+        row = int(np.argmax(part)) + 1
+        raise ValueError(f"row {row} states only some of {', '.join(ANGLES)}; fill in all of them, or none")
+    if np.any(bad := whole & (found[:, 2:] <= 0.0).any(axis=1)):
+        row = int(np.argmax(bad)) + 1
+        raise ValueError(f"a u in row {row} is not above 0 ({', '.join(ANGLES[2:])}); state it above 0")
     return found
 
 

@@ -129,20 +129,17 @@ class Reading:
         """Raise `ValueError` or `TypeError` for a wrong number of values or a value of the wrong type."""
         if not len(self.mean) == len(self.sd) == len(CHANNELS):
             raise ValueError("a reading lacks a channel; give mean and sd of three channels")
-        for count in (self.series, self.pass_number, self.point, self.samples_taken):
+        for name in ("series", "pass_number", "point", "samples_taken"):
+            count = getattr(self, name)
             if type(count) is not int or not 0 <= count < 2**31:
                 raise ValueError(
-                    "series, pass, point or samples of a reading is no whole number of 0 or more; "
-                    "give whole numbers"
+                    f"{name} of a reading is not a whole number of 0 or more; give such a number"
                 )
         if self.direction not in (0, 1, -1):
             raise ValueError(f"the direction of a reading is {self.direction!r}; give 1, -1 or 0")
-        for text in (self.installation, self.unit, self.scan_order, self.temperature_source):
-            if type(text) is not str:
-                raise ValueError(
-                    "installation, unit, scan order or source of temperature of a reading is not a "
-                    "text; give texts"
-                )
+        for name in ("installation", "unit", "scan_order", "temperature_source"):
+            if type(getattr(self, name)) is not str:
+                raise ValueError(f"{name} of a reading is not a text; give a text")
         for number in (
             *self.mean, *self.sd, self.direction, self.angle_deg, self.target_deg, self.time_s, self.temperature_c,
             self.reference_v, self.chamber_c, self.meter_temperature_c, self.room_c,

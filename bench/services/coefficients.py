@@ -111,13 +111,16 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
         raise Refused(
             f"{where}: not a result of 'bench calibrate --json' ({error}); give a file that calibrate wrote"
         ) from error
-    if not isinstance(theirs, str) or per != "g" or not isinstance(simulated, bool):
+    right = {"unit": isinstance(theirs, str), "per": per == "g", "simulated": isinstance(simulated, bool)}
+    if wrong := [name for name, well in right.items() if not well]:
         raise Refused(
-            f"{where}: not a result of 'bench calibrate --json' (its members unit, per or simulated are wrong); "
-            "give a file that calibrate wrote"
+            f"{where}: not a result of 'bench calibrate --json' (wrong: {', '.join(wrong)}); give a file that "
+            "calibrate wrote"
         )
-    if noise < 0 or g_m_s2 <= 0:
-        raise Refused(f"{where}: has a negative noise or gravity; calibrate again")
+    if noise < 0:
+        raise Refused(f"{where}: its noise.reading_v is negative; calibrate again")
+    if g_m_s2 <= 0:
+        raise Refused(f"{where}: its g_m_s2 is not above 0; calibrate again")
     _refuse_impossible(covariance, where)
     same_meters = _further_covariance(data, "covariance_same_meters", where)
     block = Block.from_vector(values)

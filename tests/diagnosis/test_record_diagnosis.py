@@ -268,9 +268,10 @@ def test_a_record_needs_no_pass_no_point_and_one_signal(tmp_path):
             [ROW.format(time=10 * i + 200 * (i > 18), digit=1) for i in range(40)],
             "40 readings give means in 27 equal intervals of time, too few",
         ),
-        (["R,,1,1,", "R,2,1,1,"], "time_s is empty"),
-        (["R,1,,1,", "R,2,1,1,"], "reference_v is empty"),
-        (["R,2,1,1,", "R,1,1,1,"], "runs backwards .* if the clock was put back, give times in UTC"),
+        (["R,,1,1,", "R,2,1,1,"], "time_s is empty in row 1"),
+        (["R,1,,1,", "R,2,1,1,"], "reference_v is empty in row 1"),
+        (["R,1,1,1,", "R,1,1,1,"], "time_s is the same in all rows"),
+        (["R,2,1,1,", "R,1,1,1,"], "runs backwards in row 2; if the clock was put back, give times in UTC"),
     ],
 )
 def test_a_record_that_cannot_be_evaluated_says_why(tmp_path, rows, told):

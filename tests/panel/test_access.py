@@ -93,7 +93,7 @@ def test_a_revoked_token_ends_its_sessions(runs):
     assert browser.get("/").status_code == 200
     Access(runs / STATE).revoke("anna")
     assert browser.get("/").status_code == 303
-    with pytest.raises(RecordError, match="anna: has no token; there are tokens of: none"):
+    with pytest.raises(RecordError, match="anna: has no token, and nobody else has one"):
         Access(runs / STATE).revoke("anna")
 
 

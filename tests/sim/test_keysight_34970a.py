@@ -111,7 +111,7 @@ def test_cards(clock: VirtualClock) -> None:
     meter = a_meter(clock, cards={100: "34901A", 300: "34901A"})
     assert ask(meter, "SYST:CTYP? 100") == "HEWLETT-PACKARD,34901A,0,2.3"
     assert ask(meter, "SYST:CTYP? 200") == "HEWLETT-PACKARD,0,0,0"
-    with pytest.raises(ValueError, match="not on the cards"):
+    with pytest.raises(ValueError, match="not all on cards in the slots 100"):
         Keysight34970A({201: Ramp(clock, 0.0)}, clock)
 
 

@@ -131,8 +131,9 @@ class ManualOutput(FileModel):
     def _can_be_set(self) -> ManualOutput:
         if self.minimum >= self.maximum:
             raise ValueError(f"the minimum {self.minimum:g} V must be below the maximum {self.maximum:g} V")
-        if self.current == 0.0 or self.voltage_digit <= 0.0 or self.current_digit == 0.0:
-            raise ValueError("current, voltage_digit or current_digit is not above 0; state a value above 0")
+        for name in ("current", "voltage_digit", "current_digit"):
+            if getattr(self, name) <= 0.0:
+                raise ValueError(f"'{name}' is not above 0; state a value above 0")
         return self
 
     def limits(self) -> OutputLimits:

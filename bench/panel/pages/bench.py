@@ -134,11 +134,10 @@ class BenchForm(EditedFile):
 
     def _take(self, panel: Panel, given: Mapping[str, str]) -> None:
         """Take over the typed values; begin a search if its button was pressed. Raises `Refusal` for odd texts."""
-        for text in given.values():
+        for name, text in given.items():
             if len(text) > LONGEST and "\n" not in text:
                 raise Refusal(
-                    400,
-                    message(f"the text of a field is too long; shorten it to at most {LONGEST} characters"),
+                    400, message(f"{name}: the text has more than {LONGEST} characters; shorten it")
                 )
         for name, text in given.items():
             if _OF_FORM.match(name):
