@@ -66,6 +66,18 @@ def civil_minute(time: str) -> str:
     return f"{when:%Y-%m-%d %H:%M}{zone}"
 
 
+def cause_of(error: Exception) -> str:
+    """Return what is wrong in words for a message, without Python's names of types, error numbers and paths."""
+    match error:
+        case KeyError():
+            return f"{error} is missing"
+        case TypeError() | AttributeError():
+            return "a value of the wrong type"
+        case OSError():
+            return error.strerror or str(error)
+    return str(error)
+
+
 def shortened(text: str) -> str:
     """Return a text cut to 80 characters (`QUOTED`), followed by "…" if it was longer."""
     return text if len(text) <= QUOTED else f"{text[:QUOTED]}…"

@@ -15,6 +15,7 @@ from filelock import FileLock, Timeout
 
 from bench.base.computing import tracked
 from bench.base.files import from_text, read_regular, sync_folder, to_text, write_synced
+from bench.base.text import cause_of
 from bench.batch.job import COLUMNS, Job, Row, arrow_schema, program
 from bench.run.events import EVENTS, MANIFEST, sha256
 from bench.run.folder import BENCH, CALIBRATE_FILE, DIAGNOSE_FILE, EFFECTS, IMPORTED, PLAN, VERIFY_FILE
@@ -223,8 +224,8 @@ class Store:
             ) from None
         except (OSError, ValueError, TypeError) as problem:
             raise Refused(
-                f"{file}: not a readable batch ({problem}); restore it from a copy, or start the batch again in "
-                "another folder"
+                f"{file}: not a readable batch ({cause_of(problem)}); restore it from a copy, or start the batch "
+                "again in another folder"
             ) from None
         return noted
 

@@ -12,6 +12,7 @@ from typing import Final
 from bench.base.computing import uncollected
 from bench.base.files import open_regular
 from bench.base.languages import message
+from bench.base.text import cause_of
 from bench.config.procedure.plan import Mount, Plan, Read, SetTemperature, Settle, Step, Turn, Wait
 from bench.readings.reading import Reading
 from bench.run.events import (
@@ -80,8 +81,8 @@ class RunView:
         except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
             raise RecordError(
                 message(
-                    f"event {event.number} of the record contradicts those before it ({error}); check the record "
-                    "with 'bench show RUN --verify'"
+                    f"event {event.number} of the record contradicts those before it ({cause_of(error)}); check "
+                    "the record with 'bench show RUN --verify'"
                 )
             ) from error
 

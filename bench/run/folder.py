@@ -15,6 +15,7 @@ from typing import Any, Final
 
 from bench.base.computing import uncollected
 from bench.base.files import cache_folder, read_json, read_regular, write_whole
+from bench.base.text import cause_of
 from bench.config.procedure.plan import Plan, Read
 from bench.readings.corrected import LevelReading, with_levels
 from bench.readings.reading import readings_of
@@ -66,7 +67,9 @@ class Run:
             with uncollected():
                 return Plan.from_json(read_json(read_regular(self.folder / PLAN)))
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-            raise RecordError(f"{self.folder / PLAN}: cannot be read ({error}); {self._remedy()}") from error
+            raise RecordError(
+                f"{self.folder / PLAN}: cannot be read ({cause_of(error)}); {self._remedy()}"
+            ) from error
 
     def _remedy(self) -> str:
         """Return how the plan can be read again: the file may be intact, and of another version of the program."""

@@ -21,7 +21,7 @@ from typing import Any, BinaryIO, Final
 
 from bench.base.computing import uncollected
 from bench.base.files import DISK_FULL, open_regular, read_json, read_regular, write_synced
-from bench.base.text import as_typed, in_json
+from bench.base.text import as_typed, cause_of, in_json
 from bench.config.procedure.plan import Plan, Read, Turn
 from bench.readings.reading import Reading
 from bench.run.events import (
@@ -181,7 +181,7 @@ class _Reader:
         try:
             self._note(event)
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
-            return f"not an event that can follow here ({error})"
+            return f"not an event that can follow here ({cause_of(error)})"
         history.head = digest_of(line[:-1]).hexdigest()
         history.length += len(line)
         history.events.last = event

@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Final, TypeVar
 from filelock import FileLock, Timeout
 
 from bench.base.files import open_regular, read_json, read_regular, sync_folder, write_whole
+from bench.base.text import cause_of
 from bench.services.errors import Refused, refusing
 from drivers.clock import utc_now
 
@@ -140,7 +141,9 @@ class Chain:
             kind, number = told.pop("type"), told.pop("number")
             entry = Entry(kind, number, told.pop("time"), told.pop("by"), told)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise Refused(f"{where}: not a line of a register ({error}); restore it from a copy") from None
+            raise Refused(
+                f"{where}: not a line of a register ({cause_of(error)}); restore it from a copy"
+            ) from None
         if previous != self.head or n != self.count + 1:
             raise Refused(
                 f"{where}: the chain is broken here (a line was changed or removed); restore it from a copy"

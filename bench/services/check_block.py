@@ -15,7 +15,7 @@ import numpy as np
 
 from bench.base.arrays import HOUR, Floats, u_of
 from bench.base.files import cache_folder, from_text, read_regular, write_whole
-from bench.base.text import as_typed, duration
+from bench.base.text import as_typed, cause_of, duration
 from bench.base.yaml_files import load_document, part
 from bench.calibration.intrinsic import INTRINSIC
 from bench.calibration.result import CalibrationError
@@ -337,7 +337,8 @@ def _reference(path: Path, g_m_s2: float) -> Reference:
         data = from_text(read_regular(path).decode())
     except (OSError, ValueError) as error:
         raise Refused(
-            f"check_block: reference: {path}: not a result of 'bench calibrate --json' ({error}); name one"
+            f"check_block: reference: {path}: not a result of 'bench calibrate --json' ({cause_of(error)}); "
+            "name one"
         ) from error
     found = coefficients_of(data[0] if isinstance(data, list) and data else data, str(path))
     when = date_of(found.made_at, str(path))

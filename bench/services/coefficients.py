@@ -14,7 +14,7 @@ import numpy as np
 from bench.base.arrays import CHANNELS, Floats
 from bench.base.files import from_text, read_given, write_whole
 from bench.base.numbers import read_number
-from bench.base.text import shortened
+from bench.base.text import cause_of, shortened
 from bench.calibration.result import NOT_ACCEPTED_P
 from bench.exchange.result import BlockResult
 from bench.model.effects import TEMPERATURE_EFFECTS
@@ -109,7 +109,8 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
         ) from error
     except (ValueError, TypeError, IndexError, AttributeError) as error:
         raise Refused(
-            f"{where}: not a result of 'bench calibrate --json' ({error}); give a file that calibrate wrote"
+            f"{where}: not a result of 'bench calibrate --json' ({cause_of(error)}); give a file that "
+            "calibrate wrote"
         ) from error
     right = {"unit": isinstance(theirs, str), "per": per == "g", "simulated": isinstance(simulated, bool)}
     if wrong := [name for name, well in right.items() if not well]:

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from bench.base.files import from_text, read_given, read_json, read_regular, to_text, write_whole
 from bench.base.tables import Screen, as_html, table
-from bench.base.text import as_typed, in_json, visible
+from bench.base.text import as_typed, cause_of, in_json, visible
 
 ACTS = ["\x1b[2J", *"\x07\x00\x7f\x9b\u202e\u2066\u2028\ufeff\ud800\r\U000e0041"]
 
@@ -43,6 +43,19 @@ def test_a_name_in_a_command_can_be_pasted(name, typed):
 def test_what_people_write_stays():
     text = "µ Δg ≤ 3·10⁻⁴ g\tℓ = 1\u202fm\r\n日本 🎉 \u200d é\n"
     assert visible(text) == text == in_json(text)
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (KeyError("time"), "'time' is missing"),
+        (TypeError("'int' object is not iterable"), "a value of the wrong type"),
+        (PermissionError(13, "Permission denied", "a.json"), "Permission denied"),
+        (ValueError("format 2"), "format 2"),
+    ],
+)
+def test_a_cause_has_no_words_of_python(error, words):
+    assert cause_of(error) == words
 
 
 @pytest.mark.parametrize("text", ACTS)

@@ -10,6 +10,7 @@ import numpy as np
 from lxml import etree
 
 from bench.base.arrays import u_of
+from bench.base.text import cause_of
 from bench.certificate.dcc.lists import NotRead, real_lists
 from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, VERSION, Node
 from bench.certificate.laboratory import SIMULATED_SERIES
@@ -177,4 +178,4 @@ def _version_of(path: Path) -> str | None:
     try:
         return etree.parse(str(path), parser()).getroot().get("version")
     except (etree.XMLSyntaxError, OSError) as error:
-        raise Refused(f"{path}: cannot be read ({error}); check name and permissions") from error
+        raise Refused(f"{path}: cannot be read ({cause_of(error)}); check name and permissions") from error
