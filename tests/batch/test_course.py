@@ -397,3 +397,17 @@ def test_a_record_at_a_known_input_has_gain_and_offset_and_their_change(bench, e
     assert "do not apply to a record at a known input" in refused["failed"]
     found = worked(Job(DIAGNOSE), row["run"])
     assert "voltmeter_thermal" in found["names"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{}", r"it lacks format, command, .*begun\)"),
+        ("[1]", "it lacks format"),
+        ("{", r"not a readable batch"),
+    ],
+)
+def test_a_damaged_batch_says_what_is_wrong(tmp_path, text, words):
+    (tmp_path / "batch.json").write_text(text)
+    with pytest.raises(Refused, match=words):
+        Store(tmp_path).noted()

@@ -4,6 +4,7 @@ import json
 import shutil
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -48,6 +49,20 @@ def of_days(bench, count: int, name: str = "shifted"):
     """The chart of the first runs, as it was on their day."""
     runs = check_block_runs(bench, Path("runs"), simulated=True)
     return chart_of(runs[:count], bench.check_block)
+
+
+@pytest.mark.parametrize(
+    ("other", "words"),
+    [
+        ({"block": "Q-18"}, r"a is of Q-17, b of Q-18\); name only runs of one block"),
+        ({"unit": "mA"}, r"a is in V, b in mA\); name only runs of one unit"),
+        ({"simulated": True}, r"a is real, b simulated\); name only runs of one kind"),
+    ],
+)
+def test_runs_that_cannot_share_a_chart_are_named(other, words):
+    one = {"name": "a", "block": "Q-17", "unit": "V", "simulated": False}
+    with pytest.raises(Refused, match=words):
+        check_block._refuse_mixed([SimpleNamespace(**one), SimpleNamespace(**one | {"name": "b"} | other)])
 
 
 @pytest.mark.slow

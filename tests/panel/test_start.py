@@ -23,7 +23,7 @@ from bench.panel.launching import (
     wait_until,
 )
 from bench.panel.own_files import choices, chosen_bench
-from bench.panel.pages.start import FORM, form_field
+from bench.panel.pages.start import FORM, form_field, printable
 from bench.panel.shared import Panel
 from bench.run.events import MANIFEST
 from tests.support.commands import without_figures
@@ -240,3 +240,18 @@ def test_a_damaged_wish_is_one_to_begin_again(anna, started):
     (wish.path / "found.json").write_text("[]")
     assert anna.get(f"/start/{wish.id}").status_code == 404
     assert WishFolder(wish.path).at_work() is False
+
+
+@pytest.mark.parametrize(
+    ("text", "words"), [("x" * 101, "unit: .* more than 100"), ("a\x1b", "unit: .* printed")]
+)
+def test_a_text_of_a_field_is_refused_for_its_own_reason(text, words):
+    assert printable(f" {'x' * 100} ", "unit") == "x" * 100
+    with pytest.raises(Refusal, match=words):
+        printable(text, "unit")
+
+
+def test_a_process_that_ends_without_a_word_is_told(tmp_path):
+    started = start([], tmp_path / "log", program=("-c", "raise SystemExit(2)"))
+    with pytest.raises(Refusal, match=r"exit status 2\) and stated no cause"):
+        wait_until(lambda: False, started)
