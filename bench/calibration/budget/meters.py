@@ -329,7 +329,8 @@ def thermometer_size(bench: BenchFile) -> Size | None:
         return size
     if size is None:
         limit = Distribution(thermometer.tolerance_k, "rectangular")
-        size = Size(limit, message(f"no certificate: ±{limit.limit:.2g} K of its kind"), prior=True)
+        origin = message(f"no certificate: ±{limit.limit:.2g} K, as for instruments of its type")
+        size = Size(limit, origin, prior=True)
     stated = thermometer.gradient
     gradient = GRADIENT if stated is None else Distribution(stated, "rectangular")
     origin = message(f"{size.origin}; ±{gradient.limit:g} K to the block") + (
