@@ -51,12 +51,11 @@ FARTHEST_NOMINAL_RAD: Final = np.radians(1.0)
 def require_numbers(rows: Readings, *, angles: bool) -> None:
     """Raise `CalibrationError` for a signal that is overloaded or no number; `angles` checks the angles, too."""
     bad = np.asarray(~np.isfinite(rows.signal).all(axis=1))
-    if angles:
-        bad |= ~np.isfinite(rows.angle_rad)
     if np.any(bad):
-        raise CalibrationError(
-            f"{_place(rows, bad)} has a signal or an angle that is not a number; remove this reading"
-        )
+        raise CalibrationError(f"{_place(rows, bad)} has a signal that is not a number; remove this reading")
+    bad = ~np.isfinite(rows.angle_rad)
+    if angles and np.any(bad):
+        raise CalibrationError(f"{_place(rows, bad)} has an angle that is not a number; remove this reading")
     over = np.asarray((np.abs(rows.signal) >= OVERLOAD).any(axis=1))
     if np.any(over):
         raise CalibrationError(

@@ -35,14 +35,17 @@ _CONTROL_TIMEOUT_S: Final = 10.0
 def instruments(request: InstrumentsRequest, json: JsonOption = None) -> int:
     """Test all instruments of a bench: identity, self-test, reading."""
     if request.commission:
-        if request.discover or request.wire_log is not None:
+        if request.discover:
+            raise Refused("--commission excludes --discover; remove one of them")
+        if request.wire_log is not None:
             raise Refused(
-                "--commission excludes --discover and --wire-log (its folder holds a wire log); remove them"
+                "--commission excludes --wire-log, as its folder holds a wire log; remove --wire-log"
             )
         _named(request.bench)
         return _commission(request, json)
-    if request.dry_run or request.out is not None:
-        raise Refused("--dry-run and --out need --commission; add it or remove them")
+    for option, given in (("--dry-run", request.dry_run), ("--out", request.out is not None)):
+        if given:
+            raise Refused(f"{option} needs --commission; add --commission, or remove {option}")
     return _offers(json) if request.discover else look(request.bench, json, request.wire_log)
 
 

@@ -175,8 +175,8 @@ def test_a_single_reading_is_refused():
     [
         ("installation", slice(None), "S", "no reading in an installation of known orientation"),
         ("installation", 3, "7", r"installation 7 is unknown \(known are 1, 2\)"),
-        ("signal", 12, np.nan, "installation 1, pass 2, point 4 has a signal or an angle"),
-        ("angle_rad", 12, np.nan, "installation 1, pass 2, point 4 has a signal or an angle"),
+        ("signal", 12, np.nan, "installation 1, pass 2, point 4 has a signal that is not"),
+        ("angle_rad", 12, np.nan, "installation 1, pass 2, point 4 has an angle that is not"),
     ],
 )
 def test_readings_that_cannot_be_calibrated_are_refused(column, rows, value, told):
