@@ -175,7 +175,7 @@ def evaluate_kit(
     off = [code for code, one in zip(once, judged, strict=True) if one.off]
     parts = drifts_of(drifts)
     return KitResult(
-        block=kit.block, unit=units[0], g_m_s2=STANDARD_GRAVITY,
+        block=kit.block, unit=next(iter(units)), g_m_s2=STANDARD_GRAVITY,
         consensus={
             name: ValuePart(value=float(v), u=float(s))
             for name, v, s in zip(INTRINSIC, np.sum(weights * values, axis=0), u, strict=True)
