@@ -192,7 +192,7 @@ def test_angles_that_are_not_the_nominal_ones_are_refused():
     """(8) takes 45 degrees for granted; five minutes off would be 3 mV."""
     readings = simulate(None, 0.0)
     readings.angle_rad[10] += np.radians(5 / 60)
-    with pytest.raises(CalibrationError, match=r"needs point 2 at 45°.*stood at 45\.0833°"):
+    with pytest.raises(CalibrationError, match=r"needs point 2 of installation 1 at 45°.*stood at 45\.0833°"):
         by_closed_form(readings)
 
 
