@@ -192,7 +192,7 @@ def test_command_line_with_counts(bench):
     assert "point 22" in out
     assert bench("report", DATA / "innalabs-49.csv", "--out", "here")[0] == 0
     page = Path("here/innalabs-49.html").read_text(encoding="utf-8")
-    assert "Readings that joined by their modulus" in page
+    assert "Free positions" in page
 
 
 # --- joined -----------------------------------------------------------------------------------------

@@ -1,5 +1,6 @@
 """Logs of others as readings files, by a mapping of their columns."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ from bench.base.yaml_files import FileMistakes, load_validated
 from bench.config.foreign_log import LogColumns, convert_log
 from bench.readings.csv import ReadingsError
 
+DOCS = Path(__file__).parents[2] / "docs"
 LOG = """# made by some program
 when;a/mV;b/mV;dut;bath
 2024-10-01 12:00:00;1000,001;1000,003;999999,5;296,15
@@ -122,6 +124,16 @@ def test_a_column_of_installations_is_taken_as_it_is_written(bench, tmp_path):
     assert bench(*command)[0] in (0, None)
     rows = (tmp_path / "runs/block/readings.csv").read_text().splitlines()[1:]
     assert [row.split(",")[0] for row in rows] == ["1", "1", "2", "2", "V", "1T180"]
+
+
+def test_the_documented_table_of_a_block_is_converted():
+    page = (DOCS / "real-records.md").read_text(encoding="utf-8")
+    table = "\n".join(re.findall(r"^    ((?:inst,|1,1,).*)$", page, re.M)) + "\n"
+    made = convert_log(Path("log"), table.encode(), load_validated(DOCS / "examples/block.yaml", LogColumns))
+    header, first, second = (line.split(",") for line in made.text.splitlines())
+    assert header == ["installation", "pass", "point", "angle_deg", "ux_v", "uy_v", "uz_v", "temperature_c"]
+    assert [float(cell) for cell in first[3:]] == pytest.approx([0.0008, 0.096392, -0.16362, -2.556161, 23.0])
+    assert (second[0], float(second[2]), float(second[3])) == ("1", 2, 45.0006)
 
 
 def test_a_preview_shows_what_the_import_would_refuse(bench, tmp_path):

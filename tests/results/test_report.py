@@ -157,8 +157,8 @@ def test_other_units_and_notes(calibration):
 def test_the_comparison_with_another_estimator_is_shown(calibration):
     other = calibrate(calibration.fitted, MODEL, STAND_U, 9.81, "closed-form")
     page = report(calibration, compared=other)
-    assert "Beside another estimator" in page
-    assert "Beside another estimator" not in report(calibration, compared=calibration)
+    assert "Comparison with another estimator" in page
+    assert "Comparison with another estimator" not in report(calibration, compared=calibration)
 
 
 def test_numbers_are_rounded_as_the_guide_says():
