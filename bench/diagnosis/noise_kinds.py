@@ -19,6 +19,7 @@ from scipy import special
 from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints, Mask, quadratic_forms, rms
 from bench.base.languages import message
 from bench.base.numbers import quantity, two_digits
+from bench.calibration.budget.meters import HALF_WAVES, flicker_waves
 from bench.diagnosis.evidence import KNOWN_SIZE
 from bench.diagnosis.levels import HARDLY_EVER, STEPS
 from bench.diagnosis.linear import LinearSystem, RunSizes
@@ -33,7 +34,6 @@ from bench.diagnosis.noise_grid import (
 )
 from bench.diagnosis.posterior import NoiseSize, posterior, whiten_rows
 from bench.readings.table import Readings
-from bench.stats import HALF_WAVES, flicker_waves
 from bench.stats.repeats_likelihood import believed_sizes
 
 LOG_PRIOR: Final = dict.fromkeys(("channels", "runs", "place", "tails", "slow", "reference"), math.log(0.1))

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bench.calibration.budget.meters import HALF_WAVES
 from bench.diagnosis.evidence import null_responses
 from bench.diagnosis.noise_grid import RATIOS
 from bench.diagnosis.noise_kinds import larger_scatter, noise_hypotheses, residuals, slow_noise
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.search import SearchTask, find_effects
-from bench.stats import HALF_WAVES
 from bench.validation.paper_bench import SETTING_U_RAD, STAND_U
 from tests.support.diagnosis_bench import MODEL, NOISE_V, OneThreshold, paper_run, set_up
 

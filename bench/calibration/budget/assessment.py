@@ -22,6 +22,7 @@ from bench.calibration.budget.coefficients import (
     parts_of,
 )
 from bench.calibration.budget.error_source import ErrorSource
+from bench.calibration.budget.meters import FLICKER_RMS
 from bench.calibration.budget.propagation import (
     Distributed,
     Propagated,
@@ -43,7 +44,6 @@ from bench.model.conditions import Conditions
 from bench.model.effects import Stage
 from bench.model.effects.base import Seen
 from bench.model.geometry import COEFFICIENTS, STAND_ANGLES, modulus_slopes
-from bench.stats import FLICKER_RMS
 
 DIRECTIONS: Final = 1000
 MAGNITUDES_G: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)

@@ -14,6 +14,7 @@ from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.calibration import gls
 from bench.calibration.budget.error_source import NAME as FOUNDATION
 from bench.calibration.budget.error_source import ErrorSource, tilt_patterns
+from bench.calibration.budget.meters import flicker_waves
 from bench.calibration.budget.propagation import Propagated, effective_dof
 from bench.calibration.design import FIXED, STEP_RAD, Problem, make_problem
 from bench.calibration.estimators import GLS, in_a_budget
@@ -28,7 +29,6 @@ from bench.model.effects.base import lagged
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block
 from bench.readings.table import UNORIENTED, VERIFICATION, Readings, make_readings
-from bench.stats import flicker_waves
 
 _SAME_FORCE_G: Final = 1e-6
 

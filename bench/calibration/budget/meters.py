@@ -338,3 +338,26 @@ def thermometer_size(bench: BenchFile) -> Size | None:
     )
     both = Distribution(math.hypot(size.distribution.u, gradient.u))
     return Size(both, origin, size.dof, size.prior or stated is None)
+
+
+# --- 1/f noise of a reference ------------------------------------------------------------------------
+
+HALF_WAVES: Final = 16
+"""Largest number of half waves of 1/f noise over a run: faster ones resemble the noise of readings."""
+FLICKER_RMS: Final = float(np.sqrt(np.sum(1.0 / np.arange(1, HALF_WAVES + 1)) / np.log(10.0)))
+"""Root mean square of these waves for a standard deviation of 1 per decade of frequency."""
+
+
+def flicker_waves(time_s: Floats) -> Floats:
+    """Return 1/f noise of standard deviation 1 per decade of frequency at the times (n,), as waves (n, 16).
+
+    The noise is the sum of the waves, each times an independent standard normal number. The waves have a half to
+    eight periods over the times; slower parts are constant, faster ones resemble noise without correlation.
+    """
+    span = float(np.ptp(time_s))
+    if not span > 0.0:
+        return np.zeros((len(time_s), HALF_WAVES))
+    k = np.arange(1, HALF_WAVES + 1)
+    # a decade has the variance 1, so wave k of the mean square 1/2 has the variance 1/(k ln 10)
+    wave = np.cos(np.pi * k * (time_s[:, None] - time_s.min()) / span)
+    return np.asarray(np.sqrt(2.0 / (k * np.log(10.0))) * wave)
