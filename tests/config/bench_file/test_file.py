@@ -128,7 +128,7 @@ def test_many_mistakes_are_told_at_once_with_their_lines(mistakes, paper_text, l
             line_of("zero_offset:"),
             "stand.zero_offset.limit: expected an angle such as '90 arcsec', got '5 mV'",
         ),
-        (lines["axes: [x, y, z]"], "installations.V.axes: the axes ['x', 'z', 'y'] are not"),
+        (lines["axes: [x, y, z]"], "installations.V.axes: the axes x, z, y are not"),
         (lines["limit: 3e-4 g"], "verification.limit: expected an acceleration in local gravity"),
         (lines["noise: yes"], "simulation.voltmeter.noise: expected yes or no, got 'maybe'"),
     ]
