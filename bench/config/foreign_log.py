@@ -144,7 +144,10 @@ def _summand(name: str, unit: str | None) -> float:
 
 @dataclass(frozen=True)
 class ConvertedLog:
-    """A log converted to a readings file: its text, the number of rows, and the rows left out, with the reason."""
+    """A log converted to a readings file: its text, the number of rows, and the rows left out, with the reason.
+
+    Each row stands in the line that it has in the log, so that messages about either name the same line.
+    """
 
     text: str
     rows: int
@@ -152,7 +155,7 @@ class ConvertedLog:
 
     def preview(self) -> str:
         """Return the header and the first rows."""
-        return "\n".join(self.text.splitlines()[: 1 + MOST_PREVIEWED])
+        return "\n".join([line for line in self.text.splitlines() if line][: 1 + MOST_PREVIEWED])
 
 
 def convert_log(
@@ -195,7 +198,7 @@ def convert_log(
     made, bad = [], []
     for (number, _), cells in zip(lines[1:], rows[1:], strict=True):
         try:
-            made.append(reader.row(cells))
+            made.append((number, reader.row(cells)))
         except _HourRepeatedError as problem:
             raise ReadingsError(f"{path}, line {number}, {problem}") from None
         except ValueError as problem:
@@ -207,7 +210,11 @@ def convert_log(
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\r\n")
     writer.writerow(reader.names)
-    writer.writerows(made)
+    last = 1
+    for number, row in made:
+        out.write("\r\n" * (number - last - 1))
+        writer.writerow(row)
+        last = number
     return ConvertedLog(out.getvalue(), len(made), tuple(bad))
 
 

@@ -21,6 +21,7 @@ from bench.batch.outcome import asked_of, carried_out, rows_of
 from bench.batch.store import list_runs
 from bench.batch.work import stored_calibration
 from bench.calibration.estimators import GLS, find_estimator
+from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
 from bench.results.validation import (
     NOT_PROVEN,
@@ -71,12 +72,16 @@ THRESHOLD_U: Final = 0.1
 
 
 def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationResult:
-    """Carry out a validation; write result, page, PDF and seal. Raises `Refused` for an unusable folder or key."""
+    """Carry out a validation; write result, page, PDF and seal.
+
+    Raises `Refused` for an unusable folder or key, `FileMistakes` for a bench file with mistakes.
+    """
     began, clock, cpu_s = utc_now(), SystemClock(), _cpu_s()
     began_s = clock.now_s()
     _check_release(request)
     key = None if request.key is None else private_key(request.key, passphrase)
     bench = _bench(request)
+    load_bench(bench)  # its mistakes are refused before the checks begin
     if request.against is not None:  # what names no run is refused before the checks begin
         _past_runs(request, request.against)
     folder = request.out or Path(f"validation-{began.astimezone():%Y%m%d-%H%M%S}")
@@ -89,7 +94,7 @@ def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationR
         released = request.release, request.release_key
         context = Context(bench, Path(scratch), request.quick, accepted, tuple(places), *released)
         checks = carry_out(context, every())
-        name, own = _bench_parts(context)
+        name, own = context.bench.name, plug_ins(context.bench)
     part: AgainstPart | None = None
     if request.against is not None:
         part = against(request, request.against, folder / "against")
@@ -139,14 +144,6 @@ def _check_release(request: Validate) -> None:
 def _bench(request: Validate) -> Path:
     named = request.bench or os.environ.get("BENCH_FILE")
     return bench_path(named) if named else find_bench(DEFAULT_BENCH)
-
-
-def _bench_parts(context: Context) -> tuple[str, dict[str, str]]:
-    """Return the name of the bench and its plug-ins."""
-    try:
-        return context.bench.name, plug_ins(context.bench)
-    except Exception:  # a bench file with mistakes: the checks that need it say so
-        return context.bench_path.stem, {}
 
 
 def _cpu_s() -> float:

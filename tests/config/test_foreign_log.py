@@ -37,7 +37,7 @@ def mapping(tmp_path, text=MAPPING):
 
 def test_units_times_and_means_are_converted(tmp_path):
     made = convert_log(Path("log"), LOG.encode(), mapping(tmp_path))
-    header, first, second = (line.split(",") for line in made.text.splitlines())
+    header, first, second = (line.split(",") for line in made.text.split())
     assert header == [
         "installation",
         "time_s",
@@ -63,6 +63,13 @@ def test_all_bad_rows_are_told_at_once_and_can_be_left_out(tmp_path):
     assert "line 7, expected 5 cells" in lines[2]
     left = convert_log(Path("log"), bad.encode(), mapping(tmp_path), skip_bad_rows=True)
     assert (left.rows, len(left.skipped)) == (2, 3)
+
+
+def test_a_row_keeps_the_line_that_it_has_in_the_log(tmp_path):
+    made = convert_log(Path("log"), LOG.replace("bath\n", "bath\n\n").encode(), mapping(tmp_path))
+    lines = made.text.splitlines()
+    assert [number for number, line in enumerate(lines, start=1) if line] == [1, 4, 5]
+    assert made.preview().splitlines() == [line for line in lines if line]
 
 
 def test_a_missing_column_is_named_with_those_that_are_there(tmp_path):
@@ -130,7 +137,7 @@ def test_the_documented_table_of_a_block_is_converted():
     page = (DOCS / "real-records.md").read_text(encoding="utf-8")
     table = "\n".join(re.findall(r"^    ((?:inst,|1,1,).*)$", page, re.M)) + "\n"
     made = convert_log(Path("log"), table.encode(), load_validated(DOCS / "examples/block.yaml", LogColumns))
-    header, first, second = (line.split(",") for line in made.text.splitlines())
+    header, first, second = (line.split(",") for line in made.text.split())
     assert header == ["installation", "pass", "point", "angle_deg", "ux_v", "uy_v", "uz_v", "temperature_c"]
     assert [float(cell) for cell in first[3:]] == pytest.approx([0.0008, 0.096392, -0.16362, -2.556161, 23.0])
     assert (second[0], float(second[2]), float(second[3])) == ("1", 2, 45.0006)
@@ -254,6 +261,6 @@ def test_a_log_without_rows_is_refused(tmp_path):
 def test_a_mean_with_an_empty_cell_is_empty(tmp_path):
     text = LOG.replace("1000,003;999999,5", ";999999,5")
     made = convert_log(Path("log"), text.encode(), mapping(tmp_path))
-    first = dict(zip(*(line.split(",") for line in made.text.splitlines()[:2]), strict=True))
+    first = dict(zip(*(line.split(",") for line in made.text.split()[:2]), strict=True))
     assert (first["reference_v"], first["reference_sd_v"]) == ("", "")
     assert float(first["ux_v"]) == pytest.approx(0.9999995, rel=1e-12)

@@ -90,6 +90,17 @@ def test_a_validation_is_written_sealed_accepted_and_compared(bench, few, labora
     assert "4 entries" in entries
 
 
+def test_a_file_that_is_no_bench_file_is_refused_before_the_checks(bench, few):
+    def reached(context):
+        """Fail."""
+        raise AssertionError("a check was carried out")
+
+    few.append(Check("reached", "machine", "7.11.2", "any", reached))
+    Path("odd.yaml").write_text("hello: world\n", encoding="utf-8")
+    refused(bench("validate", "--bench", "odd.yaml", "--out", "v"), "odd.yaml:1: 'stand' is missing", lines=6)
+    assert not Path("v").exists()
+
+
 def test_a_failed_check_names_its_place_and_cannot_be_accepted(bench, few, laboratory):
     few.append(Check("a broken thing", "machine", "7.11.2", "to work", broken, place="bench/somewhere.py"))
     out = printed(
