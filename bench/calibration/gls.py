@@ -480,4 +480,4 @@ class Estimator:
         return self.gain is None
 
 
-ESTIMATOR: Final = Estimator("gls", "all readings, weighed")
+ESTIMATOR: Final = Estimator("gls", "all readings, weighted")

@@ -149,7 +149,7 @@ def _studentised(found: Floats, variance: Floats, whole: Floats) -> Floats:
 
 ESTIMATOR: Final = Estimator(
     "robust",
-    "gls without the weight of outliers",
+    "gls without the outliers",
     lambda task: search(task.problem, task.fit, task.refit, most_outliers(task.problem)),
     drops_outliers=True,
     counts_as="gls",

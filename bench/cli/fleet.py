@@ -22,7 +22,7 @@ GROUP: Final = group("fleet", "bench fleet effects type='block A' simulated=no")
 
 @command("bench fleet effects type='block A' simulated=no --json effects.json", to=GROUP)
 def effects(request: OfFleet, json: JsonOption = None) -> int:
-    """Estimate how much units, benches and time vary; name outliers."""
+    """Estimate the variation between units, between benches and over time; name outliers."""
     from bench.history.bench_or_block import bench_or_block
     from bench.results.fleet import effects_result, print_effects
 
@@ -37,7 +37,8 @@ def compare(
     json: JsonOption = None,
     out: OutOption = None,
     strict: Annotated[
-        bool, typer.Option("--strict", help="A bench that is off in the nine together is not accepted.")
+        bool,
+        typer.Option("--strict", help="Reject a bench that is off in the joint test of the nine numbers."),
     ] = False,
 ) -> int:
     """Compare benches on common units: degrees of equivalence, E_n, Birge ratio."""

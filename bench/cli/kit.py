@@ -42,7 +42,7 @@ def seal(request: SealKit) -> int:
 def evaluate(request: EvaluateKit, json: JsonOption = None, out: OutOption = None) -> int:
     """Judge each laboratory against the consensus of the others, in the nine numbers.
 
-    Exit status 1 if one is off, or the block changed.
+    Exit status 1 if a laboratory is off, or the block changed.
     """
     from bench.certificate.interlaboratory import files_of, kit_evaluated
     from bench.results.interlaboratory import print_kit

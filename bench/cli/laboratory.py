@@ -10,7 +10,7 @@ from bench.services.requests.documents import ChangePersons, Failures, Validate
 
 @command("bench persons add 'B. Example' --may operate --by 'A. Example'")
 def persons(request: ChangePersons, json: JsonOption = None) -> int:
-    """List the persons of the laboratory; add one, change one, or end one's rights.
+    """List the persons of the laboratory; add or change a person, or end their rights.
 
     Runs, certificates, validations, failures and the panel use these persons.
     """
@@ -22,7 +22,7 @@ def persons(request: ChangePersons, json: JsonOption = None) -> int:
 
 @command("bench failures --laboratory laboratory.yaml --year 2026 --page review.html")
 def failures(request: Failures, json: JsonOption = None) -> int:
-    """Collect failures of runs in a register; note their remedies; a page for the review.
+    """Collect failures of runs in a register; note remedies; write a page for the review.
 
     Failed and stopped runs, refused answers, repeated readings and alarms are collected from the records.
     """
@@ -38,7 +38,7 @@ def failures(request: Failures, json: JsonOption = None) -> int:
 def validate(request: Validate, json: JsonOption = None) -> int:
     """Validate this installation: reference data, instruments, records, certificates, machine.
 
-    Exit status 1 if a check fails. To accept it, give --accept DIR, --by NAME and --reason TEXT.
+    Exit status 1 if a check fails. To accept a validation, give --accept DIR, --by NAME and --reason TEXT.
     """
     one_thread()
     from bench.validation import acceptance

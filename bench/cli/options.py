@@ -208,7 +208,7 @@ JsonOption = Annotated[
 OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for the result files.")]
 StrictFitOption = Annotated[
     bool,
-    typer.Option("--strict", help="Reject a lack of fit from p < 0.01 (default: p < 1e-4)."),
+    typer.Option("--strict", help="Reject a fit whose lack of fit has p < 0.01 (default: p < 1e-4)."),
 ]
 
 

@@ -15,7 +15,7 @@ from bench.services.requests.shared import runs_folder
 def panel(request: ServePanel) -> int:
     """Serve the operator's panel in a browser.
 
-    'bench panel token' makes the tokens of those who may sign in.
+    'bench panel token NAME' makes a token, with which NAME may sign in.
     """
     refuse_without_packages()
     from bench.panel.access import Settings

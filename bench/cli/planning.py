@@ -26,7 +26,7 @@ def check(
     request: Check,
     json: JsonOption = None,
     every_step: Annotated[
-        bool, typer.Option("--all", help="List each step; otherwise equal steps share a line.")
+        bool, typer.Option("--all", help="List every step; by default, equal steps share a line.")
     ] = False,
     instruments: Annotated[
         bool, typer.Option("--instruments", help="Also open the instruments of the bench.")

@@ -71,7 +71,7 @@ def seal(request: SealRun, json: JsonOption = None) -> int:
 
 @command("bench key ~/.bench-keys/laboratory.pem")
 def key(request: MakeKey) -> int:
-    """Make the key of the laboratory that signs seals, or one that signs certificates."""
+    """Make the laboratory's key for seals, or a key for certificates."""
     from bench.run.seal import new_key
     from drivers.clock import utc_now
 
@@ -108,7 +108,7 @@ def export(request: ExportReadings) -> int:
 
 @command("bench import readings.csv --name unit-17-by-hand", "import")
 def import_(request: ImportReadings) -> int:
-    """Import a readings file that was measured elsewhere as a run."""
+    """Make a run of readings that were measured elsewhere."""
     from bench.services.conclusion import check_preview, import_readings, preview_log
 
     out = printing.console()

@@ -1,4 +1,4 @@
-"""Statistics without reference to a bench; this module: adjusted p-values, chi-square, contrasts.
+"""Statistics without reference to a bench, such as adjusted p-values, chi-square, contrasts.
 
 Source: S. Holm, "A simple sequentially rejective multiple test procedure", Scand. J. Statist. 6 (1979) 65.
 """

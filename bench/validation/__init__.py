@@ -1,1 +1,1 @@
-"""`bench validate`: checks that prove an installation, their register, and how past runs change with a program."""
+"""`bench validate`: checks of an installation, a register of validations, and past runs recomputed."""

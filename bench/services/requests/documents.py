@@ -58,7 +58,7 @@ class Ask:
 @dataclass(frozen=True, kw_only=True)
 class _Dated:
     limit: float | None = option(
-        None, "Allowed error, in g at 1 g (default: of the last verification).", metavar="G"
+        None, "Allowed error, in g at 1 g (default: limit of the last verification).", metavar="G"
     )
     interval: float | None = option(
         None, "Interval for units with a short history (default: 365).", metavar="DAYS"
@@ -235,11 +235,9 @@ class PlanKit:
 
     plan: Annotated[str | Path, Option("Plan to write (YAML).", argument=True)]
     _: KW_ONLY
-    laboratory: Annotated[
-        Sequence[str], Option("A laboratory, the pilot first (repeatable).", metavar="NAME")
-    ]
+    laboratory: Annotated[Sequence[str], Option("Laboratory, the pilot first (repeatable).", metavar="NAME")]
     block: str = option("block", "Type and serial number of the block.", metavar="TEXT")
-    seed: int = option(1, "Draws the order and the blind codes.", least=0)
+    seed: int = option(1, "Seed of the random order and blind codes.", least=0)
 
 
 @dataclass(frozen=True)
@@ -259,11 +257,11 @@ class EvaluateKit(SealKit):
     _: KW_ONLY
     check: Sequence[str] = option(
         (),
-        "Readings of a transport check of a stop: a monitor on arrival, then before departure (repeatable).",
+        "Transport check of a stop: its CODE and monitor run, on arrival, then before departure (repeatable).",
         metavar="CODE=FILE",
     )
     g: float | None = option(
-        None, "Local gravity of the stated K, for a foreign certificate.", metavar="M/S2", rare=True
+        None, "Local gravity on which K is based, for a foreign certificate.", metavar="M/S2", rare=True
     )
 
 
@@ -276,13 +274,13 @@ class ReadCertificate:
     ]
     _: KW_ONLY
     out: Path | None = option(None, "File for the coefficients, for verify --coefficients and compare.")
-    into: Path | None = option(None, "Bench file into which the certificate of --instrument is written.")
+    into: Path | None = option(None, "Bench file that gets the certificate of --instrument.")
     instrument: str | None = option(
-        None, "With --into: its instrument, such as head or chamber.", metavar="NAME"
+        None, "With --into: instrument of the bench file, such as head or chamber.", metavar="NAME"
     )
     by: str | None = option(None, "With --into: who accepts the certificate.", metavar="NAME")
     g: float | None = option(
-        None, "Local gravity of the stated K, for a foreign certificate.", metavar="M/S2", rare=True
+        None, "Local gravity on which K is based, for a foreign certificate.", metavar="M/S2", rare=True
     )
     noise: str | None = option(
         None, "Noise of a reading, such as '50 uV', for a foreign certificate.", metavar="VOLTAGE", rare=True
@@ -302,7 +300,7 @@ class Validate:
         metavar="FILE",
         completes="bench_files",
     )
-    quick: bool = option(False, "Take a minute: fewer simulated files, one kill.")
+    quick: bool = option(False, "Take a minute: simulate fewer files, kill and resume a run only once.")
     against: str | None = option(
         None,
         "Also recompute past runs (a path pattern or catalogue query) and list changes beyond 0.1 u.",
@@ -313,15 +311,13 @@ class Validate:
     )
     key: Path | None = option(None, "Private key (Ed25519) that signs the seal.", rare=True)
     release: Path | None = option(
-        None, "Manifest of a release: the program and its packages must be those.", rare=True
+        None, "Manifest of a release, which the program and its packages must match.", rare=True
     )
     release_key: Path | None = option(
-        None, "Public key (Ed25519) that must have signed the manifest.", rare=True
+        None, "Public key (Ed25519) that verifies the manifest's signature.", rare=True
     )
     laboratory: LaboratoryField = None
-    accept: Path | None = option(
-        None, "Accept the validation in DIR as authorised person: it is registered.", metavar="DIR"
-    )
+    accept: Path | None = option(None, "Accept and register the validation in DIR.", metavar="DIR")
     withdraw: str | None = option(
         None, "Withdraw the accepted validation NUMBER.", metavar="NUMBER", rare=True
     )
@@ -345,13 +341,15 @@ class Failures:
     """Options of `bench failures`: collect failures from records, note state and remedy, or list a year."""
 
     laboratory: LaboratoryField = None
-    number: str | None = option(None, "Failure whose state and remedy are noted.", metavar="NUMBER")
+    number: str | None = option(
+        None, "Number of the failure that gets --state and --remedy.", metavar="NUMBER"
+    )
     state: FailureState | None = option(
-        None, "Its state: open, remedied or closed (by an authorised person)."
+        None, "State of the failure: open, remedied or closed (by an authorised person)."
     )
     remedy: str | None = option(None, "Cause and remedy, in words.", metavar="TEXT")
-    by: str | None = option(None, "Who notes it.", metavar="NAME")
-    year: int | None = option(None, "Show the failures of this year only.", metavar="YYYY")
+    by: str | None = option(None, "Person who notes state and remedy.", metavar="NAME")
+    year: int | None = option(None, "Show only the failures of year YYYY.", metavar="YYYY")
     page: Path | None = option(None, "Write an HTML page, as for the management review.")
     runs: shared.RunsField = None
 
@@ -385,7 +383,7 @@ class ChangePersons:
     """Options of `bench persons`: list or change the persons of a laboratory."""
 
     what: PersonsCommand | None = option(
-        None, "add, change, or end (the rights of) a person (default: list all).", argument=True
+        None, "add, change, or end (a person's rights) (default: list all).", argument=True
     )
     name: str | None = option(None, "Name of the person.", argument=True)
     _: KW_ONLY
@@ -393,7 +391,7 @@ class ChangePersons:
     may: str | None = option(
         None, "Rights, with commas: operate, supervise, authorise, administer.", metavar="RIGHTS"
     )
-    token: bool = option(False, "Make a new token and print it, this once.")
+    token: bool = option(False, "Make a new token, and print it once.")
     public_key: Path | None = option(
         None, "Public key of the person (Ed25519, the .pub of 'bench key').", rare=True
     )
@@ -420,14 +418,14 @@ class ServePanel:
 
     what: PeopleCommand | None = option(
         None,
-        "token NAME makes a token, tokens lists tokens, revoke NAME revokes one, "
-        "link makes a one-time link (for NAME) (default: serve the panel).",
+        "token NAME (makes a token), tokens (lists all), revoke NAME, "
+        "or link [NAME] (makes a one-time link) (default: serve the panel).",
         argument=True,
     )
     name: str | None = option(None, "Name of the person.", argument=True)
     _: KW_ONLY
     role: str = option("operator", "Role of the person: viewer, operator or supervisor.")
-    host: str = option("127.0.0.1", "Address to listen on; other than loopback needs tokens.")
+    host: str = option("127.0.0.1", "Address to listen on; any but loopback requires tokens.")
     port: int = option(8741, "Port to listen on; 0 for a free one.", least=0, most=65535)
     address: str = option(
         "", "Address of a TLS proxy in front, such as https://bench.lab.", metavar="URL", rare=True

@@ -114,7 +114,7 @@ class Coefficients(shared.OnReadings):
         rare=True,
     )
     without_temperature: bool = option(
-        False, "Write a result whose model takes temperature out without it; the file says so.", rare=True
+        False, "Write a result without its temperature correction; the file says so.", rare=True
     )
 
 
@@ -172,7 +172,7 @@ class Diagnose(shared.OnReadings):
     _: KW_ONLY
     one_block: bool | None = option(
         None,
-        "With --together: runs of one block, or of a block each (default: by names and readings).",
+        "With --together: all runs of one block, or each of another (default: by names and readings).",
         flags=("--one-block/--a-block-each",),
         rare=True,
     )

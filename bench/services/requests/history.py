@@ -55,7 +55,7 @@ class Compare(OnReadings):
     ]
     _: KW_ONLY
     date: Sequence[str] | None = option(
-        None, "Date of each source, in order, if it has none.", metavar="YYYY-MM-DD"
+        None, "Date of each source, in order, instead of its own.", metavar="YYYY-MM-DD"
     )
 
 
@@ -103,7 +103,7 @@ class Stability:
     ]
     _: KW_ONLY
     size: float | None = option(
-        None, "Allowed noise of a reading, in the signals' unit (default: where it levels off)."
+        None, "Allowed noise of a reading, in the signals' unit (default: where longer averages gain little)."
     )
     integration: float | None = option(
         None, "Integration time of the meter per sample (default: the whole interval).", metavar="S"

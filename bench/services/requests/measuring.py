@@ -129,7 +129,7 @@ class SimulateRequest:
     model: shared.ModelField = None
     seed: int = option(1, "Seed of the random numbers.", least=0, rare=True)
     speed: float = option(1.0, "Speed of the clock, as a multiple of real time.")
-    host: str = option("127.0.0.1", "Address to listen on; only loopback is closed to others.", rare=True)
+    host: str = option("127.0.0.1", "Address to listen on; only loopback refuses other computers.", rare=True)
     port: int | None = option(None, "First TCP port; the others follow (default: free ports).")
     ready_file: Path | None = option(None, "Write all addresses as JSON when all instruments listen.")
     hands: Path | None = option(

@@ -82,7 +82,7 @@ class Require:
     )
     up_to: UpToField = None
     k: float = option(3.0, "Number of standard uncertainties in the accuracy.")
-    with_reading: bool = option(False, "Include the errors of the reading in use.", rare=True)
+    with_reading: bool = option(False, "Include the errors of a reading when the block is used.", rare=True)
     all_errors: bool = option(
         False, "Include gain, gravity, temperature and nonlinearity, which no reading shows.", rare=True
     )

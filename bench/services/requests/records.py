@@ -85,7 +85,7 @@ class ImportReadings:
     file: Annotated[Path, Option("Readings file.", argument=True)]
     _: KW_ONLY
     name: str | None = option(None, "Name of the run (default: the file's).")
-    columns: Path | None = option(None, "Mapping of the columns of a stranger's log, as YAML.")
+    columns: Path | None = option(None, "Mapping file (YAML) for the columns of another program's log.")
     preview: bool = option(
         False, "Show the first rows as imported, and what would be refused; import nothing.", rare=True
     )
