@@ -62,7 +62,7 @@ from bench.run.terminal import ProgressBar, TerminalPerson
 from bench.run.workbench import BenchSetup
 from bench.services.bench_selection import bench_for_record, bench_path, why_taken
 from bench.services.errors import Refused
-from bench.services.fitness import agree_to_expired, is_away, refuse_unfit
+from bench.services.fitness import agree_to_expired, is_away, refuse_unfit, without_gravity
 from bench.services.own_effects import effects_for_record, knowing_effects_on_record, simulated_truth
 from bench.services.persons import STARTED_FROM, acting_at, operator_of, resumer
 from bench.services.requests.measuring import ResumeRequest, RunRequest
@@ -150,7 +150,7 @@ def new_run(request: RunRequest) -> NewRun:
         manifest["devices"] = foreign
     if verdict:
         manifest["verdict"] = verdict
-    notes = _other_unit(stated.serial, serial, file.name)
+    notes = (*_other_unit(stated.serial, serial, file.name), *without_gravity(file))
     if request.until:
         from bench.services.until import noted_goals  # takes long to import
 

@@ -44,6 +44,15 @@ def reminders(bench: BenchFile) -> Iterator[str]:
             )
 
 
+def without_gravity(bench: BenchFile) -> Iterator[str]:
+    """Yield a sentence if the bench file states no local gravity, because every result of a run needs it."""
+    if bench.gravity_m_s2 is None:
+        yield (
+            "the bench file states no local gravity, so that a run ends without coefficients and verdict; add "
+            "'gravity' to it, or give --g to 'bench calibrate' and 'bench verify' after the run"
+        )
+
+
 def is_away(answers: str | None, *, panel: bool) -> bool:
     """Return whether a person answers through the folder and not at a terminal.
 

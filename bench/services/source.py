@@ -54,6 +54,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 WHAT_IF = "what-if"
+NO_GRAVITY_IN_RUN = "gave no local gravity; give --g 9.81 (m/s²), or a bench file with 'gravity' by --bench"
 NO_GRAVITY = "gives no local gravity; add 'gravity' to it, or give --g 9.81 (m/s²)"
 LEAST_GRAVITY, MOST_GRAVITY = 9.75, 9.85
 
@@ -272,6 +273,8 @@ def _load(given: Given, request: Request) -> Source:
     readings = _readings_of(given, run, bench, skip_bad_rows=request.skip_bad_rows)
     gravity = bench.gravity_m_s2 if request.g_m_s2 is None else request.g_m_s2
     if gravity is None:
+        if run is not None and request.bench is None:  # a run's copy of its bench file must not be edited
+            raise Refused(f"{run.folder}: its bench file {NO_GRAVITY_IN_RUN}")
         raise Refused(f"{taken.where}: {NO_GRAVITY}")
     model = ForwardModel(bench.installation_models())
     own = (*CATALOGUE.own, *bench.own_effects())

@@ -70,7 +70,7 @@ from bench.run.sentences import size_in_words
 from bench.services.bench_selection import bench_path
 from bench.services.calibration import calibration_of
 from bench.services.errors import Refused, named, quantity
-from bench.services.fitness import reminders
+from bench.services.fitness import reminders, without_gravity
 from bench.services.planning import delta_g_of, stand_of
 from bench.services.requests.planning import Check
 from bench.services.requests.shared import runs_folder
@@ -371,6 +371,7 @@ def _hints(bench: BenchFile) -> Iterator[str]:
     """Yield remarks on certificates, and hints on likely mistakes that only show on a real bench."""
     yield from remarks(bench)
     yield from reminders(bench)
+    yield from without_gravity(bench)
     for meter in bench.instruments.voltmeters:
         if is_serial(meter.resource) and meter.interface == "lan":
             yield (

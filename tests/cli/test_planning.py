@@ -32,6 +32,18 @@ def result(bench):
 # --- check --------------------------------------------------------------------------------------------
 
 
+def test_a_bench_file_without_gravity_is_named_before_the_run_and_in_no_copy_after_it(bench, result):
+    text = (ROOT / "config" / "paper-stand.yaml").read_text(encoding="utf-8")
+    Path("mine.yaml").write_text(re.sub(r"(?m)^gravity:.*\n", "", text), encoding="utf-8")
+    _, found = result("check", "quick", "--bench", "mine.yaml")
+    assert [hint for hint in found["hints"] if "states no local gravity" in hint]
+    status, out, err = bench("run", "quick", "--bench", "mine.yaml", "--dry-run", "--name", "a")
+    assert status == 2
+    assert "the bench file states no local gravity" in out
+    assert "runs/a: its bench file gave no local gravity; give --g" in err
+    printed(bench("calibrate", "a", "--g", "9.81"))
+
+
 @pytest.mark.parametrize("stated", [True, False])
 def test_a_serial_port_without_its_interface_is_told(bench, result, stated):
     text = (ROOT / "config" / "bench-rs232.yaml").read_text(encoding="utf-8")
