@@ -252,7 +252,7 @@ class BenchControl(PlainDialect):
 
 def _no_more(words: list[str]) -> None:
     if words:
-        raise ControlError(f"'{' '.join(words)}' is too much; give less")
+        raise ControlError(f"'{' '.join(words)}' is not expected at the end; leave it out")
 
 
 def _quantity(words: list[str]) -> tuple[float, str]:

@@ -99,6 +99,13 @@ def _from_pipe(path: Path) -> bytes:
         return (begun or b"") + pipe.read()
 
 
+def remedy_for(error: OSError, usual: str) -> str:
+    """Return what to do after a failed reading: the `usual` remedy, but not for a pipe without a writer."""
+    if error.errno == errno.EPIPE:
+        return "check the command that writes into it, or give a file with its output"
+    return usual
+
+
 def _is_standard_input(about: os.stat_result) -> bool:
     try:
         return os.path.samestat(about, os.fstat(0))

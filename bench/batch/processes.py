@@ -131,7 +131,9 @@ class _Pool:
         """Count a process that died before it was ready. Raises `Refused` if too many processes did."""
         self._early_deaths += 1
         if self._early_deaths >= TRIES * self._count:
-            raise Refused(f"the worker processes end before they start ({how}); try --workers 1")
+            raise Refused(
+                f"the worker processes died while they started ({how}); try --workers 1, or compute one run alone"
+            )
 
     def _let_go(self, worker: _Worker) -> None:
         self._workers.remove(worker)

@@ -383,9 +383,11 @@ def make_table(model: TemperatureModel, reach_g: float, step_k: float | None = N
     span = high - low
     if step_k is not None:
         if not (np.isfinite(step_k) and span / MOST_STEPS <= step_k <= span):
+            # rounded inwards, so that both are accepted
+            least, most = np.ceil(1e3 * span / MOST_STEPS) / 1e3, np.floor(10 * span) / 10
             raise CalibrationError(
                 f"a step of {step_k:g} K does not fit a table from {low:.1f} to {high:.1f} °C; give a step "
-                f"between {span / MOST_STEPS:.2g} and {span:.3g} K"
+                f"between {least:g} and {most:g} K"
             )
         return _table(model, reach_g, int(np.ceil(span / step_k - 1e-9)))
     enough = SMALL * _least_u(model)

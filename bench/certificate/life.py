@@ -215,10 +215,9 @@ def holds(register: Register, number: str) -> NumberStatus:
 def issued(register: Register, number: str) -> NumberStatus:
     """Return the status of a certificate number. Raises `Refused` for a number that was never issued."""
     if number not in register.standings:
-        latest = ", ".join(list(register.standings)[-3:]) or "none"
-        raise Refused(
-            f"{number}: no certificate of that number in {register.folder}; name one of the latest: {latest}"
-        )
+        latest = ", ".join(list(register.standings)[-3:])
+        remedy = f"name one of the latest: {latest}" if latest else "check the folder in the laboratory file"
+        raise Refused(f"{number}: no certificate of that number in {register.folder}; {remedy}")
     return register.standings[number]
 
 

@@ -24,6 +24,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from bench.base.files import from_text, read_regular, to_text, write_whole
 from bench.base.languages import known_language, message, speaking
+from bench.base.text import as_typed
 from bench.run.events import RecordError
 from bench.services import persons as laboratory
 from bench.services.persons import Persons, checked_name, persons_of
@@ -192,8 +193,15 @@ class Gate:
                 400, message("the request has both Content-Length and Transfer-Encoding; send one")
             )
         if not length.isascii() or not length.isdecimal() or len(length) > 9 or int(length) > LARGEST_BODY:
-            return Refusal(413, message(f"at most {LARGEST_BODY} bytes are accepted; send less"))
+            return Refusal(413, _too_large())
         return None
+
+
+def _too_large() -> str:
+    return message(
+        f"the form is larger than the panel accepts ({LARGEST_BODY} bytes); shorten its longest text, or change "
+        "the file in an editor"
+    )
 
 
 LANGUAGE: Final = "bench-language"
@@ -216,7 +224,7 @@ def counted(receive: Receive) -> Receive:
         received = await receive()
         taken += len(received.get("body", b""))
         if taken > LARGEST_BODY:
-            raise Refusal(413, message(f"at most {LARGEST_BODY} bytes are accepted; send less"))
+            raise Refusal(413, _too_large())
         return received
 
     return bounded
@@ -366,7 +374,7 @@ class Access:
         with self._tokens.changed() as rows:
             if any(row["name"] == name for row in rows):
                 raise RecordError(
-                    message(f"{name}: already has a token; use 'bench panel revoke {name}' first")
+                    message(f"{name}: already has a token; use 'bench panel revoke {as_typed(name)}' first")
                 )
             rows.append(
                 {"name": name, "role": role.value, "sha256": _hash(token), "made": self._now().isoformat()}

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
-from bench.base.files import read_given
+from bench.base.files import read_given, remedy_for
 from bench.base.languages import message
 from bench.base.text import repeated, shortened
 from bench.readings.columns import (
@@ -229,7 +229,8 @@ def split_table(
     try:
         text = (read_given(path) if content is None else content).decode("utf-8-sig")
     except OSError as error:
-        raise ReadingsError(f"{path}: cannot be read ({error.strerror}); check the name") from error
+        remedy = remedy_for(error, "check the name")
+        raise ReadingsError(f"{path}: cannot be read ({error.strerror}); {remedy}") from error
     except UnicodeDecodeError as error:
         raise ReadingsError(f"{path}: not a UTF-8 text file; save it as CSV in UTF-8") from error
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
 from bench.base.computing import missing
-from bench.base.files import DISK_FULL
+from bench.base.files import DISK_FULL, remedy_for
 from bench.base.numbers import read_number
 
 if TYPE_CHECKING:
@@ -91,6 +91,7 @@ def refusing(remedy: str, place: Path | None = None, *, verb: str = "written") -
     try:
         yield
     except OSError as error:
+        remedy = remedy_for(error, remedy)
         raise Refused(f"{place or error.filename}: cannot be {verb} ({error.strerror}); {remedy}") from error
 
 

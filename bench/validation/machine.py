@@ -103,7 +103,7 @@ def _differing(one: metadata.Distribution) -> tuple[list[str], int]:
         try:
             digest = hashlib.new(kind, file.read_bytes()).digest()
         except OSError:
-            wrong.append(f"{file} (missing)")
+            wrong.append(f"{file} (missing; install the package again)")
             continue
         if base64.urlsafe_b64encode(digest).rstrip(b"=").decode() != value:
             wrong.append(str(file))

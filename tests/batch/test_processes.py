@@ -91,7 +91,7 @@ def test_a_run_that_no_process_survives_is_listed_and_the_others_are_computed(mo
 
 
 def test_processes_that_never_come_up_end_the_batch(monkeypatch):
-    with pytest.raises(Refused, match=r"end before they start \(with status 1\)"):
+    with pytest.raises(Refused, match=r"died while they started \(with status 1\)"):
         rows_of(monkeypatch, ["/runs/1", "/runs/2"], 2, deadly=(), stillborn=True)
 
 

@@ -279,6 +279,13 @@ def test_a_step_that_is_none_is_refused(model, step_k):
         make_table(model, REACH_G, step_k)
 
 
+def test_the_limits_of_a_step_that_a_refusal_states_are_accepted(model):
+    with pytest.raises(CalibrationError) as told:
+        make_table(model, REACH_G, 1e-4)
+    for limit in re.findall(r"between (\S+) and (\S+) K", str(told.value))[0]:
+        assert make_table(model, REACH_G, float(limit)).step_k <= float(limit)
+
+
 def test_csv_and_json_hold_the_same_entries(model, table):
     text = table_csv(model, table, "block 1")
     comments = [line for line in text.splitlines() if line.startswith("#")]

@@ -133,7 +133,7 @@ def test_a_pipe_to_which_nobody_writes_is_named(bench):
     """That no command waits for one, `test_special_files` shows."""
     os.mkfifo("pipe.csv")
     told = bench("import", "pipe.csv", "--name", "piped")
-    refused(told, "pipe.csv: cannot be read (the pipe has no writer)")
+    refused(told, "pipe.csv: cannot be read (the pipe has no writer); check the command that writes into it")
 
 
 def test_an_imported_run_is_not_taken_for_an_interrupted_one(bench, measured):

@@ -280,7 +280,7 @@ def _others(
     if kinds not in ({_VOLT}, {_VOLT_PER_MS2}) or set(dimensions[9:]) != {_VOLT}:
         raise Refused(
             f"{path}: {listed.words}: K or U0 has a unit that no block has; ask the laboratory for K in \\volt "
-            "(per local g) or \\volt\\metre\\tothe{{-1}}\\second\\tothe{{2}}, and for U0 in \\volt"
+            "(per local g) or \\volt\\metre\\tothe{-1}\\second\\tothe{2}, and for U0 in \\volt"
         )
     scale = np.ones(12)
     if kinds == {_VOLT_PER_MS2}:
