@@ -49,8 +49,8 @@ VOLTMETER_FACTS: Final = (
 
 A simulation with the `Converter` of `sim/voltmeters.py` needs `TEMPERATURE_COEFFICIENT`, `REFERENCE_C` and
 `REFERENCE_WIDTH_C`, too. The driver is constructed as `Driver(name, channel, session, clock, *, interface,
-line_hz)`, its simulation as `Simulation(source, clock, *, interface, noise, accuracy, line_hz)`. A voltmeter without a serial
-port states `interface: Literal["lan"]` or the like on its section.
+line_hz)`, its simulation as `Simulation(source, clock, *, interface, noise, accuracy, line_hz)`. The section of a
+voltmeter without a serial port states `interface: Literal["lan"]` or the like.
 """
 
 DAYS_90: Final = 90.0 / 365.25
