@@ -199,11 +199,12 @@ def _on_roll(roll: Floats, covariance: Floats, calibration: Calibration) -> tupl
 
 def _only_turns(calibration: Calibration) -> bool:
     """Return whether all that the readings do not show turns the block as a whole, so that K K^T and U0 stay."""
-    length, unseen = np.linalg.norm(calibration.block.K, axis=1), calibration.unseen()
+    length = np.linalg.norm(calibration.block.K, axis=1)
     sheared = [
-        (change[:9].reshape(3, 3) @ calibration.block.K.T) / np.outer(length, length) for change in unseen.T
+        (change[:9].reshape(3, 3) @ calibration.block.K.T) / np.outer(length, length)
+        for change in calibration.unseen().T
     ]
-    biases = unseen[9:] / length[:, None]
+    biases = calibration.unseen()[9:] / length[:, None]
     return all(np.all(np.abs(one + one.T) < TURNED) for one in sheared) and bool(
         np.all(np.abs(biases) < TURNED)
     )
