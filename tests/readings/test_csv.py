@@ -346,7 +346,7 @@ row = st.tuples(
 
 
 @pytest.mark.slow
-@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(rows=st.lists(row, min_size=1, max_size=5), unit=st.sampled_from(list(UNITS.values())))
 def test_round_trip_to_the_last_digit(tmp_path, rows, unit):
     """The very same numbers and texts, angles given to 1e-9 degrees too; signals but for what a sum can round."""
