@@ -11,44 +11,43 @@ import inspect
 import math
 import re
 import types
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from itertools import product
-from typing import Annotated, Any, Final, NamedTuple, Union, get_args, get_origin
+from functools import cache, lru_cache
+from typing import TYPE_CHECKING, Annotated, Any, Final, Union, get_args, get_origin
 
 from pydantic import AfterValidator, BeforeValidator
 
 from bench.base.text import shortened
 
-_PREFIXES: Final = {
-    "": ("", ()), "nano": ("nano", (1e-9,)), "n": ("nano", (1e-9,)), "micro": ("micro", (1e-6,)),
-    "u": ("micro", (1e-6,)), "milli": ("milli", (1e-3,)), "m": ("milli", (1e-3,)),
-}  # fmt: skip
-_DEFINITIONS: Final[dict[str, tuple[tuple[float, ...], dict[str, int]]]] = {
-    "meter m": ((), {"m": 1}),
-    "second s": ((), {"s": 1}),
-    "minute min": ((60.0,), {"s": 1}),
-    "hour h": ((3600.0,), {"s": 1}),
-    "day d": ((86400.0,), {"s": 1}),
-    "year": ((365.25, 86400.0), {"s": 1}),
-    "hertz Hz": ((), {"s": -1}),
-    "volt V": ((), {"V": 1}),
-    "ampere A": ((), {"A": 1}),
-    "radian rad": ((), {"rad": 1}),
-    "degree deg": ((math.pi / 180,), {"rad": 1}),
-    "arcminute arcmin": ((math.pi / 10800,), {"rad": 1}),
-    "arcsecond arcsec": ((math.pi / 648000,), {"rad": 1}),
-    "revolution rev": ((math.tau,), {"rad": 1}),
-    "degree_Celsius degC": ((), {"K": 1}),
-    "kelvin K": ((), {"K": 1}),
-    "local_gravity g": ((), {"g": 1}),
-    "percent": ((0.01,), {}),
-    "ppm": ((1e-6,), {}),
-}
-"""Factors and SI powers of the units that a bench needs; any other unit (kg, mT) is rejected as a typing error."""
-_DEFINED: Final = {name: names for names in _DEFINITIONS for name in names.split()}
+if TYPE_CHECKING:
+    from pint import UnitRegistry
+
+_DEFINITIONS: Final = (
+    "nano- = 1e-9 = n-",
+    "micro- = 1e-6 = u-",
+    "milli- = 1e-3 = m-",
+    "meter = [length] = m",
+    "second = [time] = s",
+    "minute = 60 second = min",
+    "hour = 3600 second = h",
+    "day = 86400 second = d",
+    "year = 365.25 day",
+    "hertz = 1 / second = Hz",
+    "volt = [voltage] = V",
+    "ampere = [current] = A",
+    "radian = [angle] = rad",
+    f"degree = {math.pi!r} / 180 radian = deg",
+    f"arcminute = {math.pi!r} / 10800 radian = arcmin",
+    f"arcsecond = {math.pi!r} / 648000 radian = arcsec",
+    f"revolution = {math.tau!r} radian = rev",
+    "degree_Celsius = [celsius] = degC",
+    "kelvin = degree_Celsius = K",
+    "local_gravity = [gravity] = g",
+    "percent = 0.01",
+    "ppm = 1e-6",
+)
+"""Definitions of the units that a bench needs; any other unit (kg, mT) is rejected as a typing error."""
 
 _UNITS: Final = ("V", "mV", "uV", "A", "mA", "uA", "deg", "arcmin", "arcsec", "rad", "mrad", "urad", "rev", "s",
                  "ms", "min", "h", "d", "year", "Hz", "m", "mm", "degC", "K", "g", "mg", "ug", "ppm",
@@ -57,7 +56,6 @@ _UNITS: Final = ("V", "mV", "uV", "A", "mA", "uA", "deg", "arcmin", "arcsec", "r
 _QUANTITY: Final = re.compile(
     r"\s*(?P<number>[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*(?P<unit>.*?)\s*"
 )
-_FACTOR: Final = re.compile(r"(/?)\s*([A-Za-z_]+)(?:\^(-?[0-9]))?")
 _UNIT: Final = re.compile(r"(?:1|[A-Za-z_]+(?:\^-?[0-9])?)(?:\s*[*/ ]\s*[A-Za-z_]+(?:\^-?[0-9])?)*")
 _SPELLINGS: Final = (
     ("°C", "degC"), ("℃", "degC"), ("°", "deg"), ("″", "arcsec"), ("′", "arcmin"), ("%", "percent"),
@@ -97,47 +95,15 @@ FREQUENCY: Final = QuantityKind("a frequency", "50 Hz", "Hz")
 RATIO: Final = QuantityKind("a plain number", "0.01", "")
 
 
-class _Unit(NamedTuple):
-    """A unit with its prefix: the factors of its size, one after another, and its powers of SI units."""
+@cache
+def _registry() -> UnitRegistry[float]:
+    """Return the unit registry, built on first use because importing pint is slow."""
+    from pint import UnitRegistry
 
-    name: str
-    factors: tuple[float, ...]
-    powers: dict[str, int]
-
-
-def _unit_named(name: str) -> _Unit:
-    """Return a unit by its name or symbol, with a prefix or a plural s. Raises `ValueError` for an unknown one."""
-    for plural, (prefix, (long, size)) in product(("", "s"), _PREFIXES.items()):
-        bare = name.removeprefix(prefix).removesuffix(plural)
-        if prefix + bare + plural == name and bare in _DEFINED and not (plural and len(bare) == 1):
-            factors, powers = _DEFINITIONS[_DEFINED[bare]]
-            return _Unit(long + _DEFINED[bare], (*size, *factors), powers)
-    near = difflib.get_close_matches(name, _UNITS, n=1)
-    hint = f", did you mean '{near[0]}'?" if near else f"; known are {', '.join(_UNITS)}"
-    raise ValueError(f"unknown unit '{name}'{hint}")
-
-
-def _size(unit: str, si: str) -> tuple[float, dict[str, int]]:
-    """Return the size of `unit` in `si`, and the powers of SI units by which their dimensions differ.
-
-    Units that are in both cancel. Raises `ValueError` for an unknown unit.
-    """
-    units: dict[str, _Unit] = {}
-    exponents, powers, factors = Counter[str](), Counter[str](), Counter[float]()
-    for text, sign in ((unit, 1), (si, -1)):
-        for over, name, power in _FACTOR.findall(text):
-            one = _unit_named(name)
-            units[one.name] = one
-            exponents[one.name] += sign * (-1 if over else 1) * int(power or 1)
-    for name, one in sorted(units.items()):
-        for factor in one.factors:
-            factors[factor] += exponents[name]
-        for si_unit, power in one.powers.items():
-            powers[si_unit] += power * exponents[name]
-    # equal factors cancel; the last digit depends on the order: first what multiplies, then what divides
-    ordered = sorted(factors.items(), key=lambda item: item[1] < 0)
-    size = math.prod(factor**power for factor, power in ordered)
-    return size, {name: power for name, power in powers.items() if power}
+    registry: UnitRegistry[float] = UnitRegistry(None)
+    for definition in _DEFINITIONS:
+        registry.define(definition)
+    return registry
 
 
 @lru_cache(maxsize=256)
@@ -146,8 +112,15 @@ def _factor(unit: str, si: str) -> float | None:
 
     Raises `ValueError` for an unknown unit.
     """
-    size, apart = _size(unit, si)
-    return None if apart else size
+    registry = _registry()
+    for name in re.findall(r"[A-Za-z_]+", unit):
+        if name not in registry:
+            near = difflib.get_close_matches(name, _UNITS, n=1)
+            hint = f", did you mean '{near[0]}'?" if near else f"; known are {', '.join(_UNITS)}"
+            raise ValueError(f"unknown unit '{name}'{hint}")
+    one = registry.Quantity(1.0, registry.parse_units(unit))
+    wanted = registry.parse_units(si)
+    return float(one.to(wanted).magnitude) if one.is_compatible_with(wanted) else None
 
 
 def parse_quantity(text: object, kind: QuantityKind) -> float:
@@ -218,10 +191,20 @@ def unit_of(unit: str) -> tuple[float, Dimension]:
         return 1.0, ()
     if _UNIT.fullmatch(unit) is None:
         raise ValueError(f"'{unit}' is not a unit; known are {', '.join(_UNITS)}")
-    size, powers = _size(unit, "")
-    return size, tuple(sorted((si, float(power)) for si, power in powers.items() if si not in _PLAIN))
+    _factor(unit, "")
+    dimensionality: Mapping[str, Any] = (
+        _registry().Quantity(1.0, _registry().parse_units(unit)).dimensionality
+    )
+    powers = [(_SI_OF[name], float(power)) for name, power in dimensionality.items()]
+    factor = _factor(unit, " * ".join(f"{si} ** {power:g}" for si, power in powers))
+    kept = tuple(sorted((si, power) for si, power in powers if si not in _PLAIN))
+    return (1.0 if factor is None else factor), kept
 
 
+_SI_OF: Final = {
+    "[time]": "s", "[length]": "m", "[voltage]": "V", "[current]": "A", "[celsius]": "K", "[angle]": "rad",
+    "[gravity]": "g",
+}  # fmt: skip
 _PLAIN: Final = ("rad", "g")
 
 
