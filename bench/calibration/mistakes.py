@@ -184,7 +184,7 @@ def refuse_singular(block: Block, u: Floats | None = None) -> None:
     if dead:
         raise SpoiledFit(
             f"the readings do not show that channel {', '.join(dead)} responds to acceleration",
-            "check cable and supply, or find wrong readings with 'bench diagnose'",
+            "check cable, supply and the unit of the signals; 'bench diagnose' finds single wrong readings",
         )
     unit = block.K / length[:, None]
     if np.linalg.svd(unit, compute_uv=False)[-1] >= COPLANAR:

@@ -137,6 +137,11 @@ def test_each_mistake_names_file_line_column_and_what_was_expected(read, row, co
         ("temperature_c", "-273.2", "°C from -273.15 to 200, got '-273.2'"),
         ("temperature_c", "293.15", "got '293.15'; perhaps it is in kelvin or °F; use °C"),
         ("chamber_c", "296", "perhaps it is in kelvin"),
+        (
+            "temperature_c",
+            "9.9E+37",
+            "for an overload or an open sensor; correct this cell or leave it empty",
+        ),
         ("reference_v", "five", "the voltage at the inputs in V, got 'five'"),
         ("pass", "1000000000", "got '1000000000'; is it from another column?"),
         ("point", "20261123", "is it from another column?"),
