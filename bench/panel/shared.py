@@ -107,15 +107,19 @@ async def fields(request: Request, most: int = MOST_FIELDS) -> dict[str, str]:
         if kind == "application/json":
             given = from_text(body)
         elif kind == "application/x-www-form-urlencoded" or not body:
-            given = dict(parse_qsl(body.decode(), keep_blank_values=True, max_num_fields=most))
+            pairs = parse_qsl(body.decode(), keep_blank_values=True)
+            given = dict(pairs) if len(pairs) <= most else pairs
         else:
             raise Refusal(
                 415, message("the request is neither a form nor JSON; send a form or a JSON object")
             )
     except ValueError:
         raise Refusal(400, message("the request cannot be read; send a form or valid JSON")) from None
-    if isinstance(given, dict) and len(given) > most:
-        raise Refusal(400, message(f"at most {most} fields are accepted; send fewer"))
+    if isinstance(given, dict | list) and len(given) > most:
+        raise Refusal(
+            400,
+            message(f"the form has more than {most} fields; send fewer, or change the file in an editor"),
+        )
     if not isinstance(given, dict) or not all(isinstance(value, str) for value in given.values()):
         raise Refusal(
             400,
