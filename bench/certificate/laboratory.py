@@ -315,7 +315,7 @@ class UnitOrder(FileModel):
     """A unit in an order: its receipt, its condition, and whether the run shows it as found or as left.
 
     An entry without `serial` applies to all units. `calibrated` is the day of calibration if readings were
-    imported without a date. `deviations` are those from the method.
+    imported without a date. `deviations` are deviations from the method.
     """
 
     serial: str | None = None

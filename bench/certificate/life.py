@@ -155,7 +155,7 @@ def _issue(name: str, desk: Desk, person: Person, register: Register) -> IssuedR
 
 
 def _wanted(name: str, desk: Desk) -> Certificate:
-    """Return a run's certificate. Raises `Refused` if the laboratory requires a validated program, unlike this."""
+    """Return a run's certificate. Raises `Refused` if the program lacks a required validation."""
     certificate = certificate_of(name, desk.runs, desk.laboratory, desk.order)
     if desk.laboratory.require_validation and not certificate.simulated:
         from bench.services.validated import refuse_unvalidated_certificate

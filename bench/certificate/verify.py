@@ -67,8 +67,8 @@ UNKNOWN: Final = (
 class Findings:
     """What the steps of a verification found, in their order.
 
-    `signatures` begins with that of the verified file; `unsigned` says that the certificate has none. The lists of
-    sentences are those of `VerifyResult`.
+    `signatures` begins with the signature of the verified file; `unsigned` says that the certificate has none.
+    The lists of sentences become the members of `VerifyResult` with the same names.
     """
 
     signatures: list[SignedPdf | SignedXml] = field(default_factory=list)

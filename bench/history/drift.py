@@ -70,8 +70,8 @@ class UnitDrift:
     def predicted(self, date: np.datetime64 | Dates) -> tuple[Floats, Floats]:
         """Return the expected values at dates (…) and their standard uncertainties, (…, 12) each.
 
-        The u is that of a calibration result on the date: it includes the scatter between calibrations, but not
-        the errors of that calibration itself. Raises `CalibrationError` for a date before the last calibration.
+        The u applies to a calibration result on the date: it includes the scatter between calibrations, but not
+        the errors of the new calibration itself. Raises `CalibrationError` for a date before the last calibration.
         """
         days = np.asarray(date, dtype="datetime64[s]")
         years = (days - self.first.astype("datetime64[s]")).astype(float).ravel() / SECONDS_PER_YEAR
@@ -382,8 +382,8 @@ def due(
 
     `covariance` (n, 12, 12) are the stated covariances. `u_meters` (n, 12) is the part of u that recurs with the
     same meters; None if the meters differ. `limit_g` is the permitted error, in g, of a measurement of 1 g in any
-    direction. If the history is too short to show drift, `interval_days` determines the date. Raises
-    `CalibrationError` if there is no calibration, or if K of the last calibration is singular.
+    direction. If the history is too short to show drift, `interval_days` determines the date. The result
+    repeats `simulated`. Raises `CalibrationError` if there is no calibration, or if K of the last one is singular.
     """
     if len(when) == 0:
         raise CalibrationError("no calibration has a date, so no due date is known; add dates to the runs")

@@ -322,8 +322,9 @@ class ExchangeDesign:
         return float(np.sqrt(np.max(variances / self._asked2)))
 
     def _score(self, variances: Floats, power: float) -> Floats:
-        """Return the power mean of the squared ratios of u to required u along the last axis; infinite
-        if any is.
+        """Return the power mean, along the last axis, of the squared ratios of u to required u.
+
+        The mean is infinite if any ratio is infinite.
         """
         ratio = np.maximum(variances, 0.0) / self._asked2
         top = np.max(ratio, axis=-1)

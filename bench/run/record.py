@@ -233,8 +233,8 @@ def parse_line(line: bytes) -> tuple[Event, str]:
 class ResumePoint:
     """Where a run is resumed: at step `step`; first the step `turn`, if not None, is repeated.
 
-    `bench_s` is the bench time, s, at which `step` was last begun, or that of the last event if the step was never
-    begun.
+    `bench_s` is the bench time, s, at which `step` was last begun, or the bench time of the last event if the
+    step was never begun.
     """
 
     step: int

@@ -48,9 +48,9 @@ VOLTMETER_FACTS: Final = (
 """Names that the facts of a voltmeter define (example: 34401A); with a serial port, also `BAUD_RATES`.
 
 A simulation with the `Converter` of `sim/voltmeters.py` needs `TEMPERATURE_COEFFICIENT`, `REFERENCE_C` and
-`REFERENCE_WIDTH_C`, too. The driver is constructed as `Driver(name, channel, session, clock, *, interface, line_hz)`,
-its simulation as `Simulation(source, clock, *, interface, noise, accuracy, line_hz)`. A voltmeter without a serial
-port states `interface: Literal["lan"]` or the like on its section.
+`REFERENCE_WIDTH_C`, too. The driver is constructed as `Driver(name, channel, session, clock, *, interface,
+line_hz)`, its simulation as `Simulation(source, clock, *, interface, noise, accuracy, line_hz)`. The section of a
+voltmeter without a serial port states `interface: Literal["lan"]` or the like.
 """
 
 DAYS_90: Final = 90.0 / 365.25
