@@ -352,7 +352,7 @@ def _prepare_file(file: Path, sync: str, *, existing: bool) -> None:
     if file.is_dir():
         raise Refused(f"{file}: is a folder; name a file for the catalogue")
     if existing and not file.is_file():
-        raise Refused(f"{file}: no catalogue yet; make it with: {sync}")
+        raise Refused(f"{file}: no catalogue yet; make it with '{sync}'")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -416,13 +416,13 @@ def _with_tables(catalogue: Catalogue, *, renew: bool) -> Catalogue:
         elif found > SCHEMA:
             raise Refused(
                 f"{catalogue.where}: made by a newer version of this program (schema {found}); use that "
-                f"version, or delete the catalogue and make it again with: {catalogue.sync}"
+                f"version, or delete the catalogue and make it again with '{catalogue.sync}'"
             )
         elif found < SCHEMA:
             if not renew:
                 raise Refused(
                     f"{catalogue.where}: made by an older version of this program; make it again from its runs "
-                    f"with: {catalogue.sync}"
+                    f"with '{catalogue.sync}'"
                 )
             return replace(catalogue, renewed=_renew(connection))
     return catalogue
@@ -496,6 +496,6 @@ def _refusing(catalogue: Catalogue) -> Iterator[None]:
                 "and the free disk space"
             ) from error
         raise Refused(
-            f"{catalogue.where}: not a catalogue, or a damaged one ({why}); delete it and make it again with: "
-            f"{catalogue.sync}"
+            f"{catalogue.where}: not a catalogue, or a damaged one ({why}); delete it and make it again with "
+            f"'{catalogue.sync}'"
         ) from error

@@ -272,7 +272,7 @@ def serve(settings: Settings, tell: Callable[[str], None]) -> None:
                 link = new_link(settings.runs, laboratory=settings.laboratory)
                 tell(f"sign in, once, within half an hour: {link}")
             except Refused as why:
-                tell(f"no link, sign in with your token: {why}")
+                tell(f"no link, sign in with your token: {why.typed}")
         elif not settings.address:
             tell(f"note: {OPEN_WIRE}")
         uvicorn.Server(config_of(app)).run(sockets=[listener])

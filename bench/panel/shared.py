@@ -29,6 +29,7 @@ from bench.panel.launching import Started, Wishes
 from bench.panel.queue import DayQueue
 from bench.panel.stream import Followers
 from bench.run.events import RecordError, sha256
+from bench.services.errors import sentence
 
 
 class Panel:
@@ -281,4 +282,4 @@ def by_error(request: Request, error: Exception) -> Response:
         found = panel_of(request).runs.run(name)
         told = str(error).replace(f"{found.folder.absolute()}/", "").replace(f"{found.folder}/", "")
         return page(request, "damaged.html.j2", status=409, run=name, text=bounded(told))
-    return refused(request, Refusal(409, str(error)))
+    return refused(request, Refusal(409, sentence(error)))
