@@ -259,7 +259,11 @@ class Laboratory(Contact, StatedRule):
         for one in self.authorised:
             if one.name == name:
                 return one
-        names = ", ".join(one.name for one in self.authorised) or "nobody"
+        if not self.authorised:
+            raise Refused(
+                f"{option} {name}: the laboratory file names nobody; add persons under 'authorised'"
+            )
+        names = ", ".join(one.name for one in self.authorised)
         raise Refused(f"{option} {name}: the laboratory file names {names}; choose one of them")
 
 

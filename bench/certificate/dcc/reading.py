@@ -161,7 +161,7 @@ def _attached(path: Path, paper: bytes) -> bytes:
             if len(found) == 1:
                 return bytes(found[0].get_file().read_bytes())
     except (pikepdf.PdfError, KeyError, ValueError) as error:
-        raise Refused(f"{path}: a PDF that cannot be read ({error}); check name and permissions") from error
+        raise Refused(f"{path}: a PDF that cannot be read ({error}); {ORIGINAL}") from error
     raise Refused(
         f"{path}: {len(found) or 'no'} XML files are attached to this PDF; give the certificate's XML itself"
     )
