@@ -126,10 +126,9 @@ class Heat:
     def _go_on(
         self, since_s: float, base_c: float, slope_c_s: float, excess_c: complex, lag_s: complex
     ) -> None:
-        """Begin a new course of the air temperature at `since_s`; discard courses scheduled after it.
+        """Begin a course of air temperature (line plus excess) at `since_s`, instead of those scheduled after it.
 
-        The course is the line `base_c` + `slope_c_s` t plus the excess `excess_c`, which decays with `lag_s`.
-        Complex values make the excess oscillate.
+        The excess `excess_c` decays with `lag_s`; complex values make it oscillate.
         """
         if cmath.isclose(lag_s, self._block_lag_s, rel_tol=_LEAST_SPREAD):
             lag_s = self._block_lag_s * (1.0 + _LEAST_SPREAD)
