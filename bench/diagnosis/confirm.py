@@ -180,7 +180,9 @@ def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Conf
             tried = [] if course.family == MOVE else forms_of(record, *forms[number])
             free = replace(alone, candidates=courses_of(record, tried))
             near = free.nearest(course.family, course.shape) if len(tried) > 1 else None
-            size, spread = (alone if near is None else free).alone(near or course, keeps_shape=near is None)
+            size, spread = (
+                alone.sizes([course]) if near is None else free.sizes([near], 0, free.forms([near], 0))
+            )
             at = [0 if (c := unknowns[i].channel) is None else record.channels.index(c) for i in mine]
             of.change[mine], of.covariance[np.ix_(mine, mine)] = (
                 size[at] - of.found[mine],

@@ -121,8 +121,9 @@ def calibrate_record(
     Effects with a stated u keep their values, and their u adds to the result. Effects without u were found in
     these readings and are estimated again together with gain and offset; u includes the uncertainty of their
     shapes (lag, width, time constant). u also includes the slow noise and the scatter of the reference (column
-    `reference_sd_v`). `unread` are `unread_sources`: what effects of the meters' temperature leave in a record
-    without this temperature. Raises `CalibrationError` if the readings cannot be evaluated.
+    `reference_sd_v`). `unread` are sources of error (`unread_sources`): effects of the meters' temperature,
+    which u includes if the record lacks this temperature. Raises `CalibrationError` if the readings cannot be
+    evaluated.
     """
     record = make_record(readings)
     unread = unread if record.conditions.meter_c is None else ()
@@ -159,7 +160,10 @@ class _Refitted:
 
 
 def _refitted(left: Record, effects: Sequence[AppliedEffect], several_levels: bool) -> list[_Refitted]:
-    """Return `effects` to estimate again, with a gain if `several_levels`; `left` is the record less them."""
+    """Return `effects` as effects to estimate again; `left` is the record minus these effects.
+
+    If the record has `several_levels`, their forms are compared beside a gain.
+    """
     if not effects:
         return []
     record = left.less(-left.added_by(effects))
@@ -247,7 +251,8 @@ def _channels(
         for place, one in enumerate(effects, count):
             if one.forms is not None:
                 own, others = design[:, place], np.delete(design, place, axis=1)
-                of_form = one.forms.spread_beside(noise, others, own, targets[:, 0] + own)
+                beside = np.column_stack([others, targets[:, 0] + own])
+                of_form = one.forms.variance_beside(noise, beside, own)
                 spread[:count, :count] += of_form[:count, :count]
         found.append(
             _channel(record, CHANNELS[channel], level, mean[:count], spread[:count, :count], noise, left)

@@ -51,8 +51,8 @@ class Record:
 
     `channels` are the indices of the channels. `reference_v` (n,) is the input, V; `deviation_v` (n, c) is the
     signal minus the input, V. `scale` (n,) is the relative noise of each mean, from the scatter of its readings.
-    `conditions` has the times, temperatures and rail voltages of the means. `used` (m,) is True for those of the
-    m readings of the table that the means contain.
+    `conditions` has the times, temperatures and rail voltages of the means. `used` (m,) is the mask
+    of the readings of the table that the means contain.
     """
 
     source: str
@@ -102,7 +102,7 @@ class Record:
 def make_record(readings: Readings) -> Record:
     """Return a table of readings at a known input as means over equal intervals of time.
 
-    Means at the beginning are left out if they jump more than all later ones: the input had not settled.
+    Means before a jump at the beginning are left out: the input had not settled.
     Raises `CalibrationError` if the readings cannot be evaluated.
     """
     time_s, reference_v, channels = _checked(readings)
@@ -152,7 +152,7 @@ def make_record(readings: Readings) -> Record:
 
 
 def _far_from_reference(signal_v: Floats, reference_v: Floats, channels: Sequence[int]) -> Iterator[str]:
-    """Yield a sentence for each channel whose signals (n, c) differ from the reference (n,) by a wrong unit."""
+    """Yield a sentence for each channel of `signal_v` (n, c) that seems to have another unit than the reference."""
     level_v = float(np.median(np.abs(reference_v)))
     for channel, read_v in zip(channels, np.median(np.abs(signal_v), axis=0).tolist(), strict=True):
         if level_v >= ZERO_V and not 1.0 / LARGER < read_v / level_v < LARGER:
@@ -163,7 +163,10 @@ def _far_from_reference(signal_v: Floats, reference_v: Floats, channels: Sequenc
 
 
 def without_noise(record: Record) -> Iterator[str]:
-    """Yield a sentence for each channel without noise, or else for each pair of channels with the same noise."""
+    """Yield a sentence for each channel that has no noise.
+
+    If all channels have noise, yield a sentence for each pair of channels with identical noise.
+    """
     left, names = record.beside_trend, [f"u{CHANNELS[channel]}_v" for channel in record.channels]
     least = ROUNDING * float(np.abs(record.deviation_v + record.reference_v[:, None]).max())
     still = [name for name, one in zip(names, left.T, strict=True) if np.ptp(one) <= least]
@@ -185,7 +188,7 @@ def groups_of(time_s: Floats) -> list[Ints]:
 
 
 def _settled(means: Floats) -> int:
-    """Return how many `means` (n, c) to leave out at the beginning: at most a tenth of all."""
+    """Return the number of `means` (n, c) before the last jump in the first tenth; they are left out."""
     steps = np.abs(np.diff(means, axis=0))
     jumps = np.any(steps > FAR * OF_MEDIAN * np.median(steps, axis=0), axis=1)
     early = np.flatnonzero(jumps[: len(means) // 10])
@@ -277,9 +280,9 @@ They are a factor of about three apart; longer ones resemble flicker noise.
 def slow_kernels(time_h: Floats) -> Iterator[Floats]:
     """Yield a covariance matrix (n, n), of mean variance 1, for each kind of slow noise.
 
-    The kinds are a random walk, flicker noise, and several noises of exponential correlation. Flicker noise
-    is the integral of the latter over ln of the correlation time, from the mean step of time to the length of
-    the record. `time_h` (n,) are the times, h.
+    The kinds are a random walk, flicker noise, and several noises of exponential correlation. The covariance of
+    flicker noise is the integral of exponential covariances over ln of their correlation time, from the mean step
+    of time to the length of the record. `time_h` (n,) are the times, h.
     """
     length = float(time_h[-1])
     apart = np.abs(time_h[:, None] - time_h)
@@ -403,8 +406,8 @@ class Products:
         """The size of each column in the first target, if the model has this column in addition.
 
         Three arrays (h,) are returned: ln of the restricted likelihood, the size, and its variance. They are
-        averages over the trial noises of one kind. Of the kinds of slow noise that the record allows, the one
-        with the largest u is used, so that u holds for each.
+        averages over the trial noises of one kind. Of the kinds that the record does not exclude, it is the kind
+        with the largest u, so that u covers the others.
         """
         product, square, freedom = self.product[:, :, 0], np.maximum(self.square, 1e-300), self.freedom - 1
         size = product / square
@@ -507,8 +510,8 @@ def _shapes(record: Record, effect: Effect) -> list[Shape]:
 def forms_of(record: Record, effect: Effect, shape: Shape) -> list[tuple[Effect, Shape]]:
     """Return the shapes that an effect of a model may have in a record.
 
-    It is the given shape alone for a supply, whose rail is known, for a formula, and for an effect with several
-    shape parameters that are not zero.
+    Only the given shape is returned for a supply, whose rail is known, for a formula, and for an effect with
+    several shape parameters that are not zero.
     """
     known = any(p.is_shape and p.unit == "1" for p in effect.parameters)
     if known or effect.name not in FOLLOWS or len(shape) > 1:
@@ -525,20 +528,30 @@ def shape_of(effect: Effect, values: Mapping[str, Any]) -> Shape:
     )
 
 
-def courses_of(record: Record, forms: Iterable[tuple[Effect, Shape]]) -> Candidates:
-    """Return effects, each in one shape, as candidates.
+def column_of(record: Record, effect: Effect, shape: Shape) -> Floats:
+    """Return the column (n,) of an effect in one shape, V.
 
-    A column (n,) is the voltage that the effect adds at its plausible size, divided by the relative noise of
-    each mean. An effect that has a size for each channel has the same column for each channel of the record.
-    A form that a zero and a drift can describe is left out.
+    It is the voltage that the effect adds to a channel at its plausible size, each mean divided by its relative
+    noise.
+    """
+    size = next(p for p in effect.parameters if p.is_size)
+    plausible = np.full(3 if size.per_channel else (), size.plausible)
+    values = {size.name: plausible, **{name: np.asarray(value) for name, value in shape}}
+    return np.asarray(record.added(AppliedEffect(effect, values))[:, 0] / record.scale)
+
+
+def courses_of(record: Record, forms: Iterable[tuple[Effect, Shape]]) -> Candidates:
+    """Return effects, each in one shape, as candidates with the columns of `column_of`.
+
+    An effect that has a size for each channel has the same column for each channel of the record. A form that a
+    zero and a drift can describe is left out.
     """
     columns, scale, variants = [np.zeros((len(record), 0))], [], []
     kinds: list[Column] = []
     for effect, shape in forms:
-        size = next(p for p in effect.parameters if not p.is_shape)
-        plausible = np.full(3 if size.per_channel else (), size.plausible)
-        values = {size.name: plausible, **{name: np.asarray(value) for name, value in shape}}
-        course = record.added(AppliedEffect(effect, values))[:, 0]
+        size = next(p for p in effect.parameters if p.is_size)
+        column = column_of(record, effect, shape)
+        course = column * record.scale
         left = least_squares(record.trend, course)[1]
         if not np.any(course) or left @ left <= NEGLIGIBLE * (course @ course):
             continue
@@ -549,5 +562,5 @@ def courses_of(record: Record, forms: Iterable[tuple[Effect, Shape]]) -> Candida
         )
         kinds += own
         scale += [size.plausible] * len(own)
-        columns += [(course / record.scale)[:, None]] * len(own)
+        columns += [column[:, None]] * len(own)
     return Candidates(np.column_stack(columns), tuple(kinds), np.array(scale), tuple(variants))

@@ -165,7 +165,7 @@ def test_an_unknown_state_at_the_start_of_a_lag_changes_no_size(tmp_path):
     sizes = []
     for added_v in (0.0 * left_v, left_v):
         work = RecordWork.of(record.less(added_v[:, None]), courses_of(record, forms)).settling(lag_s)
-        sizes.append(work.alone(work.candidates.variants[0], keeps_shape=True))
+        sizes.append(work.sizes(work.candidates.variants))
     for first, second in zip(*sizes, strict=True):
         assert first == pytest.approx(second, rel=1e-6)
 
@@ -180,10 +180,9 @@ def test_channels_share_the_noise_of_the_mean(tmp_path):
     work = RecordWork.of(
         record, courses_of(record, [(CATALOGUE["voltmeter_thermal_offset"], (("lag", 5700.0),))])
     )
-    size, covariance = work.alone(work.candidates.variants[0], keeps_shape=True)
+    size, covariance = work.sizes(work.candidates.variants)
     u = np.sqrt(np.diag(covariance))
     assert covariance[0, 1] / (u[0] * u[1]) > 0.99
-    assert u == pytest.approx(work.sizes(work.candidates.variants)[1])
     assert abs(size[0] - size[1]) < 0.1 * u[0]
 
 
@@ -198,7 +197,7 @@ def test_a_confirmation_allows_for_an_unknown_lag_as_the_diagnosis_does(of_twin,
 def test_u_of_a_jump_allows_for_the_lag_of_an_effect_beside_it(tmp_path):
     record = make_record(read_csv(twin(tmp_path, 5, jump_v=2e-6), ()))
     work = RecordWork.of(record, make_courses(record))
-    work, finds, limit = work.search()
+    finds, limit = work.search()
     jump, thermal = courses = [one.variant for one in finds]
     (mean, u_lag, *_), (*_, alone) = (work.shaped(courses, number) for number in (1, 0))
     (lag,) = dict(mean.shape).values()
