@@ -18,12 +18,18 @@ from bench.diagnosis.levels import BY_CHANCE, FAR, FOLDS
 from bench.diagnosis.naming import FoundEffect
 from bench.diagnosis.pipeline import verdict_of
 from bench.diagnosis.posterior import NoiseSize
-from bench.diagnosis.record_model import FOLLOWS, MOVE, Noise, Record, make_courses, make_record, solved
+from bench.diagnosis.record_model import FOLLOWS, MOVE, Record, make_courses, make_record
+from bench.diagnosis.record_noise import Noise, solved
 from bench.diagnosis.record_search import ChannelFit, RecordWork
 from bench.diagnosis.result import UNNAMED_WORDS, Findings, NamedEffect
 from bench.diagnosis.where import ResidualPattern
 from bench.model.effects import AppliedEffect
 from bench.readings.table import REFERENCE, Readings
+
+GAIN_FITTED: Final = (
+    "the reference has several levels: the gain of each channel is fitted together with zero and drift; 'bench "
+    "calibrate' gives it"
+)
 
 
 @dataclass(frozen=True)
@@ -82,11 +88,11 @@ class RecordDiagnosis(Findings):
 def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -> RecordDiagnosis:
     """Return the diagnosis of a record at a known input.
 
-    The known `effects` are subtracted with their values. Raises `CalibrationError` if the record cannot be
-    evaluated.
+    The known `effects` are subtracted with their values; the state in which a lag begins is estimated. Raises
+    `CalibrationError` if the record cannot be evaluated.
     """
     record = make_record(readings)
-    work = RecordWork.of(record.less(record.added_by(effects)), make_courses(record))
+    work = RecordWork.of(record, make_courses(record)).without(effects)
     finds, limit = work.search()
     gap, rivals = measure_record_gap(work, finds)
     why = why_unconfirmed(gap)
@@ -110,7 +116,7 @@ def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -
         threshold=limit.value,
         noises=tuple(noises),
         hidden=tuple(name for name in FOLLOWS if name not in work.candidates.families),
-        notes=record.notes,
+        notes=(*record.notes, *([GAIN_FITTED] * record.several_levels)),
     )
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import compress
+from itertools import compress, pairwise
 from typing import Final
 
 import numpy as np
 from scipy import linalg, special
 
-from bench.base.arrays import CHANNELS, HOUR, Floats, u_of
+from bench.base.arrays import CHANNELS, Floats, u_of
 from bench.diagnosis.candidates import Candidates, Variant
 from bench.diagnosis.evidence import NULLS, SEED, Scores, Threshold, fit_tail
 from bench.diagnosis.levels import INSEPARABLE, OFTEN, STEPS
@@ -20,15 +20,15 @@ from bench.diagnosis.pipeline import effects_of
 from bench.diagnosis.posterior import Posterior
 from bench.diagnosis.record_model import (
     MOVE,
-    Noise,
-    NoiseTrials,
     Record,
     column_of,
     courses_of,
-    solved,
+    shape_of,
+    start_of,
 )
+from bench.diagnosis.record_noise import Noise, NoiseTrials, solved
 from bench.diagnosis.result import NamedEffect
-from bench.model.effects import CATALOGUE
+from bench.model.effects import CATALOGUE, AppliedEffect
 
 FINE: Final = 41
 """Number of values of a shape parameter over which its effect is averaged, all in the likely range."""
@@ -57,13 +57,14 @@ class ChannelFit:
 class Forms:
     """The h forms that a course may have in a record, with the likelihood of each.
 
-    `columns` (n, h) are as in `column_of`. `log` (h,) is ln of the likelihood. `size` and `variance` (parts, h) are
-    the estimated size and its variance in each component. The first forms differ in the shape `parameter`: they
-    have its `values`, with the probabilities `of_values` among these forms. `parameter` is None if the course has
-    none with a unit.
+    `columns` (n, h) are as in `column_of`, `starts` (n, h) as in `start_of`. `log` (h,) is ln of the likelihood.
+    `size` and `variance` (parts, h) are the estimated size and its variance in each component. The first forms
+    differ in the shape `parameter`: they have its `values`, with the probabilities `of_values` among these forms.
+    `parameter` is None if the course has none with a unit.
     """
 
     columns: Floats
+    starts: Floats
     log: Floats
     size: Floats
     variance: Floats
@@ -75,14 +76,19 @@ class Forms:
         """Return the covariance (p, p) that the unknown form of the course adds to the estimates of other columns.
 
         The first p columns of `design` (n, p + 1) are these other columns, the last one the data. Each likely form
-        gives an estimate. Deviations count from the estimate with the course in the form `held` (n,).
+        gives an estimate. Deviations count from the estimate with the course in another form, `held` (n, k).
         """
         weight = special.softmax(self.log)
-        likely = weight > INSEPARABLE
-        white = noise.whiten(np.column_stack([design, held, self.columns[:, likely]]))
+        likely = np.flatnonzero(weight > INSEPARABLE)
         count = design.shape[1] - 1
+        forms = [held, *(np.stack([self.columns[:, k], self.starts[:, k]], axis=1) for k in likely)]
+        white = noise.whiten(np.column_stack([design, *forms]))
         own, data = white[:, :count], white[:, count]
-        each = [solved(np.column_stack([own, one]), data)[0][:count] for one in white[:, count + 1 :].T]
+        ends = np.cumsum([count + 1, *(form.shape[1] for form in forms)])
+        each = [
+            solved(np.column_stack([own, white[:, start:end]]), data)[0][:count]
+            for start, end in pairwise(ends)
+        ]
         off = np.array(each[1:]) - each[0]
         return np.asarray((off.T * weight[likely]) @ off)
 
@@ -120,18 +126,12 @@ class RecordWork:
         """Return whether each channel has its own size of the effect; otherwise one size is common to all."""
         return self.candidates.kinds[variant.columns[0]].channel is not None
 
-    def less(self, added_v: Floats) -> RecordWork:
-        """Return the work with known voltages `added_v` (n, c), V, subtracted from the record."""
-        return replace(self, record=self.record.less(added_v))
-
-    def settling(self, lag_s: float) -> RecordWork:
-        """Return the work with one more column of the trend, exp(-t / `lag_s`).
-
-        An effect with this lag adds a multiple of it to the signals if the record does not start in equilibrium.
-        """
-        left = np.exp(-(self.record.time_h - self.record.time_h[0]) * HOUR / lag_s)
-        trend = np.column_stack([self.trials.trend, left / self.record.scale])
-        return replace(self, trials=replace(self.trials, trend=trend))
+    def without(self, effects: Sequence[AppliedEffect]) -> RecordWork:
+        """Return the work with known effects subtracted; their starting states are further columns of the trend."""
+        shapes = [(one.effect, shape_of(one.effect, one.complete_values())) for one in effects]
+        starts = [start_of(self.record, *one) for one in dict.fromkeys(shapes)]
+        trials = replace(self.trials, trend=np.column_stack([self.trials.trend, *filter(np.any, starts)]))
+        return replace(self, record=self.record.less(self.record.added_by(effects)), trials=trials)
 
     @property
     def helmert(self) -> Floats:
@@ -152,26 +152,28 @@ class RecordWork:
         """The indices of the components: 0 is the mean of the channels, the others are differences."""
         return range(len(self.record.channels))
 
-    def _in_a_channel(self, courses: Sequence[Variant]) -> Floats:
-        """Return the columns (n, m) of courses in a single channel, as in `column_of`."""
-        for one in courses:
-            if (one.family, one.shape) not in self.kept:
-                column = column_of(self.record, CATALOGUE[one.family], one.shape)
-                self.kept[one.family, one.shape] = column
-        each = [self.kept[one.family, one.shape] for one in courses]
-        return np.array(each).reshape(len(each), len(self.record)).T
+    def _in_part(self, courses: Sequence[Variant], part: int) -> tuple[Floats, Floats]:
+        """Return the columns and the starting states, each (n, m), of courses in the component `part`.
 
-    def columns(self, courses: Sequence[Variant], part: int) -> Floats:
-        """Return the columns (n, m) of courses in the component `part`.
-
-        A course of one size for all channels has a column in the mean only: m may be less than their number.
+        A course of one size for all channels occurs in the mean only: m may be less than their number.
         """
         mine = [course for course in courses if part == 0 or self.of_channels(course)]
-        scale = [1.0 if self.of_channels(course) else len(self.parts) ** 0.5 for course in mine]
-        return np.asarray(self._in_a_channel(mine) * scale)
+        for one in mine:
+            if (one.family, one.shape) not in self.kept:
+                of = (self.record, CATALOGUE[one.family], one.shape)
+                self.kept[one.family, one.shape] = np.stack([column_of(*of), start_of(*of)])
+        scale = np.array([1.0 if self.of_channels(course) else len(self.parts) ** 0.5 for course in mine])
+        each = np.array([self.kept[one.family, one.shape] for one in mine])
+        columns, starts = each.reshape(len(mine), 2, len(self.record)).transpose(1, 2, 0) * scale
+        return columns, starts
+
+    def columns(self, courses: Sequence[Variant], part: int) -> Floats:
+        """Return the columns of courses in the component `part`, then those of their starting states, (n, m)."""
+        columns, starts = self._in_part(courses, part)
+        return np.column_stack([columns, starts[:, np.any(starts, axis=0)]])
 
     def design(self, courses: Sequence[Variant], part: int) -> Floats:
-        """Return the columns of trend, m courses and signal in the component `part`, shape (n, 3 + m)."""
+        """Return the columns of trend, courses, their starting states, and signal in the component `part`."""
         return np.column_stack([self.trials.trend, self.columns(courses, part), self.signal[:, part]])
 
     def noises(self, courses: Sequence[Variant]) -> list[Noise]:
@@ -192,13 +194,13 @@ class RecordWork:
         (n, d).
         """
         every = self.candidates.variants
-        columns = self._in_a_channel(every)
-        common = np.array([not self.of_channels(one) for one in every])
-        scale = np.where(common, len(self.parts) ** 0.5, 1.0)
+        own = np.array([self.of_channels(one) for one in every])
         total = np.zeros((len(every), targets[0].shape[1]))
         for k in self.parts:
-            products = self.trials.products(self.columns(found, k), columns, targets[k])
-            total += np.where((common & (k > 0))[:, None], 0.0, products.gain(scale))
+            columns, starts = self._in_part(every, k)
+            total[own | (k == 0)] += self.trials.products(
+                self.columns(found, k), columns, targets[k], starts
+            ).gain
         families = Scores(total, np.zeros(0)).families(self.candidates)
         return total, families + self.candidates.log_prior[:, None]
 
@@ -235,8 +237,8 @@ class RecordWork:
     def fitted(self, part: int, courses: Sequence[Variant], noise: Noise) -> tuple[Floats, Floats, float]:
         """Return the least-squares estimates of trend and courses in the component `part`, for a known noise.
 
-        Three values are returned: the estimates (2 + m,), their covariance (2 + m, 2 + m), and the chi-square of
-        the residuals.
+        Three values are returned: the p estimates, in the order of `design`; their covariance (p, p); and the
+        chi-square of the residuals.
         """
         white = noise.whiten(self.design(courses, part))
         return solved(white[:, :-1], white[:, -1])
@@ -286,7 +288,7 @@ class RecordWork:
         course, parameter = courses[number], _parameter(courses[number])
         family = self.shapes_of(course.family)
         if parameter is None:
-            return Forms(self._in_a_channel(family), *self._scored(courses, number, family))
+            return Forms(*self._in_part(family, 0), *self._scored(courses, number, family))
         own = sorted((one for one in family if parameter in dict(one.shape)), key=lambda one: one.shape)
         tried = [one.shape[0][1] for one in own]
         close = own if course.family == MOVE else self._along(courses, number)
@@ -296,7 +298,7 @@ class RecordWork:
         of_values = special.softmax(log[:count])
         # each value counts as the part of the interval between two tried values that it stands for
         log[:count] += np.log(np.gradient(np.interp(values, tried, np.arange(len(tried)))))
-        return Forms(self._in_a_channel(every), log, size, variance, parameter, values, of_values)
+        return Forms(*self._in_part(every, 0), log, size, variance, parameter, values, of_values)
 
     def close_shapes(self, courses: Sequence[Variant], number: int) -> list[Variant]:
         """Return the course `number` in its likely shapes, the most likely first; the other `courses` are known.
@@ -337,13 +339,11 @@ class RecordWork:
 
         Each form in turn replaces the course `number`. Size and variance have a row for each component.
         """
-        others = [*courses[:number], *courses[number + 1 :]]
-        each = [
-            self.trials.products(
-                self.columns(others, k), self.columns(forms, k), self.signal[:, k : k + 1]
-            ).sizes
-            for k in (self.parts if self.of_channels(courses[number]) else range(1))
-        ]
+        others, each = [*courses[:number], *courses[number + 1 :]], []
+        for k in self.parts if self.of_channels(courses[number]) else range(1):
+            columns, starts = self._in_part(forms, k)
+            known = self.columns(others, k)
+            each.append(self.trials.products(known, columns, self.signal[:, k : k + 1], starts).sizes)
         log, size, variance = (np.array(of) for of in zip(*each, strict=True))
         return log.sum(axis=0), size, variance
 

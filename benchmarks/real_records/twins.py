@@ -12,7 +12,8 @@ from scipy import special
 
 from bench.base.arrays import Floats
 from bench.diagnosis.record_diagnosis import RecordDiagnosis, diagnose_record
-from bench.diagnosis.record_model import Noise, NoiseTrials, Record, groups_of, make_courses, make_record
+from bench.diagnosis.record_model import Record, groups_of, make_courses, make_record
+from bench.diagnosis.record_noise import Noise, NoiseTrials
 from bench.diagnosis.record_search import RecordWork
 from bench.readings.table import Readings
 
