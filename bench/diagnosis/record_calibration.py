@@ -24,6 +24,7 @@ from bench.diagnosis.record_model import (
     courses_of,
     fading_record,
     forms_of,
+    levels_apart,
     make_record,
     shape_of,
     start_of,
@@ -131,7 +132,7 @@ def calibrate_record(
         channels=_channels(left, np.stack(errors), _refitted(left, [e for e in effects if not e.u])),
         level_v=level,
         known_v=known,
-        not_observable=() if record.several_levels else tuple(_hidden(level)),
+        not_observable=() if record.several_levels else tuple(_hidden(record, level)),
         notes=(*record.notes, *note, *_shapes_kept(record, effects), *_widened(unread)),
         repeats=_parts(left),
     )
@@ -249,7 +250,8 @@ def _channel(
     The first column of `mean` has the deviation at the mean level, the slope in time and, for several levels,
     gain - 1; each further column has their changes by an error of one u. `spread` is their covariance.
     """
-    several, has_gain = len(mean) > 2, len(mean) > 2 or abs(level) >= ZERO_V
+    several = len(mean) > 2
+    has_gain = several or (abs(level) >= ZERO_V and not levels_apart(record.reference_v))
     per_hour = 2.0 / float(record.time_h[-1])
     if several:
         turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, -level], [0.0, per_hour, 0.0]])
@@ -331,7 +333,13 @@ def _of_unknown_temperature(record: Record, source: ErrorSource) -> Iterator[Flo
         yield source.u * course[:, None] * per_kelvin
 
 
-def _hidden(level: float) -> Iterator[str]:
+def _hidden(record: Record, level: float) -> Iterator[str]:
+    if levels_apart(record.reference_v):
+        yield (
+            "gain: the reference changes linearly with time, so that an error of the gain looks like a drift; the "
+            "gain counts as 1; step the reference up and down to determine it"
+        )
+        return
     if abs(level) < ZERO_V:
         yield f"gain: the reference stays at {level:.3g} V; record a second level to determine it"
         return

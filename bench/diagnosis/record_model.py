@@ -20,7 +20,7 @@ from scipy import ndimage, special
 from bench.base.arrays import CHANNELS, HOUR, MINUTE, Floats, Ints, Mask, least_squares
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.candidates import Candidates, Column, Variant
-from bench.diagnosis.levels import FAR, NEGLIGIBLE
+from bench.diagnosis.levels import FAR, INSEPARABLE, NEGLIGIBLE
 from bench.diagnosis.noise_kinds import LARGER
 from bench.diagnosis.open_parts import BEYOND, Shape
 from bench.model.conditions import METER_REFERENCE_C, Conditions
@@ -78,17 +78,25 @@ class Record:
 
     @property
     def several_levels(self) -> bool:
-        """Whether the reference changes enough to determine both gain and offset."""
-        return _levels_apart(self.reference_v)
+        """Whether the reference changes enough, and not just linearly in time, to determine gain and offset."""
+        beside_line = least_squares(self.line, self.reference_v)[1]
+        ramp = np.ptp(beside_line) <= INSEPARABLE * np.ptp(self.reference_v)
+        return levels_apart(self.reference_v) and not ramp
+
+    @property
+    def line(self) -> Floats:
+        """A constant, and a line in time from -1 to 1, as columns (n, 2)."""
+        time_h = self.time_h
+        return np.column_stack([np.ones(len(self)), 2.0 * time_h / time_h[-1] - 1.0])
 
     @property
     def trend(self) -> Floats:
-        """The columns that every model contains: a constant, and a line in time from -1 to 1, shape (n, 2).
+        """The columns (n, 2) that every model contains, those of `line`.
 
         If the reference has several levels, a third column is the reference minus its mean, V, for the gain.
         """
-        time_h, gain = self.time_h, [self.reference_v - self.reference_v.mean()] * self.several_levels
-        return np.column_stack([np.ones(len(self)), 2.0 * time_h / time_h[-1] - 1.0, *gain])
+        gain = [self.reference_v - self.reference_v.mean()] * self.several_levels
+        return np.column_stack([self.line, *gain])
 
     @property
     def beside_trend(self) -> Floats:
@@ -201,13 +209,14 @@ def groups_of(time_s: Floats) -> list[Ints]:
     return [np.flatnonzero(of_row == number) for number in np.unique(of_row)]
 
 
-def _levels_apart(reference_v: Floats) -> bool:
+def levels_apart(reference_v: Floats) -> bool:
+    """Return whether the reference (n,) changes by more than the fraction `LEVELS` of its largest value."""
     return bool(np.ptp(reference_v) > LEVELS * np.abs(reference_v).max())
 
 
 def _settled(means: Floats, reference_v: Floats) -> int:
     """Return the number of `means` (n, c) before the last jump in the first tenth; they are left out."""
-    if _levels_apart(reference_v):  # a gain jumps with the reference
+    if levels_apart(reference_v):  # a gain jumps with the reference
         means = least_squares(np.column_stack([np.ones(len(means)), reference_v]), means)[1]
     steps = np.abs(np.diff(means, axis=0))
     jumps = np.any(steps > FAR * OF_MEDIAN * np.median(steps, axis=0), axis=1)

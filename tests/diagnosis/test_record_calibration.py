@@ -35,6 +35,16 @@ def test_a_mean_across_a_change_of_level_keeps_gain_and_offset(tmp_path):
     assert x.gain.u < 0.02e-6
 
 
+def test_a_reference_that_only_rises_in_time_tells_no_gain(tmp_path):
+    readings = record_at_levels(tmp_path, 9)
+    ramp = 10.0 * readings.time_s / readings.time_s[-1]
+    extra = {**readings.extra, "reference_v": np.array([repr(v) for v in ramp.tolist()])}
+    signal = readings.signal + (ramp - readings.extra["reference_v"].astype(float))[:, None]
+    found = calibrate_record(replace(readings, signal=signal, extra=extra))
+    assert found.channels[0].gain is None
+    assert "an error of the gain looks like a drift" in found.not_observable[0]
+
+
 @pytest.mark.parametrize(("level", "hidden"), [(0.0, "gain"), (10.0, "offset")])
 def test_one_level_gives_one_of_the_two_and_says_so(tmp_path, level, hidden):
     found = calibrate_record(record_at_levels(tmp_path, 2, levels=(level,)))
