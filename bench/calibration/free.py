@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Final
 
 import numpy as np
@@ -16,6 +17,8 @@ from bench.base.arrays import Floats
 from bench.calibration.design import FIXED, FreeRows, Problem
 from bench.calibration.mistakes import refuse_still
 from bench.calibration.result import CalibrationError, Noise, Triangular
+from bench.model.conditions import Conditions
+from bench.model.forward import ForwardModel
 from bench.model.geometry import Block, modulus_slopes
 
 MOST_ROUNDS: Final = 50
@@ -92,14 +95,27 @@ def _force(problem: Problem, free: FreeRows | None, block: Block, others: Floats
         step = np.linalg.solve(block.K, left.T).T
         force = force + step
         if not np.all(np.isfinite(force)):
+            lacking = effects_without_data(model, block.specific_force(free.signal), free.conditions, block)
             raise CalibrationError(
-                f"model {problem.model.name}: one effect needs a head angle, a time or a temperature, which the "
-                "positions that join by |a| = 1 g lack; remove rows F, or use 'bench calibrate' with "
-                "--no-join-free and without --join-verification"
+                f"{lacking}; remove rows F, or use 'bench calibrate' with --no-join-free and without "
+                "--join-verification"
             )
         if np.max(np.abs(step)) < STANDS_STILL_G:
             break
     return force
+
+
+def effects_without_data(model: ForwardModel, force: Floats, conditions: Conditions, block: Block) -> str:
+    """Return a sentence that names the effects of a model that need data which free positions lack.
+
+    `force` (m, 3) are rough values of the specific force, g.
+    """
+    alone = [replace(model, effects=(one,)) for one in model.effects]
+    lacking = [not np.isfinite(one.readings_at(force, conditions, block)).all() for one in alone]
+    names = ", ".join(dict.fromkeys(a.effect.name for a in compress(model.effects, lacking)))
+    return (
+        f"model {model.name}: {names} needs a head angle, a time or a temperature, which free positions lack"
+    )
 
 
 # --- free positions alone ---------------------------------------------------------------------------

@@ -280,15 +280,14 @@ def load_effects(path: Path) -> tuple[Effect, ...]:
 
 def effects_in(paths: Iterable[Path | str]) -> tuple[Effect, ...]:
     """Return the effects of several files. Raises `FileMistakes`, also for two different effects of one name."""
-    effects: dict[str, Effect] = {}
+    effects: dict[str, tuple[Effect, Path]] = {}
     for path in map(Path, paths):
         for effect in load_effects(path):
-            if effects.setdefault(effect.name, effect) != effect:
-                text = (
-                    f"another file has a different formula named {effect.name}; give one of them another name"
-                )
+            first, other = effects.setdefault(effect.name, (effect, path))
+            if first != effect:
+                text = f"{other} has a different formula named {effect.name}; give one of them another name"
                 raise FileMistakes(path, [FileMistake(0, "formulas", text)])
-    return tuple(effects.values())
+    return tuple(effect for effect, _ in effects.values())
 
 
 def files_of_environment() -> list[str]:

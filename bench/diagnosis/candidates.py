@@ -236,10 +236,9 @@ class Collector:
         *,
         several: bool = False,
     ) -> None:
-        """Add one variant of an unnamed family, which consists of all the `columns`, each (N,).
+        """Add a variant of an unnamed family that has all the `columns`, each (N,).
 
-        If `several`, a variant with a single column is not added, as it would be no pattern. `where` says in
-        words where the variant acts.
+        `where` says in words where it acts. With `several`, a single column makes no variant: it is no pattern.
         """
         kind = Column(family, channels[0] if len(channels) == 1 else None)
         places = tuple(self.add(column, kind, 1.0) for column in columns)

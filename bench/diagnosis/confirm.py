@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from scipy import special
 
-from bench.base.arrays import CHANNELS, Floats, rms
+from bench.base.arrays import CHANNELS, Floats, least_squares, rms
 from bench.calibration import CalibrationError
 from bench.calibration.design import EffectUnknown, make_problem
 from bench.diagnosis.evidence import KNOWN_SIZE, ThresholdCache
@@ -150,16 +150,17 @@ def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Conf
     record = make_record(readings)
     forms = [(one.effect, shape_of(one.effect, one.complete_values())) for one in effects]
     work = RecordWork.of(record, courses_of(record, forms))
-    left = work.less(record.added_by(effects))
+    left = work.without(effects)
     there = {(course.family, course.shape): course for course in work.candidates.variants}
     courses = [there.get((effect.name, shape)) for effect, shape in forms]
     noises = work.noises([course for course in courses if course is not None])
     expected = float(np.sqrt(np.mean([noise.variance * (1.0 + noise.ratio) for noise in noises])))
-    freedom = len(work.parts) * (len(record) - record.trend.shape[1])
+    freedom = len(work.parts) * (len(record) - left.trials.trend.shape[1])
     reduced = [sum(one.fitted(k, [], noises[k])[2] for k in one.parts) / freedom for one in (work, left)]
+    trends = (one.trials.trend * record.scale[:, None] for one in (work, left))
     before, after = (
-        Model(of_fit, rms(one.record.beside_trend), expected)
-        for of_fit, one in zip(reduced, (work, left), strict=True)
+        Model(of_fit, rms(least_squares(trend, one.record.deviation_v)[1]), expected)
+        for of_fit, trend, one in zip(reduced, trends, (work, left), strict=True)
     )
     model = ForwardModel({}, tuple(effects))
     unknowns = [
@@ -168,19 +169,17 @@ def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Conf
         if one.channel is None or one.channel in record.channels
     ]
     of = EstimatedEffects.unchanged(model, unknowns)
-    for number, (applied, course) in enumerate(zip(effects, courses, strict=True)):
+    for number, course in enumerate(courses):
         mine = [i for i, one in enumerate(unknowns) if one.effect == number]
         if course is not None and mine:
             # estimate each effect from this record alone, with the others at the model's values
-            alone = left.less(-record.added(applied))
-            if lag_s := dict(course.shape).get(
-                "lag", 0.0
-            ):  # a record may begin while the temperature changes
-                alone = alone.settling(lag_s)
+            alone = work.without([*effects[:number], *effects[number + 1 :]])
             tried = [] if course.family == MOVE else forms_of(record, *forms[number])
             free = replace(alone, candidates=courses_of(record, tried))
             near = free.nearest(course.family, course.shape) if len(tried) > 1 else None
-            size, spread = (alone if near is None else free).alone(near or course, keeps_shape=near is None)
+            size, spread = (
+                alone.sizes([course]) if near is None else free.sizes([near], 0, free.forms([near], 0))
+            )
             at = [0 if (c := unknowns[i].channel) is None else record.channels.index(c) for i in mine]
             of.change[mine], of.covariance[np.ix_(mine, mine)] = (
                 size[at] - of.found[mine],

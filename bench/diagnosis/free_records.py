@@ -12,7 +12,7 @@ from scipy.optimize import linear_sum_assignment
 
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.calibration.design import UPPER, make_problem
-from bench.calibration.free import first_guess_free
+from bench.calibration.free import effects_without_data, first_guess_free
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.levels import MOSTLY, STEPS
@@ -250,9 +250,10 @@ def make_rows(
     numbers = (np.concatenate(sensor), np.concatenate(record))
     rows = FreeRows(tuple(whole), *numbers, blocks, np.concatenate(origin), effects)
     if model is not None and not np.all(np.isfinite(make_system(rows).response)):
+        table = rows.tables[0]
+        lacking = effects_without_data(model, rows.views[0].force, table.conditions(), blocks[0])
         raise CalibrationError(
-            f"model {model.name}: one effect needs a head angle, a time or a temperature, which free "
-            "positions lack; remove --model"
+            f"{lacking}; remove the effect from the model file, or diagnose without --model"
         )
     return rows
 

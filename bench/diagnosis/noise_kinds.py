@@ -77,9 +77,9 @@ def noise_hypotheses(linear: LinearSystem, effects: Floats, noise: NoiseSize) ->
 
 
 def log_null(grid: NoiseGrid) -> float:
-    """Return the part of ln of the evidence that depends on the unit of the noise, `grid.sigma`.
+    """Return the term of ln of the evidence for the unit `grid.sigma` in which a grid states residuals.
 
-    It makes the evidence of grids with different units comparable.
+    Only with this term can the evidence of grids with different units be compared.
     """
     return -grid.freedom * math.log(grid.sigma)
 

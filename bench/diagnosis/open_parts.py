@@ -70,9 +70,10 @@ def beside(
 
 
 def channels_of(whitened: Whitened, data: Data, naming: Naming) -> dict[int, Floats]:
-    """Return, by the index of each find of the catalogue, the probability (3,) that it acts in each channel.
+    """Return, for each effect of the catalogue found, the probabilities (3,) that it acts in x, y and z.
 
-    It follows from the evidence of the forms of the effect.
+    The keys are the indices of the effects in `naming.found`. The probability of a channel is the sum over the
+    forms that act in it, each weighted by its evidence.
     """
     plausible = {}
     for number, one in enumerate(naming.found):

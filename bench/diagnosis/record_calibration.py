@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 from scipy.special import softmax
@@ -21,30 +20,23 @@ from bench.diagnosis.levels import FOLDS
 from bench.diagnosis.record_model import (
     LEAST,
     ZERO_V,
-    Noise,
-    NoiseTrials,
     Record,
     courses_of,
+    fading_record,
     forms_of,
+    levels_apart,
     make_record,
     shape_of,
-    solved,
+    start_of,
     without_noise,
 )
+from bench.diagnosis.record_noise import Noise, NoiseTrials, solved
 from bench.diagnosis.record_search import Forms, RecordWork
 from bench.model.conditions import Conditions
-from bench.model.effects import CATALOGUE, AppliedEffect
+from bench.model.effects import AppliedEffect
 from bench.readings.columns import numbers
 from bench.readings.table import REFERENCE, REFERENCE_SD_V, REFERENCE_V, Readings
 from bench.stats.repeats import Repeats, compare_repeats
-
-LEVELS: Final = 0.01
-"""A reference that changes by more than this fraction of its largest value determines both gain and offset.
-
-With less, u of the gain is over 200 times that from one level with a known offset.
-"""
-GAIN: Final = "voltmeter_gain"
-"""The effect that adds a multiple of the reference to a signal."""
 
 
 @dataclass(frozen=True)
@@ -120,9 +112,10 @@ def calibrate_record(
 
     Effects with a stated u keep their values, and their u adds to the result. Effects without u were found in
     these readings and are estimated again together with gain and offset; u includes the uncertainty of their
-    shapes (lag, width, time constant). u also includes the slow noise and the scatter of the reference (column
-    `reference_sd_v`). `unread` are `unread_sources`: what effects of the meters' temperature leave in a record
-    without this temperature. Raises `CalibrationError` if the readings cannot be evaluated.
+    shapes (lag, width, time constant). u also includes the unknown state in which a lag begins, the slow noise and
+    the scatter of the reference (column `reference_sd_v`). `unread` are sources of error (`unread_sources`):
+    effects of the meters' temperature, which u includes if the record lacks this temperature. Raises
+    `CalibrationError` if the readings cannot be evaluated.
     """
     record = make_record(readings)
     unread = unread if record.conditions.meter_c is None else ()
@@ -131,19 +124,17 @@ def calibrate_record(
     scatter, note = _scatter(readings, record)
     errors = [np.repeat(scatter[:, None], len(record.channels), axis=1)]
     errors += [_one_u(record, one) for one in effects if one.u]
+    errors += [_one_start(record, one) for one in effects if one.u and "lag" in one.complete_values()]
     errors += [error for one in unread for error in _of_unknown_temperature(record, one)]
-    apart = _levels_apart(record)
     level = float(record.reference_v.mean())
     return RecordCalibration(
         record=record,
-        channels=_channels(
-            left, np.stack(errors), _refitted(left, [e for e in effects if not e.u], apart), apart
-        ),
+        channels=_channels(left, np.stack(errors), _refitted(left, [e for e in effects if not e.u])),
         level_v=level,
         known_v=known,
-        not_observable=() if apart else tuple(_hidden(level)),
+        not_observable=() if record.several_levels else tuple(_hidden(record, level)),
         notes=(*record.notes, *note, *_shapes_kept(record, effects), *_widened(unread)),
-        repeats=_parts(left, apart),
+        repeats=_parts(left),
     )
 
 
@@ -151,30 +142,31 @@ def calibrate_record(
 class _Refitted:
     """An effect to estimate again: the voltages (n, c) that it adds with its values, and its forms.
 
-    The `forms` are None if its shape is known.
+    `start` (n,) is as in `start_of`. The `forms` are None if its shape is known.
     """
 
     added_v: Floats
+    start: Floats
     forms: Forms | None
 
 
-def _refitted(left: Record, effects: Sequence[AppliedEffect], several_levels: bool) -> list[_Refitted]:
-    """Return `effects` to estimate again, with a gain if `several_levels`; `left` is the record less them."""
+def _refitted(left: Record, effects: Sequence[AppliedEffect]) -> list[_Refitted]:
+    """Return `effects` as effects to estimate again; `left` is the record minus these effects."""
     if not effects:
         return []
     record = left.less(-left.added_by(effects))
     given = [(one.effect, shape_of(one.effect, one.complete_values())) for one in effects]
     tried = [forms_of(record, *one) for one in given]
     every = {(effect.name, shape): (effect, shape) for one in tried for effect, shape in one}
-    if several_levels:
-        every[GAIN, ()] = (CATALOGUE[GAIN], ())
     work = RecordWork.of(record, courses_of(record, every.values()))
     courses = [work.nearest(effect.name, shape) for effect, shape in given]
-    known = list(dict.fromkeys(one for one in (*work.shapes_of(GAIN), *courses) if one is not None))
-    return [
-        _Refitted(left.added(one), work.forms(known, known.index(near)) if near and len(forms) > 1 else None)
-        for one, near, forms in zip(effects, courses, tried, strict=True)
+    known = list(dict.fromkeys(filter(None, courses)))
+    of_effects = [
+        work.forms(known, known.index(near)) if near and len(forms) > 1 else None
+        for near, forms in zip(courses, tried, strict=True)
     ]
+    starts = [start_of(record, *one) for one in given]
+    return [_Refitted(*one) for one in zip(map(left.added, effects), starts, of_effects, strict=True)]
 
 
 def _shapes_kept(record: Record, effects: Sequence[AppliedEffect]) -> Iterator[str]:
@@ -192,11 +184,7 @@ def _widened(unread: Sequence[ErrorSource]) -> Iterator[str]:
     return (f"u includes {one.name}: {one.origin}" for one in unread)
 
 
-def _levels_apart(record: Record) -> bool:
-    return bool(np.ptp(record.reference_v) > LEVELS * np.abs(record.reference_v).max())
-
-
-def _parts(record: Record, several_levels: bool) -> Repeats | None:
+def _parts(record: Record) -> Repeats | None:
     """Return the comparison of equal parts of a record.
 
     It is None if the record is too short, or a part lacks a level or noise.
@@ -204,11 +192,9 @@ def _parts(record: Record, several_levels: bool) -> Repeats | None:
     if len(record) < FOLDS * LEAST:
         return None
     parts = [_part(record, rows) for rows in np.array_split(np.arange(len(record)), FOLDS)]
-    if several_levels and not all(map(_levels_apart, parts)):
+    if any(part.several_levels != record.several_levels or any(without_noise(part)) for part in parts):
         return None
-    if any(any(without_noise(part)) for part in parts):
-        return None
-    each = [_channels(part, np.zeros((0, *part.deviation_v.shape)), [], several_levels) for part in parts]
+    each = [_channels(part, np.zeros((0, *part.deviation_v.shape)), []) for part in parts]
     shown = [[one for c in channels for one in (c.gain, c.offset_v) if one] for channels in each]
     value = np.array([[one.value for one in part] for part in shown])
     return compare_repeats(value[None], np.array([[one.u_readings for one in part] for part in shown])[None])
@@ -223,31 +209,32 @@ def _part(record: Record, rows: Ints) -> Record:
     )  # fmt: skip
 
 
-def _channels(
-    record: Record, errors: Floats, again: Sequence[_Refitted], several_levels: bool
-) -> tuple[ChannelCalibration, ...]:
+def _channels(record: Record, errors: Floats, again: Sequence[_Refitted]) -> tuple[ChannelCalibration, ...]:
     """Return the calibration of each channel.
 
     `errors` (e, n, c) has, for each of e errors common to all readings, the voltages for an error of one u.
     `again` are the effects to estimate again.
     """
     trials, level = NoiseTrials.of(record), float(record.reference_v.mean())
-    reference = [record.reference_v - level] if several_levels else []
     found = []
     for number, channel in enumerate(record.channels):
         effects = [one for one in again if np.any(one.added_v[:, number])]
         columns = [one.added_v[:, number] for one in effects]
-        design = np.column_stack([record.trend, *reference, *columns]) / record.scale[:, None]
+        design = np.column_stack([record.trend, *columns]) / record.scale[:, None]
+        first = design.shape[1]
+        design = np.column_stack([design, *(one.start for one in effects)])
         targets = (
             np.column_stack([record.deviation_v[:, number], *errors[:, :, number]]) / record.scale[:, None]
         )
         mean, spread, noise = averaged(trials, design, targets)
         left = (targets[:, 0] - design @ mean[:, 0]) * record.scale
-        count = 2 + several_levels
-        for place, one in enumerate(effects, count):
+        count = record.trend.shape[1]
+        for place, one in enumerate(effects):
             if one.forms is not None:
-                own, others = design[:, place], np.delete(design, place, axis=1)
-                of_form = one.forms.spread_beside(noise, others, own, targets[:, 0] + own)
+                mine = [count + place, first + place]
+                others, held = np.delete(design, mine, axis=1), design[:, mine]
+                beside = np.column_stack([others, targets[:, 0] + held[:, 0]])
+                of_form = one.forms.variance_beside(noise, beside, held)
                 spread[:count, :count] += of_form[:count, :count]
         found.append(
             _channel(record, CHANNELS[channel], level, mean[:count], spread[:count, :count], noise, left)
@@ -263,7 +250,8 @@ def _channel(
     The first column of `mean` has the deviation at the mean level, the slope in time and, for several levels,
     gain - 1; each further column has their changes by an error of one u. `spread` is their covariance.
     """
-    several, has_gain = len(mean) > 2, len(mean) > 2 or abs(level) >= ZERO_V
+    several = len(mean) > 2
+    has_gain = several or (abs(level) >= ZERO_V and not levels_apart(record.reference_v))
     per_hour = 2.0 / float(record.time_h[-1])
     if several:
         turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, -level], [0.0, per_hour, 0.0]])
@@ -288,13 +276,15 @@ def _channel(
 def averaged(trials: NoiseTrials, design: Floats, targets: Floats) -> tuple[Floats, Floats, Noise]:
     """Return least-squares estimates (p, d) of p columns in d targets, their covariance, and the noise.
 
-    `design` (n, p) has the columns, of which the first two are the trend; `targets` (n, d) has one target per
+    `design` (n, p) has the columns, of which the first are the trend; `targets` (n, d) has one target per
     column. The estimates are averaged over the trial noises, weighted by their likelihood for the first target.
     The covariance (p, p) is that of the estimates for the first target, and includes their variation between the
     trial noises. The noise returned is the most probable one.
     """
     count = design.shape[1]
-    products = trials.products(design[:, trials.trend.shape[1] :], np.zeros((len(design), 0)), targets[:, :1])
+    beside = design[:, trials.trend.shape[1] :]
+    beside = beside[:, np.any(beside, axis=0)]  # an effect without a lag has no starting state
+    products = trials.products(beside, np.zeros((len(design), 0)), targets[:, :1])
     weight = softmax(products.likelihood[:, 0])
     whitened = trials.whitened(np.column_stack([design, targets]))
     solutions = [solved(white[:, :count], white[:, count:]) for _, white in whitened]
@@ -327,6 +317,13 @@ def _one_u(record: Record, applied: AppliedEffect) -> Floats:
     return record.added(AppliedEffect(applied.effect, {**values, **applied.u}, applied.channels))
 
 
+def _one_start(record: Record, applied: AppliedEffect) -> Floats:
+    """Return the voltages (n, c), V, of one standard deviation of the unknown starting state of a known effect."""
+    values = applied.complete_values()
+    at_once = AppliedEffect(applied.effect, {**values, "lag": np.zeros(())}, applied.channels)
+    return fading_record(record, float(values["lag"])).added(at_once)
+
+
 def _of_unknown_temperature(record: Record, source: ErrorSource) -> Iterator[Floats]:
     """Yield independent voltages (n, c), V, that a source of `unread_sources` adds, each of one u."""
     factors, names = source.factors or {}, [CHANNELS[channel] for channel in record.channels]
@@ -336,7 +333,13 @@ def _of_unknown_temperature(record: Record, source: ErrorSource) -> Iterator[Flo
         yield source.u * course[:, None] * per_kelvin
 
 
-def _hidden(level: float) -> Iterator[str]:
+def _hidden(record: Record, level: float) -> Iterator[str]:
+    if levels_apart(record.reference_v):
+        yield (
+            "gain: the reference changes linearly with time, so that an error of the gain looks like a drift; the "
+            "gain counts as 1; step the reference up and down to determine it"
+        )
+        return
     if abs(level) < ZERO_V:
         yield f"gain: the reference stays at {level:.3g} V; record a second level to determine it"
         return

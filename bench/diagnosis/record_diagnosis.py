@@ -18,12 +18,18 @@ from bench.diagnosis.levels import BY_CHANCE, FAR, FOLDS
 from bench.diagnosis.naming import FoundEffect
 from bench.diagnosis.pipeline import verdict_of
 from bench.diagnosis.posterior import NoiseSize
-from bench.diagnosis.record_model import FOLLOWS, MOVE, Noise, Record, make_courses, make_record, solved
+from bench.diagnosis.record_model import FOLLOWS, MOVE, Record, make_courses, make_record
+from bench.diagnosis.record_noise import Noise, solved
 from bench.diagnosis.record_search import ChannelFit, RecordWork
 from bench.diagnosis.result import UNNAMED_WORDS, Findings, NamedEffect
 from bench.diagnosis.where import ResidualPattern
 from bench.model.effects import AppliedEffect
 from bench.readings.table import REFERENCE, Readings
+
+GAIN_FITTED: Final = (
+    "the reference has several levels: the gain of each channel is fitted together with zero and drift; 'bench "
+    "calibrate' gives it"
+)
 
 
 @dataclass(frozen=True)
@@ -82,12 +88,12 @@ class RecordDiagnosis(Findings):
 def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -> RecordDiagnosis:
     """Return the diagnosis of a record at a known input.
 
-    The known `effects` are subtracted with their values. Raises `CalibrationError` if the record cannot be
-    evaluated.
+    The known `effects` are subtracted with their values; the state in which a lag begins is estimated. Raises
+    `CalibrationError` if the record cannot be evaluated.
     """
     record = make_record(readings)
-    work = RecordWork.of(record.less(record.added_by(effects)), make_courses(record))
-    work, finds, limit = work.search()
+    work = RecordWork.of(record, make_courses(record)).without(effects)
+    finds, limit = work.search()
     gap, rivals = measure_record_gap(work, finds)
     why = why_unconfirmed(gap)
     named = (
@@ -110,7 +116,7 @@ def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -
         threshold=limit.value,
         noises=tuple(noises),
         hidden=tuple(name for name in FOLLOWS if name not in work.candidates.families),
-        notes=record.notes,
+        notes=(*record.notes, *([GAIN_FITTED] * record.several_levels)),
     )
 
 
@@ -166,11 +172,11 @@ def measure_record_gap(work: RecordWork, finds: Sequence[FoundEffect]) -> tuple[
         family = course.family
         masks = list(_excursions(work, course))
         others = [one.variant for i, one in enumerate(finds) if i != number]
-        fine, close = work.with_close_shapes([one.variant for one in finds], number)
         # a jump keeps its time, as a gap hides it
-        shapes = [course] if family == MOVE else [*work.shapes_of(family), *close]
+        close = work.close_shapes([one.variant for one in finds], number)
+        shapes = close if family == MOVE else [*work.shapes_of(family), *close]
         for label, rows in masks if len(masks) > 1 else ():
-            before, after = (_predicted(fine, others, trials, rows, noises) for trials in ((), shapes))
+            before, after = (_predicted(work, others, trials, rows, noises) for trials in ((), shapes))
             folds.append(Fold(label, {family: before.chi2 - after.chi2}, before, after))
     size = NoiseSize(noises[0].white / len(work.parts) ** 0.5, 0.0, len(work.record) - 2)
     gap = Gap(tuple(folds), size, "V", tuple(one.variant.family for one in finds))
@@ -234,11 +240,11 @@ def _predicted(
     rows: Mask,
     noises: Sequence[Noise],
 ) -> HeldOut:
-    """Predict the held-out `rows` with the one of `shapes`, if any, that the other rows make most probable.
+    """Predict the held-out `rows` from the other rows.
 
-    A straight line in the rows is subtracted from the errors, as slow noise sets the level after an excursion.
-    The chi-square of the prediction is the chi-square of all rows minus that of the other rows, and includes all
-    uncertainties.
+    The model has the courses `others` and, of the `shapes`, the one that fits the other rows best. A straight line
+    in the held-out rows is subtracted from the errors, as slow noise sets the level after an excursion. The
+    chi-square of the prediction is that of all rows minus that of the other rows; it includes all uncertainties.
     """
     rest = np.flatnonzero(~rows)
     lower = [linalg.cholesky(noise.covariance[np.ix_(rest, rest)], lower=True) for noise in noises]

@@ -11,21 +11,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
-from scipy import linalg, ndimage, special
+from scipy import ndimage, special
 
 from bench.base.arrays import CHANNELS, HOUR, MINUTE, Floats, Ints, Mask, least_squares
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.candidates import Candidates, Column, Variant
-from bench.diagnosis.evidence import LOG_SIZE_WEIGHTS, SIZES
-from bench.diagnosis.levels import FAR, NEGLIGIBLE, OFTEN
+from bench.diagnosis.levels import FAR, INSEPARABLE, NEGLIGIBLE
 from bench.diagnosis.noise_kinds import LARGER
 from bench.diagnosis.open_parts import BEYOND, Shape
-from bench.model.conditions import Conditions
+from bench.model.conditions import METER_REFERENCE_C, Conditions
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Seen
 from bench.model.geometry import Block
 from bench.readings.columns import METER_C, ROOM_C, meter_c, numbers, rails_of, voltage_column
@@ -41,6 +39,11 @@ ROUNDING: Final = 1e-12
 """Larger than the rounding errors of a mean, and less than the noise of any meter, as a fraction of the signal."""
 ZERO_V: Final = 1e-3
 """A reference below this, V, counts as a short circuit: an offset of 1 µV would change a gain by 0.1 %."""
+LEVELS: Final = 0.01
+"""A reference that changes by more than this fraction of its largest value determines both gain and offset.
+
+With less, u of the gain is over 200 times that from one level with a known offset.
+"""
 OF_MEDIAN: Final = 1.0 / float(special.ndtri(0.75))
 """Standard deviation of a normal distribution, as a multiple of its median absolute deviation."""
 
@@ -51,8 +54,8 @@ class Record:
 
     `channels` are the indices of the channels. `reference_v` (n,) is the input, V; `deviation_v` (n, c) is the
     signal minus the input, V. `scale` (n,) is the relative noise of each mean, from the scatter of its readings.
-    `conditions` has the times, temperatures and rail voltages of the means. `used` (m,) is True for those of the
-    m readings of the table that the means contain.
+    `conditions` has the times, temperatures and rail voltages of the means. `used` (m,) is the mask
+    of the readings of the table that the means contain.
     """
 
     source: str
@@ -74,14 +77,30 @@ class Record:
         return np.asarray((elapsed_s - elapsed_s[0]) / HOUR)
 
     @property
-    def trend(self) -> Floats:
-        """The two columns (n, 2) that every model contains: a constant, and a line in time from -1 to 1."""
+    def several_levels(self) -> bool:
+        """Whether the reference changes enough, and not just linearly in time, to determine gain and offset."""
+        beside_line = least_squares(self.line, self.reference_v)[1]
+        ramp = np.ptp(beside_line) <= INSEPARABLE * np.ptp(self.reference_v)
+        return levels_apart(self.reference_v) and not ramp
+
+    @property
+    def line(self) -> Floats:
+        """A constant, and a line in time from -1 to 1, as columns (n, 2)."""
         time_h = self.time_h
         return np.column_stack([np.ones(len(self)), 2.0 * time_h / time_h[-1] - 1.0])
 
     @property
+    def trend(self) -> Floats:
+        """The columns (n, 2) that every model contains, those of `line`.
+
+        If the reference has several levels, a third column is the reference minus its mean, V, for the gain.
+        """
+        gain = [self.reference_v - self.reference_v.mean()] * self.several_levels
+        return np.column_stack([self.line, *gain])
+
+    @property
     def beside_trend(self) -> Floats:
-        """The deviations after zero and drift of each channel are fitted and subtracted, V, shape (n, c)."""
+        """The deviations minus the fit of `trend` to each channel, V, shape (n, c)."""
         return least_squares(self.trend, self.deviation_v)[1]
 
     def less(self, added_v: Floats) -> Record:
@@ -102,7 +121,7 @@ class Record:
 def make_record(readings: Readings) -> Record:
     """Return a table of readings at a known input as means over equal intervals of time.
 
-    Means at the beginning are left out if they jump more than all later ones: the input had not settled.
+    Means before a jump at the beginning are left out: the input had not settled.
     Raises `CalibrationError` if the readings cannot be evaluated.
     """
     time_s, reference_v, channels = _checked(readings)
@@ -113,7 +132,10 @@ def make_record(readings: Readings) -> Record:
             f"few to separate an effect from noise; a record needs {LEAST}"
         )
     means, spread, used = _robust_means(readings.signal[:, channels] - reference_v[:, None], groups)
-    begin = _settled(means)
+    at_inputs = np.array(
+        [np.mean(reference_v[rows[used[rows]] if used[rows].any() else rows]) for rows in groups]
+    )
+    begin = _settled(means, at_inputs)
     groups, first = groups[begin:], int(groups[begin][0])
     used[:first] = False
     notes, warmth, rails = [], meter_c(readings.extra), list(_rails(readings))
@@ -142,17 +164,17 @@ def make_record(readings: Readings) -> Record:
         supply_v=np.stack([mean(rail) for rail in rails], axis=1) if rails else None,
         meter_c=None if warmth is None else mean(warmth),
     )
-    at_inputs, size = mean(reference_v), _relative(spread[begin:])
     record = Record(
-        readings.source, tuple(channels), means[begin:], at_inputs, size, conditions, used, tuple(notes)
-    )
+        readings.source, tuple(channels), means[begin:], at_inputs[begin:], _relative(spread[begin:]),
+        conditions, used, tuple(notes),
+    )  # fmt: skip
     if wrong := list(without_noise(record)):
         raise CalibrationError(f"{readings.source}: {'; '.join(wrong)}")
     return record
 
 
 def _far_from_reference(signal_v: Floats, reference_v: Floats, channels: Sequence[int]) -> Iterator[str]:
-    """Yield a sentence for each channel whose signals (n, c) differ from the reference (n,) by a wrong unit."""
+    """Yield a sentence for each channel of `signal_v` (n, c) that seems to have another unit than the reference."""
     level_v = float(np.median(np.abs(reference_v)))
     for channel, read_v in zip(channels, np.median(np.abs(signal_v), axis=0).tolist(), strict=True):
         if level_v >= ZERO_V and not 1.0 / LARGER < read_v / level_v < LARGER:
@@ -163,7 +185,10 @@ def _far_from_reference(signal_v: Floats, reference_v: Floats, channels: Sequenc
 
 
 def without_noise(record: Record) -> Iterator[str]:
-    """Yield a sentence for each channel without noise, or else for each pair of channels with the same noise."""
+    """Yield a sentence for each channel that has no noise.
+
+    If all channels have noise, yield a sentence for each pair of channels with identical noise.
+    """
     left, names = record.beside_trend, [f"u{CHANNELS[channel]}_v" for channel in record.channels]
     least = ROUNDING * float(np.abs(record.deviation_v + record.reference_v[:, None]).max())
     still = [name for name, one in zip(names, left.T, strict=True) if np.ptp(one) <= least]
@@ -184,8 +209,15 @@ def groups_of(time_s: Floats) -> list[Ints]:
     return [np.flatnonzero(of_row == number) for number in np.unique(of_row)]
 
 
-def _settled(means: Floats) -> int:
-    """Return how many `means` (n, c) to leave out at the beginning: at most a tenth of all."""
+def levels_apart(reference_v: Floats) -> bool:
+    """Return whether the reference (n,) changes by more than the fraction `LEVELS` of its largest value."""
+    return bool(np.ptp(reference_v) > LEVELS * np.abs(reference_v).max())
+
+
+def _settled(means: Floats, reference_v: Floats) -> int:
+    """Return the number of `means` (n, c) before the last jump in the first tenth; they are left out."""
+    if levels_apart(reference_v):  # a gain jumps with the reference
+        means = least_squares(np.column_stack([np.ones(len(means)), reference_v]), means)[1]
     steps = np.abs(np.diff(means, axis=0))
     jumps = np.any(steps > FAR * OF_MEDIAN * np.median(steps, axis=0), axis=1)
     early = np.flatnonzero(jumps[: len(means) // 10])
@@ -263,208 +295,6 @@ def _rails(readings: Readings) -> Iterator[Floats]:
         yield voltage - np.nanmedian(voltage) if given is None or np.isnan(given).all() else given
 
 
-# --- noise --------------------------------------------------------------------------------------------
-
-RATIOS: Final = (0.0, *np.geomspace(1e-2, 1e5, 11).tolist())
-"""Trial ratios of the slow noise's mean variance to the white noise's variance, a factor of five apart."""
-CORRELATED: Final = (0.005, 0.02, 0.06)
-"""Correlation times of the exponentially correlated noises, as fractions of the length of the record.
-
-They are a factor of about three apart; longer ones resemble flicker noise.
-"""
-
-
-def slow_kernels(time_h: Floats) -> Iterator[Floats]:
-    """Yield a covariance matrix (n, n), of mean variance 1, for each kind of slow noise.
-
-    The kinds are a random walk, flicker noise, and several noises of exponential correlation. Flicker noise
-    is the integral of the latter over ln of the correlation time, from the mean step of time to the length of
-    the record. `time_h` (n,) are the times, h.
-    """
-    length = float(time_h[-1])
-    apart = np.abs(time_h[:, None] - time_h)
-    share = np.maximum(apart / length, NEGLIGIBLE)
-    flicker = special.exp1(share) - special.exp1(share * len(time_h))
-    short = [np.exp(-apart / (part * length)) for part in CORRELATED]
-    for kernel in (np.minimum.outer(time_h, time_h), flicker, *short):
-        yield kernel / np.mean(np.diag(kernel))
-
-
-@dataclass(frozen=True)
-class Noise:
-    """White noise plus slow noise of one kind, over n means.
-
-    `variance` is the variance of the white noise, V²; the slow noise has `ratio` times this variance on average.
-    `slow` (n,) are the eigenvalues of the slow noise's covariance for a mean variance of 1; `vectors` (n, n), its
-    eigenvectors.
-    """
-
-    slow: Floats
-    vectors: Floats
-    ratio: float
-    variance: float = 1.0
-
-    @cached_property
-    def sd(self) -> Floats:
-        """The standard deviations (n,) of the noise along the eigenvectors, V."""
-        return np.asarray(np.sqrt(self.variance * (1.0 + self.ratio * self.slow)))
-
-    @property
-    def covariance(self) -> Floats:
-        """The covariance matrix (n, n) of the noise, V²."""
-        return np.asarray((self.vectors * self.sd**2) @ self.vectors.T)
-
-    def whiten(self, columns: Floats) -> Floats:
-        """Return the columns (n, m) as numbers with independent noise of variance 1."""
-        return np.asarray((self.vectors.T @ columns) / self.sd[:, None])
-
-    def drawn(self, rng: np.random.Generator, count: int) -> Floats:
-        """Return `count` random samples of the noise as columns, (n, count), V.
-
-        The factor of the covariance is the symmetric root, as the signs of eigenvectors vary between machines.
-        """
-        drawn = self.vectors.T @ rng.standard_normal((len(self.slow), count))
-        return np.asarray(self.vectors @ (self.sd[:, None] * drawn))
-
-    @property
-    def white(self) -> float:
-        """Standard deviation of the white noise, V."""
-        return float(np.sqrt(self.variance))
-
-
-@dataclass(frozen=True)
-class NoiseTrials:
-    """The trial noises of a record: kinds of slow noise, each with several ratios to the white noise.
-
-    `slow` has, for each kind, the eigenvalues (n,) and eigenvectors (n, n) of its covariance. `trend` (n, 2) is
-    `Record.trend` divided by the relative noise of each mean.
-    """
-
-    slow: tuple[tuple[Floats, Floats], ...]
-    trend: Floats
-
-    @classmethod
-    def of(cls, record: Record) -> NoiseTrials:
-        """Return the trial noises for the times of a record."""
-        found = (linalg.eigh(kernel) for kernel in slow_kernels(record.time_h))
-        slow = tuple((np.maximum(variance, 0.0), vectors) for variance, vectors in found)
-        return cls(slow, record.trend / record.scale[:, None])
-
-    def whitened(self, columns: Floats) -> Iterator[tuple[Noise, Floats]]:
-        """Yield each trial noise (of white variance 1), and the columns (n, m) whitened by it."""
-        for number, (variance, vectors) in enumerate(self.slow):
-            turned = vectors.T @ columns
-            for ratio in RATIOS:
-                if number == 0 or ratio > 0.0:  # without slow noise all kinds are the same
-                    noise = Noise(variance, vectors, ratio)
-                    yield noise, turned / noise.sd[:, None]
-
-    def products(self, known: Floats, columns: Floats, targets: Floats) -> Products:
-        """Return the scalar products of h columns and d targets for each trial noise.
-
-        `columns` (n, h) and `targets` (n, d) have the trend and the columns `known` (n, m) projected out.
-        """
-        fixed, h = self.trend.shape[1] + known.shape[1], columns.shape[1]
-        each = []
-        for noise, white in self.whitened(np.column_stack([self.trend, known, columns, targets])):
-            basis, upper = np.linalg.qr(white[:, :fixed])
-            rest = white[:, fixed:] - basis @ (basis.T @ white[:, fixed:])
-            log_det = -float(np.sum(np.log(noise.sd)) + np.sum(np.log(np.abs(np.diag(upper)))))
-            along, left = rest[:, :h].T @ rest[:, h:], np.sum(rest[:, h:] ** 2, axis=0)
-            each.append((noise, log_det, np.sum(rest[:, :h] ** 2, axis=0), along, left))
-        noises, dets, squares, products, lefts = zip(*each, strict=True)
-        found = (np.array(dets), np.array(squares), np.array(products), np.array(lefts))
-        return Products(noises, *found, len(self.trend) - fixed)
-
-
-@dataclass(frozen=True)
-class Products:
-    """Scalar products of h whitened columns and d targets, for each of s trial noises.
-
-    `square` (s, h) are the squared lengths of the columns; `product` (s, h, d), the scalar products of columns
-    and targets; `left` (s, d), the squared lengths of the targets. `log_det` (s,) is the part of ln of the
-    restricted likelihood that does not depend on the data.
-    """
-
-    noises: tuple[Noise, ...]
-    log_det: Floats
-    square: Floats
-    product: Floats
-    left: Floats
-    freedom: int
-
-    @property
-    def likelihood(self) -> Floats:
-        """ln of the restricted likelihood of each trial noise without any of the columns, shape (s, d)."""
-        return np.asarray(self.log_det[:, None] - 0.5 * self.freedom * np.log(self.left))
-
-    @property
-    def sizes(self) -> tuple[Floats, Floats, Floats]:
-        """The size of each column in the first target, if the model has this column in addition.
-
-        Three arrays (h,) are returned: ln of the restricted likelihood, the size, and its variance. They are
-        averages over the trial noises of one kind. Of the kinds of slow noise that the record allows, the one
-        with the largest u is used, so that u holds for each.
-        """
-        product, square, freedom = self.product[:, :, 0], np.maximum(self.square, 1e-300), self.freedom - 1
-        size = product / square
-        left = self.left[:, :1] - size * product
-        log = self.log_det[:, None] - 0.5 * (np.log(square) + freedom * np.log(left))
-        variance = left / (freedom * square)
-        slow = [id(noise.slow) for noise in self.noises]
-        kinds = [np.equal(slow, one) for one in dict.fromkeys(slow)]
-        of_kind = np.array([special.logsumexp(log[kind]) for kind in kinds])
-        likely = np.flatnonzero(of_kind > of_kind.max() + np.log(OFTEN))
-        variances = [_mean(*(of[kinds[k]].ravel() for of in (log, size, variance)))[1] for k in likely]
-        kind = kinds[likely[int(np.argmax(variances))]]
-        return np.asarray(special.logsumexp(log[kind], axis=0)), *_mean(log[kind], size[kind], variance[kind])
-
-    @property
-    def noise(self) -> Noise:
-        """The trial noise that is most probable for the first target, with its variance."""
-        best = int(np.argmax(self.likelihood[:, 0]))
-        return replace(self.noises[best], variance=float(self.left[best, 0]) / self.freedom)
-
-    def gain(self, plausible: Floats) -> Floats:
-        """Return ln of the Bayes factor of adding each column to the model, for each target, shape (h, d).
-
-        `plausible` (h,) is the plausible size of each column. The prior of a column's amplitude is an average of
-        normal distributions about zero, with standard deviations of `SIZES` times the plausible size. Both models
-        are averaged over the trial noises.
-        """
-        prior = [(size * plausible[:, None]) ** 2 for size in SIZES]
-        total = np.full(self.product.shape[1:], -np.inf)
-        for log_det, square, product, left in zip(
-            self.log_det, self.square[:, :, None], self.product, self.left, strict=True
-        ):
-            gain = product**2 / np.maximum(square, 1e-300)
-            inverse = self.freedom / np.maximum(left - gain, 1e-300)
-            for wide, weight in zip(prior, LOG_SIZE_WEIGHTS, strict=True):
-                known = square * wide * inverse
-                rest = left - gain * known / (1.0 + known)
-                log = weight + log_det - 0.5 * (np.log1p(known) + self.freedom * np.log(rest))
-                np.logaddexp(total, log, out=total)
-        return np.asarray(total - special.logsumexp(self.likelihood, axis=0))
-
-
-def _mean(log: Floats, size: Floats, variance: Floats) -> tuple[Floats, Floats]:
-    """Return the mean of sizes over the first axis, weighted by the likelihoods exp(`log`), and its variance."""
-    weight = special.softmax(log, axis=0)
-    mean = np.sum(weight * size, axis=0)
-    return mean, np.asarray(np.sum(weight * (variance + (size - mean) ** 2), axis=0))
-
-
-def solved(columns: Floats, targets: Floats) -> tuple[Floats, Floats, float]:
-    """Return the least-squares estimates of whitened columns in targets, their covariance, and chi-square.
-
-    `columns` are (n, m), and `targets` (n, …). The estimates are (m, …); their covariance (m, m) is for noise of
-    variance 1. Chi-square is the sum of squares of the residuals.
-    """
-    spread = np.asarray(np.linalg.pinv(columns.T @ columns, hermitian=True), dtype=np.float64)
-    mean = spread @ columns.T @ targets
-    return mean, spread, float(np.sum((targets - columns @ mean) ** 2))
-
-
 # --- what may explain a record ----------------------------------------------------------------------
 
 MOVE: Final = "voltmeter_move"
@@ -507,8 +337,8 @@ def _shapes(record: Record, effect: Effect) -> list[Shape]:
 def forms_of(record: Record, effect: Effect, shape: Shape) -> list[tuple[Effect, Shape]]:
     """Return the shapes that an effect of a model may have in a record.
 
-    It is the given shape alone for a supply, whose rail is known, for a formula, and for an effect with several
-    shape parameters that are not zero.
+    Only the given shape is returned for a supply, whose rail is known, for a formula, and for an effect with
+    several shape parameters that are not zero.
     """
     known = any(p.is_shape and p.unit == "1" for p in effect.parameters)
     if known or effect.name not in FOLLOWS or len(shape) > 1:
@@ -525,20 +355,51 @@ def shape_of(effect: Effect, values: Mapping[str, Any]) -> Shape:
     )
 
 
-def courses_of(record: Record, forms: Iterable[tuple[Effect, Shape]]) -> Candidates:
-    """Return effects, each in one shape, as candidates.
+def column_of(record: Record, effect: Effect, shape: Shape) -> Floats:
+    """Return the column (n,) of an effect in one shape, V.
 
-    A column (n,) is the voltage that the effect adds at its plausible size, divided by the relative noise of
-    each mean. An effect that has a size for each channel has the same column for each channel of the record.
-    A form that a zero and a drift can describe is left out.
+    It is the voltage that the effect adds to a channel at its plausible size, each mean divided by its relative
+    noise.
+    """
+    size = next(p for p in effect.parameters if p.is_size)
+    plausible = np.full(3 if size.per_channel else (), size.plausible)
+    values = {size.name: plausible, **{name: np.asarray(value) for name, value in shape}}
+    return np.asarray(record.added(AppliedEffect(effect, values))[:, 0] / record.scale)
+
+
+def start_of(record: Record, effect: Effect, shape: Shape) -> Floats:
+    """Return the column (n,) of the starting state of an effect with a lag, V; it is zero without a lag.
+
+    It is the voltage of the effect at its plausible size in a `fading_record`, scaled as in `column_of`.
+    """
+    lag_s = dict(shape).get("lag", 0.0)
+    if not lag_s or FOLLOWS.get(effect.name) != "meter":
+        return np.zeros(len(record))
+    return column_of(fading_record(record, lag_s), effect, ())
+
+
+def fading_record(record: Record, lag_s: float) -> Record:
+    """Return the record with the temperature that a lag leaves of a deviation at the start.
+
+    A record may begin while the temperature changes. The deviation is the standard deviation of the temperature.
+    """
+    left = np.exp(-record.time_h * HOUR / lag_s) if lag_s else np.zeros(len(record))
+    meter_c = METER_REFERENCE_C + np.std(record.conditions.meter_warmth_k) * left
+    return replace(record, conditions=replace(record.conditions, meter_c=meter_c))
+
+
+def courses_of(record: Record, forms: Iterable[tuple[Effect, Shape]]) -> Candidates:
+    """Return effects, each in one shape, as candidates with the columns of `column_of`.
+
+    An effect that has a size for each channel has the same column for each channel of the record. A form that the
+    trend can describe is left out.
     """
     columns, scale, variants = [np.zeros((len(record), 0))], [], []
     kinds: list[Column] = []
     for effect, shape in forms:
-        size = next(p for p in effect.parameters if not p.is_shape)
-        plausible = np.full(3 if size.per_channel else (), size.plausible)
-        values = {size.name: plausible, **{name: np.asarray(value) for name, value in shape}}
-        course = record.added(AppliedEffect(effect, values))[:, 0]
+        size = next(p for p in effect.parameters if p.is_size)
+        column = column_of(record, effect, shape)
+        course = column * record.scale
         left = least_squares(record.trend, course)[1]
         if not np.any(course) or left @ left <= NEGLIGIBLE * (course @ course):
             continue
@@ -549,5 +410,5 @@ def courses_of(record: Record, forms: Iterable[tuple[Effect, Shape]]) -> Candida
         )
         kinds += own
         scale += [size.plausible] * len(own)
-        columns += [(course / record.scale)[:, None]] * len(own)
+        columns += [column[:, None]] * len(own)
     return Candidates(np.column_stack(columns), tuple(kinds), np.array(scale), tuple(variants))

@@ -374,8 +374,13 @@ def stability_of(
     `size` is the permitted noise of a reading, in the unit of the signals. If it is None, the averaging time is the
     time beyond which longer averages gain little.
     """
-    signals = tracked(list(record.signal.T), "Allan deviation of the channels")
-    curves = tuple(allan_curve(one, record.interval_s, gaps=bool(record.notes)) for one in signals)
+    signals = list(zip(record.channels, record.signal.T, strict=True))
+    curves = tuple(
+        allan_curve(
+            one, record.interval_s, gaps=bool(record.notes), name=f"{record.source}, channel {channel}"
+        )
+        for channel, one in tracked(signals, "Allan deviation of the channels")
+    )
     terms = tuple(fit_terms(curve) for curve in tracked(curves, "noise terms of the channels"))
     averages = tuple(averaging(c, t, size) for c, t in zip(curves, terms, strict=True))
     found = Stability(record, line_frequency_hz, curves, terms, averages, None)

@@ -327,11 +327,11 @@ class Rail:
         return {"voltage_v": self.voltage_v, "nominal_v": self.nominal_v, "current_a": self.current_a}
 
     @classmethod
-    def from_json(cls, row: Mapping[str, Any]) -> Rail:
-        """Return the rail from the JSON object of an event. Raises `KeyError`, `TypeError`, `ValueError`."""
+    def from_json(cls, name: str, row: Mapping[str, Any]) -> Rail:
+        """Return the rail `name` from the JSON object of an event. Raises `KeyError`, `TypeError`, `ValueError`."""
         values = (row["voltage_v"], row["nominal_v"], row["current_a"])
         if any(type(value) not in (int, float) or not isfinite(value) for value in values):
-            raise ValueError("a rail's voltage, nominal voltage or current is not a number")
+            raise ValueError(f"rail {name}: voltage, nominal voltage or current is not a number")
         return cls(*values)
 
 

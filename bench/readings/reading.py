@@ -120,7 +120,7 @@ class Reading:
         found = given.get("outlier", _NONE)
         given["outlier"] = _NONE if found == _NONE else tuple(one and Outlier(**one) for one in found)
         if "rails" in given:
-            given["rails"] = {str(name): Rail.from_json(rail) for name, rail in given["rails"].items()}
+            given["rails"] = {str(name): Rail.from_json(name, rail) for name, rail in given["rails"].items()}
         reading = cls(**given)
         reading._check()
         return reading

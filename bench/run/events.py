@@ -432,13 +432,13 @@ class Event:
         """
         number, time, bench_s, kind = data.pop("n"), data.pop("time"), data.pop("bench_s"), data.pop("type")
         if type(number) is not int or type(time) is not str or type(kind) is not str:
-            raise ValueError("its number, time or type is invalid")
+            raise ValueError("number, time or type of the event is invalid")
         if type(bench_s) not in _NUMBERS or not math.isfinite(bench_s):
-            raise ValueError("its bench time is not a number")
+            raise ValueError("bench time of the event is not a number")
         for name, kinds in _REQUIRED_DATA.get(kind, ()):
             value: Any = data[name]
             if type(value) is not kinds or (isinstance(value, int) and not 0 <= value < MOST):
-                raise ValueError(f"its {name} is invalid")
+                raise ValueError(f"{name} of the event {kind} is invalid")
         return cls(number, time, float(bench_s), kind, data)
 
     @property

@@ -51,30 +51,36 @@ class AllanCurve:
 
 
 def allan_curve(
-    signal: Floats, interval_s: float, multiples: Sequence[int] | None = None, *, gaps: bool = False
+    signal: Floats,
+    interval_s: float,
+    multiples: Sequence[int] | None = None,
+    *,
+    gaps: bool = False,
+    name: str = "signal",
 ) -> AllanCurve:
     """Return the overlapping Allan deviation of samples (n,), one every `interval_s`.
 
     The averages are over 1, 2, 4, … samples up to a quarter of the record, or over those of `multiples` for which
     the record has at least two differences. With `gaps`, samples may be NaN, and an average needs half of its
-    samples. Raises `CalibrationError` if the record is too short, the signal never changes, or a sample is not a
-    number.
+    samples. Errors speak of the signal by its `name`. Raises `CalibrationError` if the record is too short, the
+    signal never changes, or a sample is not a number.
     """
     known = np.isfinite(signal)
     if not (gaps or np.all(known)):
         raise CalibrationError(
-            "a sample is not a number; an Allan deviation needs a record without gaps; cut it there"
+            f"{name}: sample {int(np.argmin(known)) + 1} is not a number; an Allan deviation needs a record "
+            "without gaps; cut the record there"
         )
     if np.ptp(signal[known]) == 0.0:
         raise CalibrationError(
-            "a signal is the same in every sample; check its cable and the digits of the record"
+            f"{name}: the signal is the same in every sample; check its cable, and record more digits"
         )
     most = len(signal) // LONGEST_PART
     asked = 2 ** np.arange(int(np.log2(most)) + 1) if multiples is None else np.unique(multiples)
     found = asked[(asked > 0) & (2 * asked < len(signal))].astype(np.int64)
     if not len(found):
         raise CalibrationError(
-            f"{len(signal)} samples are too few for the averaging times asked for; ask for shorter ones"
+            f"{name}: {len(signal)} samples are too few for the averaging times asked for; ask for shorter ones"
         )
     # subtract the mean: in running sums a large mean would cost the noise its last digits
     sums = np.concatenate([[0.0], np.cumsum(np.where(known, signal - signal[known].mean(), 0.0))])

@@ -12,7 +12,8 @@ from scipy import special
 
 from bench.base.arrays import Floats
 from bench.diagnosis.record_diagnosis import RecordDiagnosis, diagnose_record
-from bench.diagnosis.record_model import Noise, NoiseTrials, Record, groups_of, make_courses, make_record
+from bench.diagnosis.record_model import Record, groups_of, make_courses, make_record
+from bench.diagnosis.record_noise import Noise, NoiseTrials
 from bench.diagnosis.record_search import RecordWork
 from bench.readings.table import Readings
 
@@ -135,7 +136,7 @@ def odds_of_the_last(found: RecordDiagnosis) -> tuple[float, Floats, float]:
     """
     rng, record = np.random.default_rng(SEED), found.record
     work = RecordWork.of(record, make_courses(record))
-    work, finds, limit = work.search()
+    finds, limit = work.search()
     drawn = np.hstack([simulated_v(found, record, rng) for _ in range(KNOWN)]) / record.scale[:, None]
     odds = work.log_odds([one.variant for one in finds[:-1]], [drawn])[1]
     return finds[-1].total, np.asarray(special.logsumexp(odds, axis=0)), max(limit.value, 0.0)
@@ -161,5 +162,5 @@ def searched_with_the_noise_known(found: RecordDiagnosis) -> Iterator[str]:
     known = _OneNoise(work.trials.slow, work.trials.trend, replace(noise, variance=1.0))
     for _ in range(KNOWN):
         deviation_v = simulated_v(found, record, rng)
-        _, finds, _ = replace(work, record=replace(record, deviation_v=deviation_v), trials=known).search()
+        finds, _ = replace(work, record=replace(record, deviation_v=deviation_v), trials=known).search()
         yield judged(names_of(found), [frozenset({one.variant.family, *one.ties}) for one in finds])

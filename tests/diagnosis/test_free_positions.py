@@ -8,6 +8,7 @@ import pytest
 from bench.calibration import CalibrationError
 from bench.diagnosis.free_positions import diagnose_free
 from bench.diagnosis.free_records import make_rows
+from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.readings.csv import read_csv
 from bench.readings.table import all_free, make_readings
 from bench.results.diagnosis_parts import gap_part
@@ -151,6 +152,23 @@ def test_so_many_as_determine_the_coefficients_say_nothing_of_what_is_missing():
 def test_only_tables_of_free_positions_are_taken():
     assert all_free([positions(1)])
     assert not all_free([])
+
+
+def test_an_effect_that_free_positions_cannot_have_is_named():
+    class OfAngle(type(CATALOGUE["cubic_nonlinearity"])):
+        name = "of_angle"
+
+        def addition(self, values, seen):
+            return super().addition(values, seen) * np.cos(seen.conditions.angle_rad)[:, None]
+
+    size = next(p for p in OfAngle.parameters if p.is_size)
+    applied = AppliedEffect(OfAngle(), {size.name: np.full(3, size.plausible)})
+    model = ForwardModel({}, (applied,), name="mine")
+    told = (
+        "model mine: of_angle needs a head angle, a time or a temperature, which free positions lack; remove"
+    )
+    with pytest.raises(CalibrationError, match=told):
+        make_rows([positions(1)], None, model)
 
 
 def test_readings_in_motion_are_refused_and_not_explained():

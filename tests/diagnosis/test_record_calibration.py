@@ -13,31 +13,11 @@ from bench.diagnosis.record_diagnosis import diagnose_record
 from bench.model import ForwardModel
 from bench.model.effects import CATALOGUE, AppliedEffect
 from bench.readings.csv import read_csv
-from tests.support.known_inputs import switched_on
-
-GAIN, OFFSET = 1.0 + 12e-6, 3e-6
-
-
-def record(folder, seed, *, levels=(0.0, 10.0), walk=0.0, sd="", per_k=0.0, count=240):
-    """A record of 40 h through `levels`; `walk` is the step of a random walk a reading, V."""
-    rng = np.random.default_rng(seed)
-    time_s = np.linspace(0.0, 40 * 3600.0, count)
-    reference = np.array(levels)[np.arange(count) // 6 % len(levels)]
-    warmth = 5.0 * np.sin(2.0 * np.pi * np.arange(count) / 80.0)
-    volts = GAIN * reference + OFFSET + per_k * warmth + rng.normal(0.0, 0.2e-6, count)
-    volts += np.cumsum(rng.normal(0.0, walk, count)) if walk else 0.0
-    rows = [
-        f"R,{t:.3f},{r:.6f},{sd},{v:.10f},{23.0 + w:.4f}"
-        for t, r, v, w in zip(time_s, reference, volts, warmth, strict=True)
-    ]
-    file = folder / f"record-{seed}.csv"
-    header = "installation,time_s,reference_v,reference_sd_v,ux_v,meter_temperature_c"
-    file.write_text("\n".join([header, *rows]) + "\n")
-    return read_csv(file, ())
+from tests.support.known_inputs import GAIN, OFFSET, record_at_levels, switched_on
 
 
 def test_two_levels_tell_gain_from_offset(tmp_path):
-    found = calibrate_record(record(tmp_path, 1))
+    found = calibrate_record(record_at_levels(tmp_path, 1))
     (x,) = found.channels
     assert abs(x.gain.value - GAIN) < 3 * x.gain.u
     assert abs(x.offset_v.value - OFFSET) < 3 * x.offset_v.u
@@ -47,9 +27,27 @@ def test_two_levels_tell_gain_from_offset(tmp_path):
     assert not found.repeats.too_small
 
 
+def test_a_mean_across_a_change_of_level_keeps_gain_and_offset(tmp_path):
+    """1000 readings in 300 means: a mean has the readings, and the reference, of one level only."""
+    (x,) = calibrate_record(record_at_levels(tmp_path, 9, count=1000)).channels
+    assert abs(x.gain.value - GAIN) < 4 * x.gain.u
+    assert abs(x.offset_v.value - OFFSET) < 4 * x.offset_v.u
+    assert x.gain.u < 0.02e-6
+
+
+def test_a_reference_that_only_rises_in_time_tells_no_gain(tmp_path):
+    readings = record_at_levels(tmp_path, 9)
+    ramp = 10.0 * readings.time_s / readings.time_s[-1]
+    extra = {**readings.extra, "reference_v": np.array([repr(v) for v in ramp.tolist()])}
+    signal = readings.signal + (ramp - readings.extra["reference_v"].astype(float))[:, None]
+    found = calibrate_record(replace(readings, signal=signal, extra=extra))
+    assert found.channels[0].gain is None
+    assert "an error of the gain looks like a drift" in found.not_observable[0]
+
+
 @pytest.mark.parametrize(("level", "hidden"), [(0.0, "gain"), (10.0, "offset")])
 def test_one_level_gives_one_of_the_two_and_says_so(tmp_path, level, hidden):
-    found = calibrate_record(record(tmp_path, 2, levels=(level,)))
+    found = calibrate_record(record_at_levels(tmp_path, 2, levels=(level,)))
     (x,) = found.channels
     assert (x.gain is None, x.offset_v is None) == (hidden == "gain", hidden == "offset")
     assert found.not_observable[0].startswith(f"{hidden}: the reference stays at")
@@ -62,14 +60,16 @@ def test_u_covers_the_truth_beside_slow_noise(tmp_path):
     """Random walks of 0.5 µV a reading wander by 8 µV; u of white noise alone would be 0.01 µV."""
     pulls = []
     for seed in range(12):
-        (x,) = calibrate_record(record(tmp_path, seed, levels=(0.0,), walk=0.5e-6)).channels
+        (x,) = calibrate_record(record_at_levels(tmp_path, seed, levels=(0.0,), walk=0.5e-6)).channels
         pulls.append((x.offset_v.value - OFFSET) / x.offset_v.u)
     # a chi-square of 12 degrees of freedom over 12 lies below 2.5 but for 3 in 1000
     assert np.mean(np.square(pulls)) < 2.5
 
 
 def test_the_scatter_of_the_reference_is_in_u(tmp_path):
-    plain, told = (calibrate_record(record(tmp_path, 3, levels=(10.0,), sd=sd)) for sd in ("", "2e-5"))
+    plain, told = (
+        calibrate_record(record_at_levels(tmp_path, 3, levels=(10.0,), sd=sd)) for sd in ("", "2e-5")
+    )
     assert any("reference_sd_v is missing" in note for note in plain.notes)
     assert told.channels[0].gain.u == pytest.approx(2e-6, rel=0.01)
     assert told.channels[0].gain.u_readings == pytest.approx(plain.channels[0].gain.u)
@@ -79,7 +79,7 @@ def test_the_scatter_of_the_reference_is_in_u(tmp_path):
 @pytest.mark.parametrize("u", [None, 0.1e-6])
 def test_effects_of_a_model_are_taken_away_and_widen_u(tmp_path, u):
     """With u at their values, without u estimated again."""
-    readings = record(tmp_path, 4, levels=(0.0,), per_k=1e-6)
+    readings = record_at_levels(tmp_path, 4, levels=(0.0,), per_k=1e-6)
     effect = CATALOGUE["voltmeter_thermal_offset"]
     size = np.array([1e-6, 0.0, 0.0])
     applied = AppliedEffect(
@@ -113,7 +113,7 @@ def test_u_includes_the_uncertainty_of_a_time_constant_found_in_the_same_reading
 
 @pytest.mark.slow
 def test_a_note_says_that_a_model_states_no_u_of_a_shape(tmp_path):
-    readings = record(tmp_path, 4, per_k=1e-6)
+    readings = record_at_levels(tmp_path, 4, per_k=1e-6)
     size = np.array([1e-6, 0.0, 0.0])
     values = {"offset": size, "lag": np.array(600.0)}
     applied = AppliedEffect(CATALOGUE["voltmeter_thermal_offset"], values, ("x",), u={"offset": size / 10.0})
@@ -127,7 +127,7 @@ def test_a_note_says_that_a_model_states_no_u_of_a_shape(tmp_path):
 @pytest.mark.parametrize("unit", ["gain", "offset"])
 def test_an_effect_of_a_temperature_that_is_not_recorded_widens_u(tmp_path, unit):
     """With a lag far longer than the record, 5 ppm/K (µV/K) within ±5 K: 14.4 ppm, or 14.4 µV."""
-    readings = record(tmp_path, 5)
+    readings = record_at_levels(tmp_path, 5)
     values = {unit: np.full(3, 3e-6), "lag": np.array(1e9)}
     effect = AppliedEffect(CATALOGUE[f"voltmeter_thermal_{unit}"], values, u={unit: np.full(3, 4e-6)})
     unread = tuple(unread_sources(load_bench(find_bench("paper-stand")), ForwardModel({}, effects=(effect,))))
@@ -144,7 +144,7 @@ def test_an_effect_of_a_temperature_that_is_not_recorded_widens_u(tmp_path, unit
 
 
 def test_signals_in_another_unit_than_the_reference_are_told(tmp_path):
-    readings = record(tmp_path, 6, levels=(10.0,))
+    readings = record_at_levels(tmp_path, 6, levels=(10.0,))
     assert not any("units" in note for note in calibrate_record(readings).notes)
     found = calibrate_record(replace(readings, signal=1e-6 * readings.signal))
     assert "ux_v is 1e-05 V where reference_v is 10 V; check their units in the mapping" in found.notes

@@ -10,9 +10,10 @@ from bench.calibration.result import CalibrationError
 from bench.diagnosis.confirm import confirm_record
 from bench.diagnosis.record_calibration import calibrate_record
 from bench.diagnosis.record_diagnosis import diagnose_record
-from bench.diagnosis.record_model import Noise, courses_of, make_courses, make_record, slow_kernels
+from bench.diagnosis.record_model import courses_of, make_courses, make_record
+from bench.diagnosis.record_noise import Noise, slow_kernels
 from bench.diagnosis.record_search import RecordWork
-from bench.model.effects import CATALOGUE
+from bench.model.effects import CATALOGUE, AppliedEffect
 from bench.readings.csv import read_csv
 from bench.readings.table import is_record
 from tests.support.known_inputs import (
@@ -21,6 +22,7 @@ from tests.support.known_inputs import (
     SWEPT,
     SWEPT_COLUMNS,
     as_readings,
+    record_at_levels,
     switched_on,
     twin,
 )
@@ -149,6 +151,32 @@ def test_a_twin_of_the_record_gives_the_same_name_and_its_size(of_twin):
 
 
 @pytest.mark.slow
+def test_a_lag_that_begins_away_from_equilibrium_keeps_its_name_and_size(tmp_path):
+    """Brought in 8 K colder than the bath: half of the first excursion."""
+    readings = read_csv(twin(tmp_path, 1, colder_k=8.0), ())
+    found = diagnose_record(readings)
+    (thermal,) = found.effects
+    assert {thermal.name, *thermal.cannot_tell_from} == THERMAL
+    size, lag = thermal.parameters
+    assert abs(size.value - 0.74) < 3 * size.u
+    assert abs(lag.value - 95) < 3 * lag.u
+    assert size.u < 0.05
+    # the known effect, subtracted in equilibrium, leaves nothing to find
+    again = diagnose_record(readings, found.applied)
+    assert again.effects == ()
+
+
+@pytest.mark.slow
+def test_a_gain_at_several_levels_is_neither_a_jump_nor_slow(tmp_path):
+    found = diagnose_record(record_at_levels(tmp_path, 4, per_k=1e-6))
+    assert (found.verdict, [one.name for one in found.effects]) == ("named", ["voltmeter_thermal_offset"])
+    assert any("several levels" in note for note in found.notes)
+    (size,) = found.effects[0].parameters
+    assert abs(size.value - 1.0) < 4 * size.u
+    assert size.u < 0.01
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("gain_per_k", "verdict"), [(0.74e-6, "confirmed"), (0.0, "gone")])
 def test_a_new_record_confirms_a_model_or_not(of_twin, tmp_path, gain_per_k, verdict):
     found = confirm_record(read_csv(twin(tmp_path, 2, gain_per_k), ()), of_twin.applied)
@@ -160,12 +188,14 @@ def test_an_unknown_state_at_the_start_of_a_lag_changes_no_size(tmp_path):
     """What a lag leaves of any state at the start is a multiple of exp(-t / lag)."""
     lag_s = 5700.0
     record = make_record(read_csv(twin(tmp_path, 6), ()))
-    forms = [(CATALOGUE["voltmeter_thermal_offset"], (("lag", lag_s),))]
+    effect = CATALOGUE["voltmeter_thermal_offset"]
+    lagging = AppliedEffect(effect, {"offset": np.full(3, 1e-6), "lag": np.asarray(lag_s)})
+    forms = [(effect, (("lag", lag_s),))]
     left_v = 5e-6 * np.exp(-(record.conditions.elapsed_s - record.conditions.elapsed_s[0]) / lag_s)
     sizes = []
     for added_v in (0.0 * left_v, left_v):
-        work = RecordWork.of(record.less(added_v[:, None]), courses_of(record, forms)).settling(lag_s)
-        sizes.append(work.alone(work.candidates.variants[0], keeps_shape=True))
+        work = RecordWork.of(record.less(added_v[:, None]), courses_of(record, forms)).without([lagging])
+        sizes.append(work.sizes(work.candidates.variants))
     for first, second in zip(*sizes, strict=True):
         assert first == pytest.approx(second, rel=1e-6)
 
@@ -180,10 +210,9 @@ def test_channels_share_the_noise_of_the_mean(tmp_path):
     work = RecordWork.of(
         record, courses_of(record, [(CATALOGUE["voltmeter_thermal_offset"], (("lag", 5700.0),))])
     )
-    size, covariance = work.alone(work.candidates.variants[0], keeps_shape=True)
+    size, covariance = work.sizes(work.candidates.variants)
     u = np.sqrt(np.diag(covariance))
     assert covariance[0, 1] / (u[0] * u[1]) > 0.99
-    assert u == pytest.approx(work.sizes(work.candidates.variants)[1])
     assert abs(size[0] - size[1]) < 0.1 * u[0]
 
 
@@ -198,7 +227,7 @@ def test_a_confirmation_allows_for_an_unknown_lag_as_the_diagnosis_does(of_twin,
 def test_u_of_a_jump_allows_for_the_lag_of_an_effect_beside_it(tmp_path):
     record = make_record(read_csv(twin(tmp_path, 5, jump_v=2e-6), ()))
     work = RecordWork.of(record, make_courses(record))
-    work, finds, limit = work.search()
+    finds, limit = work.search()
     jump, thermal = courses = [one.variant for one in finds]
     (mean, u_lag, *_), (*_, alone) = (work.shaped(courses, number) for number in (1, 0))
     (lag,) = dict(mean.shape).values()
@@ -207,7 +236,9 @@ def test_u_of_a_jump_allows_for_the_lag_of_an_effect_beside_it(tmp_path):
     def step(lag_s):
         shapes = [(CATALOGUE[thermal.family], (("lag", lag_s),)), (CATALOGUE[jump.family], jump.shape)]
         fine = RecordWork.of(record, courses_of(record, shapes))
-        return fine.fitted(0, fine.candidates.variants, noise)[0][-1]
+        return fine.fitted(0, fine.candidates.variants, noise)[0][
+            3
+        ]  # after zero, drift and the thermal effect
 
     by_u = (step(lag + u_lag) - step(lag - u_lag)) / 2.0
     by_grid = step(thermal.shape[0][1]) - step(lag)

@@ -46,14 +46,23 @@ def switched_on(folder: Path, seed: int, settles_v: float, tau_min: float) -> Pa
 
 
 def twin(
-    folder: Path, seed: int, gain_per_k: float = 0.74e-6, lag_min: float = 95.0, jump_v: float = 0.0
+    folder: Path,
+    seed: int,
+    gain_per_k: float = 0.74e-6,
+    lag_min: float = 95.0,
+    jump_v: float = 0.0,
+    colder_k: float = 0.0,
 ) -> Path:
-    """Write a 38 h record at 1 V like the air bath's: gain with a thermal lag, random walk, white noise."""
+    """Write a 38 h record at 1 V like the air bath's: gain with a thermal lag, random walk, white noise.
+
+    At its start the meter is colder than the bath by `colder_k`.
+    """
     rng = np.random.default_rng(seed)
     time_s = np.arange(0.0, 38 * 3600.0, 60.0)
     hours, bath = [0, 3, 10, 13, 20, 26, 34, 37, 38], [24, 24, 36.7, 36.7, 24, 24, 18.6, 18.6, 20]
     bath_c = np.interp(time_s / 3600.0, hours, bath)
     inside_c = bath_c.copy()
+    inside_c[0] -= colder_k
     for i in range(1, len(time_s)):
         inside_c[i] = inside_c[i - 1] + (bath_c[i] - inside_c[i - 1]) * -np.expm1(-60.0 / (60.0 * lag_min))
     walk = np.cumsum(rng.normal(0.0, 0.012e-6, len(time_s)))
@@ -63,3 +72,34 @@ def twin(
     rows = (f"R,{t:g},1,{u:.9f},{c:.3f}" for t, u, c in zip(time_s, volts, bath_c, strict=True))
     file.write_text("\n".join(["installation,time_s,reference_v,ux_v,meter_temperature_c", *rows]) + "\n")
     return file
+
+
+GAIN, OFFSET = 1.0 + 12e-6, 3e-6
+"""Gain and offset (V) of the meter in `record_at_levels`."""
+
+
+def record_at_levels(
+    folder: Path,
+    seed: int,
+    *,
+    levels: tuple[float, ...] = (0.0, 10.0),
+    walk: float = 0.0,
+    sd: str = "",
+    per_k: float = 0.0,
+    count: int = 240,
+) -> Readings:
+    """Return a record of 40 h through `levels`; `walk` is the step of a random walk a reading, V."""
+    rng = np.random.default_rng(seed)
+    time_s = np.linspace(0.0, 40 * 3600.0, count)
+    reference = np.array(levels)[np.arange(count) // 6 % len(levels)]
+    warmth = 5.0 * np.sin(2.0 * np.pi * np.arange(count) / 80.0)
+    volts = GAIN * reference + OFFSET + per_k * warmth + rng.normal(0.0, 0.2e-6, count)
+    volts += np.cumsum(rng.normal(0.0, walk, count)) if walk else 0.0
+    rows = [
+        f"R,{t:.3f},{r:.6f},{sd},{v:.10f},{23.0 + w:.4f}"
+        for t, r, v, w in zip(time_s, reference, volts, warmth, strict=True)
+    ]
+    file = folder / f"record-{seed}.csv"
+    header = "installation,time_s,reference_v,reference_sd_v,ux_v,meter_temperature_c"
+    file.write_text("\n".join([header, *rows]) + "\n")
+    return read_csv(file, ())

@@ -252,6 +252,7 @@ class DegreeReading:
 
     def __init__(self, sizes: frozenset[str]) -> None:
         self._sizes = sizes
+        self._named = ", ".join(sorted(sizes)) or "none is stated"
 
     def number(self, value: float, unit: str) -> int:
         """Return 0."""
@@ -266,7 +267,8 @@ class DegreeReading:
         if symbol in {"+", "-"}:
             if left != right:
                 raise ExpressionError(
-                    "a term has no size; multiply each term by a size, so that the effect vanishes for zero sizes"
+                    f"a term has no size ({self._named}); multiply each term by a size, so that the effect "
+                    "vanishes for zero sizes"
                 )
             return left
         if symbol == "*" and left + right <= 1:
@@ -276,18 +278,20 @@ class DegreeReading:
         if left == right == 0:
             return 0
         raise ExpressionError(
-            "a size is multiplied by another, or is in a power, a divisor or a comparison: the effect is "
-            f"not linear in it; {GRID_HINT}"
+            f"the effect is not linear in its sizes ({self._named}): one is multiplied by another, or is in a "
+            f"power, a divisor or a comparison; {GRID_HINT}"
         )
 
     def call(self, name: str, arguments: list[int]) -> int:
         """Return 0. Raises `ExpressionError` if an argument contains a size."""
         if any(arguments):
-            raise ExpressionError(f"{name} contains a size, in which an effect must be linear; {GRID_HINT}")
+            raise ExpressionError(
+                f"{name} contains a size ({self._named}), in which an effect must be linear; {GRID_HINT}"
+            )
         return 0
 
 
-GRID_HINT: Final = "give it a grid of values to be tried, then it is a shape"
+GRID_HINT: Final = "give that parameter a grid of values to be tried, then it is a shape"
 
 
 # --- effects ----------------------------------------------------------------------------------------
