@@ -198,7 +198,9 @@ class WiredForm(DeviceSection):
     def _speed_that_it_has(cls, serial: Any) -> Any:
         known = getattr(cls.facts, "BAUD_RATES", BAUD_RATES)
         if serial.baud_rate not in known:
-            raise ValueError(f"expected one of {', '.join(map(str, known))}, got '{serial.baud_rate}'")
+            raise ValueError(
+                f"baud_rate: expected one of {', '.join(map(str, known))}, got '{serial.baud_rate}'"
+            )
         return serial
 
     @property
