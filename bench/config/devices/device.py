@@ -423,7 +423,7 @@ class HeadCertificate(Certificate):
         gaps = [b - a for a, b in pairwise([*angles, angles[0] + turn])]
         if len(angles) > 1 and min(gaps) < _ROUNDING_RAD:
             raise ValueError(
-                f"{_degrees(angles[gaps.index(min(gaps))])} appears twice in the table; keep one"
+                f"{_degrees(angles[gaps.index(min(gaps))])} appears twice, perhaps a turn apart; keep one"
             )
         if max(gaps) > WIDEST_GAP_RAD + _ROUNDING_RAD:
             low = gaps.index(max(gaps))
