@@ -12,6 +12,7 @@ a new series. A table by kind and every violation are printed; the exit status i
 """
 
 import contextlib
+import copy
 import math
 import random
 import sys
@@ -31,6 +32,7 @@ from benchmarks.campaign import Tried, amiss, arguments, by_kind, command, sprea
 from benchmarks.fault_campaign import VALUE_V, exact_bench, run_arguments
 from sim.bench import SimulatedBench
 from sim.world.power import Disturbance, Power
+from tests.support.fed_bench import FEED, N15, P15
 
 TIMEOUT: Final = "2 s"
 READBACK_V: Final = 0.01
@@ -114,22 +116,14 @@ class FedOutcome(Tried):
 
 def _section(fed: Fed) -> dict[str, Any]:
     """Return the section of a bench file that states how the block is fed."""
-
-    def rail(name: str, output: str, sign: int) -> dict[str, Any]:
-        limits = sorted((-0.5 * sign, 18.0 * sign))
-        stated = {
-            "name": name, "output": output, "voltage": f"{15 * sign} V", "tolerance": "0.2 V",
-            "current": {"minimum": "20 mA", "maximum": "120 mA"},
-            "limits": {"minimum": f"{limits[0]} V", "maximum": f"{limits[1]} V", "current": "200 mA"},
-            "current_limit": "150 mA",
-        }  # fmt: skip
-        if fed.over_voltage_v is not None:
-            stated["over_voltage"] = f"{sign * fed.over_voltage_v} V"
-        return stated
-
-    rails = [rail("p15", fed.outputs[0], 1), rail("n15", fed.outputs[1], -1)]
-    section = {"rails": rails, "least_off": "10 s", "warm_up": "10 min", "when_unsafe": "off"}
-    return section if fed.over_voltage_v is None else {**section, "pause": "1 s"}
+    stated = zip((P15, N15), fed.outputs, strict=True)
+    rails = [{**copy.deepcopy(rail), "output": output} for rail, output in stated]  # without anchors in YAML
+    section = {**FEED, "rails": rails, "warm_up": "10 min"}
+    if fed.over_voltage_v is None:
+        return section
+    for rail, sign in zip(rails, (1, -1), strict=True):
+        rail["over_voltage"] = f"{sign * fed.over_voltage_v} V"
+    return {**section, "pause": "1 s"}
 
 
 def _feed(fed: Fed, data: dict[str, Any]) -> None:

@@ -129,10 +129,10 @@ class WiredSupply(ABC):
         if others and not self._limits.together:
             raise InstrumentRefused(
                 self.name,
-                f"with its output {output} output {' and '.join(others)} went {_word(after[others[0]].on)}",
+                f"switching its output {output} switched its output {' and '.join(others)}, too",
                 "end the coupling of its outputs",
             )
-        self._refuse_troubles(errors)
+        self._refuse_troubles(errors, f"reports errors after its output {output} was switched {_word(on)}")
 
     def switch_all_off(self) -> str:
         """Switch every output off and read it back; return "", because nothing is left for a person to do.
@@ -172,11 +172,11 @@ class WiredSupply(ABC):
                 "check its power and who else controls it, then repeat this step",
             )
 
-    def _refuse_troubles(self, troubles: Sequence[str]) -> None:
+    def _refuse_troubles(self, troubles: Sequence[str], cause: str = "did not take its settings") -> None:
         if troubles:
             raise InstrumentRefused(
                 self.name,
-                f"did not take its settings: {', '.join(troubles)}",
+                f"{cause}: {', '.join(troubles)}",
                 "look these up in its manual, and check that nobody else controls it",
             )
 

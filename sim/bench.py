@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import socket
 from collections.abc import Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -274,4 +276,9 @@ def taken_port(name: str, server: TcpServer) -> Iterator[None]:
     except OSError as error:
         reason = os.strerror(error.errno).lower() if error.errno and error.errno > 0 else str(error)
         cause = f"port {server.port} of {server.host} cannot be served ({reason})"
-        raise BenchError(name, cause, "end the program that has it, or choose another") from error
+        remedy = "end the program that has it, or choose another"
+        if isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
+            remedy = "listen on an address of this computer, such as 127.0.0.1"
+        elif error.errno == errno.EACCES:
+            remedy = "choose a port of 1024 or above"
+        raise BenchError(name, cause, remedy) from error

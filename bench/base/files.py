@@ -100,10 +100,10 @@ def _from_pipe(path: Path) -> bytes:
 
 
 def remedy_for(error: OSError, usual: str) -> str:
-    """Return what to do after a failed reading: the `usual` remedy, but not for a pipe without a writer."""
+    """Return what to do after a failed reading: `usual`, but not for a pipe without a writer or a large file."""
     if error.errno == errno.EPIPE:
         return "check the command that writes into it, or give a file with its output"
-    return usual
+    return "give a smaller file" if error.errno == errno.EFBIG else usual
 
 
 def _is_standard_input(about: os.stat_result) -> bool:

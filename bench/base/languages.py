@@ -40,6 +40,7 @@ def language() -> str:
     return _chosen.get() or known_language(os.environ.get(ENVIRONMENT, "")) or ENGLISH
 
 
+@lru_cache(64)  # each text of a page asks
 def known_language(name: str) -> str:
     """Return the code of the language in a name such as "uk_UA.UTF-8"; empty if it is not one of `LANGUAGES`."""
     code = re.split(r"[-_.]", name.strip().lower())[0]

@@ -107,14 +107,15 @@ def uncertainty(u: float) -> str:
     return fixed(u + step if round(u, decimals) < (1.0 - _MOST_OFF) * u else u, decimals)
 
 
-def figures(value: float, digits: int = 3, *, down: bool = False) -> str:
+def figures(value: float, digits: int = 3, *, down: bool = False, up: bool = False) -> str:
     """Return a number with this many significant digits, without an exponent: "1860".
 
-    `down` rounds a positive number down, for a limit that must not be exceeded.
+    `down` rounds a positive number down, for a limit that must not be exceeded, `up` rounds one up.
     """
-    if down and value > 0.0:
+    if (down or up) and value > 0.0:
         step = 10.0 ** (math.floor(math.log10(value)) - digits + 1)
-        value = step * math.floor(value / step * (1.0 + 1e-9))
+        steps = value / step
+        value = step * (math.floor(steps * (1.0 + 1e-9)) if down else math.ceil(steps * (1.0 - 1e-9)))
     text = f"{value:.{digits}g}"
     return f"{float(text):.0f}" if abs(float(text)) >= 10.0**digits else text
 

@@ -133,7 +133,7 @@ _LOCK: Final = ".lock"
 _HALF: Final = ".writing"
 _BEFORE: Final = {_LOCK, PARTS, BATCH + _HALF}
 """Files that remain when a program is killed while it creates a batch."""
-_OPTIONS: Final = {"g_m_s2": "g", "limit_g": "limit"}
+_OPTIONS: Final = {"g_m_s2": "--g", "limit_g": "--limit", "pages": "the folder of pages"}
 
 
 @dataclass(frozen=True)
@@ -199,14 +199,14 @@ class Store:
         before = self.noted()
         told = [f"the command was {before['command']}"] if before["command"] != asked["command"] else []
         if not told:
-            told += _differences(before["asked"], asked["asked"], "--")
+            told += _differences(before["asked"], asked["asked"], _option)
         if before["over"] != asked["over"]:
             told.append(f"--over was {' '.join(before['over'])}")
-        told += _differences(before["program"], asked["program"], "the program's ")
+        told += _differences(before["program"], asked["program"], "the program's {}".format)
         if told:
             raise Refused(
                 f"{self.folder}: its batch was started with other options: {'; '.join(told)}; use the same "
-                "options, or name another folder with --out"
+                "options, files and program, or name another folder with --out"
             )
 
     def noted(self) -> dict[str, Any]:
@@ -218,7 +218,7 @@ class Store:
                 raise ValueError(f"it lacks {', '.join(lacking)}")
             if noted["format"] != FORMAT or noted["command"] not in COLUMNS:
                 raise ValueError(f"format {noted['format']}, command {noted['command']}")
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             raise Refused(
                 f"{self.folder}: the folder has no batch (no {BATCH} in it); name the folder of a batch"
             ) from None
@@ -292,16 +292,24 @@ class Store:
         _put_in_place(file, sink.getvalue())
 
 
-def _differences(before: Mapping[str, Any], now: Mapping[str, Any], prefix: str) -> list[str]:
+def _differences(
+    before: Mapping[str, Any], now: Mapping[str, Any], called: Callable[[str], str]
+) -> list[str]:
     names = [name for name in {**before, **now} if before.get(name) != now.get(name)]
-    return [f"{prefix}{_OPTIONS.get(n, n).replace('_', '-')} was {_said(before.get(n))}" for n in names]
+    return [f"{called(name)} was {_said(before.get(name))}" for name in names]
+
+
+def _option(name: str) -> str:
+    return _OPTIONS.get(name, f"--{name.replace('_', '-')}")
 
 
 def _said(value: Any) -> str:
     if isinstance(value, Mapping):
         return f"{value['file']} (SHA-256 {value['sha256'][:12]}…)"
-    if value is None:
+    if value is None or value == []:
         return "not given"
+    if isinstance(value, list):
+        return " ".join(map(_said, value))
     return ("on" if value else "off") if isinstance(value, bool) else str(value)
 
 

@@ -172,17 +172,22 @@ def _still_assumed(assumed_u: Mapping[str, float], known: KnownStand | None) -> 
 def _choose(
     readings: Readings, model: ForwardModel, by: Estimator, *, join_free: bool, join_verification: bool
 ) -> FittedRows:
+    able = " or ".join(e.name for e in ESTIMATORS.values() if e.weighs_all)
     if join_verification and not by.weighs_all:
-        able = " or ".join(e.name for e in ESTIMATORS.values() if e.weighs_all)
         raise CalibrationError(
             f"the estimator {by.name} needs oriented readings; use {able} to let verification points join"
+        )
+    unoriented = bool(np.any(readings.installation == FREE)) and not len(readings.oriented())
+    if unoriented and not (join_free and by.weighs_all):
+        raise CalibrationError(
+            f"{readings.source}: free positions without readings of known orientation must join the fit; use "
+            f"the estimator {able}, without --no-join-free"
         )
     labels = [FREE] * join_free + [VERIFICATION] * join_verification
     joins = np.isin(readings.installation, labels) & by.weighs_all
     free = readings.select(joins)
     mistakes.require_numbers(free, angles=False)
-    alone = bool(np.any(readings.installation[joins] == FREE)) and not len(readings.oriented())
-    rows = readings.oriented() if alone else usable_rows(readings, model)
+    rows = readings.oriented() if unoriented else usable_rows(readings, model)
     oriented = np.flatnonzero(readings.is_oriented)
     return FittedRows(rows, free, oriented, np.flatnonzero(joins))
 

@@ -52,8 +52,8 @@ class SharedErrorFit:
 
     `covariance` (3n + m, 3n + m) is the covariance of the 3n signals of n oriented readings and of m moduli; None
     without components. `wander` (3,) is the rms deviation of each bias from its mean over the run, in the unit of
-    the signal. If a drift was found, `wander` is its size, widened for few degrees of freedom; otherwise the
-    posterior mean of a drift that is not significant; None if no drift was searched for.
+    the signal: of a significant drift, the estimate widened for few degrees of freedom; of any other drift, the
+    posterior mean. `wander` is None if no drift was searched for.
     """
 
     fit: Fit
@@ -182,9 +182,9 @@ def _taken_in(
 
 
 def _with_like_gains(terms: list[_Term], theta: Floats) -> Floats:
-    """Return the variances (k,) with no gain of a pass below the rms of all channels.
+    """Return the variances (k,), with the gain of a pass in each channel at least the rms over the channels.
 
-    A channel that one installation turns through gravity has its gain from few passes, and the channels are alike.
+    The channels are alike, but few passes determine the gain of a channel that one installation alone turns.
     """
     squared = np.array([t.unit_of[0] ** 2 if t.what == PASS_GAIN else np.inf for t in terms])
     gains = np.isfinite(squared)
@@ -235,8 +235,10 @@ def _basic(fit: Fit) -> list[_Term]:
 
 
 def _further(conditions: Conditions, fit: Fit) -> Iterator[_Term]:
-    """Yield the candidate components: setting, its angle, visit and a pass's angle for all channels; pass, its
-    gain, and drift per channel.
+    """Yield the candidate components.
+
+    Setting, angle of a setting, visit, and angle of a pass have one variance for all channels; pass, gain of a
+    pass, and drift have one per channel.
     """
     settings = repeat_groups(conditions)
     passes = _labels(conditions.mount, conditions.pass_number)
@@ -286,7 +288,7 @@ def _by_group(groups: Ints, sizes: Floats, channels: Any, further: int) -> Float
 
 
 def _angle(fit: Fit) -> float:
-    """Return the angle of the head, rad, whose signals are as large as the noise."""
+    """Return the turn of the head, rad, that changes the signals by as much as the noise."""
     return rms(fit.noise.by_channel) / max(rms(np.linalg.norm(fit.slope, axis=1)), 1e-300)
 
 

@@ -304,10 +304,10 @@ def probability_one_outside(
     """Return the probability that at least one of n quantities lies outside ±limit.
 
     `value` (n,) has a normal distribution with the covariance `covariance` (n, n). `population` is the prior of
-    each quantity. The quantities may share one common error or not; the prior probability that they do is `_ALIKE`.
+    each quantity. The quantities are either equal or independent, with the prior probabilities `_ALIKE`.
 
     The result is from `_DRAWS` draws with a fixed seed, hence reproducible; a probability of 0.01 is accurate to
-    0.0003. Rare events are bounded by the single probabilities: at least the largest, at most their sum.
+    0.0003. It is limited to lie between the largest of the n single probabilities and their sum.
     """
     parts = [(1.0, value, covariance)] if population is None else _after(value, covariance, population)
     single = _each_outside(parts, limit)

@@ -93,8 +93,9 @@ def _force(problem: Problem, free: FreeRows | None, block: Block, others: Floats
         force = force + step
         if not np.all(np.isfinite(force)):
             raise CalibrationError(
-                f"model {problem.model.name}: one effect needs a head angle, a time or a temperature, which free "
-                "positions lack; leave the free positions out with --no-join-free"
+                f"model {problem.model.name}: one effect needs a head angle, a time or a temperature, which the "
+                "positions that join by |a| = 1 g lack; remove rows F, or use 'bench calibrate' with "
+                "--no-join-free and without --join-verification"
             )
         if np.max(np.abs(step)) < STANDS_STILL_G:
             break

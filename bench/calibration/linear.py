@@ -29,10 +29,10 @@ def linear_estimate(
 ) -> gls.Fit:
     """Return the coefficients by the linear map `gain` (12, n, 3), with covariance from noise, stand and effects.
 
-    `fit` is the generalised least squares fit to the same readings. It provides the noise, and the coefficients
-    with which effects (at their stated values) and stand angles (as measured by a level) are subtracted. `shared`
-    (3n, 3n) is the covariance of the readings if they share errors. The misfit is taken from `fit`: with fixed
-    weights, stand angles would remain in the residuals and look like a lack of fit.
+    `fit` is the generalised least squares fit to the same readings `signal` (n, 3). Its coefficients convert stated
+    effects and stand angles measured by a level to signals, which are subtracted. `fit` also provides the noise and
+    the misfit: with fixed weights, stand angles would remain in the residuals and look like a lack of fit. `shared`
+    (3n, 3n) is the covariance of the readings if they share errors.
     """
     others = problem.prior_mean
     taken_off = np.zeros_like(signal)

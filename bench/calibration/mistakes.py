@@ -184,7 +184,7 @@ def refuse_singular(block: Block, u: Floats | None = None) -> None:
     if dead:
         raise SpoiledFit(
             f"the readings do not show that channel {', '.join(dead)} responds to acceleration",
-            "check cable and supply, or find wrong readings with 'bench diagnose'",
+            "check cable, supply and the unit of the signals; 'bench diagnose' finds single wrong readings",
         )
     unit = block.K / length[:, None]
     if np.linalg.svd(unit, compute_uv=False)[-1] >= COPLANAR:
@@ -338,8 +338,8 @@ class WrongUnit:
     """Signals in another unit than stated: each is too large by a factor of 1000^`power`, with `power` (n, 3).
 
     `part` names the affected part of the table in words, empty for all rows; `channels` are the affected
-    channels. `unit` is the stated unit, `size` the power of the affected signals. `pass_number` or `installation`
-    is set if the affected part is a pass or an installation.
+    channels. `unit` is the stated unit, `size` the value of `power` for the affected signals. `pass_number` or
+    `installation` is set if the affected part is a pass or an installation.
     """
 
     power: Ints

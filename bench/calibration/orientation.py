@@ -44,9 +44,9 @@ class StatedOrientation:
     ) -> StatedOrientation | None:
         """Return what `model` states for installation V; None if it states nothing that readings could contradict.
 
-        `stand_u` are the standard uncertainties (rad) of the stand by name, `covariance` (12, 12) that of the
-        coefficients. Coefficients of free positions alone leave the block's axes open: some are zero by convention,
-        with u = 0.
+        `stand_u` are the standard uncertainties (rad) of the stand by name, `covariance` (12, 12) is the covariance
+        of the coefficients. Coefficients of free positions alone leave the block's axes open: some are zero by
+        convention, with u = 0.
         """
         u_K = u_of(covariance)[:9].reshape(3, 3)
         if VERIFICATION not in model.installations or (u_K.any() and not u_K.all()):

@@ -193,7 +193,7 @@ class LackOfFit:
     def accepted(self, *, strict: bool = False) -> bool:
         """Return whether commands accept the coefficients.
 
-        With `strict`, they do not if the lack of fit is significant at all.
+        With `strict`, they refuse coefficients with any significant lack of fit.
         """
         return self.rms <= self.rounding or not (self.shown if strict else self.p < NOT_ACCEPTED_P)
 
@@ -291,20 +291,25 @@ class BiasWander:
 class Calibration(HasCovariance):
     """The result of a calibration: the twelve coefficients, their covariance, residuals and notes.
 
-    `covariance` (12, 12), in the order of `COEFFICIENTS`, is the combined one, including `sources`, the errors
-    that no reading shows. `covariance_readings` is the part due to the readings and the stated stand errors. K is
-    in unit/g with g = `g_m_s2`, biases are in unit. `gravity_u`, relative, is in neither covariance: K is per
-    local g. `dof` (12,) are effective degrees of freedom. `stand` holds the estimated stand angles ("alpha1[1]"),
-    `effects` the fitted parameters of effects. `fitted` are the readings used, `residuals` (n, 3) measured minus
-    fitted, with stand angles and effects at their estimates. `free` are the readings that joined by their modulus,
-    `modulus_error` (m,) their |a| - 1, g. `outliers` have no weight in the estimate. `gain` (12, N, 3) is the
-    linear map from the signals of the whole table to the coefficients, `slope` (N, 3) du/dphi, zero for rows that
-    are not oriented. `shared` are the variance components that readings share, `drift` the wander of the biases if
-    a wander was found, `wander` (3,) its possible rms. `birge` is the factor that widened u for a lack of fit,
-    `p_tails` the p-value of heavy tails. `triangular` is set for free positions alone, whose `signs` are those of
-    the "bench file" or all "positive". `assume` returns the sentences of `assumed`; `unseen` returns changes (12,
-    d) of the coefficients, of relative size 1, that only limits of the stand confine; `notes` are sentences for
-    the user.
+    `covariance` (12, 12), in the order of `COEFFICIENTS`, is the combined covariance; it includes the errors
+    `sources` that no reading shows. `covariance_readings` is the part due to the readings and the stated stand
+    errors. K is in unit/g with g = `g_m_s2`, biases are in unit. `gravity_u`, relative, is in neither covariance: K
+    is per local g. `dof` (12,) are effective degrees of freedom.
+
+    `stand` holds the estimated stand angles ("alpha1[1]"), `effects` the fitted parameters of effects. `fitted` are
+    the readings used, `residuals` (n, 3) measured minus fitted, with stand angles and effects at their estimates.
+    `free` are the readings that joined by their modulus, `modulus_error` (m,) their |a| - 1, g. `outliers` have no
+    weight in the estimate.
+
+    `gain` (12, N, 3) is the linear map from the signals of the whole table to the coefficients, `slope` (N, 3)
+    du/dphi, zero for rows that are not oriented. `shared` are the variance components that readings share, `drift`
+    the wander of the biases if a wander was found, `wander` (3,) its possible rms. `birge` is the factor that
+    widened u for a lack of fit, `p_tails` the p-value of heavy tails.
+
+    `triangular` is set for free positions alone; `signs` says whether the signs of their scale factors come from
+    the "bench file" or are all "positive". `assume` returns the sentences of `assumed`; `unseen` returns changes
+    (12, d) of the coefficients, of relative size 1, that only limits of the stand confine; `notes` are sentences
+    for the user.
     """
 
     estimator: str

@@ -7,6 +7,7 @@ block is mounted again at the same temperature, a change of the column `series` 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -83,6 +84,12 @@ def separate_temperatures(readings: Readings) -> list[float]:
         return []
     found = sort_readings([readings])
     return [float(np.mean(found.rows.temperature_c[found.level == i])) for i in range(found.levels)]
+
+
+def inner_range(low_c: float, high_c: float) -> str:
+    """Return a range of temperatures in words, its ends rounded inwards, so that a check accepts both."""
+    low, high = math.ceil(10.0 * low_c - 1e-9) / 10.0, math.floor(10.0 * high_c + 1e-9) / 10.0
+    return f"{low:.1f} to {high:.1f} °C"
 
 
 def sort_readings(tables: Sequence[Readings]) -> ThermalReadings:
@@ -292,8 +299,9 @@ class TemperatureModel:
         if np.any(self.outside(temperature)):
             worst = temperature[self.outside(temperature)][0]
             raise CalibrationError(
-                f"{worst:g} °C is outside the range of the temperature model, {self.minimum_c:.1f} to "
-                f"{self.maximum_c:.1f} °C; measure at that temperature; polynomials must not be extrapolated"
+                f"{worst:g} °C is outside the range of the temperature model, "
+                f"{inner_range(self.minimum_c, self.maximum_c)}; measure at that temperature; polynomials must "
+                "not be extrapolated"
             )
         force = np.empty_like(rows)
         covariance = np.empty((len(rows), 3, 3))

@@ -33,6 +33,7 @@ from bench.calibration.temperature import (
     TemperatureModel,
     ThermalHysteresis,
     ThermalReadings,
+    inner_range,
     sort_readings,
 )
 from bench.model.forward import ForwardModel
@@ -375,8 +376,8 @@ def _body(
         )
     if not low <= reference_c <= high:
         raise CalibrationError(
-            f"the reference temperature, {reference_c:g} °C, lies outside the readings ({low:.1f} to "
-            f"{high:.1f} °C); give one within them with --reference"
+            f"the reference temperature, {reference_c:g} °C, lies outside the readings "
+            f"({inner_range(low, high)}); give one within them with --reference"
         )
     rows = found.rows
     # the forward model gives each series stand angles of its own, so a series stands for a mounting

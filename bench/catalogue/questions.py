@@ -188,11 +188,11 @@ def moment(text: str) -> datetime:
     """Return an ISO 8601 time, or the beginning of a day, in UTC without a zone. Raises `ValueError`."""
     try:
         when = datetime.fromisoformat(text)
-    except ValueError:
+        return when.astimezone(UTC).replace(tzinfo=None) if when.tzinfo else when
+    except (ValueError, OverflowError):
         raise ValueError(
             "expected a date such as 2026-05-03, or a time such as 2026-05-03T12:00+02:00"
         ) from None
-    return when.astimezone(UTC).replace(tzinfo=None) if when.tzinfo else when
 
 
 def _verdict(value: str) -> Condition:

@@ -40,6 +40,7 @@ from sqlalchemy import (
 )  # fmt: skip
 
 from bench.base.files import cache_folder
+from bench.base.text import as_typed
 from bench.run.events import MANIFEST
 from bench.services.errors import Refused
 
@@ -250,11 +251,13 @@ _WRITES: Final = "writes"
 class Catalogue:
     """An open catalogue. `where` is its file or address, without a password; `engine` connects to the database.
 
-    `renewed` is a sentence on the rebuilding of an older catalogue, otherwise empty.
+    `sync` is the command that makes it from runs, as a shell takes it. `renewed` is a sentence on the rebuilding of
+    an older catalogue, otherwise empty.
     """
 
     engine: Engine
     where: str
+    sync: str
     renewed: str = ""
 
     @property
@@ -265,14 +268,14 @@ class Catalogue:
     @contextmanager
     def reading(self) -> Iterator[Connection]:
         """Yield a connection that sees one consistent state. Raises `Refused` if the database fails."""
-        with _refusing(self.where), self.engine.connect() as connection:
+        with _refusing(self), self.engine.connect() as connection:
             yield connection
 
     @contextmanager
     def writing(self) -> Iterator[Connection]:
         """Yield a connection whose changes are committed together at the end. Programs write in turn."""
         writer = self.engine.execution_options(**{_WRITES: True})
-        with _refusing(self.where), writer.begin() as connection:
+        with _refusing(self), writer.begin() as connection:
             if not self.is_file:
                 connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({_TURN})")
             yield connection
@@ -304,13 +307,15 @@ def open_catalogue(
 
     url = _url(named)
     in_file = url.get_backend_name() == "sqlite"
+    shown = named if in_file else url.render_as_string(hide_password=True)
+    sync = "bench catalogue sync DIR" + (f" --catalogue {as_typed(shown)}" if where else "")
     if in_file:
-        _prepare_file(Path(url.database or ""), existing=existing)
+        _prepare_file(Path(url.database or ""), sync, existing=existing)
     on_server = {"connect_timeout": 10, "options": "-c timezone=UTC"}
     waiting = {"timeout": BUSY_MS / 1e3} if in_file else on_server
     engine = sqlalchemy.create_engine(url, connect_args=waiting)
     _listen(engine)
-    catalogue = Catalogue(engine, named if in_file else url.render_as_string(hide_password=True))
+    catalogue = Catalogue(engine, shown, sync)
     try:
         return _with_tables(catalogue, renew=renew)
     except BaseException:
@@ -342,12 +347,12 @@ def _url(named: str) -> Any:
     return url.set(drivername="postgresql+psycopg")
 
 
-def _prepare_file(file: Path, *, existing: bool) -> None:
+def _prepare_file(file: Path, sync: str, *, existing: bool) -> None:
     """Create the folder of the catalogue's file. Raises `Refused` for a folder, or for a missing file to read."""
     if file.is_dir():
         raise Refused(f"{file}: is a folder; name a file for the catalogue")
     if existing and not file.is_file():
-        raise Refused(f"{file}: no catalogue yet; make it with: bench catalogue sync DIR")
+        raise Refused(f"{file}: no catalogue yet; make it with '{sync}'")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -411,13 +416,13 @@ def _with_tables(catalogue: Catalogue, *, renew: bool) -> Catalogue:
         elif found > SCHEMA:
             raise Refused(
                 f"{catalogue.where}: made by a newer version of this program (schema {found}); use that "
-                "version, or delete the catalogue and make it again with: bench catalogue sync DIR"
+                f"version, or delete the catalogue and make it again with '{catalogue.sync}'"
             )
         elif found < SCHEMA:
             if not renew:
                 raise Refused(
                     f"{catalogue.where}: made by an older version of this program; make it again from its runs "
-                    "with: bench catalogue sync DIR"
+                    f"with '{catalogue.sync}'"
                 )
             return replace(catalogue, renewed=_renew(connection))
     return catalogue
@@ -477,7 +482,7 @@ def forget_dues(connection: Connection, changed: ColumnElement[bool]) -> None:
 
 
 @contextmanager
-def _refusing(where: str) -> Iterator[None]:
+def _refusing(catalogue: Catalogue) -> Iterator[None]:
     """Turn a database error within the context into `Refused`, with a sentence for the user."""
     from sqlalchemy.exc import DBAPIError, OperationalError
 
@@ -487,9 +492,10 @@ def _refusing(where: str) -> Iterator[None]:
         why = " ".join(str(getattr(error, "orig", "a value in it cannot be read")).split())
         if isinstance(error, OperationalError) and not why.startswith("no such "):
             raise Refused(
-                f"{where}: the catalogue cannot be used ({why}); check its path and the server"
+                f"{catalogue.where}: the catalogue cannot be used ({why}); check its path, permissions and server, "
+                "and the free disk space"
             ) from error
         raise Refused(
-            f"{where}: not a catalogue, or a damaged one ({why}); delete it and make it again with: bench "
-            "catalogue sync DIR"
+            f"{catalogue.where}: not a catalogue, or a damaged one ({why}); delete it and make it again with "
+            f"'{catalogue.sync}'"
         ) from error

@@ -184,7 +184,10 @@ def measured_of(table: CoefficientTable) -> tuple[ComparedCalibrations, Mask, tu
         known &= there
     if not known.any():
         told = f" ({'; '.join(notes)})" if notes else ""
-        raise Refused(f"no calibration of a known unit on a known bench matches{told}; change the conditions")
+        raise Refused(
+            f"no calibration of a known unit on a known bench matches{told}; calibrate more runs, or change the "
+            "conditions"
+        )
     taken = table.of(known)
     kept = taken.per_standard_g()
     simulated = kept.simulated

@@ -14,7 +14,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
 from bench.base.arrays import u_of
-from bench.base.files import read_given, to_text, write_whole
+from bench.base.files import read_given, remedy_for, to_text, write_whole
 from bench.calibration.intrinsic import INTRINSIC
 from bench.certificate.dcc.reading import coefficients_in
 from bench.history.comparison import Snapshot, compare, joint_of
@@ -103,7 +103,8 @@ def load_kit(path: Path) -> Kit:
     try:
         return Kit.model_validate(yaml.safe_load(read_given(path)))
     except OSError as error:
-        raise Refused(f"{path}: cannot be read ({error.strerror}); check the name") from error
+        remedy = remedy_for(error, "check the name")
+        raise Refused(f"{path}: cannot be read ({error.strerror}); {remedy}") from error
     except (yaml.YAMLError, ValueError):
         raise Refused(f"{path}: not a plan of 'bench kit plan'; give the file that it wrote") from None
 
@@ -122,7 +123,9 @@ def sealed(kit: Kit, given: Mapping[str, str]) -> Kit:
     """Return the plan with the seals of the results `given` by code. Raises `Refused` for a sealed code."""
     for code in given:
         if kit.stop(code).seal not in {"", seal_of(given[code])}:
-            raise Refused(f"{code}: is sealed already with another result; agree on a new code")
+            raise Refused(
+                f"{code}: is sealed already with another result; give that one, or plan a new comparison"
+            )
     seals = {stop.code: seal_of(given[stop.code]) if stop.code in given else stop.seal for stop in kit.stops}
     stops = tuple(stop.model_copy(update={"seal": seals[stop.code]}) for stop in kit.stops)
     return kit.model_copy(update={"stops": stops})

@@ -259,7 +259,11 @@ class Laboratory(Contact, StatedRule):
         for one in self.authorised:
             if one.name == name:
                 return one
-        names = ", ".join(one.name for one in self.authorised) or "nobody"
+        if not self.authorised:
+            raise Refused(
+                f"{option} {name}: the laboratory file names nobody; add persons under 'authorised'"
+            )
+        names = ", ".join(one.name for one in self.authorised)
         raise Refused(f"{option} {name}: the laboratory file names {names}; choose one of them")
 
 
@@ -311,7 +315,7 @@ class UnitOrder(FileModel):
     """A unit in an order: its receipt, its condition, and whether the run shows it as found or as left.
 
     An entry without `serial` applies to all units. `calibrated` is the day of calibration if readings were
-    imported without a date. `deviations` are those from the method.
+    imported without a date. `deviations` are deviations from the method.
     """
 
     serial: str | None = None

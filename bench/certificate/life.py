@@ -67,8 +67,8 @@ def desk_of(request: Issuing, passphrase: Callable[[], bytes]) -> Desk:
     if laboratory is None or order is None or by is None:
         lacking = [option for option, given in needed.items() if given is None]
         raise Refused(
-            f"a certificate needs {', '.join(lacking)}; add them, or make a draft with --draft, which "
-            "needs none of them"
+            f"a certificate needs {', '.join(lacking)}; add them, or make a draft with 'bench certificate issue "
+            "RUN --draft', which needs none of them"
         )
     schemas = signatory = None
     if request.schema is not None:
@@ -155,7 +155,7 @@ def _issue(name: str, desk: Desk, person: Person, register: Register) -> IssuedR
 
 
 def _wanted(name: str, desk: Desk) -> Certificate:
-    """Return a run's certificate. Raises `Refused` if the laboratory requires a validated program, unlike this."""
+    """Return a run's certificate. Raises `Refused` if the program lacks a required validation."""
     certificate = certificate_of(name, desk.runs, desk.laboratory, desk.order)
     if desk.laboratory.require_validation and not certificate.simulated:
         from bench.services.validated import refuse_unvalidated_certificate
@@ -378,7 +378,9 @@ def _same(register: Register, number: str, runs: Path, problems: list[str]) -> b
     try:
         again = _digests(made_again(register, number, runs))
     except Exception as error:
-        problems.append(f"{number}: cannot be made again; restore the run from a copy: {sentence(error)}")
+        problems.append(
+            f"{number}: cannot be made again; restore what changed from a copy: {sentence(error)}"
+        )
         return False
     wrong = [name for name, digest in again.items() if stated[name] != digest]
     if wrong:

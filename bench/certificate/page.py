@@ -15,7 +15,7 @@ from hashlib import sha256
 from importlib.resources import files
 from typing import Any, Final
 
-from bench.base.files import MEGABYTE, read_regular
+from bench.base.files import MEGABYTE, read_regular, remedy_for
 from bench.base.languages import ENGLISH, known_language, local_number, speaking
 from bench.base.numbers import rounded, uncertainty
 from bench.certificate import proof
@@ -186,9 +186,8 @@ def _logo(certificate: Certificate) -> dict[str, Any] | None:
     try:
         content = read_regular(file, _LARGEST_LOGO)
     except OSError as error:
-        raise Refused(
-            f"{file}: the logo cannot be read ({error.strerror}); check name and permissions"
-        ) from error
+        remedy = remedy_for(error, "check name and permissions")
+        raise Refused(f"{file}: the logo cannot be read ({error.strerror}); {remedy}") from error
     kinds = [kind for start, kind in _PICTURES if content.lstrip()[: len(start)] == start]
     if not kinds:
         raise Refused(f"{file}: the logo has an unknown format; give SVG, PNG or JPEG")

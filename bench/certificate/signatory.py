@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import unquote, unquote_to_bytes
 
 from bench.base.files import read_given
-from bench.base.text import as_typed
 from bench.run.seal import read_private, write_private
 from bench.services.errors import Refused, refusing
 
@@ -121,13 +120,11 @@ def certificates_in(file: Path) -> tuple[Certificate, ...]:
         with refusing("check name and permissions", file, verb="read"):
             return tuple(x509.load_pem_x509_certificates(read_given(file)))
     except ValueError as error:
-        raise Refused(
-            f"{file}: the file has no X.509 certificate (PEM); give the file of the certificate chain"
-        ) from error
+        raise Refused(f"{file}: the file has no X.509 certificate (PEM); give a file that has one") from error
 
 
 def _in_file(file: Path, chain: Path | None, passphrase: Callable[[], bytes]) -> Signatory:
-    wanted = f"P-256 or RSA, PEM; 'bench key {as_typed(file)} --certificate NAME' makes one"
+    wanted = "P-256 or RSA, PEM; 'bench key FILE --certificate NAME' makes one"
     key = read_private(file, passphrase, wanted)
     from cryptography.hazmat.primitives import hashes
     from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
@@ -223,7 +220,7 @@ def signatory_in_token(
         token = pkcs11.lib(module).get_token(**given)
         session = token.open(user_pin=pin().decode())
         try:
-            key = _the_one(session, pkcs11.ObjectClass.PRIVATE_KEY, path, f"{told}: private keys")
+            key = _the_one(session, pkcs11.ObjectClass.PRIVATE_KEY, path, told, "private keys")
             own = chain or (_certificate(session, path, told),)
         except Refused:
             session.close()  # otherwise the next caller finds the token still logged in
@@ -262,7 +259,7 @@ def _parts(address: str) -> tuple[dict[str, Any], str]:
     return path, unquote(asked["module-path"])
 
 
-def _the_one(session: Any, kind: Any, path: dict[str, Any], what: str) -> Any:
+def _the_one(session: Any, kind: Any, path: dict[str, Any], told: str, what: str) -> Any:
     from pkcs11 import Attribute
 
     wanted = {Attribute.CLASS: kind}
@@ -272,7 +269,8 @@ def _the_one(session: Any, kind: Any, path: dict[str, Any], what: str) -> Any:
         wanted[Attribute.ID] = path["id"]
     found = list(session.get_objects(wanted))
     if len(found) != 1:
-        raise Refused(f"the token has {len(found)} {what} of that name; name one by its id")
+        remedy = "name one by its id" if found else "check the address"
+        raise Refused(f"{told}: the token has {len(found) or 'no'} {what} of that name; {remedy}")
     return found[0]
 
 
@@ -281,7 +279,7 @@ def _certificate(session: Any, path: dict[str, Any], told: str) -> Certificate:
     from pkcs11 import Attribute, ObjectClass
 
     try:
-        found = _the_one(session, ObjectClass.CERTIFICATE, path, f"{told}: certificates")
+        found = _the_one(session, ObjectClass.CERTIFICATE, path, told, "certificates")
     except Refused as error:
         raise Refused(
             f"{error}; --chain FILE names the key's certificate if it is not in the token"

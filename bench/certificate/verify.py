@@ -40,7 +40,7 @@ from bench.results.certificate import RegisterSays, SignerPart, VerifyResult
 from bench.run.events import MANIFEST, RecordError, sha256
 from bench.run.folder import Run, find_run
 from bench.run.seal import Seal
-from bench.services.errors import Refused, refusing
+from bench.services.errors import Refused, refusing, sentence
 from bench.services.verification import NOTHING_ASKED, VerdictOptions
 
 if TYPE_CHECKING:
@@ -67,8 +67,8 @@ UNKNOWN: Final = (
 class Findings:
     """What the steps of a verification found, in their order.
 
-    `signatures` begins with that of the verified file; `unsigned` says that the certificate has none. The lists of
-    sentences are those of `VerifyResult`.
+    `signatures` begins with the signature of the verified file; `unsigned` says that the certificate has none.
+    The lists of sentences become the members of `VerifyResult` with the same names.
     """
 
     signatures: list[SignedPdf | SignedXml] = field(default_factory=list)
@@ -347,7 +347,7 @@ def against_record(found: Findings, shown: ShownValues, runs: Path) -> None:
         again = found_by(seal.run, runs, k, _asked(shown))
     except (Refused, RecordError, CalibrationError) as error:
         found.wrong.append(
-            f"{folder}: the record gives no result ({error}); remove the cause, then verify again"
+            f"{folder}: the record gives no result ({sentence(error)}); remove the cause, then verify again"
         )
         return
     told = f"the record in {folder} is unchanged"

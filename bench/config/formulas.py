@@ -174,9 +174,9 @@ class FormulaParameter(FileModel):
 class FormulaEntry(FileModel):
     """An effect that a user defines.
 
-    `expression` is the quantity that the effect adds at its `stage`. The unit is rad for the stand (whose angle
-    `adds_to` is changed) and the head; g for the specific force and the block's output (before the scale factor); V
-    for the voltmeter.
+    `expression` is the quantity that the effect adds at its `stage`. Its unit is rad for the stand and the head, g
+    for the specific force and the block's output (before the scale factor), V for the voltmeter. At the stage of
+    the stand, `adds_to` names the angle that changes.
     """
 
     name: Annotated[str, AfterValidator(_word)]

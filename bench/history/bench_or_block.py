@@ -49,7 +49,7 @@ class Allotment:
 
 
 def allotment(found: Crossed) -> Allotment:
-    """Return the test of random assignment for one coefficient's fit."""
+    """Return the test, from the fit of one coefficient, that units were assigned to benches at random."""
     at = found.at
     crossing = at.crossing
     wide = found.sizes.copy()

@@ -42,8 +42,9 @@ YEAR: Final = np.timedelta64(31_557_600, "s")
 
 @dataclass(frozen=True)
 class Capability:
-    """The calibration and measurement capability of a laboratory, for twelve coefficients: arrays are (12,).
+    """The calibration and measurement capability of a laboratory, for twelve coefficients.
 
+    Arrays are (12,), in `signal` per g for scale factors and in `signal` for biases, with g = `STANDARD_GRAVITY`.
     `stated` is the quantile `quantile` of the stated u; `stated_most` is the upper 95 % limit of this
     quantile. `spreads` (12 items) has the scatter of repeated calibrations in excess of the stated u, the
     difference between benches and the drift of units. `below` counts the calibrations whose stated U is below

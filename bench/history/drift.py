@@ -70,15 +70,15 @@ class UnitDrift:
     def predicted(self, date: np.datetime64 | Dates) -> tuple[Floats, Floats]:
         """Return the expected values at dates (…) and their standard uncertainties, (…, 12) each.
 
-        The u is that of a calibration result on the date: it includes the scatter between calibrations, but not
-        the errors of that calibration itself. Raises `CalibrationError` for a date before the last calibration.
+        The u applies to a calibration result on the date: it includes the scatter between calibrations, but not
+        the errors of the new calibration itself. Raises `CalibrationError` for a date before the last calibration.
         """
         days = np.asarray(date, dtype="datetime64[s]")
         years = (days - self.first.astype("datetime64[s]")).astype(float).ravel() / SECONDS_PER_YEAR
         if not np.all(years >= self.states.last_year - 1e-9):
             raise CalibrationError(
-                f"{days.min().astype('datetime64[D]')} is before the last calibration "
-                f"({self.last.astype('datetime64[D]')}), and a history predicts only later times; ask for a "
+                f"{days.min().astype('datetime64[m]')} is before the last calibration "
+                f"({self.last.astype('datetime64[m]')}), and a history predicts only later times; ask for a "
                 "later date"
             )
         value, variance = self.states.predicted(years)
@@ -186,9 +186,12 @@ def drift_of_unit(measured: ComparedCalibrations) -> OfUnit:
 def day_of(text: str) -> np.datetime64:
     """Return the date in a text such as "2027-06-01". Raises `CalibrationError` for any other text."""
     try:
-        return np.datetime64(text, "s")
+        day: np.datetime64 | None = np.datetime64(text, "s")
     except ValueError:
-        raise CalibrationError(f"--at: expected a date such as 2027-06-01, got {text!r}") from None
+        day = None
+    if day is None or np.isnat(day):  # also for "" and "NaT", which numpy accepts
+        raise CalibrationError(f"--at: expected a date such as 2027-06-01, got {text!r}")
+    return day
 
 
 def history_drift(when: Dates, values: Floats, variance: Floats, common: Floats | None = None) -> UnitDrift:
@@ -205,6 +208,7 @@ def history_drift(when: Dates, values: Floats, variance: Floats, common: Floats 
     if len(dates) < LEAST_FOR_DRIFT or seconds[-1] < LEAST_SPAN.total_seconds():
         raise CalibrationError(
             f"a drift needs {LEAST_FOR_DRIFT} calibrations or more over more than a day; there are {len(dates)}"
+            + (f" over {seconds[-1] / 3600.0:.2g} h" if len(dates) >= LEAST_FOR_DRIFT else "")
         )
     alike = np.zeros(values.shape[1]) if common is None else np.asarray(common, dtype=float)
     stated = variance[order]
@@ -382,8 +386,8 @@ def due(
 
     `covariance` (n, 12, 12) are the stated covariances. `u_meters` (n, 12) is the part of u that recurs with the
     same meters; None if the meters differ. `limit_g` is the permitted error, in g, of a measurement of 1 g in any
-    direction. If the history is too short to show drift, `interval_days` determines the date. Raises
-    `CalibrationError` if there is no calibration, or if K of the last calibration is singular.
+    direction. If the history is too short to show drift, `interval_days` determines the date. The result
+    repeats `simulated`. Raises `CalibrationError` if there is no calibration, or if K of the last one is singular.
     """
     if len(when) == 0:
         raise CalibrationError("no calibration has a date, so no due date is known; add dates to the runs")

@@ -215,8 +215,8 @@ class MeterRun:
     `meters` are the meters' identities by channel; `day` is the time in days from any origin. `values` (6,)
     are the logarithms of the lengths of the rows of K (in V/g), then the biases in g. `covariance` (6, 6)
     contains the errors that vary from run to run, without those of the meters. Each column of `block` (6, q)
-    is the effect on the values if one error of the block is one u large; such an error is the same in all
-    runs of the block. `drift` (3, 2) has, by channel, the standard uncertainties of the changes of relative
+    is the change of the values by one u of an error of the block; such an error is the same in all runs of
+    the block. `drift` (3, 2) has, by channel, the standard uncertainties of the changes of relative
     gain and of zero (V) within `per_days`.
     """
 
@@ -366,7 +366,10 @@ def exchanged(runs: Sequence[tuple[str, tuple[str, str, str]]]) -> list[int]:
 
 
 def _stacked(runs: Sequence[MeterRun], day: float, quantity: int, scale: Floats) -> tuple[Floats, Floats]:
-    """Return `scale` times quantity 0 (gain) or 1 (zero), (N,); covariance (N, N) with drift from `day`."""
+    """Return quantity 0 (gain) or 1 (zero) of N readings, and its covariance (N, N) with the drift from `day`.
+
+    The quantity is the value in the runs times `scale` (N,).
+    """
     at = slice(3 * quantity, 3 * quantity + 3)
     y = scale * np.concatenate([run.values[at] for run in runs])
     known = linalg.block_diag(*(run.covariance[at, at] for run in runs))
@@ -430,7 +433,7 @@ class _Design:
         return self.readings - int(self.cell.max()) - 1 - int(contrasts_within(self.group).shape[1])
 
     def mean_length(self, logarithms: Floats) -> Floats:
-        """Return for each reading the geometric mean of the row lengths in its cell, V/g, (N,)."""
+        """Return the geometric mean of the row lengths in each reading's cell, V/g, (N,), from `logarithms`."""
         mean = np.bincount(self.cell, logarithms) / np.bincount(self.cell)
         return np.asarray(np.exp(mean[self.cell]))
 

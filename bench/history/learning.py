@@ -197,7 +197,7 @@ SCATTER: Final = "the scatter of its repeats"
 
 
 def odd_runs(runs: list[RunFit], body: RunSums, theta: Floats, beliefs: Beliefs) -> list[Contradiction]:
-    """Test each run for each kind of contradiction; return results, most significant first, p by Holm."""
+    """Test each run for each kind of contradiction; return all results with Holm's p, the smallest first."""
     found = [*_angles(body, theta, beliefs), *_fit(body, at(body, theta, beliefs).means), *_scatter(runs)]
     found.sort(key=lambda one: one.p)
     adjusted = holm(np.array([one.p for one in found]))

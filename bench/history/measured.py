@@ -114,7 +114,7 @@ def of_gravity(vector: Floats, gravity_u: Floats | float) -> Floats:
 def nine_of(name: str, vector: Floats, covariance: Floats) -> Derived:
     """Return the nine intrinsic numbers of coefficients (12,) with a covariance (12, 12).
 
-    Raises `CalibrationError` if they are undefined, as for a block with a dead channel; `name` begins its message.
+    Raises `CalibrationError` if they are undefined, as for a block with a dead channel; `name` begins the message.
     """
     try:
         return intrinsic(Block.from_vector(vector), covariance)

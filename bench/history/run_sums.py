@@ -151,7 +151,7 @@ class RunSums:
         return int(self.random.shape[1])
 
     def by_mean(self, means: int) -> Floats:
-        """Return the sums for (B, F, y): F has the sums of those columns of B that share a mean, then H."""
+        """Return the sums for (B, F, y): F has the sum of the columns of B for each mean, then the columns of H."""
         key = ("by mean", means)
         if key not in self._kept:
             c, h = self.columns, self.waves
@@ -204,7 +204,10 @@ class Layout:
     def of(
         cls, runs: Sequence[RunFit], stand_u: Mapping[str, float], *, by_installation: bool, waves: bool
     ) -> Layout:
-        """Return the layout for runs; `stand_u` is rad by angle; `by_installation` splits the means."""
+        """Return the layout for runs; `stand_u` has the u of each angle, rad.
+
+        With `by_installation`, an angle has a separate mean in each installation.
+        """
         pairs = dict.fromkeys(pair for run in runs for pair in run.angles)
         kinds = tuple(name for name in STAND_ANGLES if any(pair[0] == name for pair in pairs))
         means = [pair if by_installation else (pair[0], "") for pair in pairs]
@@ -284,7 +287,7 @@ SEEN: Final = 1e-3
 def _beyond_repeats(run: RunFit, gram: Floats, variances: Floats, angles: int) -> tuple[float, float]:
     """Return the chi-square of a run beyond the scatter of its repeats, and its degrees of freedom.
 
-    Chi-square is that after the fit of the coefficients only; the degrees of freedom also allow for the angles. The
+    Chi-square follows the fit of the coefficients alone; the degrees of freedom also allow for the angles. The
     test of the run (`bench.history.learning`) subtracts the parts of angles and harmonics from chi-square.
     """
     dof = run.y.size - FIXED - 3 * run.scatter.settings

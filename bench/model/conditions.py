@@ -257,7 +257,8 @@ class Conditions:
     ) -> Conditions:
         """Return the conditions made of columns of equal length.
 
-        Defaults: series 1, pass 1, points 1…n, scan order x, y, z; everything else unknown.
+        Shapes are those of the class. By default series and pass are 1, points 1…n, the scan order is x, y, z, and
+        all else is unknown.
         """
         n = len(installation)
         keys = [Mounting(s, label) for s, label in zip(series or [1] * n, installation, strict=True)]

@@ -326,7 +326,9 @@ class KeptList:
                     self.path.chmod(0o600)
         except OSError as error:
             raise RecordError(
-                message(f"{self.path}: cannot be written ({error.strerror}); free disk space")
+                message(
+                    f"{self.path}: cannot be written ({error.strerror}); free disk space or check permissions"
+                )
             ) from error
 
 
@@ -349,8 +351,8 @@ class Access:
         private_folder(folder)
         self._laboratory = laboratory_known(laboratory)
         self._tokens = KeptList(folder, TOKENS)
-        self._links = KeptList(folder, LINKS)
-        self._sessions = KeptList(folder, SESSIONS)
+        self._links = KeptList(folder, LINKS, message("remove it and make a new link"))
+        self._sessions = KeptList(folder, SESSIONS, message("remove it and sign in again"))
         self._now = now
 
     @property

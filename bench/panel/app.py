@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import getpass
 import logging
 import os
@@ -25,6 +26,7 @@ from starlette.routing import Route
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from bench.base.files import from_text, read_regular, to_text, write_whole
+from bench.base.text import as_typed
 from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
@@ -46,6 +48,7 @@ from bench.panel.shared import Panel, by_error, load, refused, send_asset
 from bench.readings.csv import ReadingsError
 from bench.run.events import RecordError
 from bench.services.errors import Refused
+from bench.services.requests.shared import runs_folder
 from drivers.interfaces import BenchError
 
 if TYPE_CHECKING:
@@ -256,7 +259,7 @@ def serve(settings: Settings, tell: Callable[[str], None]) -> None:
     except Timeout:
         raise RecordError(
             f"{settings.runs}: a panel already serves this folder at {url_of(settings.runs)}; "
-            "'bench panel link' makes a one-time link to it"
+            f"'{_panel('link', settings.runs)}' makes a one-time link to it"
         ) from None
     with lock, _listening(settings) as listener:
         settings = replace(settings, port=listener.getsockname()[1])
@@ -269,7 +272,7 @@ def serve(settings: Settings, tell: Callable[[str], None]) -> None:
                 link = new_link(settings.runs, laboratory=settings.laboratory)
                 tell(f"sign in, once, within half an hour: {link}")
             except Refused as why:
-                tell(f"no link, sign in with your token: {why}")
+                tell(f"no link, sign in with your token: {why.typed}")
         elif not settings.address:
             tell(f"note: {OPEN_WIRE}")
         uvicorn.Server(config_of(app)).run(sockets=[listener])
@@ -306,7 +309,7 @@ def check(settings: Settings) -> None:
     if not settings.loopback and not Access(settings.runs / STATE, laboratory=settings.laboratory).tokens():
         raise RecordError(
             "access from other computers needs a token, and there is none; make one with "
-            "'bench panel token NAME --role operator'"
+            f"'{_panel('token NAME --role operator', settings.runs)}'"
         )
 
 
@@ -324,12 +327,24 @@ def _listening(settings: Settings) -> socket.socket:
         except OSError:
             listener.close()
             raise
-    except OSError as error:
+    except (OSError, UnicodeError) as error:
+        no_host = isinstance(error, socket.gaierror | UnicodeError) or error.errno == errno.EADDRNOTAVAIL
+        remedy = (
+            "give --host an address of this computer"
+            if no_host
+            else "choose another --port, 0 for a free one"
+        )
+        why = getattr(error, "strerror", None) or error
         raise RecordError(
-            f"--host {settings.host} --port {settings.port}: cannot listen there ({error.strerror or error}); "
-            "choose another --port, 0 for a free one"
+            f"--host {settings.host} --port {settings.port}: cannot listen there ({why}); {remedy}"
         ) from error
     return listener
+
+
+def _panel(what: str, runs: Path) -> str:
+    """Return a command on the panel of a folder of runs, as a shell takes it."""
+    is_default = runs.absolute() == runs_folder(None).absolute()
+    return " ".join(filter(None, ["bench panel", what, "" if is_default else f"--runs {as_typed(runs)}"]))
 
 
 def url_of(runs: Path) -> str:
@@ -351,7 +366,9 @@ def is_serving(runs: Path) -> bool:
 def link_of(runs: Path, name: str = "", laboratory: Path | None = None) -> str:
     """Return a one-time link for a person to the panel of a folder. Raises `Refused` if there is no panel."""
     if not is_serving(runs):
-        raise Refused(f"{runs}: no panel serves this folder; 'bench panel' starts one and prints its link")
+        raise Refused(
+            f"{runs}: no panel serves this folder; '{_panel('', runs)}' starts one and prints its link"
+        )
     return new_link(runs, "/", name, laboratory)
 
 
@@ -390,7 +407,7 @@ def new_link(runs: Path, after: str = "/", name: str = "", laboratory: Path | No
     if not is_loopback((urlsplit(url).hostname or "").strip("[]")):
         raise RecordError(
             f"the panel at {url} is open to other computers, where sign-in links do not work; make a token with "
-            "'bench panel token NAME'"
+            f"'{_panel('token NAME', runs)}'"
         )
     secret = Access(runs / STATE, laboratory=laboratory).new_link(name or login_name())
     return f"{url}/sign-in?link={secret}" + (f"&next={quote(after)}" if after != "/" else "")

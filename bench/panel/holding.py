@@ -140,7 +140,12 @@ def change(
             before = _holding_in(text)
             to = _checked(before, word, person, to)
             if len(text) > LARGEST and word in {"ask", "deny"}:
-                raise Refusal(429, message("too many requests; wait a minute"))
+                raise Refusal(
+                    429,
+                    message(
+                        "this run has too many requests for control; ask the person in control to give it up"
+                    ),
+                )
             line = {"did": WORDS[word].value, "who": person.name, "role": person.role.value}
             line |= {"to": to} if to else {}
             line["at"] = now().isoformat()

@@ -26,7 +26,7 @@ from bench.panel.folder import RunsFolder
 from bench.run.events import EVENTS, RecordError, sha256
 from bench.run.folder import Run, checked_name
 from bench.run.record import is_being_written
-from bench.services.errors import Refused
+from bench.services.errors import Refused, sentence
 from bench.services.persons import STARTED_FROM
 from bench.services.requests.measuring import RunRequest
 from drivers.clock import Clock, SystemClock, utc_now
@@ -362,7 +362,7 @@ def checked(wanted: WantedRun, folder: Path) -> TrialResult:
     try:
         findings = look_ahead(Check(str(wanted.request.procedure), bench=wanted.request.bench, runs=folder))
     except (Refused, FileMistakes) as mistakes:
-        return TrialResult("done", mistakes=str(mistakes))
+        return TrialResult("done", mistakes=sentence(mistakes))
     return TrialResult("trying" if findings.can_be_tried else "done", check=findings.result.to_dict())
 
 

@@ -243,7 +243,10 @@ def judged(path: Path, text: str) -> tuple[tuple[FileMistake, ...], Procedure | 
         FileMistake(
             0,
             row.group.place,
-            message("the panel includes files of the same folder only; move the file there"),
+            message(
+                "the panel includes files of the same folder only, with names of letters, digits, _ . + -; move or "
+                "rename the file, and write its name here"
+            ),
         )
         for row in rows_of(read_yaml(text).data)
         if row.group.at[-1] == "include" and _BESIDE.fullmatch(row.written) is None

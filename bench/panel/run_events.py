@@ -246,7 +246,7 @@ class Tail:
             return
         except OSError as error:
             raise RecordError(
-                message(f"{self._path}: cannot be read ({error.strerror}); check that it exists")
+                message(f"{self._path}: cannot be read ({error.strerror}); check its permissions")
             ) from error
 
     def _event(self, line: bytes) -> Event:

@@ -82,7 +82,7 @@ class Search(WorkFolder):
         try:
             order = list(dict.fromkeys(map(checked_resource, resources)))
         except Refused as mistake:
-            raise Refusal(400, str(mistake)) from mistake
+            raise Refusal(400, mistake.typed) from mistake
         before = self.found()
         found = Findings(
             what,

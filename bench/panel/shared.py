@@ -29,6 +29,7 @@ from bench.panel.launching import Started, Wishes
 from bench.panel.queue import DayQueue
 from bench.panel.stream import Followers
 from bench.run.events import RecordError, sha256
+from bench.services.errors import sentence
 
 
 class Panel:
@@ -107,15 +108,19 @@ async def fields(request: Request, most: int = MOST_FIELDS) -> dict[str, str]:
         if kind == "application/json":
             given = from_text(body)
         elif kind == "application/x-www-form-urlencoded" or not body:
-            given = dict(parse_qsl(body.decode(), keep_blank_values=True, max_num_fields=most))
+            pairs = parse_qsl(body.decode(), keep_blank_values=True)
+            given = dict(pairs) if len(pairs) <= most else pairs
         else:
             raise Refusal(
                 415, message("the request is neither a form nor JSON; send a form or a JSON object")
             )
     except ValueError:
         raise Refusal(400, message("the request cannot be read; send a form or valid JSON")) from None
-    if isinstance(given, dict) and len(given) > most:
-        raise Refusal(400, message(f"at most {most} fields are accepted; send fewer"))
+    if isinstance(given, dict | list) and len(given) > most:
+        raise Refusal(
+            400,
+            message(f"the form has more than {most} fields; send fewer, or change the file in an editor"),
+        )
     if not isinstance(given, dict) or not all(isinstance(value, str) for value in given.values()):
         raise Refusal(
             400,
@@ -277,4 +282,4 @@ def by_error(request: Request, error: Exception) -> Response:
         found = panel_of(request).runs.run(name)
         told = str(error).replace(f"{found.folder.absolute()}/", "").replace(f"{found.folder}/", "")
         return page(request, "damaged.html.j2", status=409, run=name, text=bounded(told))
-    return refused(request, Refusal(409, str(error)))
+    return refused(request, Refusal(409, sentence(error)))

@@ -496,7 +496,7 @@ class Chooser:
         )
 
     def _so_far(self, standing: Standing, task: DesignTask) -> dict[str, Any]:
-        """Return those members of `NextPoints` that describe the points measured so far."""
+        """Return the members of `NextPoints` that describe the points measured so far."""
         return {
             "now": standing.worst, "settings": int(task.done.sum()), "repeats": task.repeats_done,
             "rest_s": self._rest_s(standing),

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats, Ints, quadratic_forms
+from bench.base.numbers import figures
 from bench.calibration.budget.assessment import delta_g_variances, directions
 from bench.calibration.budget.coefficients import Budget, Setup, make_budget
 from bench.calibration.budget.error_source import ErrorSource, learned_sources
@@ -109,8 +110,8 @@ def delta_g_goals(
     if np.max(floors) >= asked_g**2:
         raise CalibrationError(
             f"u(Δg) of {asked_g:.3g} g cannot be reached: one reading at a verification point alone has "
-            f"{np.sqrt(np.max(floors)):.2g} g; lower voltmeter_error in the bench file (more samples a "
-            "reading) or relax the goal"
+            f"{figures(float(np.sqrt(np.max(floors))), 2, up=True)} g; lower voltmeter_error in the bench file "
+            "(more samples a reading) or relax the goal"
         )
     return [
         Goal(f"Δg at verification point {i + 1}", functionals[[i]], asked_g, "g", float(floors[i]), at[i])
@@ -322,8 +323,9 @@ class ExchangeDesign:
         return float(np.sqrt(np.max(variances / self._asked2)))
 
     def _score(self, variances: Floats, power: float) -> Floats:
-        """Return the power mean of the squared ratios of u to required u along the last axis; infinite
-        if any is.
+        """Return the power mean, along the last axis, of the squared ratios of u to required u.
+
+        The mean is infinite if any ratio is infinite.
         """
         ratio = np.maximum(variances, 0.0) / self._asked2
         top = np.max(ratio, axis=-1)

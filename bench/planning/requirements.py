@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
 
 from bench.base.arrays import Floats
 from bench.calibration.budget.assessment import delta_g_variances, directions, measured
@@ -418,6 +417,8 @@ class Requirement:
         if kept is None:
             return Limit(source, None)
         low, high = self._bracket(excess, kept, kept or sizes[-2], beyond)
+        from scipy.optimize import brentq  # takes long to import, and each `bench check` needs this module
+
         u = math.exp(brentq(lambda x: excess(math.exp(x)), math.log(low), math.log(high), xtol=_PRECISE))
         return Limit(source, u)
 
@@ -497,6 +498,8 @@ class Requirement:
                 width *= 2.0
                 if width > 50.0:
                     raise CalibrationError(_NO_BALANCE)
+            from scipy.optimize import brentq
+
             factor = math.exp(brentq(excess, -width, width, xtol=_PRECISE))
             sizes = {n: u if n in free else u * factor for n, u in sizes.items()}
         return [Limit(own[n], math.inf if n in free else u) for n, u in sizes.items()]

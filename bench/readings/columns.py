@@ -59,6 +59,8 @@ def _character(escape: str) -> str:
 OVERLOAD: Final = 9.0e37
 """Readings of this size or more, V, mean an overloaded meter (34401A User's Guide, chapter 3)."""
 
+_SIGNAL: Final = ("ux_", "uy_", "uz_")
+
 ABSOLUTE_ZERO_C: Final = -273.15
 HOTTEST_C: Final = 200.0
 """The highest valid temperature, °C: above that of any chamber, below room temperature in kelvin."""
@@ -97,6 +99,12 @@ def number(
         value = read_number(cell)
     except ValueError:
         raise BadCell(column, f"expected {expected}, got {_quoted(cell)}") from None
+    if abs(value) >= OVERLOAD and math.isfinite(value) and not column.startswith(_SIGNAL):
+        raise BadCell(
+            column,
+            f"expected {expected}, got {_quoted(cell)}, which meters give for an overload or an open sensor; "
+            f"correct this cell{' or leave it empty' if optional else ''}",
+        )
     if abs(value) >= OVERLOAD and math.isfinite(value):
         raise BadCell(
             column,

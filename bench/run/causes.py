@@ -268,7 +268,10 @@ class Inquiry:
         return sighting.poses
 
     def _shifts(self, sighting: Sighting, state: Expectation) -> Floats:
-        """Return the prior standard deviations of the signals, V, (5, 3): block turned, tilted, x, y or z off."""
+        """Return the prior standard deviations, V, (5, 3), of the signals for the five mistakes of unknown size.
+
+        They are a turn of the block, a tilt of the block, and an offset of x, of y or of z.
+        """
         scale = state.scale_factors[0]
         turn = self.model.installations[sighting.installation].block_from_platform
         return np.stack(
@@ -281,7 +284,7 @@ class Inquiry:
 
 
 def _settings(sighting: Sighting) -> list[OtherPose]:
-    """Return the suppositions of other head angles at a reading; only angles far enough off to stop a run."""
+    """Return the suppositions of other head angles at a reading that are far enough off to stop a run."""
     at, label = sighting.angle_rad, sighting.installation
     found = head_elsewhere(label, at, sighting.last_rad, sighting.next_rad, sighting.pivot_rad)
     return [one for one in found if abs(one.off_rad) > LARGE_RAD]
@@ -338,7 +341,7 @@ class Confidence:
         self._silent, self._undecided, self._unexplained_v = False, None, 0.0
 
     def went_on(self, sighting: Sighting) -> None:
-        """Note that a person continued despite the mistakes just named, and so accepted those that last."""
+        """Note that a person continued despite the mistakes just named, and so accepted the lasting ones."""
         self._silent = True
         for kind in self._last:
             if kind in LASTING:

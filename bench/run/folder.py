@@ -20,7 +20,7 @@ from bench.config.procedure.plan import Plan, Read
 from bench.readings.corrected import LevelReading, with_levels
 from bench.readings.reading import readings_of
 from bench.readings.table import VERIFICATION, Readings
-from bench.run.events import EVENTS, MANIFEST, Manifest, RecordError, RunState, read_manifest, sha256
+from bench.run.events import ENDED, EVENTS, MANIFEST, Manifest, RecordError, RunState, read_manifest, sha256
 from bench.run.record import History, read_history, trusted
 from drivers.clock import utc_now
 
@@ -138,7 +138,8 @@ class Run:
         """
         taken = list(self.trusted_history().readings.values())
         if not taken:
-            raise RecordError(f"{self.folder}: the run has no reading; name another run, or resume this one")
+            resume = "" if self.history.state in ENDED else ", or resume this one"
+            raise RecordError(f"{self.folder}: the run has no reading; name another run{resume}")
         planned = sum(isinstance(s, Read) and s.installation == VERIFICATION for s in self.plan.steps)
         power = self.trusted_history().power
         table = with_levels(readings_of(taken, str(self.folder), power), self._seen_by_level())

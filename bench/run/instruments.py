@@ -90,9 +90,9 @@ def same_serials(identities: Mapping[str, Identity]) -> list[str]:
 
 
 def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str, str]) -> None:
-    """Ask whether to continue if identities, by instrument name, differ from those `before`, at the start.
+    """Ask whether to continue if an instrument's identity `now` differs from its identity `before`, at the start.
 
-    Raises `BenchError` if the person disagrees.
+    Both map instrument names to identities. Raises `BenchError` if the person disagrees.
     """
     changed = [
         message(f"{name} was {identity} and is now {now.get(name, 'gone')}")
@@ -115,8 +115,8 @@ UNEXPECTED_K: Final = 5.0
 class TemperatureCheck:
     """Asks a person about an entered temperature that is far from the expected one, °C.
 
-    The expected temperature is `last_c`, the last one entered; without it `demanded_c`, the set point; without
-    both, room temperature.
+    The expected temperature is `last_c`, the last one entered, or else the set point `demanded_c`, or else room
+    temperature.
     """
 
     person: Person
@@ -124,7 +124,7 @@ class TemperatureCheck:
     demanded_c: float | None = None
 
     def __call__(self, read: Callable[[str], float], key: str) -> float:
-        """Return the temperature that the person enters when `read` asks, as often as the person takes it back."""
+        """Return the temperature that the person enters through `read`; ask again if the person takes it back."""
         shown_c = read(key)
         for again in range(1, MOST_ATTEMPTS):
             question = self._question(shown_c)
@@ -140,7 +140,7 @@ class TemperatureCheck:
         return shown_c
 
     def _question(self, shown_c: float) -> str:
-        """Return the question about a temperature, empty if it is expected."""
+        """Return the question about a temperature; empty if the temperature is as expected."""
         if self.last_c is not None:
             expected_c, within_k = self.last_c, UNEXPECTED_K
         elif self.demanded_c is not None:

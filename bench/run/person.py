@@ -466,15 +466,25 @@ def _number(given: str, unit: str) -> float:
 def _between(prompt: Prompt, value: float) -> float:
     if prompt.minimum is not None and value < prompt.minimum:
         raise ValueError(
-            message(f"type a number of {prompt.minimum:g} or more, not {value:g} {prompt.unit}").rstrip()
+            message(
+                f"type a number of {_exact(prompt.minimum)} or more, not {_exact(value)} {prompt.unit}"
+            ).rstrip()
         )
     if prompt.maximum is not None and value > prompt.maximum:
         raise ValueError(
-            message(f"type a number of at most {prompt.maximum:g}, not {value:g} {prompt.unit}").rstrip()
+            message(
+                f"type a number of at most {_exact(prompt.maximum)}, not {_exact(value)} {prompt.unit}"
+            ).rstrip()
         )
     if not math.isfinite(value):
         raise ValueError("type a number")
     return value
+
+
+def _exact(value: float) -> str:
+    """Return a number with all its digits: a rounded limit could be refused itself."""
+    short = f"{value:g}"
+    return short if float(short) == value else repr(value)
 
 
 def _spaced(angle_rad: float) -> str:

@@ -383,7 +383,7 @@ def _until_settled(
             moved.instrument,
             f"the block was not warm {duration(wanted.timeout)} after it was switched on: {moved.cause}",
             "find what moves or warms the block and resume, or lengthen the timeout of its warm-up in the bench "
-            "file",
+            "file and start a new run",
             moved.state,
         ) from moved
 

@@ -138,7 +138,8 @@ def read_history(folder: Path) -> History:
                 problems += _Reader(history).read(file)
     except OSError as error:
         raise RecordError(
-            f"{path}: cannot be read ({error.strerror}); restore it from a copy of the run"
+            f"{path}: cannot be read ({error.strerror}); check its permissions, or restore it from a copy of the "
+            "run"
         ) from error
     history.problems = tuple(problems)
     return history
@@ -232,8 +233,8 @@ def parse_line(line: bytes) -> tuple[Event, str]:
 class ResumePoint:
     """Where a run is resumed: at step `step`; first the step `turn`, if not None, is repeated.
 
-    `bench_s` is the bench time, s, at which `step` was last begun, or that of the last event if the step was never
-    begun.
+    `bench_s` is the bench time, s, at which `step` was last begun, or the bench time of the last event if the
+    step was never begun.
     """
 
     step: int
@@ -399,7 +400,7 @@ class Record:
         if found.st_size != self._length:
             raise RecordError(
                 f"{self.folder}: another program wrote into {EVENTS}; recording ended; check it with "
-                f"'bench show {as_typed(self.folder.name)} --verify'"
+                f"'bench show {as_typed(self.folder)} --verify'"
             )
 
     def whereabouts(self) -> Path | None:
@@ -496,7 +497,10 @@ def _make_folder(folder: Path, files: dict[str, bytes]) -> None:
         part.rename(folder)
     except OSError as error:
         _refuse_taken(folder)  # another program may have created it meanwhile
-        raise _cannot_write(folder, error) from error
+        place = "free disk space, or " if error.errno in DISK_FULL else ""
+        raise RecordError(
+            f"{folder}: cannot be written ({error.strerror or error}); {place}choose another folder with --runs"
+        ) from error
     finally:
         if part is not None:
             shutil.rmtree(part, ignore_errors=True)
@@ -510,8 +514,8 @@ def _refuse_taken(folder: Path) -> None:
 
 
 def _cannot_write(folder: Path, error: OSError) -> RecordError:
-    remedy = "free disk space, or " if error.errno in DISK_FULL else ""
+    remedy = "free disk space" if error.errno in DISK_FULL else "make the folder writable"
     return RecordError(
-        f"{folder}: cannot be written ({error.strerror or error}); what was recorded is kept; "
-        f"{remedy}choose another folder with --runs"
+        f"{folder}: cannot be written ({error.strerror or error}); what was recorded is kept; {remedy}, then "
+        "continue"
     )

@@ -120,8 +120,8 @@ class Runner:
 
     `watch` judges each reading. In a run that chooses its points as it goes, `choose` is called with a step index
     and returns the choice of the steps still to be measured. `certificates` takes
-    the serial numbers by instrument name, and returns sentences on the certificates. `at_resumed_time` is called
-    with the bench time at which a resumed run continues, s.
+    the serial numbers by instrument name, and returns sentences on the instruments' certificates. `at_resumed_time`
+    is called with the bench time at which a resumed run continues, s.
     """
 
     plan: Plan

@@ -200,7 +200,7 @@ class Window:
         return max(known) if len(known) == len(estimates) else None
 
     def _signal_left_s(self, times: Sequence[float], signal: Sequence[float], spread: float) -> float | None:
-        """Return the estimated time, s, until one signal has settled, from the window's samples; None without one.
+        """Return the estimated time, s, until one signal has settled, from the window's samples, or None.
 
         If the span is within the precision, only the rest of the window remains to be filled. Otherwise the
         approach is modelled as exponential: the span shrinks by the same factor from each half-window to the next.

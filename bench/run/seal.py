@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any, Final, cast
 from urllib.parse import urlsplit
 
 from bench.base.computing import missing
-from bench.base.files import read_given, read_regular, to_text, write_whole
+from bench.base.files import read_given, read_regular, remedy_for, to_text, write_whole
 from bench.base.text import as_typed
-from bench.run.events import ENDED, MANIFEST, RecordError, sha256
+from bench.run.events import ENDED, EVENTS, MANIFEST, RecordError, sha256
 from bench.run.folder import Run
 
 if TYPE_CHECKING:
@@ -142,7 +142,8 @@ def new_seal(run: Run, now: datetime) -> Seal:
         )
     if run.history.torn:
         raise RecordError(
-            f"{run.name}: the last line of its record is incomplete; resume or abort the run, then seal it"
+            f"{run.folder / EVENTS}: an incomplete line follows the end of the run; delete this line, or restore "
+            "the file from a copy, then seal the run"
         )
     return seal_of(run, now.isoformat())
 
@@ -218,7 +219,7 @@ def private_key(file: Path, passphrase: Callable[[], bytes]) -> Ed25519PrivateKe
     Raises `RecordError` for a file that others may read, and for a file without an Ed25519 key.
     """
     _, ed25519 = _cryptography()
-    key = read_private(file, passphrase, f"Ed25519, PEM; 'bench key {as_typed(file)}' makes one")
+    key = read_private(file, passphrase, "Ed25519, PEM; 'bench key FILE' makes one")
     if not isinstance(key, ed25519.Ed25519PrivateKey):
         raise RecordError(f"{file}: not an Ed25519 key; 'bench key FILE' makes one")
     return cast("Ed25519PrivateKey", key)
@@ -234,11 +235,12 @@ def read_private(file: Path, passphrase: Callable[[], bytes], wanted: str) -> An
         pem = read_given(file)
         mode = file.stat().st_mode
     except OSError as error:
-        raise RecordError(f"{file}: cannot be read ({error.strerror}); check name and permissions") from error
+        remedy = remedy_for(error, "check name and permissions")
+        raise RecordError(f"{file}: cannot be read ({error.strerror}); {remedy}") from error
     if os.name == "posix" and stat.S_IMODE(mode) & 0o077:
         raise RecordError(
             f"{file}: others may use this private key (mode {stat.S_IMODE(mode):o}); restrict it with "
-            f"chmod 600 {file}, and make a new key if it may have been copied"
+            f"chmod 600 {as_typed(file)}, and make a new key if it may have been copied"
         )
     _check_folder(file)
     try:
@@ -254,26 +256,27 @@ def sign(key: Ed25519PrivateKey, message: bytes) -> tuple[str, bytes]:
     return _public_pem(key.public_key()), key.sign(message)
 
 
-def public_key(pem: str, where: str) -> Ed25519PublicKey:
-    """Return the Ed25519 key in the text `pem`. Raises `RecordError`, naming `where`, if there is none."""
+def public_key(pem: str, where: str, remedy: str = "restore the seal from a copy") -> Ed25519PublicKey:
+    """Return the Ed25519 key in the text `pem`. Raises `RecordError` with `where` and `remedy` if there is none."""
     serialization, ed25519 = _cryptography()
     try:
         key = serialization.load_pem_public_key(pem.encode())
     except ValueError as error:
-        raise RecordError(f"{where}: not a public key (PEM); give the .pub file of 'bench key'") from error
+        raise RecordError(f"{where}: not a public key (PEM); {remedy}") from error
     if not isinstance(key, ed25519.Ed25519PublicKey):
-        raise RecordError(f"{where}: not an Ed25519 key; ask for the public key of 'bench key'")
+        raise RecordError(f"{where}: not an Ed25519 key; {remedy}")
     return cast("Ed25519PublicKey", key)
 
 
 def read_public_key(file: Path) -> Ed25519PublicKey:
     """Return the Ed25519 public key in a file. Raises `RecordError` if there is none."""
+    remedy = "give the .pub file of 'bench key'"
     try:
-        return public_key(read_regular(file).decode("ascii"), str(file))
+        return public_key(read_regular(file).decode("ascii"), str(file), remedy)
     except OSError as error:
         raise RecordError(f"{file}: cannot be read ({error.strerror}); check name and permissions") from error
     except UnicodeDecodeError:
-        raise RecordError(f"{file}: not a public key (PEM); give the .pub file of 'bench key'") from None
+        raise RecordError(f"{file}: not a public key (PEM); {remedy}") from None
 
 
 def is_signed(key: Ed25519PublicKey, signature: bytes, message: bytes) -> bool:
@@ -306,7 +309,7 @@ def _check_folder(file: Path) -> None:
     if os.name == "posix" and mode & 0o077:
         raise RecordError(
             f"{folder}: a private key needs a folder that only its owner can enter; others may enter this one "
-            f"(mode {mode:o}); chmod 700 {folder}, or choose another"
+            f"(mode {mode:o}); chmod 700 {as_typed(folder)}, or choose another"
         )
 
 
@@ -410,9 +413,8 @@ def read_time_stamp(response: bytes, message: bytes, authority: Path | None) -> 
     try:
         roots = x509.load_pem_x509_certificates(read_given(authority))
     except OSError as error:
-        raise NoTimeStamp(
-            f"{authority}: cannot be read ({error.strerror}); check name and permissions"
-        ) from error
+        remedy = remedy_for(error, "check name and permissions")
+        raise NoTimeStamp(f"{authority}: cannot be read ({error.strerror}); {remedy}") from error
     except ValueError as error:
         raise NoTimeStamp(f"{authority}: not a certificate (PEM); give the authority's") from error
     builder = rfc3161.VerifierBuilder()

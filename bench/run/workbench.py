@@ -531,7 +531,7 @@ class Workbench:
                 "block",
                 f"its temperature is {self.temperature_c:g} °C, outside the limits of the block, {low_c:g} to "
                 f"{high_c:g} °C",
-                "find out why the chamber went there, then continue",
+                "find out why it came to this temperature, then continue",
             )
 
     def _check_around(self, column: str) -> TemperatureCheck:

@@ -271,7 +271,7 @@ class CalibrationResult:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for the reader of the result, a sentence each, including the rows that were skipped."""
+        """Notes for the reader of the result, a sentence each, with one for each skipped row."""
         readings = self.source.readings
         return (*self._said, *readings.notes, *readings.skipped)
 

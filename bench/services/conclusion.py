@@ -252,6 +252,8 @@ def _next(found: Conclusion) -> Iterator[str]:
         )
     ):
         yield f"next: bench diagnose {name}"
+    elif verification is not None and verification.statement == Statement.NOT_COMPLETE:
+        yield f"next: measure the missing verification points: {_run_again(run, 'verification')}"
     elif verification is not None and not verification.passed:
         yield f"next: {again.replace('bench run', 'bench budget', 1)}, which shows what makes U large"
     elif found.chart is not None and not found.chart.accepted:
@@ -264,8 +266,8 @@ def _next(found: Conclusion) -> Iterator[str]:
         yield f"next unit: {again} --unit SERIAL"
 
 
-def _run_again(run: Run) -> str:
-    procedure = _typed(str(run.manifest.get("procedure", "PROCEDURE")), PROCEDURES)
+def _run_again(run: Run, procedure: str | None = None) -> str:
+    procedure = procedure or _typed(str(run.manifest.get("procedure", "PROCEDURE")), PROCEDURES)
     asked = run.manifest.get("bench_why") == "as asked for"
     return f"bench run {procedure}" + (f" --bench {_typed(run.manifest['bench'], CONFIG)}" if asked else "")
 

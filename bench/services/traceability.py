@@ -33,6 +33,9 @@ from bench.services.bench_selection import BenchTaken, Origin, instrument_name
 from drivers.clock import utc_now
 
 NO_CORRECTIONS: Final = Corrections()
+NEAR_DEG: Final = 2.0
+"""Distance from a row of a head's table within which interpolation adds little: at rows 45° apart, 4 % of their
+difference."""
 _OTHER: Final = "another instrument answered"
 _NOTHING: Final = "it states no correction"
 
@@ -44,7 +47,8 @@ class Traced:
     Each of the `entries` is a certificate with the reason why it does not correct the readings, "" if it
     does. `recorded` says whether a run recorded the readings; other readings are assumed to be as the
     instruments showed them. `by` are all corrections of the readings, including learned ones;
-    `by_certificates` are those from certificates.
+    `by_certificates` are those from certificates. `between_deg` are the angles read far from every row of the
+    head's table.
     """
 
     day: datetime.date
@@ -52,6 +56,7 @@ class Traced:
     recorded: bool = False
     by: Corrections = NO_CORRECTIONS
     by_certificates: Corrections = NO_CORRECTIONS
+    between_deg: tuple[float, ...] = ()
 
     def notes(self) -> Iterator[str]:
         """Yield notes on the certificates for the reader of a result, a sentence each."""
@@ -65,6 +70,13 @@ class Traced:
         if applied:
             own = "" if self.recorded else ", being taken for what the instruments showed"
             yield f"readings corrected as the certificates say{own}: {'; '.join(applied)}"
+        if self.between_deg:
+            first, *more = self.between_deg
+            yield (
+                f"the head's certificate has no row near {first:g}°{f' and {len(more)} more angles' * bool(more)}: "
+                "the correction there is interpolated, and u does not contain the error of interpolation; "
+                "have these angles calibrated"
+            )
         for why in dict.fromkeys(why_not for _, why_not in self.entries):
             names = [standing.instrument for standing, why_not in self.entries if why_not == why]
             if why and why not in (_OTHER, _NOTHING):
@@ -109,7 +121,18 @@ def trace(
     applied = without(bench, {standing.instrument for standing, why_not in entries if why_not})
     counted = without(bench, {standing.instrument for standing in found if standing.foreign})
     by = corrections_of(applied)
-    return counted, corrected(readings, by), Traced(day, entries, origin is not None, by, by)
+    between = tuple(_between_rows(by, readings))
+    return counted, corrected(readings, by), Traced(day, entries, origin is not None, by, by, between)
+
+
+def _between_rows(by: Corrections, readings: Readings) -> Iterator[float]:
+    """Yield each angle of the readings, degrees, that is not near a row of a head's table that varies."""
+    if len({correction for _, correction in by.head}) < 2:
+        return
+    rows_deg = np.degrees([angle for angle, _ in by.head])
+    for angle in np.unique(np.round(np.degrees(readings.angle_rad) % 360.0, 1)):
+        if np.min(np.abs((angle - rows_deg + 180.0) % 360.0 - 180.0)) > NEAR_DEG:
+            yield float(angle)
 
 
 def remarks(bench: BenchFile, serials: Mapping[str, str] | None = None) -> list[str]:

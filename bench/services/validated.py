@@ -110,8 +110,8 @@ def fingerprint() -> ProgramFingerprint:
     """Return the fingerprint of an installation: files of the program, packages, Python and platform."""
     named = {}
     for one in packages():
-        record = one.read_text("RECORD") or ""
-        named[one.name] = PackagePart(version=one.version, sha256=sha256(record.encode()))
+        record, about = one.read_text("RECORD") or "", one.metadata  # read and parsed at each access
+        named[about["Name"]] = PackagePart(version=about["Version"], sha256=sha256(record.encode()))
     stated: dict[str, Any] = {
         "version": named[DISTRIBUTION].version if DISTRIBUTION in named else "not installed",
         "python": f"{platform.python_implementation()} {platform.python_version()}",

@@ -340,9 +340,9 @@ def most(found: Crossed, which: int) -> float:
 
 
 def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
-    """Return rough sizes (3,) of units, benches and excess.
+    """Return rough standard deviations (3,) of unit effects, bench effects and excess scatter from `y` (n,).
 
-    The size of units is the spread of their means; the two other sizes are the spread within units.
+    That of the units is the spread of their means; the two others are the spread within units.
     """
     count = np.bincount(crossing.unit, minlength=crossing.units)
     mean = np.bincount(crossing.unit, y, crossing.units) / count

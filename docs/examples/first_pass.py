@@ -18,7 +18,7 @@ def first_pass_gain(problem: Problem, rows: Readings) -> Floats:
     every = least_squares_gain(problem).reshape(12, -1)
     design = np.linalg.pinv(every)  # (3n, 12): what the readings would be, by the coefficients
     alone = np.linalg.pinv(design * weights[:, np.newaxis])
-    return (alone * weights).reshape(12, -1, 3)
+    return np.asarray((alone * weights).reshape(12, -1, 3), dtype=np.float64)
 
 
 ESTIMATOR = Estimator("first-pass", "least squares on pass 1 alone", gain=first_pass_gain)

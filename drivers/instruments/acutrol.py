@@ -45,7 +45,7 @@ class AcutrolHead(MotorisedHead):
     ) -> None:
         if math.degrees(travel.tolerance_rad) < facts.FINEST_DEMAND_DEG:
             raise ValueError(
-                f"a demand is rounded by up to {facts.FINEST_DEMAND_DEG:g}°, which is more than the tolerance of "
+                f"rounding changes a demand by up to {facts.FINEST_DEMAND_DEG:g}°, more than the tolerance of "
                 "the head; widen the tolerance"
             )
         super().__init__(name, session, clock, travel, identity=Identity(facts.MAKER, facts.MODEL))

@@ -113,9 +113,10 @@ class ManualSupply(ByHand):
         self._on[output] = on
         if self._is_on(output, f"{key}/after") != on:
             self._on[output] = not on
-            raise InstrumentRefused(
-                self.name, f"its output {output} is not {word}", "check whether a protection has tripped"
+            remedy = (
+                "check whether a protection has tripped" if on else "switch it off, then repeat this step"
             )
+            raise InstrumentRefused(self.name, f"its output {output} is not {word}", remedy)
         if on:
             self._refuse_other_voltage(output, key)
 

@@ -62,7 +62,7 @@ _BY_ERRNO: Final[dict[int, Cause]] = {
     ),
     errno.EACCES: (
         "may not be opened by this user",
-        "give the user access (on Linux: the group dialout) and log in again",
+        "give the user access (on Linux: the group dialout for serial ports, a udev rule for USB) and log in again",
     ),
     errno.EBUSY: ("is in use by another program", "close the other program and start again"),
     errno.EBADF: _CLOSED_IN_USE,
@@ -98,6 +98,10 @@ _BY_LIBRARY: Final[dict[str, Cause]] = {
         "install linux-gpib or gpib-ctypes, or connect the instrument by LAN or RS-232",
     ),
     "pyusb": ("needs pyusb, which this computer lacks", "install pyusb, or connect by LAN or RS-232"),
+    "no backend available": (
+        "needs the library libusb, which this computer lacks",
+        "install libusb 1.0, or connect by LAN or RS-232",
+    ),
 }
 
 _BY_CLASS: Final[dict[str, Cause]] = {  # by name: termios cannot be imported where there are no terminals

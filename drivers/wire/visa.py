@@ -41,6 +41,8 @@ AFTER_SENDING: Final = "after sending"
 
 _MAX_REPLY_BYTES: Final = 1 << 20
 _SLICE_S: Final = 0.5
+_RESTART: Final = "switch the instrument off and on and start again"
+_RESTART_ADAPTER: Final = "switch the GPIB adapter off and on and start again"
 
 
 class MessageSession:
@@ -233,12 +235,12 @@ class MessageSession:
         finally:
             if not quiet:
                 connection.close()
-        if not quiet:
+        if not quiet and isinstance(connection, AdapterConnection):
             raise InstrumentLost(
-                self.name,
-                f"{self.resource} keeps sending",
-                "switch the instrument off and on and start again",
+                self.name, f"the adapter of {self.resource} accepts nothing", _RESTART_ADAPTER
             )
+        if not quiet:
+            raise InstrumentLost(self.name, f"{self.resource} keeps sending", _RESTART)
 
     def _give_up(self) -> None:
         self._desynchronised = True
@@ -264,7 +266,7 @@ class MessageSession:
             raise InstrumentLost(
                 self.name,
                 f"{self.resource} accepted nothing of {command} within {self.timeout_s:g} s",
-                "switch the instrument off and on and start again",
+                _RESTART_ADAPTER if isinstance(connection, AdapterConnection) else _RESTART,
             )
 
     def _receive(

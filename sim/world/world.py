@@ -126,7 +126,10 @@ class Heat:
     def _go_on(
         self, since_s: float, base_c: float, slope_c_s: float, excess_c: complex, lag_s: complex
     ) -> None:
-        """Begin a new period at `since_s`; discard periods that were scheduled after it."""
+        """Begin a course of air temperature (line plus excess) at `since_s`, instead of those scheduled after it.
+
+        The excess `excess_c` decays with `lag_s`; complex values make it oscillate.
+        """
         if cmath.isclose(lag_s, self._block_lag_s, rel_tol=_LEAST_SPREAD):
             lag_s = self._block_lag_s * (1.0 + _LEAST_SPREAD)
         block_c = self.block_c(since_s)

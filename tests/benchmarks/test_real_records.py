@@ -69,7 +69,7 @@ def test_names_of_a_twin_are_judged_by_those_of_its_record(record, twin, word):
     assert judged(record, twin) == word
 
 
-@pytest.mark.slow(13)
+@pytest.mark.slow
 def test_the_means_of_a_twin_are_drawn_from_the_model_that_was_found(tmp_path):
     readings = read_csv(switched_on(tmp_path, 3100, 20e-6, 30), ())
     found, record = diagnose_record(readings), make_record(readings)
@@ -78,5 +78,6 @@ def test_the_means_of_a_twin_are_drawn_from_the_model_that_was_found(tmp_path):
     assert np.array_equal(twin.used, record.used)
     assert np.allclose(twin.deviation_v, drawn, rtol=0.0, atol=1e-12)
     assert np.std(drawn - record.deviation_v) > 0.05e-6
-    outcomes = list(islice(searched_with_the_noise_known(found), 60))
-    assert outcomes.count("same names") >= 0.95 * 60
+    # of twins of which 4 in 5 get the same names, as many as this do in 7 % of tests; the trial has 300
+    outcomes = list(islice(searched_with_the_noise_known(found), 20))
+    assert outcomes.count("same names") >= 0.95 * 20

@@ -349,6 +349,14 @@ def test_free_positions_may_stay_out():
         calibrate(table, MODEL, STAND_U, 9.81, "closed-form", join_verification=True)
 
 
+@pytest.mark.parametrize(("estimator", "join_free"), [("closed-form", True), ("gls", False)])
+def test_free_positions_alone_must_join(estimator, join_free):
+    with pytest.raises(
+        CalibrationError, match="must join the fit; use the estimator gls or robust, without --no-"
+    ):
+        calibrate(free_alone(60, 1e-5, 1), MODEL, STAND_U, 9.81, estimator, join_free=join_free)
+
+
 def test_the_price_of_the_third_mounting_angle_with_joined_verification_points():
     """What is said of it is what a turn of 30 arcsec in installation 1 does to a fit that takes it as zero."""
     installation, pass_number, point, phi = design()

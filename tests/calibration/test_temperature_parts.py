@@ -5,7 +5,7 @@ import pytest
 
 from bench.calibration import temperature_fit
 from bench.calibration.result import CalibrationError, Noise
-from bench.calibration.temperature import separate_temperatures, sort_readings
+from bench.calibration.temperature import inner_range, separate_temperatures, sort_readings
 from bench.calibration.temperature_fit import ThermalFit, choose_degrees, held_at_zero, temperature_model
 from bench.readings.table import make_readings
 from bench.validation.paper_bench import STAND_U
@@ -138,6 +138,14 @@ def test_of_a_full_degree_there_is_no_doubt(line):
     choice = choose_degrees(steep, 3)
     assert choice.degrees.tolist() == [3] * 12
     assert not np.any(choice.doubts)
+
+
+@pytest.mark.parametrize(
+    ("low_c", "high_c", "told"),
+    [(19.96, 85.04, "20.0 to 85.0 °C"), (20.03, 84.97, "20.1 to 84.9 °C"), (-10.04, 0.3, "-10.0 to 0.3 °C")],
+)
+def test_the_ends_of_a_range_in_words_lie_within_it(low_c, high_c, told):
+    assert inner_range(low_c, high_c) == told
 
 
 def test_a_fit_that_still_moves_after_the_last_step_is_refused(monkeypatch):

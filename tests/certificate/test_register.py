@@ -271,6 +271,9 @@ def test_the_shipped_files_are_read():
     assert laboratory.authorised_person("A. Example").role == "head of the laboratory"
     with pytest.raises(Refused, match="the laboratory file names A"):
         laboratory.authorised_person("Somebody else")
+    nobody = laboratory.model_copy(update={"authorised": ()})
+    with pytest.raises(Refused, match="names nobody; add persons under 'authorised'"):
+        nobody.authorised_person("A. Example")
     assert order.unit("any").state == "as found"
 
 

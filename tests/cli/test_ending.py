@@ -66,6 +66,12 @@ def test_where_u_is_too_large_the_budget_is_next(concluded):
     assert lines[-1].startswith("next: bench budget ")
 
 
+def test_where_points_are_missing_these_are_measured_next(concluded):
+    verdict = concluded.verification.verification
+    without = replace(concluded.verification, verification=replace(verdict, missing=1))
+    assert ending(replace(concluded, verification=without))[-1].endswith("points: bench run verification")
+
+
 def test_where_the_model_does_not_fit_that_is_the_verdict(concluded):
     own = concluded.calibration.calibration
     bad = replace(own, lack_of_fit=replace(own.lack_of_fit, p=1e-9))

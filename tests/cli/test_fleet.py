@@ -359,7 +359,7 @@ def test_a_damaged_catalogue_says_so_and_what_to_do(bench):
         assert "error of the program" not in err
         if status == 2:
             refused += 1
-            assert "make it again with: bench catalogue sync DIR" in err
+            assert f"make it again with 'bench catalogue sync DIR --catalogue {file}'" in err
     assert refused >= 6
 
 

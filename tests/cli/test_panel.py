@@ -33,7 +33,11 @@ def test_a_token_is_told_once(bench):
         (["token"], "no person is named; give the name: bench panel token NAME"),
         (["revoke", "ben"], "ben: has no token"),
         (["token", "ben", "--role", "king"], "choose from viewer, operator, supervisor"),
-        (["link"], "no panel serves this folder"),
+        (["link"], "no panel serves this folder; 'bench panel' starts one"),
+        (
+            ["link", "--runs", "my runs"],
+            "no panel serves this folder; 'bench panel --runs 'my runs'' starts one",
+        ),
         (["--host", "192.0.2.1"], "there is none; make one with 'bench panel token NAME --role operator'"),
         (["--address", "https://bench.lab"], "there is none"),
         (["--address", "bench.lab"], "give the address as typed in a browser"),
@@ -48,6 +52,11 @@ def test_a_port_that_is_taken_is_one_sentence(bench):
         status, _, err = bench("panel", "--port", other.getsockname()[1])
     assert status == 2
     assert "choose another --port, 0 for a free one" in err
+
+
+def test_an_address_of_another_computer_is_none_to_listen_at(bench):
+    assert bench("panel", "token", "ben")[0] == 0
+    refused(bench("panel", "--host", "192.0.2.1"), "give --host an address of this computer")
 
 
 @pytest.fixture

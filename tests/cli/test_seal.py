@@ -161,6 +161,14 @@ def test_a_key_that_others_may_use_is_refused(bench, run, key, name, mode, words
     assert not (run / "seal.json").exists()
 
 
+def test_an_incomplete_line_after_the_end_is_deleted_before_the_run_is_sealed(bench, run):
+    whole = (run / EVENTS).read_bytes()
+    (run / EVENTS).write_bytes(whole + b'{"n": 99')
+    refused(bench("seal", "one"), f"runs/one/{EVENTS}: an incomplete line follows the end of the run")
+    (run / EVENTS).write_bytes(whole)
+    assert bench("seal", "one")[0] == 0
+
+
 def test_a_key_with_a_passphrase_is_used_with_it_alone(bench, run):
     assert bench("key", "keys/lab.pem", "--passphrase", stdin="word\nother\n")[0] == 2
     assert bench("key", "keys/lab.pem", "--passphrase", stdin="word\nword\n")[0] == 0
@@ -176,7 +184,8 @@ def test_a_key_with_a_passphrase_is_used_with_it_alone(bench, run):
 def test_what_is_no_key_is_told(bench, run, key, text):
     Path("keys/none.pem").write_text(text)
     Path("keys/none.pem").chmod(0o600)
-    assert "not a private key" in bench("seal", "one", "--key", "keys/none.pem")[2]
+    err = bench("seal", "one", "--key", "keys/none.pem")[2]
+    assert "not a private key (Ed25519, PEM; 'bench key FILE' makes one)" in err
     assert "not a public key" in bench("show", "one", "--key", "keys/none.pem")[2]
 
 

@@ -85,6 +85,10 @@ def test_a_taken_port_is_one_sentence_and_status_2(bench: Any) -> None:
     refused(told, f"port {port} of 127.0.0.1 cannot be served", "voltmeter.x")
 
 
+def test_an_address_of_another_computer_is_refused_with_one_that_works(bench: Any) -> None:
+    refused(bench("simulate", "--host", "192.0.2.1", "--no-pty"), "listen on an address of this computer")
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

@@ -46,10 +46,16 @@ class Failing:
                     return super().handle(message, interrupted)
                 if failing.how == "lost":
                     return None
-                unknown = re.sub(rb"[A-Za-z]+", lambda word: b"X" * len(word[0]), message, count=1)
+                unknown = re.sub(rb"[A-Za-z]+", _other, message, count=1)
                 return super().handle(unknown, interrupted)
 
         return Faulty(dialect)
+
+
+def _other(word: re.Match[bytes]) -> bytes:
+    """Return a word of the same length that no instrument knows; X stops some."""
+    letter = b"Q" if set(word[0].upper()) == set(b"X") else b"X"
+    return letter * len(word[0])
 
 
 def interfaces(device: Device) -> tuple[str, ...]:

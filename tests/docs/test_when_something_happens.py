@@ -62,7 +62,7 @@ request to stop (`bench control RUN stop`, panel, `:stop`)
 second, late or unsuitable answer
     run/test_asking.py test_the_first_answer_counts_and_the_other_place_says_so
     run/test_asking.py test_what_is_stale_double_ill_fitting_or_garbage_is_refused_on_record_and_the_question_stands
-program that reads the output through a pipe has ended, or no standard output
+no program reads the output (closed pipe), or no standard output
     cli/test_program.py test_a_run_whose_output_nobody_reads_any_more_goes_on_to_its_verdict
     cli/test_program.py test_without_a_standard_output_a_command_ends_with_its_status
 suspended laptop, or computer's clock set by somebody

@@ -109,7 +109,7 @@ def test_ctrl_c_stops_the_table_and_the_next_move_enters_the_mode_again() -> Non
 
 def test_a_tolerance_finer_than_a_demand_is_refused() -> None:
     fine = Travel(minimum_rad=0.0, maximum_rad=6.0, tolerance_rad=1e-6, speed_rad_s=1.0)
-    with pytest.raises(ValueError, match="coarser than the tolerance"):
+    with pytest.raises(ValueError, match="more than the tolerance"):
         AcutrolHead("head", ScriptedSession(), Clock(), fine)  # type: ignore[arg-type]
 
 

@@ -57,7 +57,7 @@ def test_it_is_set_up_protections_first_and_switched_on():
     ("after", "told"),
     [
         ([TRIPPED], "a protection has switched its output 2 off"),
-        ([(QUESTION, ON[1].replace("0,1,0;", "0,1,1;", 1)), NO_ERROR], "output 3 went on"),
+        ([(QUESTION, ON[1].replace("0,1,0;", "0,1,1;", 1)), NO_ERROR], "switched its output 3, too"),
     ],
 )
 def test_a_trip_at_switching_on_and_an_output_that_goes_with_another_are_told(after, told):

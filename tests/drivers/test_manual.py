@@ -359,6 +359,16 @@ def test_it_is_set_read_back_switched_and_read():
     assert driver.switch_all_off() == "switch its output + off by hand"
 
 
+@pytest.mark.parametrize(("on", "remedy"), [(True, "protection has tripped"), (False, "switch it off, then")])
+def test_a_switch_that_was_not_turned_is_told_with_its_own_remedy(on, remedy):
+    hand = Hand(switch=["off" if on else "on"] * 2)
+    hand.shows |= {"set_voltage": "15.00", "current_limit": "0.200"}
+    driver = supply(hand)
+    driver.set_up(WANTED, "1/supply")
+    with pytest.raises(InstrumentRefused, match=f"is not {'on' if on else 'off'}; .*{remedy}"):
+        driver.switch("+", on, "2")
+
+
 def test_what_was_set_otherwise_is_asked_again_and_then_refused():
     hand = Hand(set_voltage=["1.50"])
     driver = supply(hand)

@@ -133,8 +133,9 @@ def test_an_object_of_thousands_of_keys_is_refused_and_no_name_is_looked_for_twi
     reply = stranger(tmp_path).post("/sign-in", content=json.dumps(many), headers=headers)
     assert (reply.status_code, reply.json()) == (
         400,
-        {"problem": "at most 40 fields are accepted; send fewer"},
+        {"problem": "the form has more than 40 fields; send fewer, or change the file in an editor"},
     )
+    assert reply.json()["problem"] in stranger(tmp_path).post("/sign-in", data=many, headers=OWN).text
     assert stranger(tmp_path).post("/sign-in", content=body, headers=headers).status_code == 400
 
 

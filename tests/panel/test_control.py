@@ -130,7 +130,7 @@ def test_a_wish_that_the_run_refused_is_told_until_the_next_answer(anna, alive):
 def test_nobody_hears_a_wish_for_a_run_that_nobody_carries_out(anna, one):
     anna.ask("/runs/one/control", do="take")
     status, told = anna.ask("/runs/one/wish", wish="pause")
-    assert (status, told["problem"]) == (409, "no program is carrying out this run; resume it first")
+    assert (status, told["problem"]) == (409, "no program is carrying out this run; load the page again")
     assert not (one / CONTROL).exists()
 
 

@@ -249,6 +249,12 @@ def test_units_are_searched_by_a_part_of_their_name_or_by_a_question(viewer):
     assert (wrong.status_code, "no key metre" in wrong.text) == (409, True)
 
 
+def test_a_command_on_a_page_is_told_as_it_is_typed(tmp_path):
+    absent = str(tmp_path / "absent.sqlite")
+    told = Browser(tmp_path / "runs", "vera", Role.VIEWER, absent).get("/catalogue").text
+    assert f"bench catalogue sync DIR --catalogue {absent}" in told
+
+
 def test_without_its_package_a_page_says_what_installs_it(viewer, monkeypatch):
     monkeypatch.setitem(sys.modules, "sqlalchemy", None)
     shown = viewer.get("/catalogue/unit/17")

@@ -217,6 +217,15 @@ def test_a_delta_g_below_the_reading_itself_is_refused():
         delta_g_goals(STAND.block, np.eye(3), SIZES["voltmeter_error"], 4e-5, [])
 
 
+@pytest.mark.parametrize("factor", [0.8, 0.9, 1.0, 1.1])
+def test_the_size_said_to_be_the_least_of_a_delta_g_is_accepted(factor):
+    reading_v = factor * SIZES["voltmeter_error"]
+    with pytest.raises(CalibrationError) as refused:
+        delta_g_goals(STAND.block, np.eye(3), reading_v, 1e-6, PAPER[:3])
+    least_g = float(str(refused.value).split("alone has ")[1].split(" g;")[0])
+    assert delta_g_goals(STAND.block, np.eye(3), reading_v, least_g, PAPER[:3])
+
+
 def test_a_bench_without_noise_is_refused():
     with pytest.raises(CalibrationError, match="states no voltmeter_error"):
         Stand(STAND.model, STAND.block, {"mounting_error": 30 * ARCSEC})

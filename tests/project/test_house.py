@@ -76,6 +76,24 @@ def test_the_list_of_rooms_for_contributors_is_that_of_the_code():
     assert text == rooms.listing(text), "call docs.generators.rooms.write()"
 
 
+def test_every_script_of_the_benchmarks_is_named_where_contributors_look():
+    places = [
+        ROOT / "Makefile",
+        ROOT / "CONTRIBUTING.md",
+        *(ROOT / "docs").glob("*.md"),
+        ROOT / "docs/measured.yaml",
+    ]
+    told = {word for place in places for word in re.findall(r"\w+", place.read_text(encoding="utf-8"))}
+    scripts = {
+        path.stem if path.parent.name == "benchmarks" else path.parent.name
+        for path in (ROOT / "benchmarks").rglob("*.py")
+        if path.name == "__main__.py"
+        or (path.parent.name == "benchmarks" and "__main__" in path.read_text("utf-8"))
+    }
+    assert len(scripts) > 30
+    assert scripts - told == set()
+
+
 def name_of(requirement):
     return re.sub(r"[-_.]+", "-", requirement.name).lower()
 

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import pytest
 
@@ -98,6 +99,16 @@ def test_a_question_stands_until_it_is_answered_or_left():
 
 
 # --- what is wrong with an answer -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("limit", [1.2345678, -123456.75, 10.0])
+def test_a_limit_is_told_with_all_its_digits(limit):
+    prompt = Prompt("n", PromptKind.NUMBER, "How much?", None, minimum=limit, maximum=limit)
+    for typed, words in ((limit - 1.0, "or more"), (limit + 1.0, "at most")):
+        problem = problem_with_answer(prompt, repr(typed))
+        assert words in problem
+        (told,) = re.findall(r"number of (?:at most )?(\S+?)(?:,| or)", problem)
+        assert problem_with_answer(prompt, told) == ""
 
 
 @pytest.mark.parametrize(

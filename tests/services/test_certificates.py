@@ -105,6 +105,16 @@ def test_the_table_of_the_head_takes_its_eccentricity_away():
     assert found("r.csv", bench=file) == pytest.approx(found(true), abs=1e-6)
 
 
+@pytest.mark.parametrize(("rows", "named"), [(45, ""), (30, "row near 45° and 3 more angles:")])
+def test_angles_between_the_rows_of_a_heads_table_are_named(rows, named):
+    corrections = {angle: float(-20 * np.sin(np.radians(angle))) for angle in range(0, 360, rows)}
+    write(paper_run(np.random.default_rng(5)))
+    notes = program.calibrate("r.csv", bench=write_bench(Path(), head=table_certificate(corrections))).notes
+    found = [note for note in notes if "error of interpolation" in note]
+    assert len(found) == bool(named)
+    assert all(named in note for note in found)
+
+
 def test_readings_at_hand_are_corrected_once_and_exported_as_they_were_read(shown):
     file = write_bench(Path(), METERS)
     (source,) = load_sources(Request([str(write(shown))], Path("runs"), str(file)))

@@ -1,12 +1,14 @@
 """`bench validate` from the command line: files, exit status, acceptance; with a few of its checks."""
 
 import json
+from itertools import islice
 from pathlib import Path
 
 import pytest
 
 from bench.run.events import sha256
 from bench.run.seal import read_seal
+from bench.services import validated
 from bench.validation import acceptance, conduct, registry
 from bench.validation.records import write_files
 from bench.validation.registry import TABLE, Check, Finding
@@ -21,7 +23,12 @@ BY = ("--by", "A. Example", "--reason", "first use")
 
 @pytest.fixture
 def few(monkeypatch):
-    """Let a validation be of a few checks; return the list of those beside them."""
+    """Let a validation be of a few checks, and a fingerprint of a few packages; return the list of further checks.
+
+    `test_register.py` has the whole fingerprint.
+    """
+    packages = validated.packages
+    monkeypatch.setattr(validated, "packages", lambda: islice(packages(), 3))
     registry.every()
     others = []
     chosen = [

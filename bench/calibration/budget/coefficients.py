@@ -383,9 +383,9 @@ def _room(source: ErrorSource, seen: AnyReadings) -> _Patterns:
 
 
 def _unread(source: ErrorSource, seen: AnyReadings) -> _Patterns:
-    """Return the patterns of an effect of the meters' temperature that the model has, and no column shows.
+    """Return the patterns of an effect of the meters' temperature, for readings without this temperature.
 
-    With a recorded temperature there are none: the model corrects the readings.
+    With a recorded temperature the patterns are zero: the model corrects the readings.
     """
     factors = source.factors or {}
     gain, offset = (np.array([factors[f"{of} {c}"] for c in CHANNELS]) for of in ("gain", "offset"))

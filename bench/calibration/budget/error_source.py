@@ -52,9 +52,9 @@ class ErrorSource:
     `origin` says where the size comes from; `prior` marks a plausible size that nobody stated. `factors`
     multiply the error where it acts (temperature coefficients, per K). For a parameter of an effect, `effect`
     is set, and `written_in` has the unit of model files and its size in SI. `channels` are the channels on
-    which the error acts: for K2 and K3, those without such an effect in the model. For correlated draws,
-    `root` (q, k) turns k independent draws into q correlated ones. `angles` are the kinds of stand angle
-    whose means over mountings this source describes. `correlation_s` is the correlation time of an error that
+    which the error acts; K2 and K3 act only on channels without such an effect in the model. For correlated
+    draws, `root` (q, k) turns k independent draws into q correlated ones. `angles` are the kinds of stand
+    angle whose means over mountings this source describes. `correlation_s` is the correlation time of an error that
     is common in "time".
     """
 

@@ -169,8 +169,8 @@ def joint_errors(
     """Return the joint errors of n meters from learned differences, or the reason why these are not used.
 
     `at` has the index of each meter in `told` (None: not learned); `prior_u` (n,) are the u by certificates or
-    makers' limits, `certified` (n,) marks the former. `kept` is the correlation of a meter's error with its error
-    on the day of learning.
+    makers' limits, `certified` (n,) marks the meters with certificates. `kept` is the correlation of a meter's
+    error with its error on the day of learning.
     """
     n = len(prior_u)
     places = [place if place is not None else -1 for place in at]
@@ -204,7 +204,7 @@ def joint_errors(
 def _as_certified(found: JointErrors, prior: Floats, certified: Mask) -> JointErrors:
     """Return joint errors in which certified meters keep their certified u and have no mean error.
 
-    The errors of the other meters have their conditional distribution, given those of the certified meters.
+    The errors of the other meters have their conditional distribution, given the errors of the certified meters.
     """
     if not np.any(certified):
         return found

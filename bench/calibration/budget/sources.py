@@ -229,8 +229,8 @@ def _room_source(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]
 def unread_sources(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]:
     """Yield a source for each thermal gain or offset of the meters in the model, in readings without a temperature.
 
-    The temperature is unknown within the limits of the room. It changes no faster than the effect's lag, nor than
-    that of the room. A coefficient without u has the catalogue's plausible size as u.
+    The temperature is unknown within the limits of the room. Its correlation time is the longer of the
+    effect's lag and the room's lag. A coefficient without u has the catalogue's plausible size as u.
     """
     room = bench.uncertainty.room_temperature
     for applied in model.effects:
@@ -407,7 +407,7 @@ def effect_sources(setup: Setup) -> Iterator[ErrorSource]:
     """Yield a source for each parameter of the model's effects, with the u that the model file states.
 
     Without a stated u the size is the catalogue's plausible one. (A fit uses a wider prior, so that the data
-    decide.) Effects of a temperature that is not recorded are "meter_temperature" of `hidden_sources`.
+    decide.) For the effect of a meter temperature that was not recorded, see `unread_sources`.
     """
     problem, unread = setup.effect_problem, setup.conditions.meter_c is None
     for name, unknown in zip(problem.names(), problem.effects, strict=True):

@@ -42,7 +42,8 @@ OF_BLOCK: Final = ("K2", "K3")
 class MeasuredReadings:
     """Measured readings on which errors act; `block` converts their signals to forces.
 
-    `calibrated_c` is the block's temperature at another calibration, °C; None for coefficients of these readings.
+    `calibrated_c` is the block's temperature, °C, at the calibration that gave the coefficients, None if that
+    calibration used these readings.
     """
 
     readings: Readings
@@ -173,7 +174,7 @@ def _on_roll(roll: Floats, covariance: Floats, calibration: Calibration) -> tupl
     """Return advice to measure the third mounting angle if it causes most of the u of a coefficient.
 
     `roll` (12, 12) is the part of `covariance` (12, 12) that this angle causes. If the readings determine the nine
-    intrinsic numbers, no further installation reduces it.
+    intrinsic numbers, no further installation reduces this part.
     """
     most = [
         n
@@ -198,7 +199,7 @@ def _on_roll(roll: Floats, covariance: Floats, calibration: Calibration) -> tupl
 
 
 def _only_turns(calibration: Calibration) -> bool:
-    """Return whether all that the readings do not show turns the block as a whole, so that K K^T and U0 stay."""
+    """Return whether each change that no reading shows is a turn of the whole block: K K^T and U0 stay."""
     length = np.linalg.norm(calibration.block.K, axis=1)
     sheared = [
         (change[:9].reshape(3, 3) @ calibration.block.K.T) / np.outer(length, length)
@@ -340,7 +341,7 @@ def _acting(
     """Return the errors that no reading shows.
 
     The meters' nonlinearity is left out if repeats share an error at least as large, which then includes it. The
-    effects of the meters' temperature are left out if the readings have it: the model corrects them.
+    effects of the meters' temperature are left out if this temperature is recorded: the model corrects them.
     """
     read = readings.conditions().meter_c is not None
     shown = max((c.size for c in calibration.shared if c.what == "setting"), default=0.0)

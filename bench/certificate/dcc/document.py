@@ -57,7 +57,10 @@ _PLACE: Final = f"{NAMESPACES['dcc']} {NAMESPACES['dcc']}/v{VERSION}/dcc.xsd"
 
 
 def document_of(certificate: Certificate) -> bytes:
-    """Return the unsigned DCC (XML) of a complete, numbered certificate, always the same. Raises `ValueError`."""
+    """Return the unsigned DCC (XML) of a numbered certificate; the same certificate always gives the same bytes.
+
+    Raises `ValueError` without laboratory, order, unit, dates or number.
+    """
     laboratory, order, unit, issue, days = (
         certificate.laboratory, certificate.order, certificate.unit, certificate.issue, certificate.calibrated,
     )  # fmt: skip

@@ -160,9 +160,7 @@ def _uncertainty_of(element: Node) -> tuple[float, float] | None:
 
 def _units(element: Node, units: list[str], count: int) -> tuple[Floats, tuple[Dimension, ...]]:
     if len(units) != count:
-        raise NotRead(
-            f"line {element.sourceline}: {count} values, but {len(units)} units; ask for a corrected document"
-        )
+        raise NotRead(f"line {element.sourceline}: {count} values, but {len(units)} units")
     try:
         read = [read_unit(unit) for unit in units]
     except ValueError as error:

@@ -68,12 +68,12 @@ def read_unit(text: str) -> tuple[float, dict[str, int]]:
     Angles are dimensionless, in radians. Raises `ValueError` for an unknown unit.
     """
     if _WORD.sub("", text).strip() or not text.strip():
-        raise ValueError(f"{text!r} is not a unit of D-SI; write one such as \\metre")
+        raise ValueError(f"'{visible(text)}' is not a unit of D-SI, such as \\metre")
     factor = 1.0
     powers: dict[str, int] = {}
     for scale, name, power in _parts(text):
         if name not in _UNITS:
-            raise ValueError(f"{text!r}: the unit {name} is unknown; write it in SI base units")
+            raise ValueError(f"'{visible(text)}': the unit {name} is unknown, unlike SI base units")
         size, dimension = _UNITS[name]
         factor *= (size * 10.0**scale) ** power
         for base, count in dimension.items():
@@ -90,7 +90,7 @@ def _parts(text: str) -> list[tuple[int, str, int]]:
             sign = -1
         elif word == "tothe":
             if not parts or not power:
-                raise ValueError(f"{text!r} is not a unit of D-SI; write one such as \\metre")
+                raise ValueError(f"'{visible(text)}' is not a unit of D-SI, such as \\metre")
             before, name, first = parts.pop()
             parts.append((before, name, first * int(power)))
         elif word in _PREFIXES:
@@ -99,7 +99,7 @@ def _parts(text: str) -> list[tuple[int, str, int]]:
             parts.append((scale, word, sign))
             scale, sign = 0, 1
     if scale or sign < 0:
-        raise ValueError(f"{text!r} is not a unit of D-SI; write one such as \\metre")
+        raise ValueError(f"'{visible(text)}' is not a unit of D-SI, such as \\metre")
     return parts
 
 

@@ -45,7 +45,7 @@ _VOLT_PER_MS2: Final[Dimension] = (("V", 1), ("m", -1), ("s", 2))
 class ShownValues:
     """The values in a certificate.
 
-    `covariance` (n, n) is that of the coefficients, `files` maps names to attachments. `release` is the version of
+    `covariance` (n, n) belongs to the coefficients, `files` maps names to attachments. `release` is the version of
     the program that wrote the certificate. `says_signed` is what the certificate says of itself: signed (True),
     unsigned (False) or nothing (None).
     """
@@ -161,7 +161,7 @@ def _attached(path: Path, paper: bytes) -> bytes:
             if len(found) == 1:
                 return bytes(found[0].get_file().read_bytes())
     except (pikepdf.PdfError, KeyError, ValueError) as error:
-        raise Refused(f"{path}: a PDF that cannot be read ({error}); check name and permissions") from error
+        raise Refused(f"{path}: a PDF that cannot be read ({error}); {ORIGINAL}") from error
     raise Refused(
         f"{path}: {len(found) or 'no'} XML files are attached to this PDF; give the certificate's XML itself"
     )
@@ -263,10 +263,10 @@ def _others(
     g_m_s2: float | None,
     noise_v: float | None,
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Return the result, with K in V/g, made from the coefficients that another program's document `listed`.
+    """Return the result, with K in V/g, made from the coefficients `listed` in another program's document.
 
-    Raises `Refused` if gravity or noise are not given, or if the units or uncertainties in the list do not
-    suffice.
+    `order` has the index in `listed` of each coefficient. Raises `Refused` if gravity or noise are not given, or if
+    the units or uncertainties in the list do not suffice.
     """
     wanting = [] if g_m_s2 is not None else ["--g, the local gravity for which K is to be stated (m/s²)"]
     wanting += [] if noise_v is not None else ["--noise, the noise of a reading (V), which a check needs"]
@@ -437,10 +437,11 @@ class _Table:
     def by_range(self) -> Iterator[dict[str, Any]]:
         """Yield a row for each range of a voltmeter: the line through the errors of its points, negated.
 
-        How the errors of the points are correlated is not known. So u is the larger of two: for independent errors
-        that of the line; for common ones the largest u/|V| from half of the largest |V| on (gain), and u of the
-        point nearest zero (offset). The largest deviation from the line is added in quadrature. Points of one
-        voltage give the gain alone, at 0 V the offset alone.
+        The correlation of the errors is not known, so u is the larger of the u for independent errors and the u for
+        a common error. Independent errors give the u of the line. A common error gives the gain the largest u/|V|
+        among points from half of the largest |V| on, and the offset the u of the point nearest zero. The largest
+        deviation from the line is added in quadrature. Points at one voltage give the gain alone; at 0 V they give
+        the offset alone.
         """
         if self.range is None:
             return
@@ -481,14 +482,14 @@ _SMALL: Final = {
 
 
 def _kind(unit: str, dimension: Dimension) -> str:
-    """Return the kind of a quantity. A number without dimension is an angle only if its unit is one."""
+    """Return the kind of a quantity. A number without dimension is an angle only if its unit measures angles."""
     if not dimension and unit.rpartition("\\")[2] in {"degree", "arcminute", "arcsecond", "radian"}:
         return "angle"
     return {(("K", 1),): "temperature", _VOLT: "voltage"}.get(dimension, "")
 
 
 def _tables(root: Node) -> Iterator[_Table]:
-    """Yield the tables of errors of a document; of a quantity in two units, the first list counts."""
+    """Yield the tables of errors of a document; if a quantity is listed in two units, the first list counts."""
     for table in root.iter(f"{{{DCC}}}list"):
         columns = [
             one for quantity in table.findall("dcc:quantity", NAMESPACES) for one in real_lists(quantity)

@@ -177,5 +177,7 @@ def read_schemas(folder: Path) -> etree.XMLSchema:
 def _version_of(path: Path) -> str | None:
     try:
         return etree.parse(str(path), parser()).getroot().get("version")
-    except (etree.XMLSyntaxError, OSError) as error:
+    except etree.XMLSyntaxError as error:
+        raise Refused(f"{path}: not XML ({error}); download the schemas again") from error
+    except OSError as error:
         raise Refused(f"{path}: cannot be read ({cause_of(error)}); check name and permissions") from error

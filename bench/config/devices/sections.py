@@ -45,7 +45,13 @@ from drivers.interfaces import Channel, SupplyLimits, VoltmeterLimits
 VOLTMETER_FACTS: Final = (
     "RANGES_V", "OVER_RANGE", "NPLC", "MEMORY_READINGS", "LEAST_SAMPLES", "ACCURACY_90_DAYS", "LINEARITY",
 )  # fmt: skip
-"""Names that the facts of a voltmeter define (example: 34401A); with a serial port, also `BAUD_RATES`."""
+"""Names that the facts of a voltmeter define (example: 34401A); with a serial port, also `BAUD_RATES`.
+
+A simulation with the `Converter` of `sim/voltmeters.py` needs `TEMPERATURE_COEFFICIENT`, `REFERENCE_C` and
+`REFERENCE_WIDTH_C`, too. The driver is constructed as `Driver(name, channel, session, clock, *, interface,
+line_hz)`, its simulation as `Simulation(source, clock, *, interface, noise, accuracy, line_hz)`. The section of a
+voltmeter without a serial port states `interface: Literal["lan"]` or the like.
+"""
 
 DAYS_90: Final = 90.0 / 365.25
 """The time for which a data sheet's 90-day error limits hold, years."""

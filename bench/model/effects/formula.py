@@ -135,7 +135,7 @@ def _refuse_others(node: ast.AST, text: str, deeper: int) -> None:
     written = ast.get_source_segment(text, node) if isinstance(node, ast.expr) else None
     raise ExpressionError(
         f"'{written or text}' is not allowed in a formula; use numbers with units, names, + - * / **, "
-        f"comparisons and {', '.join(known_functions())} may"
+        f"comparisons and the functions {', '.join(known_functions())}"
     )
 
 
@@ -350,8 +350,8 @@ class FormulaEffect(Effect):
                 )
         if (self.adds_to in STAND_ANGLES) != (self.stage is Stage.STAND):
             raise ExpressionError(
-                "'adds_to' names the angle that an effect of the stand adds to, for no other effect: "
-                f"{', '.join(STAND_ANGLES)}"
+                f"an effect at the stage '{Stage.STAND}' needs 'adds_to', one of {', '.join(STAND_ANGLES)}; leave "
+                "'adds_to' out at other stages"
             )
         sizes = frozenset(parameter.name for parameter in self.parameters if not parameter.is_shape)
         if interpret(self.expression, DegreeReading(sizes)) != 1:

@@ -255,7 +255,7 @@ def _assign(values: dict[str, str], given: Mapping[str, str], found: Findings) -
 
 
 def _assigned(values: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    """Return what each resource in the values is: its target and the path of its instrument."""
+    """Return the role or channel that each resource in the form's values serves, and its section's path."""
     number = number_of_meters(dict(values))
     places = {f"instruments.{role}": str(role) for role in ROLES}
     for index, signal in enumerate("xyz"[:number]):

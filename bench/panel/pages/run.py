@@ -188,7 +188,7 @@ async def wish(request: Request) -> Response:
     if not await _doing(is_being_written, run.folder):
         if asked.wish is Wish.ABORT:
             return await _given_up(request, run, person)
-        raise Refusal(409, message("no program is carrying out this run; resume it first"))
+        raise Refusal(409, message("no program is carrying out this run; load the page again"))
     await _doing(leave_wish, run.folder, RunControl(asked.wish, asked.reason, who=_who(person)))
     return _done(request, run, message(f"{asked.wish} was sent"))
 

@@ -75,7 +75,7 @@ async def check_block(request: Request) -> Response:
     try:
         await run_in_threadpool(charted, wanted)
     except Refused as why:
-        told = "" if isinstance(why, NoCheckBlock) else str(why)
+        told = "" if isinstance(why, NoCheckBlock) else why.typed
         return page(request, "no_check_block.html.j2", told=told, may=person.role is not Role.VIEWER)
     frame = "/check/chart" + (f"?of={asked}" if asked else "")
     return page(request, "framed.html.j2", title=message("Check block"), frame=frame, back="/")

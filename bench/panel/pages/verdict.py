@@ -115,7 +115,7 @@ def _certificates(request: Request, run: Run) -> tuple[dict[str, NumberStatus], 
     try:
         return panel_of(request).certificates.of(run), ""
     except Refused as why:
-        return {}, str(why)
+        return {}, why.typed
 
 
 def _apart(content: bytes, kind: str) -> Response:

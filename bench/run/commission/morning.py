@@ -252,7 +252,7 @@ def _there_and_back(evening: CommissioningSession, home_rad: float, returned_rad
 
 
 def _back(evening: CommissioningSession, stands: list[_Stand], angle_rad: float) -> Finding:
-    """Read the signals after the return, and compare them with those before."""
+    """Read the signals after the return, and compare them with the signals before."""
     stands.append(_Stand(0.0, angle_rad, _signals(evening)))
     return _compared(evening, *stands)
 

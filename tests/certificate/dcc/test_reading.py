@@ -88,6 +88,12 @@ def test_ours_with_another_value_in_its_list_is_refused(bench, ours, issued_cert
     assert not Path("coefficients.json").exists()
 
 
+@pytest.mark.parametrize("unit", [r"\milli\foo", r"\milli", "mV"])
+def test_an_unknown_unit_is_shown_as_the_document_has_it(unit):
+    with pytest.raises(ValueError, match=f"^'{re.escape(unit)}'"):
+        read_unit(unit)
+
+
 @pytest.mark.parametrize(
     ("unit", "scale"), [(r"\volt", 1.0), (r"\milli\volt\per\metre\second\tothe{2}", 9.81e-3)]
 )
