@@ -457,7 +457,7 @@ def document_of(path: Path, content: bytes) -> Document:
     except yaml.YAMLError as error:
         raise _not_yaml(path, text, error) from None
     if written.data is None:
-        raise _unusable(path, "the file is empty; start from a file written by 'bench init'")
+        raise _unusable(path, "the file is empty; write it, or name another file")
     mistakes = [FileMistake(line, dotted(place), told) for line, place, told in written.slips]
     return Document(path, written.data, hashlib.sha256(content).hexdigest(), text, written.lines, mistakes)
 
@@ -469,8 +469,11 @@ def _content(path: Path, most_bytes: int) -> bytes:
         text = "there is no such file; check the name"
     except IsADirectoryError:
         text = "this is a folder; name a file in it"
-    except OSError as error:
+    except PermissionError as error:
         text = f"the file cannot be read ({error.strerror}); check its permissions"
+    except OSError as error:
+        size = f"{most_bytes / MEGABYTE:g} MB"
+        text = f"the file cannot be read ({error.strerror}); name a regular file of at most {size}"
     raise _unusable(path, text)
 
 

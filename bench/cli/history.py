@@ -86,7 +86,7 @@ def learn(
         return 1
     found.write(target)
     printing.written("learned file", target, on)
-    on.print(f"name it in the bench file: 'learned: {target}'")
+    on.print(f"name it in the bench file, by its path from that file's folder: 'learned: {target}'")
     return 1 if strict and found.learned.contradicting else 0
 
 

@@ -228,12 +228,12 @@ def _command(control: str | None, text: str) -> int:
         reply = json.loads(answer)
     except OSError as error:
         raise Refused(
-            f"no simulated bench answers at {control} ({error.strerror or error}); take the address from "
-            "its ready file"
+            f"no simulated bench answers at {control} ({error.strerror or error}); take the address "
+            "that 'bench simulate' shows"
         ) from error
     except ValueError as error:
         raise Refused(
-            f"{control} is not the control of a simulated bench; take the address from its ready file"
+            f"{control} is not the control of a simulated bench; take the address that 'bench simulate' shows"
         ) from error
     if not isinstance(reply, dict) or not reply.get("ok"):
         raise Refused(str(reply.get("error", answer)) if isinstance(reply, dict) else answer)

@@ -174,7 +174,7 @@ def convert_log(
     separator = {"tab": "\t", "\\t": "\t"}.get(mapping.separator, mapping.separator)
     if len(separator) != 1:
         raise ReadingsError(
-            f"{path}: the separator {separator!r} is not one character; state one character, or 'tab'"
+            f"{path}: the mapping's separator {separator!r} is not one character; state one there, or 'tab'"
         )
     lines = [
         (number, line)
@@ -185,7 +185,9 @@ def convert_log(
         csv.reader(io.StringIO("\n".join(line for _, line in lines), newline=""), delimiter=separator)
     )
     if not rows:
-        raise ReadingsError(f"{path}: the log has only comments; give a log with a header and rows")
+        raise ReadingsError(
+            f"{path}: the log has no line besides comments; give a log with a header and rows"
+        )
     if len(rows) != len(lines):
         raise ReadingsError(
             f"{path}: a cell in quotes runs over the end of its line; remove the line break, or close the quote"
@@ -205,7 +207,12 @@ def convert_log(
             bad.append(f"{path}, line {number}, {problem}")
     if bad and not (skip_bad_rows and made):
         more = [f"… and {len(bad) - LISTED_AT_ONCE} more bad rows"] if len(bad) > LISTED_AT_ONCE else []
-        told = [*bad[:LISTED_AT_ONCE], *more, "nothing was imported; mend the rows, or add --skip-bad-rows"]
+        remedy = (
+            "no row is left; mend the rows or the mapping"
+            if not made
+            else "mend the rows, or add --skip-bad-rows"
+        )
+        told = [*bad[:LISTED_AT_ONCE], *more, f"nothing was imported; {remedy}"]
         raise ReadingsError("\n".join(told))
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\r\n")

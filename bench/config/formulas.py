@@ -148,13 +148,13 @@ StandAngle = Literal["axis_tilt", "zero_offset", "mounting_error", "mounting_off
 
 def _word(text: str) -> str:
     if re.fullmatch(r"[a-z][a-z0-9_]{0,63}", text) is None:
-        raise ValueError(f"expected small letters, digits and _, a letter first, got '{text}'")
+        raise ValueError(f"expected up to 64 small letters, digits and _, a letter first, got '{text}'")
     return text
 
 
 def _symbol(text: str) -> str:
     if re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,31}", text) is None:
-        raise ValueError(f"expected a name of letters, digits and _, got '{text}'")
+        raise ValueError(f"expected a name of up to 32 letters, digits and _, a letter first, got '{text}'")
     return text
 
 

@@ -89,7 +89,7 @@ class Chain:
     def kept(self, digest: str) -> bytes:
         """Return the input with the SHA-256 `digest`. Raises `Refused` if it is missing or changed."""
         file = self.folder / MADE_FROM / digest
-        with refusing("check name and permissions", file, verb="read"):
+        with refusing("restore it from a copy, or check its permissions", file, verb="read"):
             content = read_regular(file)
         if hashlib.sha256(content).hexdigest() != digest:
             raise Refused(f"{file}: was changed; restore it from a copy")

@@ -431,9 +431,10 @@ def _in_folder(folder: Path, bench: Bench, real: bool | None) -> tuple[list[Run]
     simulated = latest.simulated if latest is not None else kinds[0]
     runs = check_block_runs(file, folder, simulated=simulated)
     if not runs:
+        dry = " --dry-run" if real is False else ""
         raise Refused(
             f"{folder}: no finished run of the check block {section.serial} of {file.name} there; measure it with "
-            f"bench run PROCEDURE --unit {as_typed(section.serial)}"
+            f"bench run PROCEDURE --bench FILE --unit {as_typed(section.serial)}{dry}"
         )
     return runs, section, path
 

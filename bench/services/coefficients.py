@@ -389,7 +389,7 @@ def impossible(covariance: Floats) -> str:
 
 def _read(path: Path) -> Any:
     try:
-        with refusing("check the name", path, verb="read"):
+        with refusing("check name and permissions", path, verb="read"):
             return from_text(read_given(path).decode())
     except ValueError as error:
         raise Refused(

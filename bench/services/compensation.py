@@ -30,7 +30,7 @@ from bench.services.calibration import calibration_of
 from bench.services.coefficients import block_result, is_result, results_in
 from bench.services.errors import Refused
 from bench.services.requests.evaluation import Compensate, Tumble
-from bench.services.source import Request, Source, load_sources, reading
+from bench.services.source import Request, Source, load_sources, one_place, reading
 from bench.services.verification import own_judgement
 
 OVER_TEMPERATURE: Final = ("temperature", "thermometer")
@@ -221,7 +221,7 @@ def results_of(request: Request) -> list[CalibrationToWrite]:
             found.append(CalibrationToWrite(calibration_of(source).derived, Path(), source))
     files = [given.file("") for given in found]
     for file in repeated(map(str, files)):
-        raise Refused(f"--out: two sources would write {file}*; give each its own folder")
+        raise Refused(one_place(file))
     return found
 
 

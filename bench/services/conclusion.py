@@ -317,7 +317,7 @@ COLUMNS: Final = "columns.yaml"
 
 def _given(file: Path) -> bytes:
     """Return the content of a file, read only once because a pipe cannot be read again. Raises `Refused`."""
-    with refusing("check the name", file, verb="read"):
+    with refusing("check name and permissions", file, verb="read"):
         return read_given(file)
 
 

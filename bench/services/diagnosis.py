@@ -136,7 +136,9 @@ class DiagnosisResult(ResultWithPage):
             why = (
                 words.why_no_model(self.diagnosis)
                 if tied
-                else "without a named effect; measure what 'next' proposes"
+                else "without a named effect; measure what write_next writes"
+                if self.next_measurement is not None
+                else "without a named effect, and no further measurement is proposed"
             )
             raise Refused(f"{path}: no model file was written {why}")
         with knowing_effects_of(self.source):

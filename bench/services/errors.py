@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
     from bench.base.units import QuantityKind
 
-_OPTION: Final = re.compile(r"'bench [^']*'|--(no-)?([a-z][a-z-]*)( (?=[0-9.-]))?")
-"""A whole command, which stays as typed, or an option."""
+_OPTION: Final = re.compile(r"'bench(?: (?:[^' ]+|'[^']*'))+'|--(no-)?([a-z][a-z-]*)( (?=[0-9.-]))?")
+"""A whole command, which stays as typed (a word with blanks is in quotes), or an option."""
 
 
 class Refused(Exception):

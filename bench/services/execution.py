@@ -521,7 +521,7 @@ def unfinished_run(name: str | None, runs: Path, *, results_too: bool = False) -
     if found.imported:
         raise Refused(
             f"{found.name}: the run was imported from a readings file and cannot be resumed; evaluate "
-            f"it with 'bench calibrate {found.name}'"
+            f"it with 'bench calibrate {name_to_type(found.folder)}'"
         )
     return found
 
@@ -541,7 +541,7 @@ def taken_up(
         record.close()
         raise Refused(
             f"{run.name}: the run is {history.state} and cannot be resumed; see its results with "
-            f"'bench show {run.name}', or start a new run"
+            f"'bench show {name_to_type(run.folder)}', or start a new run"
         )
     return record, history
 

@@ -58,6 +58,7 @@ from bench.services.traceability import voltmeter_names
 from drivers.clock import utc_now
 
 USUAL_DAYS: Final = 365
+MOST_DAYS: Final = 36_500
 """Default number of days for which a learned file is valid."""
 HEAD_EFFECTS: Final = ("head_eccentricity", "head_ellipticity")
 ONE_STAND: Final = (
@@ -226,16 +227,16 @@ def _until(expires: datetime.date | str | None, made: datetime.date) -> datetime
     if expires is None:
         return made + datetime.timedelta(days=USUAL_DAYS)
     if isinstance(expires, str):
-        if expires.isascii() and expires.isdecimal() and 0 < int(expires) < 36500:
+        if expires.isascii() and expires.isdecimal() and 0 < int(expires) <= MOST_DAYS:
             return made + datetime.timedelta(days=int(expires))
         try:
             expires = datetime.date.fromisoformat(expires)
         except ValueError:
             raise Refused(
-                f"--expires {expires}: expected a date such as 2027-01-31, or a number of days from now"
+                f"--expires {expires}: expected a date such as 2027-01-31, or 1 to {MOST_DAYS} days from now"
             ) from None
     if expires <= made:
-        raise Refused(f"--expires {expires}: is past; give a later day, or a number of days")
+        raise Refused(f"--expires {expires}: is not after {made}; give a later day, or a number of days")
     return expires
 
 

@@ -60,20 +60,22 @@ def accept_terms(request: Accept) -> tuple[Path, Path]:
     """Write an effect file with the named terms, and a model file with it; return both paths. Raises `Refused`."""
     model, name = request.model, request.name
     file = load_model(model)
+    if not request.sentence:
+        raise Refused("--sentence: describe the effect in words, for reports")
     try:
         named, in_model = accept(file.applied_effects(), request.term or (), name, request.sentence)
         effect = replace(named, shown_by=request.shown_by or named.shown_by)
         if effects_as_written(written_formulas([effect])) != (effect,):
-            raise ValueError(f"--name {name}: expected small letters, digits and _, a letter first")
+            raise Refused(f"--name {name}: expected up to 64 small letters, digits and _, a letter first")
         with CATALOGUE.also([effect]):
             pass
     except ValueError as problem:
         raise Refused(f"{model}: {problem}") from None
     place = request.out or model.with_name(f"{name}.yaml")
     beside = model.with_name(f"{model.stem}-{name}{model.suffix}")
-    for path in (place, beside):
+    for path, other in ((place, "--out FILE"), (beside, "another --name")):
         if path.exists():
-            raise Refused(f"{path}: this file exists and was not overwritten; give --out FILE or move it")
+            raise Refused(f"{path}: this file exists and was not overwritten; give {other} or move it")
     effects = [replace(a, effect=effect) if a.effect is named else a for a in in_model]
     text = yaml.safe_dump(effects_text([effect]), sort_keys=False, allow_unicode=True)
     try:

@@ -18,7 +18,7 @@ from typing import Any, ClassVar, Final
 
 from bench.base.files import read_regular
 from bench.base.languages import message
-from bench.base.text import visible
+from bench.base.text import as_typed, visible
 from bench.results.registers import PersonChange, PersonPart, PersonsResult
 from bench.run.events import OperatorPerson, RecordError
 from bench.run.person import NOBODY_KNOWN, WishAuthor, at_the_shell
@@ -105,9 +105,16 @@ class Persons(Chain):
         remedy = (
             f"name one who may {right}: {', '.join(able)}"
             if able
-            else f"give somebody the right with 'bench persons change NAME --may {right}'"
+            else f"give the right with {_to_give(right, name, known)}"
         )
         raise Refused(f"{option} {visible(name)}: {why} in {self.folder}; {remedy}")
+
+
+def _to_give(right: Right, name: str, known: Person | None) -> str:
+    """Return the command that gives a person a right; `--may` lists all rights, also those that the person has."""
+    what, has = ("add", ()) if known is None or known.ended else ("change", known.may)
+    rights = ",".join(sorted({*has, right}))
+    return f"'bench persons {what} {as_typed(visible(name))} --may {rights} --by NAME'"
 
 
 def persons_of(laboratory: Path | None) -> Persons | None:
@@ -216,7 +223,12 @@ def persons(request: ChangePersons) -> PersonsResult:
         if not any(one.name != name for one in register.who_may(Right.ADMINISTER)) and (
             entry.kind == ENDED or Right.ADMINISTER not in entry.data["may"]
         ):
-            raise Refused(f"{name}: nobody would be left who may administer; add '--may administer'")
+            remedy = (
+                "first give another person this right"
+                if entry.kind == ENDED
+                else f"give --may {','.join(sorted({*entry.data['may'], Right.ADMINISTER}))}"
+            )
+            raise Refused(f"{name}: nobody would be left who may administer; {remedy}")
         register.append(entry)
         return _listed(register, token)
 
@@ -226,10 +238,11 @@ def _entry(register: Persons, request: ChangePersons, name: str, by: str, token:
     before = register.everyone.get(name)
     present = before is not None and not before.ended
     if present == (request.what is PersonsCommand.ADD):
-        raise Refused(
-            f"{name}: {'already' if present else 'not'} a person in {register.folder}; use 'bench persons "
-            f"{'change' if present else 'add'}'"
-        )
+        where = f"a person in {register.folder}"
+        if present:
+            raise Refused(f"{name}: already {where}; use 'bench persons change'")
+        way = "'bench persons' lists all" if request.what is PersonsCommand.END else "use 'bench persons add'"
+        raise Refused(f"{name}: not {where}; {way}")
     now, why = civil_now(), {"reason": request.reason or ""}
     if request.what is PersonsCommand.END:
         return Entry(ENDED, name, now, by, why)
@@ -281,7 +294,9 @@ def checked_name(name: str) -> str:
     """Return a person's name, stripped. Raises `RecordError` if it is empty, too long or not printable."""
     name = name.strip()
     if not name or len(name) > LONGEST_NAME or not name.isprintable() or visible(name) != name:
-        raise RecordError(message(f"{visible(name)!r}: give a name of 1 to {LONGEST_NAME} characters"))
+        raise RecordError(
+            message(f"{visible(name)!r}: give a name of 1 to {LONGEST_NAME} printable characters")
+        )
     return name
 
 

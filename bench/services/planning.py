@@ -204,7 +204,7 @@ def mountings(bench: BenchFile, installations: str | None, visits: int) -> list[
     if strange:
         raise Refused(
             f"--installations: {bench.name} has no installation {', '.join(strange)} for a calibration "
-            f"(it has {', '.join(known)}); add it to the bench file"
+            f"(it has {', '.join(known)}); name one of these, or add one to the bench file"
         )
     return [Mounting(series, label) for series in range(1, visits + 1) for label in labels]
 

@@ -221,7 +221,15 @@ def check_places(request: Request) -> None:
             with suppress(Refused, RecordError, OSError):  # one that is not there writes nothing
                 places.append(_output(name, _run_of(name, request.runs), request.out, "", ""))
     for place in repeated(map(str, places)):
-        raise Refused(f"--out: two sources would write {place}*; give each its own folder")
+        raise Refused(one_place(place))
+
+
+def one_place(place: str) -> str:
+    """Return the message on two sources whose results would have the same files."""
+    return (
+        f"two sources would write {place}*; name each source once, and evaluate different sources of one name "
+        "separately, each with its own --out DIR"
+    )
 
 
 def _output(name: str, run: Run | None, out: Path | None, command: str, suffix: str) -> Path:

@@ -89,8 +89,8 @@ def at_rest(request: asked.Stability) -> RecordAtRest:
     integration_s = request.integration or recorded_s or record.interval_s
     if not 0 < integration_s <= record.interval_s:
         raise Refused(
-            f"--integration {integration_s:g}: not between 0 and the {record.interval_s:.4g} s between samples; "
-            "give a time in this range"
+            f"--integration {integration_s:g}: a sample cannot take longer than the time between samples; give "
+            f"more than 0 and at most {_rounded_down(record.interval_s):.4g} s"
         )
     found = stability_of(
         record, integration_s, size, bench.line_frequency, bench.nplc_supported, bench.most_samples
@@ -122,6 +122,12 @@ def _known_input(request: asked.Stability, runs: Path) -> Source | None:
     model = None if request.model is None else Path(request.model)
     (source,) = load_sources(Request([request.record], runs, request.bench, model))
     return source if is_record(source.readings) else None
+
+
+def _rounded_down(number: float) -> float:
+    """Return a positive number rounded down to four digits, so that a limit is accepted as a message states it."""
+    step = 10.0 ** (math.floor(math.log10(number)) - 3)
+    return math.floor(number / step) * step
 
 
 def _record_at_rest(name: str, runs: Path, bench: BenchFile) -> tuple[StaticRecord, Run | None, float | None]:

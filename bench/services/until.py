@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -189,10 +190,12 @@ def _refuse_below_floor(found: Sequence[Floor]) -> None:
 
 
 def _refuse_too_short(aim: Aim, pool: Pool) -> None:
-    if aim.limit_s is not None and aim.limit_s <= pool.always_s + sum(v.time_s for v in pool.visits[:1]):
+    needed_s = pool.always_s + sum(v.time_s for v in pool.visits[:1])
+    if aim.limit_s is not None and aim.limit_s <= needed_s:
+        enough_h = (math.floor(needed_s / 36.0) + 1) / 100  # rounded up, so that this time is accepted
         raise Refused(
-            f"--until time: {aim.limit_s / 3600:.3g} h are too short; give more, as warm-up, verification "
-            f"points and one mounting need {(pool.always_s + pool.visits[0].time_s) / 3600:.3g} h"
+            f"--until time: {aim.limit_s / 3600:.3g} h are too short; warm-up, verification points and one "
+            f"mounting take longer: give at least {enough_h:g} h"
         )
 
 

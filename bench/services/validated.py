@@ -235,7 +235,7 @@ def _refuse(laboratory: Path | None, by: str, bench: Path | None, own: str | Non
     if laboratory is None:
         raise Refused(
             f"{by} demands a validated program (require_validation), and no laboratory file says where validations "
-            f"are registered; set {LABORATORY}, or {way}"
+            f"are registered; set {LABORATORY} to it; if no validation was accepted there yet: {way}"
         )
     register = read_validations(laboratory)
     digest = None if bench is None else sha256_of_file(bench)

@@ -60,9 +60,9 @@ def test_results_name_the_unit_of_the_run_and_say_where_its_bench_file_names_ano
 DATA = Path(__file__).parents[1] / "data"
 
 
-def still(path, noise=1e-4, n=2000):
+def still(path, noise=1e-4, n=2000, interval_s=0.2):
     rng = np.random.default_rng(21)
-    rows = np.column_stack([0.2 * np.arange(n), rng.normal([0.1, -0.2, -2.5], noise, (n, 3))])
+    rows = np.column_stack([interval_s * np.arange(n), rng.normal([0.1, -0.2, -2.5], noise, (n, 3))])
     np.savetxt(path, rows, delimiter=",", header="time_s,ux_v,uy_v,uz_v", comments="", fmt="%.9f")
     return path
 
@@ -119,12 +119,18 @@ def test_samples_that_integrate_a_part_of_the_time_shorten_the_reading(bench, tm
         (("nothing.csv",), "nothing.csv: no such file"),
         (("nothing",), "nothing: no run of that name"),
         (("still.csv", "--size", "-1"), "--size -1.0: give a positive number"),
-        (("still.csv", "--integration", "7"), "not between 0 and the 0.2 s"),
+        (("still.csv", "--integration", "7"), "more than 0 and at most 0.2 s"),
     ],
 )
 def test_mistakes_are_one_line(bench, tmp_path, arguments, told):
     still(tmp_path / "still.csv")
     refused(bench("stability", *arguments), told)
+
+
+def test_the_limit_in_a_message_is_accepted(bench, tmp_path):
+    path = still(tmp_path / "still.csv", interval_s=0.2 / 2.9)  # 0.068966 s is rounded up to four digits
+    refused(bench("stability", path, "--integration", "1"), "more than 0 and at most 0.06896 s")
+    assert bench("stability", path, "--integration", "0.06896")[0] == 0
 
 
 PROCEDURE = """\

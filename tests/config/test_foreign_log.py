@@ -215,6 +215,16 @@ def test_an_hour_repeated_in_local_time_is_refused(tmp_path, form, skip):
     )
 
 
+@pytest.mark.parametrize(
+    ("rows", "skip", "remedy"),
+    [("x", True, "no row is left; mend the rows or the mapping"), ("x\n1", False, "or add --skip-bad-rows")],
+)
+def test_skipping_bad_rows_is_proposed_only_if_a_row_remains(tmp_path, rows, skip, remedy):
+    of = mapping(tmp_path, "log_columns: 1\ncolumns: {ux_v: v}\n")
+    with pytest.raises(ReadingsError, match=f"nothing was imported; .*{remedy}$"):
+        convert_log(Path("log"), f"v\n{rows}\n".encode(), of, skip_bad_rows=skip)
+
+
 @pytest.mark.parametrize("form", ["%Y-%m-%d %H:%M:%S%z", "iso"])
 def test_an_hour_repeated_is_resolved_by_the_utc_offset(tmp_path, form):
     log, rows = log_in_kyiv(form, offsets=("+03:00", "+03:00", "+02:00", "+02:00"))

@@ -58,10 +58,11 @@ def test_each_change_is_in_the_chain_and_no_secret_is(laboratory):
     ("what", "name", "more", "said"),
     [
         ("add", "A. Example", {}, "already a person in"),
-        ("change", "C. Example", {}, "not a person in"),
-        ("end", "A. Example", {"reason": "left"}, "nobody would be left"),
+        ("change", "C. Example", {}, "not a person in .*; use 'bench persons add'"),
+        ("end", "C. Example", {"reason": "left"}, "not a person in .*; 'bench persons' lists all"),
+        ("end", "A. Example", {"reason": "left"}, "first give another person this right"),
         ("end", "A. Example", {}, "needs reason TEXT"),
-        ("change", "A. Example", {"may": "operate"}, "nobody would be left"),
+        ("change", "A. Example", {"may": "operate"}, "nobody would be left .*; give may administer,operate"),
         ("add", "C. Example", {"may": "operate, cook"}, "may cook: choose from"),
         ("add", "C. Example", {"by": "Nobody"}, "by Nobody: no such person"),
         ("add", "a\nb", {}, "give a name"),
@@ -79,6 +80,15 @@ def test_the_first_person_administers(tmp_path):
     with pytest.raises(Refused, match="nobody would be left who may administer"):
         change(file, "add", "B. Example", may="operate")
     assert persons_of(file) is None
+
+
+def test_the_command_that_gives_a_right_keeps_the_others(tmp_path):
+    file, _ = write_files(tmp_path)
+    change(file, "add", "A. Example", may="administer")
+    with pytest.raises(
+        Refused, match=r"'bench persons change 'A. Example' --may administer,operate --by NAME'"
+    ):
+        persons_of(file).chosen("A. Example", Right.OPERATE, "--operator")
 
 
 # --- who acts ---------------------------------------------------------------------------------------

@@ -283,8 +283,8 @@ class PriorFile(FileModel):
         if not usable:
             yield (
                 ("covariance",),
-                "the matrix is no covariance (not symmetric or not positive); restore the file from 'bench "
-                "learn'",
+                "the matrix is no covariance (not symmetric or not positive); make the file again with 'bench "
+                "fleet prior'",
             )
 
 

@@ -105,7 +105,7 @@ def can_come_about(
         raise ValueError(f"the interval is not between 0 and {span}; state one above 0 and at most {span}")
     if timeout_s > MOST_SAMPLES * interval_s:
         raise ValueError(
-            f"the interval would take more than {MOST_SAMPLES} samples until the timeout; lengthen the interval"
+            f"the interval would take more than {MOST_SAMPLES} samples until the timeout; change one of the two"
         )
     if timeout_s < span_s + interval_s:
         raise ValueError(f"the timeout is too short; state at least {span} and one interval")

@@ -198,7 +198,9 @@ class WiredForm(DeviceSection):
     def _speed_that_it_has(cls, serial: Any) -> Any:
         known = getattr(cls.facts, "BAUD_RATES", BAUD_RATES)
         if serial.baud_rate not in known:
-            raise ValueError(f"expected one of {', '.join(map(str, known))}, got '{serial.baud_rate}'")
+            raise ValueError(
+                f"baud_rate: expected one of {', '.join(map(str, known))}, got '{serial.baud_rate}'"
+            )
         return serial
 
     @property
@@ -421,7 +423,7 @@ class HeadCertificate(Certificate):
         gaps = [b - a for a, b in pairwise([*angles, angles[0] + turn])]
         if len(angles) > 1 and min(gaps) < _ROUNDING_RAD:
             raise ValueError(
-                f"{_degrees(angles[gaps.index(min(gaps))])} appears twice in the table; keep one"
+                f"{_degrees(angles[gaps.index(min(gaps))])} appears twice, perhaps a turn apart; keep one"
             )
         if max(gaps) > WIDEST_GAP_RAD + _ROUNDING_RAD:
             low = gaps.index(max(gaps))

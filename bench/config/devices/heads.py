@@ -55,8 +55,8 @@ class AcutrolSection(MotorisedHeadForm):
         finest_rad = math.radians(acutrol.FINEST_DEMAND_DEG)
         if tolerance_rad < finest_rad:
             raise ValueError(
-                f"the controller rounds demands to {acutrol.FINEST_DEMAND_DEG:.4f}° ({finest_rad / ARCSEC:.1f} "
-                "arcsec), which is coarser than this tolerance; widen the tolerance"
+                f"the controller rounds a demand by up to {acutrol.FINEST_DEMAND_DEG:g}° "
+                f"({finest_rad / ARCSEC:.1f} arcsec), which is more than this tolerance; widen the tolerance"
             )
         return tolerance_rad
 

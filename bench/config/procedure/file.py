@@ -220,7 +220,10 @@ class RepeatVerb(FileModel):
     @model_validator(mode="after")
     def _one_of_them(self) -> RepeatVerb:
         if (self.times is None) == (self.directions is None):
-            raise ValueError("a repeat has 'times' or 'directions'; remove one")
+            got = "none" if self.times is None else "both"
+            raise ValueError(
+                f"a repeat has one of 'times' and 'directions', and this one has {got}; state one"
+            )
         return self
 
     @model_validator(mode="after")

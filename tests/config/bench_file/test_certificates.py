@@ -91,7 +91,7 @@ def test_all_mistakes_are_told_at_once(tmp_path):
     ("parts", "sentence"),
     [
         ({"head": table_certificate(dict.fromkeys((0, 40, 80, 440, 120, 160, 200, 240, 280, 320), 0.0))},
-         "80° appears twice in the table; keep one"),
+         "80° appears twice, perhaps a turn apart; keep one"),
         ({"head": table_certificate(dict.fromkeys(range(0, 360, 30), 4000.0))}, "within ±1°, not 1.11111°"),
         ({"meters": {"x": meter_certificate(offset="0.2 V")}}, "within 1 % of the range, not 0.2 V"),
         ({"meters": {"x": {**meter_certificate(),
