@@ -30,7 +30,7 @@ from bench.base.files import write_whole
 from bench.diagnosis.candidates import KIND_PRIOR, Candidates
 from bench.diagnosis.levels import CHUNK, OFTEN
 from bench.diagnosis.linear import LinearSystem
-from bench.diagnosis.noise_grid import RATIOS, ColumnProducts, GramProducts, NoiseGrid, Whitener
+from bench.diagnosis.noise_grid import RATIOS, ColumnProducts, NoiseGrid
 from bench.model import CATALOGUE
 from bench.model.effects import FormulaEffect
 
@@ -73,27 +73,13 @@ class Whitened:
 
     grid: NoiseGrid
     candidates: Candidates
-    products: ColumnProducts | GramProducts
+    products: ColumnProducts
     kept: dict[Any, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @classmethod
-    def of(cls, grid: NoiseGrid, candidates: Candidates, *, few_known: bool = False) -> Whitened:
-        """Return the whitened columns of all candidates.
-
-        If `few_known`, few columns will ever be in the model: scalar products are then computed on demand
-        instead of all at once.
-        """
-        rows, many = candidates.columns.shape
-        if many > rows or few_known:
-            whitened = np.empty((len(grid.white), rows, many))
-            for white, columns in zip(grid.white, whitened, strict=True):
-                columns[:] = _whitened(white, candidates.columns, grid.sigma)
-            return cls(grid, candidates, ColumnProducts(whitened))
-        gram = np.empty((len(grid.white), many, many))
-        for white, product in zip(grid.white, gram, strict=True):
-            columns = _whitened(white, candidates.columns, grid.sigma)
-            np.matmul(columns.T, columns, out=product)
-        return cls(grid, candidates, GramProducts(gram))
+    def of(cls, grid: NoiseGrid, candidates: Candidates) -> Whitened:
+        """Return the whitened columns of all candidates."""
+        return cls(grid, candidates, grid.products(candidates.columns))
 
     def forget(self) -> None:
         """Clear the cached scores, which refer to this object and would keep its memory in use."""
@@ -132,25 +118,16 @@ class Whitened:
         `response` (N, sets) has the residuals, measured minus predicted, of each data set as a column, in the
         unit of the signal.
         """
-        sets, size = response.shape[1], self.grid.sigma
-        square = np.empty((len(self.grid.white), sets))
-        along = np.empty((len(self.grid.white), self.candidates.columns.shape[1], sets))
+        sets, sigma, white = response.shape[1], self.grid.sigma, self.grid.white
+        square = np.empty((len(white), sets))
+        along = np.empty((len(white), self.candidates.columns.shape[1], sets))
         for start in range(0, sets, CHUNK):
             part = slice(start, start + CHUNK)
-            for ratio, white in enumerate(self.grid.white):
-                weighed = white.weigh(response[:, part] / size)
-                square[ratio, part] = np.einsum("ns,ns->s", response[:, part] / size, weighed)
-                along[ratio, :, part] = self.candidates.columns.T @ (weighed / size)
+            residual = response[:, part] / sigma
+            weighed = np.stack([one.weigh(residual) for one in white])
+            square[:, part] = np.einsum("ns,rns->rs", residual, weighed)
+            along[:, :, part] = self.candidates.columns.T @ (weighed / sigma)
         return Data(square, along)
-
-
-def _whitened(white: Whitener, columns: Floats, sigma: float) -> Floats:
-    """Return the columns (N, P) divided by `sigma` and whitened, a few at a time to save memory."""
-    into = np.empty_like(columns)
-    for start in range(0, columns.shape[1], CHUNK):
-        part = slice(start, start + CHUNK)
-        into[:, part] = white @ (columns[:, part] / sigma)
-    return into
 
 
 @dataclass(frozen=True)
