@@ -28,7 +28,7 @@ from bench.base.arrays import Floats, Ints
 from bench.base.computing import tracked
 from bench.base.files import write_whole
 from bench.diagnosis.candidates import KIND_PRIOR, Candidates
-from bench.diagnosis.levels import CHUNK, OFTEN
+from bench.diagnosis.levels import CHUNK, FARTHEST, OFTEN
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.noise_grid import RATIOS, ColumnProducts, NoiseGrid
 from bench.model import CATALOGUE
@@ -41,6 +41,11 @@ LOG_SIZE_WEIGHTS: Final = tuple(float(np.log(w)) for w in (0.6, 0.28, 0.12))
 
 KNOWN_SIZE: Final = max(SIZES)
 """Prior size, in plausible sizes, of an effect already in the model: the widest, so that data decide."""
+BEYOND_BELIEF: Final = FARTHEST * KNOWN_SIZE
+"""Largest credible size of an effect, in plausible sizes.
+
+An effect that would have to be larger is no alias; an effect that shows only beyond this size is hidden.
+"""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from bench.base.arrays import Floats, Ints, Mask
 from bench.calibration.design import FIXED
-from bench.diagnosis.levels import FEW, LEAST_FREEDOM, NEGLIGIBLE
+from bench.diagnosis.levels import CHUNK, FEW, LEAST_FREEDOM, NEGLIGIBLE
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.readings.table import Readings
 
@@ -475,8 +475,6 @@ SAME_SIZE: Final = 0.1
 
 Added in quadrature, a size of this fraction changes the noise by 0.5 %.
 """
-TERMS: Final = 30
-"""Terms of the series for a shared rounding error: without any noise, 30 give its size to 1 %."""
 
 
 def digit_of(readings: Readings) -> float:
@@ -536,5 +534,5 @@ def repeated(digit: float, sigma: float) -> float:
     if not digit > 0.0:
         return 0.0
     s2 = max(sigma**2 / digit**2 - 1.0 / 12.0, 0.0)
-    k2 = np.arange(1, TERMS + 1) ** 2
+    k2 = np.arange(1, CHUNK + 1) ** 2
     return float(digit * np.sqrt(np.sum(np.exp(-4 * np.pi**2 * k2 * s2) / (2 * np.pi**2 * k2))))

@@ -14,7 +14,7 @@ from scipy import special
 from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.diagnosis.candidates import Candidates, Column, Variant
 from bench.diagnosis.evidence import KNOWN_SIZE, LOG_SIZE_WEIGHTS, SIZES, Data, Search, Whitened
-from bench.diagnosis.levels import HARDLY_EVER, OFTEN
+from bench.diagnosis.levels import FEW, HARDLY_EVER, OFTEN
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.naming import MOST_EFFECTS, Naming
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect
@@ -258,10 +258,6 @@ def common_volts(naming: Naming, fitted: Posterior, linear: LinearSystem) -> Ite
             )
 
 
-FAR_BETTER: Final = 0.25
-"""A sum or difference of two values is stated if its u is at most this fraction of either's u."""
-
-
 @dataclass(frozen=True)
 class KnownTogether:
     """The sum or difference of a parameter's values in two channels or mountings, with its u.
@@ -280,7 +276,7 @@ class KnownTogether:
 def known_together(
     candidates: Candidates, variant: Variant, value: Floats, covariance: Floats
 ) -> tuple[KnownTogether, ...]:
-    """Return the sums and differences of two values that are far better known than either value.
+    """Return the sums and differences of two values whose u is at most `FEW` of the u of either value.
 
     `value` (p,) and `covariance` (p, p) are those of the amplitudes of the p sizes of `variant`, as multiples
     of the plausible sizes. An example is the third mounting angle of both installations: verification points
@@ -294,7 +290,7 @@ def known_together(
             continue
         sign = -1.0 if covariance[i, j] > 0.0 else 1.0
         u = np.sqrt(max(covariance[i, i] + covariance[j, j] + 2.0 * sign * covariance[i, j], 0.0))
-        if u > FAR_BETTER * np.sqrt(min(covariance[i, i], covariance[j, j])):
+        if u > FEW * np.sqrt(min(covariance[i, i], covariance[j, j])):
             continue
         parameter = parameters[kinds[i].parameter]
         size = candidates.scale[variant.columns[i]] / parameter.si_per_unit

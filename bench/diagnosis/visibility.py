@@ -12,8 +12,8 @@ import numpy as np
 
 from bench.base.arrays import Floats
 from bench.diagnosis.candidates import ROUND, Candidates, Variant, plausible_columns
-from bench.diagnosis.evidence import KNOWN_SIZE, Search, Threshold, Whitened
-from bench.diagnosis.levels import BEYOND_BELIEF, NEGLIGIBLE
+from bench.diagnosis.evidence import BEYOND_BELIEF, KNOWN_SIZE, Search, Threshold, Whitened
+from bench.diagnosis.levels import NEGLIGIBLE
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.noise_grid import Whitener, make_whitener
 from bench.diagnosis.posterior import NoiseSize
@@ -260,10 +260,11 @@ class ReadingDesign:
             least = min(least, float(left @ left))
         return least / 2.0
 
-    def visible(self, form: Form) -> float:
-        """Return the signal-to-noise ratio of an effect of plausible size in this form.
+    def visible(self, *forms: Form) -> float:
+        """Return the signal-to-noise ratio of an effect of plausible size, in the one of its forms that shows best.
 
         The ratio is the norm of the change that the effect makes in the readings, in units of their noise, after
         the part that free unknowns can absorb is removed.
         """
-        return float(np.linalg.norm(self.seen(form), 2))
+        self.seen(tuple(dict.fromkeys(part for form in forms for part in form)))
+        return max(float(np.linalg.norm(self.seen(form), 2)) for form in forms)
