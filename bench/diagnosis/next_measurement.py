@@ -404,7 +404,9 @@ class _Bill:
         plans = sorted(self.plans.items(), key=lambda item: self._minutes(item[1])) if blind else []
         for path, plan in tracked(plans, "what to measure next"):
             design = ReadingDesign(self._linear(plan), diagnosis.noise, self._forms)
-            shown = [n for n in blind if design.visible(*forms_everywhere(n)) >= half / 2.0]
+            forms = {name: forms_everywhere(name) for name in blind}
+            design.seen(tuple(part for own in forms.values() for form in own for part in form))
+            shown = [name for name, own in forms.items() if design.visible(*own) >= half / 2.0]
             if shown:
                 bills.append((path, self._minutes(plan), tuple(shown)))
             if len(shown) == len(blind):

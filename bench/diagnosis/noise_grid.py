@@ -254,13 +254,12 @@ def _blocks(
         mine = connected_components(edges, directed=False)[1][mine]
     order = np.argsort(mine, kind="stable")
     starts = np.flatnonzero(np.diff(mine[order], prepend=-1))
-    by_size: dict[int, list[Ints]] = {}
-    for rows in np.split(order, starts[1:]):
-        by_size.setdefault(len(rows), []).append(rows)
+    sizes = np.diff(starts, append=len(order))
     blocks, variance, log_det = [], np.empty(len(linear)), 0.0
-    for alike in by_size.values():
-        rows = _as_slice(np.concatenate(alike))
-        apart, setting = _covariances(linear, local, np.array(alike))
+    for size in np.unique(sizes).tolist():
+        alike = order[starts[sizes == size][:, None] + np.arange(size)]
+        rows = _as_slice(alike.ravel())
+        apart, setting = _covariances(linear, local, alike)
         cholesky = np.linalg.cholesky(apart)
         log_det -= float(np.sum(np.log(np.diagonal(cholesky, axis1=1, axis2=2))))
         inverse = np.linalg.inv(cholesky)

@@ -238,7 +238,7 @@ class ReadingDesign:
 
         It is the change of the rows, before projection, if the part has its plausible size.
         """
-        new = [part for part in form if part not in self._seen]
+        new = [part for part in dict.fromkeys(form) if part not in self._seen]
         if new:
             left = self._left(np.column_stack([self._column(part) for part in new]))
             self._seen.update(zip(new, left.T, strict=True))
@@ -253,7 +253,7 @@ class ReadingDesign:
         total = np.sum([self.linear.effect_column(applied) for applied in found], axis=0)
         one = self._left(total[:, None])[:, 0]
         least = float(one @ one)
-        self.seen(tuple(dict.fromkeys(part for form in rivals for part in form)))
+        self.seen(tuple(part for form in rivals for part in form))
         for form in rivals:
             other = self.seen(form)
             left = one - other @ np.linalg.lstsq(other, one, rcond=1e-9)[0]
@@ -266,5 +266,4 @@ class ReadingDesign:
         The ratio is the norm of the change that the effect makes in the readings, in units of their noise, after
         the part that free unknowns can absorb is removed.
         """
-        self.seen(tuple(dict.fromkeys(part for form in forms for part in form)))
         return max(float(np.linalg.norm(self.seen(form), 2)) for form in forms)

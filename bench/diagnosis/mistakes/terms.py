@@ -101,12 +101,10 @@ class TermSearch:
             beside = _Beside.of(table, [*known, *(_error(n, row) for row in rows)])
             of_rows = np.where(np.isin(np.arange(n), rows), -np.inf, beside.of_readings())
             best = int(np.argmax(of_rows))
-            of_changes = np.array([beside.of_group(columns) for _, columns in changes])
-            of_passes = [
-                odds for odds, (rows_of, _) in zip(of_changes, changes, strict=True) if rows_of is not None
-            ]
-            if max([of_rows[best], *of_passes]) < enough:
+            in_passes = [columns for rows_of, columns in changes if rows_of is not None]
+            if max([of_rows[best], *map(beside.of_group, in_passes)]) < enough:
                 break
+            of_changes = [beside.of_group(columns) for _, columns in changes]
             if max(of_changes, default=-np.inf) > of_rows[best]:
                 in_pass, columns = changes.pop(int(np.argmax(of_changes)))
                 wrong = None if in_pass is None else self._of_pass(in_pass)
