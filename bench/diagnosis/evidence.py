@@ -96,12 +96,6 @@ class Whitened:
         return np.asarray(self.products.among(np.array(columns, dtype=np.int64), at)[0])
 
     @cached_property
-    def square(self) -> Floats:
-        """The squared length of each of the P whitened columns, shape (ratios, P)."""
-        single = np.arange(self.candidates.columns.shape[1])[:, None]
-        return np.asarray(self.products.among(single)[..., 0, 0])
-
-    @cached_property
     def blocks(self) -> tuple[tuple[Ints, Ints, Floats], ...]:
         """The variants, grouped by their number p of columns.
 

@@ -55,7 +55,4 @@ LISTED: Final = 8
 LISTED_IN_SENTENCE: Final = 4
 """Largest number of entries that one sentence lists."""
 CHUNK: Final = 100
-"""Number of data sets, columns or terms of a series computed at once.
-
-100 data sets, 3,000 columns and six ratios need 15 MB; 100 terms give a shared rounding error to 0.3 %.
-"""
+"""Number of data sets or columns computed at once: 100 data sets, 3,000 columns and six ratios need 15 MB."""

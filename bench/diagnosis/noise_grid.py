@@ -14,7 +14,8 @@ from scipy.sparse.csgraph import connected_components
 
 from bench.base.arrays import Floats, Ints, Mask
 from bench.calibration.design import FIXED
-from bench.diagnosis.levels import CHUNK, FEW, LEAST_FREEDOM, NEGLIGIBLE
+from bench.calibration.noise import rounding_variance
+from bench.diagnosis.levels import FEW, LEAST_FREEDOM, NEGLIGIBLE
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.readings.table import Readings
 
@@ -355,7 +356,7 @@ class ColumnProducts:
         `columns` (…, p) has the indices of each set in its last axis; `at` selects ratios.
         """
         if columns.shape[-1] == 1:
-            return np.asarray(self._square[at][:, columns[..., 0], None, None])
+            return np.asarray(self.square[at][:, columns[..., 0], None, None])
         chosen = np.moveaxis(self.rows[:, columns], 0, -2)
         weight = self.weight[at].reshape(-1, *[1] * (columns.ndim - 1), len(self.rows), 1)
         taken = np.moveaxis(self.taken[at][:, :, columns], 1, -2)
@@ -363,7 +364,8 @@ class ColumnProducts:
         return np.asarray(gram - np.swapaxes(taken, -1, -2) @ taken)
 
     @cached_property
-    def _square(self) -> Floats:
+    def square(self) -> Floats:
+        """The squared length of each column, shape (ratios, P)."""
         square: Floats = self.weight @ self.rows**2
         return square - np.einsum("rkp,rkp->rp", self.taken, self.taken)
 
@@ -532,6 +534,4 @@ def repeated(digit: float, sigma: float) -> float:
     """
     if not digit > 0.0:
         return 0.0
-    s2 = max(sigma**2 / digit**2 - 1.0 / 12.0, 0.0)
-    k2 = np.arange(1, CHUNK + 1) ** 2
-    return float(digit * np.sqrt(np.sum(np.exp(-4 * np.pi**2 * k2 * s2) / (2 * np.pi**2 * k2))))
+    return float(rounding_variance(np.array([sigma]), digit / np.sqrt(12.0))[0] ** 0.5)

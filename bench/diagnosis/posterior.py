@@ -12,6 +12,7 @@ import numpy as np
 from scipy import special
 
 from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.calibration.noise import without_setting
 from bench.diagnosis.candidates import Candidates, Column, Variant
 from bench.diagnosis.evidence import KNOWN_SIZE, LOG_SIZE_WEIGHTS, SIZES, Data, Search, Whitened
 from bench.diagnosis.levels import FEW, HARDLY_EVER, OFTEN
@@ -215,19 +216,13 @@ def whiten_rows(linear: LinearSystem, noise: NoiseSize, columns: Floats, rows: M
     a setting or none.
     """
     chosen = slice(None) if rows is None else rows
-    relative = linear.relative[chosen][:, None]
-    columns = columns / relative
-    slope = linear.slope[chosen][:, None] / relative
-    setting = linear.setting[chosen]
-    factor = (noise.setting_rad / noise.reading) ** 2
-    oriented = setting >= 0
-    d = slope[oriented].reshape(-1, 3)
-    length2 = np.sum(d**2, axis=1)
-    shrink = (1 - 1 / np.sqrt(1 + factor * length2)) / np.maximum(length2, 1e-300)
-    block = columns[oriented].reshape(len(d), 3, columns.shape[1])
-    along = np.einsum("ni,nip->np", d, block) * shrink[:, None]
-    white = columns / noise.reading
-    white[oriented] -= (d[:, :, None] * along[:, None, :]).reshape(-1, columns.shape[1]) / noise.reading
+    relative, oriented = linear.relative[chosen][:, None], linear.setting[chosen] >= 0
+    white = columns / (noise.reading * relative)
+    slope = (linear.slope[chosen][:, None] / relative)[oriented].reshape(-1, 3)
+    settings = white[oriented].reshape(-1, 3, white.shape[1])
+    white[oriented] = without_setting(settings, slope, noise.setting_rad / noise.reading).reshape(
+        -1, white.shape[1]
+    )
     return white
 
 

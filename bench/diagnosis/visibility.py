@@ -118,7 +118,7 @@ def hidden(
     """
     candidates = whitened.candidates
     seen = (
-        np.sqrt(np.maximum(whitened.square[ratio], 0.0))
+        np.sqrt(np.maximum(whitened.products.square[ratio], 0.0))
         * BEYOND_BELIEF
         / half_power(whitened, threshold.value)
     )
