@@ -34,6 +34,11 @@ ONE_DIRECTION: Final = 0.01
 
 Angles set by hand scatter by tenths of a degree. A smaller turn of the block changes no signature.
 """
+MARK_DEG: Final = 5.0
+"""Distance, deg, of the marks of a dividing head that are told apart: angles that round to one mark are repeats.
+
+Angles set by hand scatter by less than half of it.
+"""
 UNSEEN: Final = 0.3
 """Change of the readings, in units of noise, that may be neglected: it changes ln of odds by 0.05."""
 ALIKE: Final = 1e-3

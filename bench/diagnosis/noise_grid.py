@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from bench.base.arrays import Floats, Ints, Mask
 from bench.calibration.design import FIXED
 from bench.calibration.noise import rounding_variance
-from bench.diagnosis.levels import FEW, LEAST_FREEDOM, NEGLIGIBLE
+from bench.diagnosis.levels import FEW, LEAST_FREEDOM, MARK_DEG, NEGLIGIBLE
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.readings.table import Readings
 
@@ -366,8 +366,8 @@ class ColumnProducts:
     @cached_property
     def square(self) -> Floats:
         """The squared length of each column, shape (ratios, P)."""
-        square: Floats = self.weight @ self.rows**2
-        return square - np.einsum("rkp,rkp->rp", self.taken, self.taken)
+        taken = np.einsum("rkp,rkp->rp", self.taken, self.taken)
+        return np.asarray(self.weight @ self.rows**2 - taken)
 
 
 # --- the noise, from repeats ----------------------------------------------------------------------
@@ -445,10 +445,10 @@ def _about_model(linear: LinearSystem) -> float:
 def cells_of(linear: LinearSystem) -> Ints:
     """Return a number (n,) for each setting, which is equal for repeats of a setting.
 
-    Repeats are settings of the same mounting at the same angle, rounded to 5 deg.
+    Repeats are settings of the same mounting at the same angle, rounded to `MARK_DEG`.
     """
     mount, angle = _mounts_and_angles(linear)
-    cells = np.column_stack([mount, np.round(angle / 5.0)])
+    cells = np.column_stack([mount, np.round(angle / MARK_DEG)])
     return np.unique(cells, axis=0, return_inverse=True)[1].ravel()
 
 
@@ -463,7 +463,7 @@ def _mounts_and_angles(linear: LinearSystem) -> tuple[Ints, Floats]:
 
 def _saturated(angle_deg: Floats, passes: Ints) -> Floats:
     """Return the columns that describe the settings of a mounting without a model (`noise_of_repeats`)."""
-    near = np.round(angle_deg / 5.0)
+    near = np.round(angle_deg / MARK_DEG)
     cells = (near[:, None] == np.unique(near)).astype(np.float64)
     of_pass = (passes[:, None] == np.unique(passes)).astype(np.float64)
     angle = np.radians(angle_deg)[:, None]

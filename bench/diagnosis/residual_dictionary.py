@@ -193,7 +193,7 @@ def _columns(linear: LinearSystem, terms: Sequence[DictionaryTerm]) -> list[list
 
 def _each_size(changes: Floats) -> Iterator[SizeColumns]:
     """Yield the columns of each of k sizes; `changes` (k, channels, N)."""
-    yield from map(SizeColumns, changes, changes.sum(axis=1), changes.any(axis=2))
+    yield from map(SizeColumns, changes, changes.sum(axis=1), np.asarray(changes.any(axis=2)))
 
 
 def _of_effect(linear: LinearSystem, term: DictionaryTerm) -> Iterator[Floats]:
