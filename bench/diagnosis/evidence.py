@@ -245,19 +245,22 @@ class Search:
         grid = self.whitened.grid
         base = grid.log_prior + grid.log_det + self.log_det
         of_null = base[:, None] + grid.log_likelihood(left.square)
-        null = _log_sum(of_null)
+        null = _log_sum(of_null.copy())
         # a variant with a column that the model already has
         out = np.full((len(self.whitened.candidates.variants), left.sets), np.finfo(np.float64).min)
         for group in self.groups:
-            squares, logs = group.squares(left), []
-            for size, log_weight in zip(SIZES, LOG_SIZE_WEIGHTS, strict=True):
+            squares = group.squares(left)
+            # in place: a new array for each step would take as long as the logarithms
+            logs = np.empty((len(SIZES), *np.delete(squares.shape, 2)))
+            for rest, size, log_weight in zip(logs, SIZES, LOG_SIZE_WEIGHTS, strict=True):
                 weight = 1.0 / (group.values + 1.0 / size**2)
-                explained = np.einsum("rvp,rvps->rvs", weight, squares)
-                rest = np.maximum(left.square[:, None] - explained, 1e-12 * left.square[:, None])
+                np.matmul(weight[:, :, None], squares, out=rest[:, :, None])
+                np.subtract(left.square[:, None], rest, out=rest)
+                np.maximum(rest, 1e-12 * left.square[:, None], out=rest)
+                grid.log_likelihood(rest, out=rest)
                 cost = 0.5 * np.sum(np.log1p(size**2 * group.values), axis=2)
-                prior = base[:, None] + log_weight - cost
-                logs.append(prior[:, :, None] + grid.log_likelihood(rest))
-            out[group.members] = _log_sum(np.concatenate(logs))
+                np.add(rest, (base[:, None] + log_weight - cost)[:, :, None], out=rest)
+            out[group.members] = _log_sum(logs.reshape(-1, *logs.shape[2:]))
         return Scores(out - null, np.exp(of_null - null))
 
 
@@ -304,9 +307,10 @@ def _eigen(matrices: Floats) -> tuple[Floats, Floats]:
 
 
 def _log_sum(logarithms: Floats) -> Floats:
-    """Return ln of the sum of exponentials of finite numbers along the first axis."""
+    """Return ln of the sum of exponentials of finite numbers along the first axis; the numbers are overwritten."""
     largest = logarithms.max(axis=0)
-    total: Floats = largest + np.log(np.sum(np.exp(logarithms - largest), axis=0))
+    logarithms -= largest
+    total: Floats = largest + np.log(np.exp(logarithms, out=logarithms).sum(axis=0))
     return total
 
 

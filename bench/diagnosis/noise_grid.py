@@ -153,15 +153,16 @@ class NoiseGrid:
     freedom: int
     known: bool = False
 
-    def log_likelihood(self, square: Floats) -> Floats:
+    def log_likelihood(self, square: Floats, out: Floats | None = None) -> Floats:
         """Return ln of the likelihood of whitened residuals, up to a constant, from their sum of squares.
 
         `square` is this sum in units of `sigma` squared. Unless the noise is known, its size is integrated
-        out.
+        out. `out` is an array for the result.
         """
         if self.known:
-            return -0.5 * square
-        return np.asarray(-0.5 * self.freedom * np.log(square), dtype=np.float64)
+            return np.multiply(square, -0.5, out=out)
+        logarithm: Floats = np.log(square, out=out)
+        return np.multiply(logarithm, -0.5 * self.freedom, out=logarithm)
 
     def products(self, columns: Floats) -> ColumnProducts:
         """Return the scalar products of columns (N, P), in the unit of the signal, whitened at each ratio."""
