@@ -35,7 +35,7 @@ ONE_DIRECTION: Final = 0.01
 Angles set by hand scatter by tenths of a degree. A smaller turn of the block changes no signature.
 """
 MARK_DEG: Final = 5.0
-"""Distance, deg, of the marks of a dividing head that are told apart: angles that round to one mark are repeats.
+"""Distance, deg, of the marks of a dividing head: angles that round to the same mark are repeats.
 
 Angles set by hand scatter by less than half of it.
 """

@@ -68,7 +68,7 @@ def noise_hypotheses(linear: LinearSystem, effects: Floats, noise: NoiseSize) ->
     if linear.by_run is None and linear.readings.run.any():
         yield from _by_run(linear, effects, noise)
     if linear.by_place is None:
-        yield from _by_place(linear, _whitened(linear, left, noise))
+        yield from _by_place(linear, noise.reading * whiten_rows(linear, noise, left[:, None])[:, 0])
     beside = linear.with_random(effects * KNOWN_SIZE)
     if linear.by_row is None:
         yield _with_tails(linear, beside, noise)
@@ -101,10 +101,7 @@ def residuals(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Floats
 
     The setting error is removed, and each row is divided by its relative noise.
     """
-    return _whitened(linear, _fit(linear, effects, noise)[0], noise)
-
-
-def _whitened(linear: LinearSystem, left: Floats, noise: NoiseSize) -> Floats:
+    left = _fit(linear, effects, noise)[0]
     return noise.reading * whiten_rows(linear, noise, left[:, None])[:, 0]
 
 
@@ -162,8 +159,7 @@ def _by_run(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator
 
 
 def _by_place(linear: LinearSystem, left: Floats) -> Iterator[NoiseHypothesis]:
-    """Yield the hypothesis of larger noise in one place: a channel in an installation, or in one of its
-    passes.
+    """Yield the hypothesis of larger noise in one place: a channel in an installation, or in one of its passes.
 
     The prior odds pay for the choice of one place among all, and for one more size.
     """
