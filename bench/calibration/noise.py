@@ -513,7 +513,7 @@ def whiten(columns: Floats, slope: Floats, noise: Noise) -> Floats:
     is the reading's row of `slope` (n, 3), du/dphi in signal units per rad.
     """
     sizes = noise.by_channel
-    return _shrunk(columns / sizes[:, None], slope / sizes, noise.setting_rad)
+    return without_setting(columns / sizes[:, None], slope / sizes, noise.setting_rad)
 
 
 def whiten_back(columns: Floats, slope: Floats, noise: Noise) -> Floats:
@@ -522,10 +522,11 @@ def whiten_back(columns: Floats, slope: Floats, noise: Noise) -> Floats:
     The product converts a map of whitened readings to a map of raw readings.
     """
     sizes = noise.by_channel
-    return np.asarray(_shrunk(columns, slope / sizes, noise.setting_rad) / sizes[:, None])
+    return np.asarray(without_setting(columns, slope / sizes, noise.setting_rad) / sizes[:, None])
 
 
-def _shrunk(columns: Floats, slope: Floats, setting_rad: float) -> Floats:
+def without_setting(columns: Floats, slope: Floats, setting_rad: float) -> Floats:
+    """Return (I + s s^T)^(-1/2) times columns (n, 3, p), with s = `setting_rad` times a row of `slope` (n, 3)."""
     unit, length = unit_vectors(slope)
     shrink = 1.0 - 1.0 / np.hypot(1.0, setting_rad * length)
     along = np.einsum("nip,ni->np", columns, unit) * shrink[:, None]

@@ -13,7 +13,7 @@ from scipy.linalg import orth
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.base.languages import message
 from bench.config.bench_file.file import BenchFile
-from bench.diagnosis.levels import ALIKE
+from bench.diagnosis.levels import ALIKE, MARK_DEG
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.diagnosis.noise_grid import Whitener
 from bench.diagnosis.residual_dictionary import DictionaryTerm, dictionary
@@ -481,7 +481,7 @@ def add_free_patterns(collector: Collector, unit: float, visit: Ints) -> None:
     linear, free = collector.linear, collector.add_free
     rows, readings = linear.rows, linear.readings
     # not modulo a turn: a scale may come back to another angle than the head
-    angle = np.round(np.degrees(np.nan_to_num(readings.angle_rad[rows.reading])) / 5.0).astype(np.int64)
+    angle = np.round(np.degrees(np.nan_to_num(readings.angle_rad[rows.reading])) / MARK_DEG).astype(np.int64)
     mount = list(zip(visit[rows.reading], readings.installation[rows.reading], strict=True))
     pass_number = readings.pass_number[rows.reading]
     for channel in range(3):

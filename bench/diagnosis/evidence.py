@@ -28,9 +28,9 @@ from bench.base.arrays import Floats, Ints
 from bench.base.computing import tracked
 from bench.base.files import write_whole
 from bench.diagnosis.candidates import KIND_PRIOR, Candidates
-from bench.diagnosis.levels import CHUNK, OFTEN
+from bench.diagnosis.levels import CHUNK, FARTHEST, OFTEN
 from bench.diagnosis.linear import LinearSystem
-from bench.diagnosis.noise_grid import RATIOS, ColumnProducts, GramProducts, NoiseGrid, Whitener
+from bench.diagnosis.noise_grid import RATIOS, ColumnProducts, NoiseGrid
 from bench.model import CATALOGUE
 from bench.model.effects import FormulaEffect
 
@@ -41,6 +41,11 @@ LOG_SIZE_WEIGHTS: Final = tuple(float(np.log(w)) for w in (0.6, 0.28, 0.12))
 
 KNOWN_SIZE: Final = max(SIZES)
 """Prior size, in plausible sizes, of an effect already in the model: the widest, so that data decide."""
+BEYOND_BELIEF: Final = FARTHEST * KNOWN_SIZE
+"""Largest credible size of an effect, in plausible sizes.
+
+An effect that would have to be larger is no alias; an effect that shows only beyond this size is hidden.
+"""
 
 
 @dataclass(frozen=True)
@@ -73,27 +78,13 @@ class Whitened:
 
     grid: NoiseGrid
     candidates: Candidates
-    products: ColumnProducts | GramProducts
+    products: ColumnProducts
     kept: dict[Any, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @classmethod
-    def of(cls, grid: NoiseGrid, candidates: Candidates, *, few_known: bool = False) -> Whitened:
-        """Return the whitened columns of all candidates.
-
-        If `few_known`, few columns will ever be in the model: scalar products are then computed on demand
-        instead of all at once.
-        """
-        rows, many = candidates.columns.shape
-        if many > rows or few_known:
-            whitened = np.empty((len(grid.white), rows, many))
-            for white, columns in zip(grid.white, whitened, strict=True):
-                columns[:] = _whitened(white, candidates.columns, grid.sigma)
-            return cls(grid, candidates, ColumnProducts(whitened))
-        gram = np.empty((len(grid.white), many, many))
-        for white, product in zip(grid.white, gram, strict=True):
-            columns = _whitened(white, candidates.columns, grid.sigma)
-            np.matmul(columns.T, columns, out=product)
-        return cls(grid, candidates, GramProducts(gram))
+    def of(cls, grid: NoiseGrid, candidates: Candidates) -> Whitened:
+        """Return the whitened columns of all candidates."""
+        return cls(grid, candidates, grid.products(candidates.columns))
 
     def forget(self) -> None:
         """Clear the cached scores, which refer to this object and would keep its memory in use."""
@@ -103,12 +94,6 @@ class Whitened:
         """Return the Gram matrix (k, k) of the k `columns` at the noise ratio with the index `ratio`."""
         at = slice(ratio, ratio + 1)
         return np.asarray(self.products.among(np.array(columns, dtype=np.int64), at)[0])
-
-    @cached_property
-    def square(self) -> Floats:
-        """The squared length of each of the P whitened columns, shape (ratios, P)."""
-        single = np.arange(self.candidates.columns.shape[1])[:, None]
-        return np.asarray(self.products.among(single)[..., 0, 0])
 
     @cached_property
     def blocks(self) -> tuple[tuple[Ints, Ints, Floats], ...]:
@@ -132,25 +117,16 @@ class Whitened:
         `response` (N, sets) has the residuals, measured minus predicted, of each data set as a column, in the
         unit of the signal.
         """
-        sets, size = response.shape[1], self.grid.sigma
-        square = np.empty((len(self.grid.white), sets))
-        along = np.empty((len(self.grid.white), self.candidates.columns.shape[1], sets))
+        sets, sigma, white = response.shape[1], self.grid.sigma, self.grid.white
+        square = np.empty((len(white), sets))
+        along = np.empty((len(white), self.candidates.columns.shape[1], sets))
         for start in range(0, sets, CHUNK):
             part = slice(start, start + CHUNK)
-            for ratio, white in enumerate(self.grid.white):
-                weighed = white.weigh(response[:, part] / size)
-                square[ratio, part] = np.einsum("ns,ns->s", response[:, part] / size, weighed)
-                along[ratio, :, part] = self.candidates.columns.T @ (weighed / size)
+            residual = response[:, part] / sigma
+            weighed = np.stack([one.weigh(residual) for one in white])
+            square[:, part] = np.einsum("ns,rns->rs", residual, weighed)
+            along[:, :, part] = self.candidates.columns.T @ (weighed / sigma)
         return Data(square, along)
-
-
-def _whitened(white: Whitener, columns: Floats, sigma: float) -> Floats:
-    """Return the columns (N, P) divided by `sigma` and whitened, a few at a time to save memory."""
-    into = np.empty_like(columns)
-    for start in range(0, columns.shape[1], CHUNK):
-        part = slice(start, start + CHUNK)
-        into[:, part] = white @ (columns[:, part] / sigma)
-    return into
 
 
 @dataclass(frozen=True)
@@ -269,19 +245,22 @@ class Search:
         grid = self.whitened.grid
         base = grid.log_prior + grid.log_det + self.log_det
         of_null = base[:, None] + grid.log_likelihood(left.square)
-        null = _log_sum(of_null)
+        null = _log_sum(of_null.copy())
         # a variant with a column that the model already has
         out = np.full((len(self.whitened.candidates.variants), left.sets), np.finfo(np.float64).min)
         for group in self.groups:
-            squares, logs = group.squares(left), []
-            for size, log_weight in zip(SIZES, LOG_SIZE_WEIGHTS, strict=True):
+            squares = group.squares(left)
+            # in place: a new array for each step would take as long as the logarithms
+            logs = np.empty((len(SIZES), *np.delete(squares.shape, 2)))
+            for rest, size, log_weight in zip(logs, SIZES, LOG_SIZE_WEIGHTS, strict=True):
                 weight = 1.0 / (group.values + 1.0 / size**2)
-                explained = np.einsum("rvp,rvps->rvs", weight, squares)
-                rest = np.maximum(left.square[:, None] - explained, 1e-12 * left.square[:, None])
+                np.matmul(weight[:, :, None], squares, out=rest[:, :, None])
+                np.subtract(left.square[:, None], rest, out=rest)
+                np.maximum(rest, 1e-12 * left.square[:, None], out=rest)
+                grid.log_likelihood(rest, out=rest)
                 cost = 0.5 * np.sum(np.log1p(size**2 * group.values), axis=2)
-                prior = base[:, None] + log_weight - cost
-                logs.append(prior[:, :, None] + grid.log_likelihood(rest))
-            out[group.members] = _log_sum(np.concatenate(logs))
+                np.add(rest, (base[:, None] + log_weight - cost)[:, :, None], out=rest)
+            out[group.members] = _log_sum(logs.reshape(-1, *logs.shape[2:]))
         return Scores(out - null, np.exp(of_null - null))
 
 
@@ -328,9 +307,10 @@ def _eigen(matrices: Floats) -> tuple[Floats, Floats]:
 
 
 def _log_sum(logarithms: Floats) -> Floats:
-    """Return ln of the sum of exponentials of finite numbers along the first axis."""
+    """Return ln of the sum of exponentials of finite numbers along the first axis; the numbers are overwritten."""
     largest = logarithms.max(axis=0)
-    total: Floats = largest + np.log(np.sum(np.exp(logarithms - largest), axis=0))
+    logarithms -= largest
+    total: Floats = largest + np.log(np.exp(logarithms, out=logarithms).sum(axis=0))
     return total
 
 

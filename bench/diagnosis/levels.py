@@ -19,7 +19,10 @@ FOLDS: Final = 5
 LEAST_FREEDOM: Final = 3
 """Least degrees of freedom, of readings or repeated settings, from which their scatter is estimated."""
 FEW: Final = 1 / 8
-"""Largest fraction of readings, or of runs, that may be exceptions."""
+"""Largest fraction that counts as little.
+
+It may be of readings or runs (exceptions), of directions off a line, or of the u of one of two values.
+"""
 MOSTLY: Final = 0.5
 """Least fraction that counts as most of a gap, of a square, or of a prior's u."""
 NEGLIGIBLE: Final = 1e-12
@@ -30,6 +33,11 @@ ONE_DIRECTION: Final = 0.01
 """Angle, rad, below which directions of one mounting, or stops of the head, are the same.
 
 Angles set by hand scatter by tenths of a degree. A smaller turn of the block changes no signature.
+"""
+MARK_DEG: Final = 5.0
+"""Distance, deg, of the marks of a dividing head: angles that round to the same mark are repeats.
+
+Angles set by hand scatter by less than half of it.
 """
 UNSEEN: Final = 0.3
 """Change of the readings, in units of noise, that may be neglected: it changes ln of odds by 0.05."""
@@ -43,11 +51,8 @@ INSEPARABLE: Final = 1e-6
 
 Of a signature of 1,000 units of noise, one unit is then left.
 """
-BEYOND_BELIEF: Final = 60.0
-"""Largest credible size of an effect, in plausible sizes: three sigma of the widest prior (`evidence.SIZES`).
-
-An effect that would have to be larger is no alias; an effect that shows only beyond this size is hidden.
-"""
+FARTHEST: Final = 3.0
+"""Largest credible value, in standard deviations of its prior: a normal number exceeds it in 0.3 % of cases."""
 STEPS: Final = 8
 """Largest number of rounds of a repeated linearisation, fit, correction or zoom; six or twelve agree to 2e-6."""
 LISTED: Final = 8

@@ -13,6 +13,7 @@ from scipy.special import logsumexp, softmax
 from bench.base.arrays import Floats
 from bench.diagnosis.candidates import Variant
 from bench.diagnosis.evidence import (
+    BEYOND_BELIEF,
     KNOWN_SIZE,
     Data,
     Scores,
@@ -20,7 +21,7 @@ from bench.diagnosis.evidence import (
     Threshold,
     Whitened,
 )
-from bench.diagnosis.levels import BEYOND_BELIEF, BY_CHANCE, INSEPARABLE, OFTEN
+from bench.diagnosis.levels import BY_CHANCE, FARTHEST, INSEPARABLE, NEGLIGIBLE, OFTEN
 from bench.model.effects import CATALOGUE
 
 MOST_EFFECTS: Final = 5
@@ -197,21 +198,16 @@ class Scored:
         return np.asarray(amplitude, dtype=np.float64), gram
 
 
-FARTHEST_START: Final = 3.0
-"""Largest starting state of a mounting, in its standard deviations for the size found, beside twice its u."""
-NEAR_BEST: Final = 10.0
-"""Only forms whose ln of the evidence is within this of the largest are examined: others weigh below 5e-5."""
-
-
 def _with_tied_starts(search: Search, left: Data, scores: Scores) -> Scores:
     """Return the scores without the forms whose starting states are too large for their sizes.
 
-    The evidence takes states and sizes as independent, but a small effect cannot have a large state. Only forms
-    near the largest evidence are examined.
+    The evidence takes states and sizes as independent, but a small effect cannot have a large state: at most
+    `FARTHEST` standard deviations for the size found, beside twice its u. Forms with `NEGLIGIBLE`
+    weight beside the likeliest are not examined.
     """
     candidates = search.whitened.candidates
     evidence, ratio = scores.variants.copy(), int(np.argmax(scores.ratio[:, 0]))
-    for number in np.flatnonzero(evidence[:, 0] > max(evidence[:, 0].max() - NEAR_BEST, 0.0)):
+    for number in np.flatnonzero(evidence[:, 0] > max(evidence[:, 0].max() + np.log(NEGLIGIBLE), 0.0)):
         variant = candidates.variants[number]
         if not variant.starts:
             continue
@@ -221,7 +217,7 @@ def _with_tied_starts(search: Search, left: Data, scores: Scores) -> Scores:
         channel = np.array([candidates.kinds[column].channel for column in columns])
         sizes = len(variant.sizes)
         of_size = [np.max(np.abs(amplitude[:sizes][channel[:sizes] == c])) for c in channel[sizes:]]
-        if np.any(np.abs(amplitude[sizes:]) > FARTHEST_START * np.array(of_size) + 2.0 * u[sizes:]):
+        if np.any(np.abs(amplitude[sizes:]) > FARTHEST * np.array(of_size) + 2.0 * u[sizes:]):
             evidence[number] = np.finfo(np.float64).min
     return replace(scores, variants=evidence)
 

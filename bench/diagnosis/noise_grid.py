@@ -14,7 +14,8 @@ from scipy.sparse.csgraph import connected_components
 
 from bench.base.arrays import Floats, Ints, Mask
 from bench.calibration.design import FIXED
-from bench.diagnosis.levels import FEW, LEAST_FREEDOM, NEGLIGIBLE
+from bench.calibration.noise import rounding_variance
+from bench.diagnosis.levels import FEW, LEAST_FREEDOM, MARK_DEG, NEGLIGIBLE
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.readings.table import Readings
 
@@ -64,12 +65,14 @@ class Whitener:
     """A linear map of N rows to numbers with independent noise of equal variance.
 
     `blocks` has a pair for each size n of a set of rows with correlated noise. For the b sets of this size,
-    the pair is: the indices (b n,) of the rows, set after set, and the inverse Cholesky factors (b, n, n) of
-    the covariances. `fitted` are the subspaces that the map removes; they are orthogonal, and each
-    accelerometer block has its own. Apply the map with `@`.
+    the pair is: the indices (b n,) of the rows, set after set, and the matrices (b, n, n) that make the noise of
+    the rows independent, whatever the setting error. `root` (N,) are the factors that then make the variances
+    equal. `fitted` are the subspaces that the map removes; they are orthogonal, and each accelerometer block has
+    its own. Apply the map with `@`.
     """
 
     blocks: tuple[tuple[slice | Ints, Floats], ...]
+    root: Floats
     fitted: tuple[Span, ...] = ()
 
     def __matmul__(self, columns: Floats) -> Floats:
@@ -84,31 +87,46 @@ class Whitener:
         white = self._half(columns)
         for span in self.fitted:
             span.leave(white, 1.0 - span.kept**2)
+        white = (white.T * self.root).T
         weighed = np.empty_like(white)
-        for rows, factor in self.blocks:
-            weighed[rows] = _times(np.swapaxes(factor, 1, 2), white[rows])
+        for rows, turn in self.blocks:
+            weighed[rows] = _times(np.swapaxes(turn, 1, 2), white[rows])
         return weighed
 
     @property
     def diagonal(self) -> Floats:
         """The diagonal of the matrix (N, N) by which `weigh` multiplies, shape (N,)."""
-        many = sum(factor.shape[0] * factor.shape[1] for _, factor in self.blocks)
-        diagonal = np.empty(many)
-        for rows, factor in self.blocks:
-            diagonal[rows] = np.sum(factor**2, axis=1).ravel()
+        diagonal = np.empty(len(self.root))
+        for rows, turn in self.blocks:
+            scaled = turn * self.root[rows].reshape(*turn.shape[:2], 1)
+            diagonal[rows] = np.sum(scaled**2, axis=1).ravel()
         for span in self.fitted:
-            basis = np.zeros((many, len(span.kept)))
+            basis = np.zeros((len(self.root), len(span.kept)))
             basis[span.rows] = span.basis
-            for rows, factor in self.blocks:
-                inside = _times(np.swapaxes(factor, 1, 2), basis[rows])
+            basis *= self.root[:, None]
+            for rows, turn in self.blocks:
+                inside = _times(np.swapaxes(turn, 1, 2), basis[rows])
                 diagonal[rows] -= inside**2 @ (1.0 - span.kept**2)
         return diagonal
 
+    def apart(self, columns: Floats) -> Floats:
+        """Return the columns (N, …) as rows with independent noise, of variance 1 / `root`**2."""
+        turned = np.empty_like(columns, dtype=np.float64)
+        for rows, turn in self.blocks:
+            turned[rows] = _times(turn, columns[rows])
+        return turned
+
+    def taken(self, turned: Floats) -> Iterator[Floats]:
+        """Yield what each fitted subspace takes from columns made independent (`apart`), (k, P).
+
+        The products of these components are to be subtracted from the weighted products of the columns.
+        """
+        for span in self.fitted:
+            along = (span.basis.T * self.root[span.rows]) @ turned[span.rows]
+            yield along * np.sqrt(1.0 - span.kept**2)[:, None]
+
     def _half(self, columns: Floats) -> Floats:
-        white = np.empty_like(columns, dtype=np.float64)
-        for rows, factor in self.blocks:
-            white[rows] = _times(factor, columns[rows])
-        return white
+        return np.asarray((self.apart(columns).T * self.root).T)
 
 
 def _times(matrices: Floats, columns: Floats) -> Floats:
@@ -135,15 +153,29 @@ class NoiseGrid:
     freedom: int
     known: bool = False
 
-    def log_likelihood(self, square: Floats) -> Floats:
+    def log_likelihood(self, square: Floats, out: Floats | None = None) -> Floats:
         """Return ln of the likelihood of whitened residuals, up to a constant, from their sum of squares.
 
         `square` is this sum in units of `sigma` squared. Unless the noise is known, its size is integrated
-        out.
+        out. `out` is an array for the result.
         """
         if self.known:
-            return -0.5 * square
-        return np.asarray(-0.5 * self.freedom * np.log(square), dtype=np.float64)
+            return np.multiply(square, -0.5, out=out)
+        logarithm: Floats = np.log(square, out=out)
+        return np.multiply(logarithm, -0.5 * self.freedom, out=logarithm)
+
+    def products(self, columns: Floats) -> ColumnProducts:
+        """Return the scalar products of columns (N, P), in the unit of the signal, whitened at each ratio."""
+        first = self.white[0]
+        rows = first.apart(columns / self.sigma)
+        # no ratio sees what the coefficients absorb: without it, differences of products lose no digits
+        rows *= first.root[:, None]
+        for span in first.fitted:
+            if not span.kept.any():
+                span.leave(rows, np.ones_like(span.kept))
+        rows /= first.root[:, None]
+        taken = np.stack([np.concatenate(list(white.taken(rows))) for white in self.white])
+        return ColumnProducts(rows, np.stack([white.root**2 for white in self.white]), taken)
 
 
 def make_noise_grid(
@@ -162,11 +194,7 @@ def make_noise_grid(
         slope2, ratios = np.ones(1), ratios[:1]  # without settings there is no setting error
     typical = float(np.sqrt(np.mean(slope2)))
     known = np.log(max(setting_rad * typical / sigma, 1e-2)) if setting_rad > 0 else None
-    wide = _wide(linear)
-    blocks = _blocks(linear, wide, sigma)
-    whites, log_dets = zip(
-        *(_white(linear, ratio / typical, sigma, wide, blocks) for ratio in ratios), strict=True
-    )
+    whites, log_dets = zip(*_whites(linear, [ratio / typical for ratio in ratios], sigma), strict=True)
     grid = np.array(ratios)
     if known is None:
         log_prior = np.full(len(grid), -np.log(len(grid)))
@@ -180,8 +208,7 @@ def make_noise_grid(
 
 def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whitener:
     """Return the whitening map for a known noise of a reading, `sigma`, and a known setting error."""
-    wide = _wide(linear)
-    return _white(linear, setting_rad / sigma, sigma, wide, _blocks(linear, wide, sigma))[0]
+    return next(_whites(linear, [setting_rad / sigma], sigma))[0]
 
 
 def _wide(linear: LinearSystem) -> Mask:
@@ -194,22 +221,32 @@ def _wide(linear: LinearSystem) -> Mask:
     return np.asarray(np.count_nonzero(linear.random, axis=0) > most)
 
 
-@dataclass(frozen=True)
-class RowBlocks:
-    """The row indices, `rows` (b, n), of b blocks of n rows with correlated noise, and covariances of this noise.
+def _whites(
+    linear: LinearSystem, settings: Sequence[float], sigma: float
+) -> Iterator[tuple[Whitener, float]]:
+    """Yield the whitening map for each setting error, with the part of ln of the likelihood without the data.
 
-    `apart` (b, n, n) are the covariances without the setting error, in units of the squared noise of a reading.
-    `setting` (b, n, n) are the covariances that a setting error of 1 rad adds, in the squared unit of the signal.
+    The setting errors are in rad per unit of the noise of a reading, `sigma`.
     """
+    wide = _wide(linear)
+    fixed, shared = linear.fixed, linear.random[:, wide] / sigma
+    blocks, variance, log_det = _blocks(linear, linear.random[:, ~wide] / sigma)
+    half = Whitener(blocks, np.ones(len(linear)))
+    fixed, shared = half.apart(fixed), half.apart(shared)
+    for setting in settings:
+        root = 1.0 / np.sqrt(1.0 + setting**2 * variance)
+        spans, more = _fitted(root[:, None] * fixed, root[:, None] * shared)
+        yield replace(half, root=root, fitted=spans), log_det + more + float(np.sum(np.log(root)))
 
-    rows: Ints
-    apart: Floats
-    setting: Floats
 
+def _blocks(
+    linear: LinearSystem, local: Floats
+) -> tuple[tuple[tuple[slice | Ints, Floats], ...], Floats, float]:
+    """Return the `blocks` of a `Whitener`, the variances (N,) that a setting error of 1 rad adds, and ln |T|.
 
-def _blocks(linear: LinearSystem, wide: Mask, sigma: float) -> list[RowBlocks]:
-    """Return, for each size, the blocks of rows joined by a setting or by a column outside the mask `wide` (q,)."""
-    local = linear.random[:, ~wide] / sigma
+    Rows are joined by a setting, or by a column of `local` (N, k), in units of the noise. T is the matrix that
+    makes the noise of the rows independent. Without a setting error, their variances are 1.
+    """
     mine = np.where(linear.setting >= 0, linear.setting, linear.settings + np.arange(len(linear)))
     row, column = np.nonzero(local)
     if len(row):
@@ -219,14 +256,26 @@ def _blocks(linear: LinearSystem, wide: Mask, sigma: float) -> list[RowBlocks]:
         mine = connected_components(edges, directed=False)[1][mine]
     order = np.argsort(mine, kind="stable")
     starts = np.flatnonzero(np.diff(mine[order], prepend=-1))
-    by_size: dict[int, list[Ints]] = {}
-    for rows in np.split(order, starts[1:]):
-        by_size.setdefault(len(rows), []).append(rows)
-    return [_row_blocks(linear, local, np.array(alike)) for alike in by_size.values()]
+    sizes = np.diff(starts, append=len(order))
+    blocks, variance, log_det = [], np.empty(len(linear)), 0.0
+    for size in np.unique(sizes).tolist():
+        alike = order[starts[sizes == size][:, None] + np.arange(size)]
+        rows = _as_slice(alike.ravel())
+        apart, setting = _covariances(linear, local, alike)
+        cholesky = np.linalg.cholesky(apart)
+        log_det -= float(np.sum(np.log(np.diagonal(cholesky, axis1=1, axis2=2))))
+        inverse = np.linalg.inv(cholesky)
+        values, vectors = np.linalg.eigh(inverse @ setting @ np.swapaxes(inverse, 1, 2))
+        blocks.append((rows, np.swapaxes(vectors, 1, 2) @ inverse))
+        variance[rows] = np.maximum(values, 0.0).ravel()
+    return tuple(blocks), variance, log_det
 
 
-def _row_blocks(linear: LinearSystem, local: Floats, rows: Ints) -> RowBlocks:
-    """Return the blocks `rows` (b, n) with their covariances, to which the columns `local` (N, k) contribute."""
+def _covariances(linear: LinearSystem, local: Floats, rows: Ints) -> tuple[Floats, Floats]:
+    """Return the covariances (b, n, n) of blocks of `rows` (b, n) without a setting error, and what 1 rad adds.
+
+    The first are in units of the squared noise of a reading, the second in the squared unit of the signal.
+    """
     apart = np.eye(rows.shape[1]) * linear.relative[rows][:, :, None] ** 2
     for number, own in enumerate(rows) if local.shape[1] else ():
         joined = local[own]
@@ -234,27 +283,14 @@ def _row_blocks(linear: LinearSystem, local: Floats, rows: Ints) -> RowBlocks:
         apart[number] += joined @ joined.T
     setting, slope = linear.setting[rows], linear.slope[rows]
     same = setting[:, :, None] == setting[:, None, :]
-    return RowBlocks(rows, apart, np.where(same, slope[:, :, None] * slope[:, None, :], 0.0))
+    return apart, np.where(same, slope[:, :, None] * slope[:, None, :], 0.0)
 
 
-def _white(
-    linear: LinearSystem, setting: float, sigma: float, wide: Mask, blocks: Sequence[RowBlocks]
-) -> tuple[Whitener, float]:
-    factors = []
-    log_det = 0.0
-    for block in blocks:
-        rows = _as_slice(block.rows.ravel())
-        cholesky = np.linalg.cholesky(block.apart + setting**2 * block.setting)
-        log_det -= float(np.sum(np.log(np.diagonal(cholesky, axis1=1, axis2=2))))
-        factors.append((rows, np.linalg.inv(cholesky)))
-    half = Whitener(tuple(factors))
-    spans, more = _fitted(half, linear.fixed, linear.random[:, wide] / sigma)
-    return Whitener(half.blocks, spans), log_det + more
+def _fitted(white: Floats, wide: Floats) -> tuple[tuple[Span, ...], float]:
+    """Return the subspaces of the columns of coefficients (N, 12 × blocks) and of other unknowns (N, k).
 
-
-def _fitted(half: Whitener, fixed: Floats, wide: Floats) -> tuple[tuple[Span, ...], float]:
-    """Return the subspaces of coefficients and `wide` columns (N, k), and their contribution to `log_det`."""
-    white = half @ fixed
+    The columns are whitened. The second result is the contribution of the subspaces to `log_det`.
+    """
     spans = []
     log_det = 0.0
     # a setting error couples the rows of all channels, and so all coefficients of a block
@@ -267,7 +303,9 @@ def _fitted(half: Whitener, fixed: Floats, wide: Floats) -> tuple[tuple[Span, ..
         spans.append(Span(_as_slice(rows), q, np.zeros(q.shape[1])))
     if not wide.shape[1]:
         return tuple(spans), log_det
-    beside = Whitener(half.blocks, tuple(spans)) @ wide
+    beside = wide.copy()
+    for span in spans:
+        span.leave(beside, np.ones_like(span.kept))
     q, r = np.linalg.qr(np.concatenate([beside, np.eye(wide.shape[1])]))
     log_det -= float(np.sum(np.log(np.abs(np.diag(r)))))
     basis, size, _ = np.linalg.svd(q[: len(wide)], full_matrices=False)
@@ -293,20 +331,25 @@ EVERY: Final = slice(None)
 
 @dataclass(frozen=True)
 class ColumnProducts:
-    """Scalar products of P whitened columns, computed on demand from the columns.
+    """Scalar products of P columns, whitened at each noise ratio.
 
-    `white` (ratios, N, P) holds them for each noise ratio. This needs less memory than `GramProducts` if N <
-    P.
+    `rows` (N, P) are the columns with independent rows, the same for all ratios; `weight` (ratios, N) is the
+    inverse variance of each row. From the weighted products, those of the components `taken` (ratios, k, P)
+    along the fitted directions are subtracted. With two sources of variance, one diagonalisation serves all
+    their ratios: Patterson and Thompson, Biometrika 58 (1971) 545.
     """
 
-    white: Floats
+    rows: Floats
+    weight: Floats
+    taken: Floats
 
     def across(self, columns: Ints, at: slice = EVERY) -> Floats:
         """Return the scalar products of k columns with all P columns, shape (ratios, k, P).
 
         `columns` (k,) are their indices; `at` selects ratios.
         """
-        return np.swapaxes(self.white[at][:, :, columns], 1, 2) @ self.white[at]
+        whole = (self.rows[:, columns].T * self.weight[at][:, None]) @ self.rows
+        return np.asarray(whole - np.swapaxes(self.taken[at][:, :, columns], 1, 2) @ self.taken[at])
 
     def among(self, columns: Ints, at: slice = EVERY) -> Floats:
         """Return the Gram matrices of sets of p columns, shape (ratios, …, p, p).
@@ -314,31 +357,18 @@ class ColumnProducts:
         `columns` (…, p) has the indices of each set in its last axis; `at` selects ratios.
         """
         if columns.shape[-1] == 1:
-            return np.asarray(self._square[at][:, columns[..., 0], None, None])
-        chosen = np.moveaxis(self.white[at][:, :, columns], 1, -2)
-        return np.asarray(np.swapaxes(chosen, -1, -2) @ chosen)
+            return np.asarray(self.square[at][:, columns[..., 0], None, None])
+        chosen = np.moveaxis(self.rows[:, columns], 0, -2)
+        weight = self.weight[at].reshape(-1, *[1] * (columns.ndim - 1), len(self.rows), 1)
+        taken = np.moveaxis(self.taken[at][:, :, columns], 1, -2)
+        gram = np.swapaxes(chosen, -1, -2) @ (weight * chosen)
+        return np.asarray(gram - np.swapaxes(taken, -1, -2) @ taken)
 
     @cached_property
-    def _square(self) -> Floats:
-        return np.asarray(np.einsum("gnp,gnp->gp", self.white, self.white))
-
-
-@dataclass(frozen=True)
-class GramProducts:
-    """Scalar products `gram` (ratios, P, P) of P whitened columns, all computed in advance.
-
-    This needs less memory than `ColumnProducts` if there are more rows than columns.
-    """
-
-    gram: Floats
-
-    def across(self, columns: Ints, at: slice = EVERY) -> Floats:
-        """Return the scalar products of k columns with all P columns, as `ColumnProducts.across` does."""
-        return np.asarray(self.gram[at][:, columns])
-
-    def among(self, columns: Ints, at: slice = EVERY) -> Floats:
-        """Return the Gram matrices of sets of p columns, as `ColumnProducts.among` does."""
-        return np.asarray(self.gram[at][:, columns[..., :, None], columns[..., None, :]])
+    def square(self) -> Floats:
+        """The squared length of each column, shape (ratios, P)."""
+        taken = np.einsum("rkp,rkp->rp", self.taken, self.taken)
+        return np.asarray(self.weight @ self.rows**2 - taken)
 
 
 # --- the noise, from repeats ----------------------------------------------------------------------
@@ -416,10 +446,10 @@ def _about_model(linear: LinearSystem) -> float:
 def cells_of(linear: LinearSystem) -> Ints:
     """Return a number (n,) for each setting, which is equal for repeats of a setting.
 
-    Repeats are settings of the same mounting at the same angle, rounded to 5 deg.
+    Repeats are settings of the same mounting at the same angle, rounded to `MARK_DEG`.
     """
     mount, angle = _mounts_and_angles(linear)
-    cells = np.column_stack([mount, np.round(angle / 5.0)])
+    cells = np.column_stack([mount, np.round(angle / MARK_DEG)])
     return np.unique(cells, axis=0, return_inverse=True)[1].ravel()
 
 
@@ -434,7 +464,7 @@ def _mounts_and_angles(linear: LinearSystem) -> tuple[Ints, Floats]:
 
 def _saturated(angle_deg: Floats, passes: Ints) -> Floats:
     """Return the columns that describe the settings of a mounting without a model (`noise_of_repeats`)."""
-    near = np.round(angle_deg / 5.0)
+    near = np.round(angle_deg / MARK_DEG)
     cells = (near[:, None] == np.unique(near)).astype(np.float64)
     of_pass = (passes[:, None] == np.unique(passes)).astype(np.float64)
     angle = np.radians(angle_deg)[:, None]
@@ -447,8 +477,6 @@ SAME_SIZE: Final = 0.1
 
 Added in quadrature, a size of this fraction changes the noise by 0.5 %.
 """
-TERMS: Final = 30
-"""Terms of the series for a shared rounding error: without any noise, 30 give its size to 1 %."""
 
 
 def digit_of(readings: Readings) -> float:
@@ -507,6 +535,4 @@ def repeated(digit: float, sigma: float) -> float:
     """
     if not digit > 0.0:
         return 0.0
-    s2 = max(sigma**2 / digit**2 - 1.0 / 12.0, 0.0)
-    k2 = np.arange(1, TERMS + 1) ** 2
-    return float(digit * np.sqrt(np.sum(np.exp(-4 * np.pi**2 * k2 * s2) / (2 * np.pi**2 * k2))))
+    return float(rounding_variance(np.array([sigma]), digit / np.sqrt(12.0))[0] ** 0.5)

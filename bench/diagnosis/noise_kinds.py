@@ -63,17 +63,20 @@ def noise_hypotheses(linear: LinearSystem, effects: Floats, noise: NoiseSize) ->
 
     `effects` (N, m) are the columns of the effects in the model; `noise` is the noise estimated so far.
     """
-    yield from _by_channel(linear, effects, noise)
+    left, free = _fit(linear, effects, noise)
+    yield from _by_channel(linear, left, free)
     if linear.by_run is None and linear.readings.run.any():
         yield from _by_run(linear, effects, noise)
     if linear.by_place is None:
-        yield from _by_place(linear, effects, noise)
+        yield from _by_place(linear, noise.reading * whiten_rows(linear, noise, left[:, None])[:, 0])
+    beside = linear.with_random(effects * KNOWN_SIZE)
     if linear.by_row is None:
-        yield _with_tails(linear, effects, noise)
+        yield _with_tails(linear, beside, noise)
+    white = make_whitener(beside, noise.reading, noise.setting_rad)
     if not linear.slow_channels:
-        yield from _slow(linear, effects, noise)
+        yield from _slow(linear, white, noise)
     if not linear.slow_reference:
-        yield from _of_reference(linear, effects, noise)
+        yield from _of_reference(linear, white, noise)
 
 
 def log_null(grid: NoiseGrid) -> float:
@@ -105,8 +108,7 @@ def residuals(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Floats
 # --- channels, runs and places with noise of their own -----------------------------------------------
 
 
-def _by_channel(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
-    residual, free = _fit(linear, effects, noise)
+def _by_channel(linear: LinearSystem, residual: Floats, free: Floats) -> Iterator[NoiseHypothesis]:
     oriented = linear.setting >= 0
     other = linear.relative / linear.relative_of_channel
     left, slope, free = (of[oriented].reshape(-1, 3) for of in (residual / other, linear.slope / other, free))
@@ -156,13 +158,12 @@ def _by_run(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator
         yield NoiseHypothesis("runs", system, LOG_PRIOR["runs"] - cost, "")
 
 
-def _by_place(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
-    """Yield the hypothesis of larger noise in one place: a channel in an installation, or in one of its
-    passes.
+def _by_place(linear: LinearSystem, left: Floats) -> Iterator[NoiseHypothesis]:
+    """Yield the hypothesis of larger noise in one place: a channel in an installation, or in one of its passes.
 
     The prior odds pay for the choice of one place among all, and for one more size.
     """
-    places = _larger(linear, residuals(linear, effects, noise))
+    places = _larger(linear, left)
     found = min((one for one in places if one[0].where), key=lambda one: one[0].p, default=None)
     if found is None:
         return
@@ -239,9 +240,11 @@ def _places(linear: LinearSystem) -> Iterator[tuple[str, str, Mask]]:
 # --- heavy tails ------------------------------------------------------------------------------------
 
 
-def _with_tails(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> NoiseHypothesis:
-    """Return the hypothesis that the noise has the tails of a t distribution, with factors `by_row`."""
-    beside = linear.with_random(effects * KNOWN_SIZE)
+def _with_tails(linear: LinearSystem, beside: LinearSystem, noise: NoiseSize) -> NoiseHypothesis:
+    """Return the hypothesis that the noise has the tails of a t distribution, with factors `by_row`.
+
+    `beside` is the system with the effects of the model among its unknowns.
+    """
     relative2 = linear.relative**2
     weight: Floats = np.ones(len(linear))
     scale, of_mean, square = noise.reading, weight, weight
@@ -314,8 +317,8 @@ class SlowNoise:
     columns: Floats
 
 
-def _slow(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
-    found = slow_noise(linear, effects, noise)
+def _slow(linear: LinearSystem, white: Whitener, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
+    found = slow_noise(linear, white, noise)
     if not found:
         return
     told = ", ".join(
@@ -334,13 +337,12 @@ def _slow(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[N
     )
 
 
-def slow_noise(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[SlowNoise, ...]:
-    """Return the slow noise that is more probable than none, given the effects' columns (N, m).
+def slow_noise(linear: LinearSystem, white: Whitener, noise: NoiseSize) -> tuple[SlowNoise, ...]:
+    """Return the slow noise that is more probable than none; `white` also removes the effects of the model.
 
     The slow noise has either one size common to all channels, or a size for each channel that has such noise,
     whichever has the larger evidence. The result is empty if there is none.
     """
-    white = make_whitener(linear.with_random(effects * KNOWN_SIZE), noise.reading, noise.setting_rad)
     waves = [_waves(linear, channel) for channel in range(3)]
     all_alike = _likeliest(linear, white, noise.reading, (0, 1, 2), np.hstack(waves))
     # a single channel pays for the choice among three
@@ -351,13 +353,12 @@ def slow_noise(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple
     return tuple(own)
 
 
-def _of_reference(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
+def _of_reference(linear: LinearSystem, white: Whitener, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
     """Yield the likelier of two hypotheses: 1/f noise of one reference for all channels, or of one for each.
 
     The noise is a fraction of each signal. It resembles slow noise where a channel reads the same voltage
     throughout.
     """
-    white = make_whitener(linear.with_random(effects * KNOWN_SIZE), noise.reading, noise.setting_rad)
     signal = linear.readings.signal[linear.rows.reading, np.minimum(linear.rows.channel, 2)]
     own = [_waves(linear, channel)[:, :HALF_WAVES] * signal[:, None] for channel in range(3)]
     if any(not waves.shape[1] for waves in own):

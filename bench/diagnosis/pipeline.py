@@ -245,7 +245,7 @@ def _form(prepared: Prepared, estimated: _Estimated) -> FreeForm | None:
     if not patterns and not tied:
         return describe(linear, candidates, naming, estimated.noise, estimated.gap, prepared.repeats)
     if linear.readings.run.any() and patterns:
-        whitened = Whitened.of(whitened.grid, with_terms(candidates, linear), few_known=True)
+        whitened = Whitened.of(whitened.grid, with_terms(candidates, linear))
         data = whitened.reduce(linear.response[:, None])
         candidates = whitened.candidates
     among = partial(is_form, candidates)

@@ -12,9 +12,10 @@ import numpy as np
 from scipy import special
 
 from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.calibration.noise import without_setting
 from bench.diagnosis.candidates import Candidates, Column, Variant
 from bench.diagnosis.evidence import KNOWN_SIZE, LOG_SIZE_WEIGHTS, SIZES, Data, Search, Whitened
-from bench.diagnosis.levels import HARDLY_EVER, OFTEN
+from bench.diagnosis.levels import FEW, HARDLY_EVER, OFTEN
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.naming import MOST_EFFECTS, Naming
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect
@@ -215,19 +216,13 @@ def whiten_rows(linear: LinearSystem, noise: NoiseSize, columns: Floats, rows: M
     a setting or none.
     """
     chosen = slice(None) if rows is None else rows
-    relative = linear.relative[chosen][:, None]
-    columns = columns / relative
-    slope = linear.slope[chosen][:, None] / relative
-    setting = linear.setting[chosen]
-    factor = (noise.setting_rad / noise.reading) ** 2
-    oriented = setting >= 0
-    d = slope[oriented].reshape(-1, 3)
-    length2 = np.sum(d**2, axis=1)
-    shrink = (1 - 1 / np.sqrt(1 + factor * length2)) / np.maximum(length2, 1e-300)
-    block = columns[oriented].reshape(len(d), 3, columns.shape[1])
-    along = np.einsum("ni,nip->np", d, block) * shrink[:, None]
-    white = columns / noise.reading
-    white[oriented] -= (d[:, :, None] * along[:, None, :]).reshape(-1, columns.shape[1]) / noise.reading
+    relative, oriented = linear.relative[chosen][:, None], linear.setting[chosen] >= 0
+    white = columns / (noise.reading * relative)
+    slope = (linear.slope[chosen][:, None] / relative)[oriented].reshape(-1, 3)
+    settings = white[oriented].reshape(-1, 3, white.shape[1])
+    white[oriented] = without_setting(settings, slope, noise.setting_rad / noise.reading).reshape(
+        -1, white.shape[1]
+    )
     return white
 
 
@@ -258,10 +253,6 @@ def common_volts(naming: Naming, fitted: Posterior, linear: LinearSystem) -> Ite
             )
 
 
-FAR_BETTER: Final = 0.25
-"""A sum or difference of two values is stated if its u is at most this fraction of either's u."""
-
-
 @dataclass(frozen=True)
 class KnownTogether:
     """The sum or difference of a parameter's values in two channels or mountings, with its u.
@@ -280,7 +271,7 @@ class KnownTogether:
 def known_together(
     candidates: Candidates, variant: Variant, value: Floats, covariance: Floats
 ) -> tuple[KnownTogether, ...]:
-    """Return the sums and differences of two values that are far better known than either value.
+    """Return the sums and differences of two values whose u is at most `FEW` of the u of either value.
 
     `value` (p,) and `covariance` (p, p) are those of the amplitudes of the p sizes of `variant`, as multiples
     of the plausible sizes. An example is the third mounting angle of both installations: verification points
@@ -294,7 +285,7 @@ def known_together(
             continue
         sign = -1.0 if covariance[i, j] > 0.0 else 1.0
         u = np.sqrt(max(covariance[i, i] + covariance[j, j] + 2.0 * sign * covariance[i, j], 0.0))
-        if u > FAR_BETTER * np.sqrt(min(covariance[i, i], covariance[j, j])):
+        if u > FEW * np.sqrt(min(covariance[i, i], covariance[j, j])):
             continue
         parameter = parameters[kinds[i].parameter]
         size = candidates.scale[variant.columns[i]] / parameter.si_per_unit

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from bench.base.arrays import ARCSEC, MINUTE, Floats
+from bench.base.arrays import ARCSEC, MINUTE, Floats, Mask
 from bench.diagnosis.levels import CHUNK
 from bench.diagnosis.linear import LinearSystem
 from bench.model.conditions import Conditions
@@ -140,32 +140,43 @@ def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
     for all channels only; terms that change no row are left out.
     """
     terms = list(_terms(linear))
-    for term, columns in zip(terms, _columns(linear, terms), strict=True):
-        shown = np.any(columns, axis=(0, 2)).tolist()
+    for term, sizes in zip(terms, _columns(linear, terms), strict=True):
+        shown = np.any([size.shown for size in sizes], axis=0).tolist()
         for channel in range(3) if term.stage in WITH_CHANNELS else ():
             if shown[channel]:
-                each = [column[channel] for column in columns]
-                yield term, (channel,), list(zip(SIZE_NAMES, [channel] * len(each), each, strict=False))
+                each = (size.of_channels[channel] for size in sizes)
+                yield term, (channel,), [(n, channel, one) for n, one in zip(SIZE_NAMES, each, strict=False)]
         if any(shown):
-            whole = np.sum(columns, axis=1)
-            yield term, (0, 1, 2), list(zip(SIZE_NAMES, [None] * len(whole), whole, strict=False))
+            yield (
+                term,
+                (0, 1, 2),
+                [(n, None, size.of_all) for n, size in zip(SIZE_NAMES, sizes, strict=False)],
+            )
+
+
+class SizeColumns(NamedTuple):
+    """The changes of the N rows by a plausible size of a term: by channel, (3, N) or (1, N), and in all, (N,).
+
+    `shown` says for each channel whether any row changes.
+    """
+
+    of_channels: Floats
+    of_all: Floats
+    shown: Mask
 
 
 WITH_CHANNELS: Final = (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
 
 
-def _columns(linear: LinearSystem, terms: Sequence[DictionaryTerm]) -> list[list[Floats]]:
-    """Return, for each size of each term, the change of the rows by a plausible size, (3, N) or (1, N).
-
-    It has a row for each channel if the term is `WITH_CHANNELS`.
-    """
-    columns: list[list[Floats]] = [[] for _ in terms]
+def _columns(linear: LinearSystem, terms: Sequence[DictionaryTerm]) -> list[list[SizeColumns]]:
+    """Return the columns of each size of each term."""
+    columns: list[list[SizeColumns]] = [[] for _ in terms]
     of_courses: dict[TimeCourse, list[Floats]] = {}
     values_of = _values_of(linear)
     places: dict[tuple[Stage, str, bool], list[tuple[int, Floats]]] = {}
     for number, term in enumerate(terms):
         if term.course is None:
-            columns[number] = list(_of_effect(linear, term))
+            columns[number] = list(_each_size(np.stack(list(_of_effect(linear, term)))))
             continue
         if term.course not in of_courses:
             of_courses[term.course] = values_of(term.course)
@@ -175,9 +186,14 @@ def _columns(linear: LinearSystem, terms: Sequence[DictionaryTerm]) -> list[list
         for start in range(0, len(added), CHUNK):
             numbers, courses = zip(*added[start : start + CHUNK], strict=True)
             changes = linear.stage_columns(np.stack(courses, axis=1), stage, adds_to, of_force=of_force)
-            for number, of_channels in zip(numbers, changes.transpose(1, 2, 0).copy(), strict=True):
-                columns[number].append(of_channels)
+            for number, size in zip(numbers, _each_size(changes.transpose(1, 2, 0).copy()), strict=True):
+                columns[number].append(size)
     return columns
+
+
+def _each_size(changes: Floats) -> Iterator[SizeColumns]:
+    """Yield the columns of each of k sizes; `changes` (k, channels, N)."""
+    yield from map(SizeColumns, changes, changes.sum(axis=1), np.asarray(changes.any(axis=2)))
 
 
 def _of_effect(linear: LinearSystem, term: DictionaryTerm) -> Iterator[Floats]:

@@ -43,9 +43,8 @@ class UnexplainedScatter:
     @classmethod
     def of(cls, noise: NoiseSize, repeats: Repeats) -> UnexplainedScatter:
         """Return the noise about the model with all effects, in excess of the noise of repeats (F test)."""
-        of_repeats = (
-            2 * repeats.freedom
-        )  # per setting, two directions of the signals are perpendicular to du/dphi
+        # per setting, two directions of the signals are perpendicular to du/dphi
+        of_repeats = 2 * repeats.freedom
         beyond = noise.freedom - of_repeats
         all2, repeats2 = noise.reading**2, repeats.sigma**2
         value = float(np.sqrt(max(all2 - repeats2, 0.0)))
@@ -55,7 +54,9 @@ class UnexplainedScatter:
         # a ratio below 1 is chance, and must not lower the limit
         largest = max(lack, 1.0) / float(special.fdtri(beyond, of_repeats, OFTEN))
         upper = float(np.sqrt(max(largest - 1.0, 0.0) * repeats2 * beyond / noise.freedom))
-        variance = 2 * all2**2 / noise.freedom + 2 * repeats2**2 * (1 / of_repeats - 2 / noise.freedom)
+        # the excess is a part of the difference of two independent mean squares
+        part = beyond / noise.freedom
+        variance = 2 * (part * repeats2) ** 2 * (lack**2 / beyond + 1 / of_repeats)
         u = float(np.sqrt(variance)) / (2 * value) if value > 0.0 else float(np.sqrt(np.sqrt(variance)))
         return cls(value, u, max(upper, value), float(special.fdtrc(beyond, of_repeats, lack)))
 

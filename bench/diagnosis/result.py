@@ -22,7 +22,7 @@ from bench.diagnosis import (
 from bench.diagnosis.candidates import Candidates, in_volts
 from bench.diagnosis.evidence import Data, Whitened
 from bench.diagnosis.gap import Gap, folds_of, thirds_of
-from bench.diagnosis.levels import BEYOND_BELIEF, BY_CHANCE, HARDLY_EVER, MOSTLY, OFTEN
+from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER, MOSTLY, OFTEN
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.mistakes.search import MistakeSearch
 from bench.diagnosis.naming import FamilyOdds, Naming
@@ -85,10 +85,10 @@ def register(linear: LinearSystem, limit: evidence.Threshold) -> Registration:
         tie_leak=naming.ALIAS,
         alone_from=1.0 - OFTEN,
         tie_holds=1.0 - BY_CHANCE,
-        tie_absurd=BEYOND_BELIEF,
+        tie_absurd=evidence.BEYOND_BELIEF,
         prior_of_kinds=candidates.KIND_PRIOR,
         most_effects=naming.MOST_EFFECTS,
-        hidden_beyond=BEYOND_BELIEF,
+        hidden_beyond=evidence.BEYOND_BELIEF,
         significance_where=BY_CHANCE,
         gap_least_fall=gap.LEAST_FALL,
         gap_least_closed=MOSTLY,

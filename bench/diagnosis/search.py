@@ -315,8 +315,8 @@ class _Run:
     grid: NoiseGrid
 
     def whitened(self) -> Whitened:
-        """Return the whitened candidates; products are computed on demand, as few runs need them."""
-        return Whitened.of(self.grid, self.candidates, few_known=True)
+        """Return the whitened candidates."""
+        return Whitened.of(self.grid, self.candidates)
 
 
 def _in_all_and_each(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Naming]:

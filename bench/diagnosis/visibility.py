@@ -12,8 +12,8 @@ import numpy as np
 
 from bench.base.arrays import Floats
 from bench.diagnosis.candidates import ROUND, Candidates, Variant, plausible_columns
-from bench.diagnosis.evidence import KNOWN_SIZE, Search, Threshold, Whitened
-from bench.diagnosis.levels import BEYOND_BELIEF, NEGLIGIBLE
+from bench.diagnosis.evidence import BEYOND_BELIEF, KNOWN_SIZE, Search, Threshold, Whitened
+from bench.diagnosis.levels import NEGLIGIBLE
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.noise_grid import Whitener, make_whitener
 from bench.diagnosis.posterior import NoiseSize
@@ -118,7 +118,7 @@ def hidden(
     """
     candidates = whitened.candidates
     seen = (
-        np.sqrt(np.maximum(whitened.square[ratio], 0.0))
+        np.sqrt(np.maximum(whitened.products.square[ratio], 0.0))
         * BEYOND_BELIEF
         / half_power(whitened, threshold.value)
     )
@@ -238,7 +238,7 @@ class ReadingDesign:
 
         It is the change of the rows, before projection, if the part has its plausible size.
         """
-        new = [part for part in form if part not in self._seen]
+        new = [part for part in dict.fromkeys(form) if part not in self._seen]
         if new:
             left = self._left(np.column_stack([self._column(part) for part in new]))
             self._seen.update(zip(new, left.T, strict=True))
@@ -253,17 +253,17 @@ class ReadingDesign:
         total = np.sum([self.linear.effect_column(applied) for applied in found], axis=0)
         one = self._left(total[:, None])[:, 0]
         least = float(one @ one)
-        self.seen(tuple(dict.fromkeys(part for form in rivals for part in form)))
+        self.seen(tuple(part for form in rivals for part in form))
         for form in rivals:
             other = self.seen(form)
             left = one - other @ np.linalg.lstsq(other, one, rcond=1e-9)[0]
             least = min(least, float(left @ left))
         return least / 2.0
 
-    def visible(self, form: Form) -> float:
-        """Return the signal-to-noise ratio of an effect of plausible size in this form.
+    def visible(self, *forms: Form) -> float:
+        """Return the signal-to-noise ratio of an effect of plausible size, in the one of its forms that shows best.
 
         The ratio is the norm of the change that the effect makes in the readings, in units of their noise, after
         the part that free unknowns can absorb is removed.
         """
-        return float(np.linalg.norm(self.seen(form), 2))
+        return max(float(np.linalg.norm(self.seen(form), 2)) for form in forms)

@@ -12,7 +12,7 @@ from scipy import special
 from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.base.languages import message
 from bench.diagnosis.evidence import KNOWN_SIZE
-from bench.diagnosis.levels import ALIKE, BY_CHANCE, CHUNK, FAR, INSEPARABLE, LISTED
+from bench.diagnosis.levels import ALIKE, BY_CHANCE, CHUNK, FAR, INSEPARABLE, LISTED, MARK_DEG
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.diagnosis.noise_grid import NoiseGrid, make_whitener
 from bench.diagnosis.noise_kinds import TAIL_DOF
@@ -231,20 +231,18 @@ def far_readings(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tup
 
 _CHANNEL: Final = (*CHANNELS, "modulus")
 
-MOST_PER_TURN: Final = 72
-"""Largest number of periods per turn that is considered: a mark every 5 degrees."""
-
 
 def looking_like(angle_rad: Floats, order: int) -> tuple[int, ...]:
     """Return the numbers of periods per turn that are indistinguishable from `order` at the angles (n,).
 
     Order 0 is a constant: a wave that equals a constant at these angles is absorbed by the coefficients. Angles
-    that differ by less than 0.1 deg, or by whole turns, count as one.
+    that differ by less than 0.1 deg, or by whole turns, count as one. A period per mark (`MARK_DEG`) is the last
+    that is considered.
     """
     tenths = np.round(np.degrees(angle_rad[np.isfinite(angle_rad)]) * 10.0) % 3600.0
     angles = np.radians(np.unique(tenths) / 10.0)
     own = _waves(angles, order)
-    others = (k for k in range(1, MOST_PER_TURN + 1) if k != order)
+    others = (k for k in range(1, round(360.0 / MARK_DEG) + 1) if k != order)
     return tuple(k for k in others if _left(_waves(angles, k), own) < ALIKE)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from bench.calibration.budget.meters import HALF_WAVES
 from bench.diagnosis.evidence import null_responses
-from bench.diagnosis.noise_grid import RATIOS
+from bench.diagnosis.noise_grid import RATIOS, make_whitener
 from bench.diagnosis.noise_kinds import larger_scatter, noise_hypotheses, residuals, slow_noise
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.search import SearchTask, find_effects
@@ -38,11 +38,12 @@ def drawn(made, count, seed, size):
     rng = np.random.default_rng(seed)
     white = null_responses(linear, NOISE_V, np.full(count, RATIOS[RATIO]), rng)
     noise = NoiseSize(NOISE_V, RATIOS[RATIO] / linear.typical_slope * NOISE_V, 150)
+    whitener = make_whitener(linear, noise.reading, noise.setting_rad)
     channel = np.minimum(linear.rows.channel, 2)
     for response in white.T:
         slow = size * NOISE_V * wandering(rng, len(linear.readings))
         added = np.where(linear.setting >= 0, slow[linear.rows.reading, channel], 0.0)
-        yield slow_noise(replace(linear, response=response + added), np.zeros((len(linear), 0)), noise)
+        yield slow_noise(replace(linear, response=response + added), whitener, noise)
 
 
 def test_slow_noise_is_found_at_its_size(made):

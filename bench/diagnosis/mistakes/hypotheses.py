@@ -19,6 +19,7 @@ from bench.calibration.design import FIXED, Problem
 from bench.calibration.noise import repeat_groups, whiten
 from bench.calibration.result import Noise
 from bench.diagnosis.evidence import SIZES
+from bench.diagnosis.levels import MARK_DEG
 from bench.diagnosis.noise_grid import RATIOS
 from bench.diagnosis.residual_dictionary import shapes
 from bench.model import CATALOGUE, STAND_ANGLES, AppliedEffect, Block
@@ -27,8 +28,6 @@ ERRORS: Final = (20.0, 1e3, 5e4)
 """Prior standard deviations of an error, in units of the noise: from that of an outlier to the full range."""
 WIDE: Final = max(ERRORS)
 """Prior 1 sigma of free values, in units of the noise."""
-NEAR_DEG: Final = 3.0
-"""Largest difference, in degrees, between the angles of repeats: set by hand, they scatter by less."""
 
 
 @dataclass(frozen=True)
@@ -222,13 +221,13 @@ class Table:
     def points(self) -> Floats:
         """Indicator columns (n, 3, p): a free value of each channel at each angle that a mounting repeats.
 
-        Readings within `NEAR_DEG` of their median angle are repeats, so that a wrong setting stays with its
+        Readings within half of `MARK_DEG` of their median angle are repeats, so that a wrong setting stays with its
         repeats.
         """
         conditions = self.problem.conditions
         angle, repeats = np.degrees(conditions.angle_rad), repeat_groups(conditions)
         usual = np.array([np.median(angle[repeats == group]) for group in range(repeats.max() + 1)])[repeats]
-        near = np.where(np.abs(angle - usual) < NEAR_DEG, usual, angle)
+        near = np.where(np.abs(angle - usual) < MARK_DEG / 2.0, usual, angle)
         key = np.stack([conditions.mount, np.round(near).astype(np.int64)], axis=1)
         group = np.unique(key, axis=0, return_inverse=True)[1].ravel()
         return per_channel(group[:, None] == np.unique(group)[np.bincount(group) > 1])

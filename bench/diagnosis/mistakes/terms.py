@@ -16,9 +16,9 @@ from scipy.special import logsumexp
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.calibration.design import Problem
 from bench.diagnosis.evidence import SIZES
-from bench.diagnosis.levels import FEW, HARDLY_EVER, OFTEN
+from bench.diagnosis.levels import FEW, HARDLY_EVER, MARK_DEG, OFTEN
 from bench.diagnosis.mistakes.gross import SHEET_U, p_of, sheet_u
-from bench.diagnosis.mistakes.hypotheses import NEAR_DEG, ProjectedReadings, Table
+from bench.diagnosis.mistakes.hypotheses import ProjectedReadings, Table
 from bench.diagnosis.noise_grid import RATIOS
 from bench.model import CATALOGUE, Block
 from bench.readings.corrected import SLIPS_RAD, MistakeName, reflected_rad
@@ -101,12 +101,10 @@ class TermSearch:
             beside = _Beside.of(table, [*known, *(_error(n, row) for row in rows)])
             of_rows = np.where(np.isin(np.arange(n), rows), -np.inf, beside.of_readings())
             best = int(np.argmax(of_rows))
-            of_changes = np.array([beside.of_group(columns) for _, columns in changes])
-            of_passes = [
-                odds for odds, (rows_of, _) in zip(of_changes, changes, strict=True) if rows_of is not None
-            ]
-            if max([of_rows[best], *of_passes]) < enough:
+            in_passes = [columns for rows_of, columns in changes if rows_of is not None]
+            if max([of_rows[best], *map(beside.of_group, in_passes)]) < enough:
                 break
+            of_changes = [beside.of_group(columns) for _, columns in changes]
             if max(of_changes, default=-np.inf) > of_rows[best]:
                 in_pass, columns = changes.pop(int(np.argmax(of_changes)))
                 wrong = None if in_pass is None else self._of_pass(in_pass)
@@ -202,11 +200,11 @@ def _moved(table: Table, off_rad: Floats | float) -> Floats:
 def _slips(table: Table) -> list[tuple[Floats, Floats]]:
     """Return, for each kind of wrong setting, the errors of the angles (n,), rad, and of the signals (n, 3).
 
-    The kinds are slips of the scale that are smaller than `NEAR_DEG`, an angle counted backwards, and the stop
-    before or after in the pass. With larger slips, repeats could no longer be recognised.
+    The kinds are slips of the scale that are smaller than half of `MARK_DEG`, an angle counted backwards, and the
+    stop before or after in the pass. With larger slips, repeats could no longer be recognised.
     """
     angle, turn = table.problem.conditions.angle_rad, table.turn
-    sizes = [slip for slip in SLIPS_RAD.values() if slip < np.radians(NEAR_DEG)]
+    sizes = [slip for slip in SLIPS_RAD.values() if slip < np.radians(MARK_DEG / 2.0)]
     offs = [np.full(len(angle), sign * slip) for slip in sizes for sign in (1.0, -1.0)]
     step = np.where(turn[1:] == turn[:-1], np.diff(angle), 0.0)
     for off in (reflected_rad(angle), np.append(0.0, -step), np.append(step, 0.0)):
