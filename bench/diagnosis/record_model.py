@@ -35,8 +35,6 @@ BINS: Final = 300
 """Largest number of means that a record is reduced to; slow effects need no more."""
 LEAST: Final = 30
 """Least number of means from which noise and effects can be separated: they give the noise to 13 %."""
-ROUNDING: Final = 1e-12
-"""Larger than the rounding errors of a mean, and less than the noise of any meter, as a fraction of the signal."""
 ZERO_V: Final = 1e-3
 """A reference below this, V, counts as a short circuit: an offset of 1 µV would change a gain by 0.1 %."""
 LEVELS: Final = 0.01
@@ -190,7 +188,7 @@ def without_noise(record: Record) -> Iterator[str]:
     If all channels have noise, yield a sentence for each pair of channels with identical noise.
     """
     left, names = record.beside_trend, [f"u{CHANNELS[channel]}_v" for channel in record.channels]
-    least = ROUNDING * float(np.abs(record.deviation_v + record.reference_v[:, None]).max())
+    least = NEGLIGIBLE * float(np.abs(record.deviation_v + record.reference_v[:, None]).max())
     still = [name for name, one in zip(names, left.T, strict=True) if np.ptp(one) <= least]
     for name in still:
         yield f"{name} minus {REFERENCE_V} has no noise; give the readings with all digits of the meter"
