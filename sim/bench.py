@@ -179,7 +179,10 @@ class SimulatedBench:
                     stack.enter_context(terminal)
                 except OSError as error:
                     cause = f"the system gives no pseudo-terminal ({error.strerror})"
-                    raise BenchError(name, cause, "serve it on TCP alone") from error
+                    remedy = (
+                        "end programs that hold pseudo-terminals ('bench simulate' needs none with --no-pty)"
+                    )
+                    raise BenchError(name, cause, remedy) from error
             clock = self.world.clock
             if isinstance(clock, VirtualClock):
                 clock.before_advance = self.traffic.settle

@@ -125,7 +125,9 @@ class BenchControl(PlainDialect):
 
     def _mount(self, words: list[str]) -> None:
         if not 1 <= len(words) <= 2 or not words[-1].isalnum():
-            raise ControlError("name the installation, and a series other than 1: mount 2")
+            raise ControlError(
+                "name the installation, then the series unless it is 1: 'mount 2' or 'mount 2 3'"
+            )
         if len(words) == 2 and not words[1].isdigit():
             raise ControlError(f"give a series such as 2, not '{words[1]}'")
         try:

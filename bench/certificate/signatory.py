@@ -78,7 +78,10 @@ def new_certificate_key(file: Path, name: str, passphrase: bytes | None, now: da
     try:
         subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
     except ValueError as error:
-        raise Refused(f"{name!r}: not a name for a certificate; give 1 to 64 characters") from error
+        raise Refused(
+            f"{name!r}: not a name for a certificate; give 1 to 64 letters (32 of another alphabet), it has "
+            f"{len(name.encode())} bytes of 64"
+        ) from error
     identifier = x509.SubjectKeyIdentifier.from_public_key(key.public_key())
     # only digital signature and content commitment: this key must not sign other certificates
     usage = x509.KeyUsage(True, True, False, False, False, False, False, False, False)

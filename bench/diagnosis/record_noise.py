@@ -86,8 +86,9 @@ class Noise:
 class NoiseTrials:
     """The trial noises of a record: kinds of slow noise, each with several ratios to the white noise.
 
-    `slow` has, for each kind, the eigenvalues (n,) and eigenvectors (n, n) of its covariance. `trend` is
-    `Record.trend`, each mean divided by its relative noise.
+    `slow` has, for each kind, the eigenvalues (n,) and eigenvectors (n, n) of the covariance of the record's n
+    means. `trend` (n, 2 or 3) has the columns of `Record.trend`, each row divided by the relative noise of its
+    mean.
     """
 
     slow: tuple[tuple[Floats, Floats], ...]

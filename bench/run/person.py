@@ -515,7 +515,7 @@ def ask(person: Person, prompt: Prompt) -> str:
     raise BenchError(
         "operator",
         f"no valid answer came to {prompt.text!r}",
-        "resume the run and answer as the question says",
+        "resume the run, or repeat the command, and answer as the question says",
     )
 
 

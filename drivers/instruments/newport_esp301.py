@@ -156,7 +156,7 @@ class NewportHead(MotorisedHead):
             raise InstrumentRefused(
                 self.name,
                 f"it {what}: its speed is {taken_deg_s:g} deg/s, not {speed_deg_s:g} deg/s",
-                "check its reference and the speed in the bench file, then connect again",
+                "check its speed and the one in the bench file, then repeat the command or resume the run",
             )
 
     # --- messages -----------------------------------------------------------------------------------

@@ -190,6 +190,8 @@ def coefficients_in(
         noise_v = None if noise is None else parse_quantity(noise, VOLTAGE)
     except ValueError as error:
         raise Refused(f"--noise: {error}") from None
+    if noise_v is not None and noise_v < 0.0:
+        raise Refused(f"--noise {noise}: the noise is negative; give 0 or more, such as '50 uV'")
     root, notes = document_in(path)
     try:
         lists = list(real_lists(root))

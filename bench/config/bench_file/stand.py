@@ -108,7 +108,7 @@ def can_come_about(
             f"the interval would take more than {MOST_SAMPLES} samples until the timeout; change one of the two"
         )
     if timeout_s < span_s + interval_s:
-        raise ValueError(f"the timeout is too short; state at least {span} and one interval")
+        raise ValueError(f"the timeout is too short; state at least {span} plus one interval")
 
 
 class DriftForm(FileModel):

@@ -503,7 +503,8 @@ class LineForm(WiredForm):
         if list(re.compile(self.pattern).groupindex) != [self.group]:
             such = rf"POS=(?P<{self.group}>[+-]\d+\.\d+)"
             raise ValueError(
-                f"expected one named group in the pattern, such as in '{such}', got '{self.pattern}'"
+                f"the pattern must have exactly one named group, '{self.group}', as in '{such}'; "
+                f"correct '{self.pattern}'"
             )
         match = re.fullmatch(self.pattern, self.example)
         if match is None:

@@ -164,8 +164,12 @@ class ZaberSection(MotorisedHeadForm):
         farthest_rad = max(abs(self.minimum), abs(self.maximum))
         if math.degrees(farthest_rad) * steps_per_degree > zaber.MOST_STEPS:
             raise ValueError("the limits of the head exceed the controller's range of steps; narrow them")
-        if 0.5 / steps_per_degree > math.degrees(self.tolerance):
-            raise ValueError("a step of the head is coarser than its tolerance; widen the tolerance")
+        half_deg = 0.5 / steps_per_degree
+        if half_deg > math.degrees(self.tolerance):
+            raise ValueError(
+                "a step of the head is coarser than its tolerance; state a tolerance of at least "
+                f"{math.ceil(half_deg * 3600.0)} arcsec"
+            )
         return self
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:

@@ -189,7 +189,7 @@ def _step_from_json(data: Mapping[str, Any]) -> Step:
     values = dict(data)
     name = values.pop("step")
     if name not in _STEPS:
-        raise ValueError(f"use a known kind of step, not {name!r}")
+        raise ValueError(f"{name!r} is not a known kind of step")
     if name == "ask":
         values["kind"] = PromptKind(values["kind"])
         values["choices"] = tuple(values["choices"])

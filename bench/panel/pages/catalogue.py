@@ -94,5 +94,11 @@ def _figure(catalogue: Catalogue, unit: str) -> str:
 
     calibrations = unit_calibrations(catalogue, unit)
     if not calibrations:
-        raise Refusal(404, message(f"{unit}: no calibration to draw; calibrate a run of it"))
+        raise Refusal(
+            404,
+            message(
+                f"{unit}: the catalogue has no calibration of it to draw; calibrate a run, then use 'bench "
+                "catalogue sync'"
+            ),
+        )
     return unit_figure(calibrations)

@@ -195,7 +195,7 @@ def test_with_seven_bits_no_pseudo_terminal_stands_for_its_port():
         ("heidenhain-nd28x", {"rest": "0 arcsec"}, "no encoder stands still"),
         ("heidenhain-nd28x", {"model": "ND-780"}, "ND-281B"),
         ("mitutoyo-mux10", {"channel": 5}, "channel"),
-        ("encoder-line", {"pattern": r"POS=([+-]\d+)"}, "expected one named group"),
+        ("encoder-line", {"pattern": r"POS=([+-]\d+)"}, "must have exactly one named group, 'angle'"),
         ("encoder-line", {"pattern": r"POS=(?P<angle>[+-]\d+"}, "expected a pattern"),
         ("encoder-line", {"example": "POS=45"}, "does not match the example"),
         (

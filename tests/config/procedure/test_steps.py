@@ -66,7 +66,7 @@ def test_what_can_never_settle_is_a_mistake(mistakes):
     )
     expected = [
         "4 steps[1].settle: the precision is not above 0",
-        "5 steps[2].settle: the timeout is too short; state at least the window and one interval",
+        "5 steps[2].settle: the timeout is too short; state at least the window plus one interval",
         "6 steps[3].settle: the interval is not between 0 and the window",
         "7 steps[4].settle.precision: expected a voltage such as '0.3 mV', got '0.1 K'",
         "8 steps[5].temperature.settle.precision: expected a difference of temperatures such as '0.1 K', got",
