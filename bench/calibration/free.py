@@ -96,9 +96,14 @@ def _force(problem: Problem, free: FreeRows | None, block: Block, others: Floats
         force = force + step
         if not np.all(np.isfinite(force)):
             lacking = effects_without_data(model, block.specific_force(free.signal), free.conditions, block)
+            if not lacking:
+                raise CalibrationError(
+                    f"model {model.name}: its effects are too large for these readings; check the sizes in the "
+                    "model file"
+                )
             raise CalibrationError(
-                f"{lacking}; remove rows F, or use 'bench calibrate' with --no-join-free and without "
-                "--join-verification"
+                f"{lacking}; remove the effect from the model file or, if readings of known orientation remain, "
+                "use 'bench calibrate' with --no-join-free and without --join-verification"
             )
         if np.max(np.abs(step)) < STANDS_STILL_G:
             break
@@ -106,16 +111,15 @@ def _force(problem: Problem, free: FreeRows | None, block: Block, others: Floats
 
 
 def effects_without_data(model: ForwardModel, force: Floats, conditions: Conditions, block: Block) -> str:
-    """Return a sentence that names the effects of a model that need data which free positions lack.
+    """Return a sentence that names the effects of a model that need data which free positions lack; "" for none.
 
     `force` (m, 3) are rough values of the specific force, g.
     """
     alone = [replace(model, effects=(one,)) for one in model.effects]
     lacking = [not np.isfinite(one.readings_at(force, conditions, block)).all() for one in alone]
     names = ", ".join(dict.fromkeys(a.effect.name for a in compress(model.effects, lacking)))
-    return (
-        f"model {model.name}: {names} needs a head angle, a time or a temperature, which free positions lack"
-    )
+    needed = "needs a head angle, a time or a temperature, which free positions lack"
+    return f"model {model.name}: {names} {needed}" if names else ""
 
 
 # --- free positions alone ---------------------------------------------------------------------------

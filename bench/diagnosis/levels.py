@@ -19,10 +19,7 @@ FOLDS: Final = 5
 LEAST_FREEDOM: Final = 3
 """Least degrees of freedom, of readings or repeated settings, from which their scatter is estimated."""
 FEW: Final = 1 / 8
-"""Largest fraction that counts as little.
-
-It may be of readings or runs (exceptions), of directions off a line, or of the u of one of two values.
-"""
+"""Largest fraction of readings, or of runs, that may be exceptions."""
 MOSTLY: Final = 0.5
 """Least fraction that counts as most of a gap, of a square, or of a prior's u."""
 NEGLIGIBLE: Final = 1e-12

@@ -14,13 +14,16 @@ from scipy.spatial.transform import Rotation
 from bench.base.arrays import Floats, Ints, Mask
 from bench.calibration.calibrate import first_guess
 from bench.calibration.design import FIXED, STEP_RAD, Problem, coefficient_columns, make_problem
-from bench.diagnosis.levels import FAR, FEW, ONE_DIRECTION
+from bench.diagnosis.levels import FAR, ONE_DIRECTION
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect, Stage
 from bench.model.effects.base import Seen, rows_of
 from bench.model.forward import ForwardModel, Stages
 from bench.model.geometry import STAND_ANGLES, Block, Installation, specific_force_on_platform
 from bench.readings.table import FREE, REFERENCE, SHORTED, VERIFICATION, Readings
+
+LEAST_APART: Final = 0.05
+"""Directions determine an orientation if their second singular value, per point, is at least this."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +65,7 @@ def orientation_of(
     platform = specific_force_on_platform(readings.angle_rad[rows], np.zeros((len(rows), len(STAND_ANGLES))))
     seen = force[rows] / np.linalg.norm(force[rows], axis=1, keepdims=True)
     left, sizes, right = np.linalg.svd(seen.T @ platform)
-    # directions along one line do not determine a turn about it
-    if sizes[1] < FEW * len(rows):
+    if sizes[1] < LEAST_APART * len(rows):
         return None
     turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
     if np.sqrt(np.mean(np.sum((seen - platform @ turn.T) ** 2, axis=1))) > ONE_DIRECTION:

@@ -15,7 +15,7 @@ from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.calibration.noise import without_setting
 from bench.diagnosis.candidates import Candidates, Column, Variant
 from bench.diagnosis.evidence import KNOWN_SIZE, LOG_SIZE_WEIGHTS, SIZES, Data, Search, Whitened
-from bench.diagnosis.levels import FEW, HARDLY_EVER, OFTEN
+from bench.diagnosis.levels import HARDLY_EVER, OFTEN
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.naming import MOST_EFFECTS, Naming
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect
@@ -268,10 +268,14 @@ class KnownTogether:
     unit: str
 
 
+FAR_BETTER: Final = 0.25
+"""A sum or difference of two values is stated if its u is at most this fraction of either's u."""
+
+
 def known_together(
     candidates: Candidates, variant: Variant, value: Floats, covariance: Floats
 ) -> tuple[KnownTogether, ...]:
-    """Return the sums and differences of two values whose u is at most `FEW` of the u of either value.
+    """Return the sums and differences of two values that are far better known than either value.
 
     `value` (p,) and `covariance` (p, p) are those of the amplitudes of the p sizes of `variant`, as multiples
     of the plausible sizes. An example is the third mounting angle of both installations: verification points
@@ -285,7 +289,7 @@ def known_together(
             continue
         sign = -1.0 if covariance[i, j] > 0.0 else 1.0
         u = np.sqrt(max(covariance[i, i] + covariance[j, j] + 2.0 * sign * covariance[i, j], 0.0))
-        if u > FEW * np.sqrt(min(covariance[i, i], covariance[j, j])):
+        if u > FAR_BETTER * np.sqrt(min(covariance[i, i], covariance[j, j])):
             continue
         parameter = parameters[kinds[i].parameter]
         size = candidates.scale[variant.columns[i]] / parameter.si_per_unit

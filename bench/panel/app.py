@@ -306,10 +306,11 @@ def check(settings: Settings) -> None:
         raise RecordError(
             f"--address {settings.address}: give the address as typed in a browser, such as https://bench.lab"
         )
-    if not settings.loopback and not Access(settings.runs / STATE, laboratory=settings.laboratory).tokens():
+    access = Access(settings.runs / STATE, laboratory=settings.laboratory)
+    if not settings.loopback and not access.tokens():
         raise RecordError(
             "access from other computers needs a token, and there is none; make one with "
-            f"'{_panel('token NAME --role operator', settings.runs)}'"
+            f"'{_new_token(access, settings.runs)}'"
         )
 
 
@@ -345,6 +346,13 @@ def _panel(what: str, runs: Path) -> str:
     """Return a command on the panel of a folder of runs, as a shell takes it."""
     is_default = runs.absolute() == runs_folder(None).absolute()
     return " ".join(filter(None, ["bench panel", what, "" if is_default else f"--runs {as_typed(runs)}"]))
+
+
+def _new_token(access: Access, runs: Path) -> str:
+    """Return the command that makes a token: with a register of persons, tokens are made there."""
+    if access.persons is not None:
+        return "bench persons change NAME --token"
+    return _panel("token NAME --role operator", runs)
 
 
 def url_of(runs: Path) -> str:
@@ -403,13 +411,13 @@ def new_link(runs: Path, after: str = "/", name: str = "", laboratory: Path | No
 
     Raises `RecordError` if the panel is not on a loopback address, `Refused` as `Access.new_link`.
     """
-    url = url_of(runs)
+    url, access = url_of(runs), Access(runs / STATE, laboratory=laboratory)
     if not is_loopback((urlsplit(url).hostname or "").strip("[]")):
         raise RecordError(
             f"the panel at {url} is open to other computers, where sign-in links do not work; make a token with "
-            f"'{_panel('token NAME', runs)}'"
+            f"'{_new_token(access, runs)}'"
         )
-    secret = Access(runs / STATE, laboratory=laboratory).new_link(name or login_name())
+    secret = access.new_link(name or login_name())
     return f"{url}/sign-in?link={secret}" + (f"&next={quote(after)}" if after != "/" else "")
 
 

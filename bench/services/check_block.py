@@ -434,7 +434,7 @@ def _in_folder(folder: Path, bench: Bench, real: bool | None) -> tuple[list[Run]
         dry = " --dry-run" if real is False else ""
         raise Refused(
             f"{folder}: no finished run of the check block {section.serial} of {file.name} there; measure it with "
-            f"bench run PROCEDURE --bench FILE --unit {as_typed(section.serial)}{dry}"
+            f"'bench run PROCEDURE --bench FILE --unit {as_typed(section.serial)}{dry}'"
         )
     return runs, section, path
 

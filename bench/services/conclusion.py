@@ -253,7 +253,8 @@ def _next(found: Conclusion) -> Iterator[str]:
     ):
         yield f"next: bench diagnose {name}"
     elif verification is not None and verification.statement == Statement.NOT_COMPLETE:
-        yield f"next: measure the missing verification points: {_run_again(run, 'verification')}"
+        then = f"bench verify NEW --coefficients {as_typed(run.folder / 'calibrate.json')}"
+        yield f"next: measure the verification points, {_run_again(run, 'verification')}; then {then}"
     elif verification is not None and not verification.passed:
         yield f"next: {again.replace('bench run', 'bench budget', 1)}, which shows what makes U large"
     elif found.chart is not None and not found.chart.accepted:
@@ -267,9 +268,11 @@ def _next(found: Conclusion) -> Iterator[str]:
 
 
 def _run_again(run: Run, procedure: str | None = None) -> str:
+    named = procedure is not None
     procedure = procedure or _typed(str(run.manifest.get("procedure", "PROCEDURE")), PROCEDURES)
     asked = run.manifest.get("bench_why") == "as asked for"
-    return f"bench run {procedure}" + (f" --bench {_typed(run.manifest['bench'], CONFIG)}" if asked else "")
+    again = f"bench run {procedure}" + (f" --bench {_typed(run.manifest['bench'], CONFIG)}" if asked else "")
+    return f"{again} --dry-run" if named and run.simulated else again
 
 
 def _typed(file: str, kind: str) -> str:

@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
     from bench.base.units import QuantityKind
 
-_OPTION: Final = re.compile(r"'bench(?: (?:[^' ]+|'[^']*'))+'|--(no-)?([a-z][a-z-]*)( (?=[0-9.-]))?")
+_OPTION: Final = re.compile(
+    r"'bench(?: (?:[^' \"]|'[^']*'|\"[^\"]*\")+)+'|--(no-)?([a-z][a-z-]*)( (?=[0-9.-]))?"
+)
 """A whole command, which stays as typed (a word with blanks is in quotes), or an option."""
 
 
@@ -91,7 +93,7 @@ def refusing(remedy: str, place: Path | None = None, *, verb: str = "written") -
     try:
         yield
     except OSError as error:
-        remedy = remedy_for(error, remedy)
+        remedy = remedy_for(error, remedy) if verb == "read" else remedy
         raise Refused(f"{place or error.filename}: cannot be {verb} ({error.strerror}); {remedy}") from error
 
 

@@ -58,8 +58,9 @@ from bench.services.traceability import voltmeter_names
 from drivers.clock import utc_now
 
 USUAL_DAYS: Final = 365
-MOST_DAYS: Final = 36_500
 """Default number of days for which a learned file is valid."""
+MOST_DAYS: Final = 36_500
+"""Largest number of days for which a learned file can be valid: a century."""
 HEAD_EFFECTS: Final = ("head_eccentricity", "head_ellipticity")
 ONE_STAND: Final = (
     "each angle has one mean for all installations; if their brackets differ, --by-installation estimates "

@@ -69,7 +69,10 @@ def test_where_u_is_too_large_the_budget_is_next(concluded):
 def test_where_points_are_missing_these_are_measured_next(concluded):
     verdict = concluded.verification.verification
     without = replace(concluded.verification, verification=replace(verdict, missing=1))
-    assert ending(replace(concluded, verification=without))[-1].endswith("points: bench run verification")
+    assert ending(replace(concluded, verification=without))[-1].endswith(
+        "points, bench run verification --dry-run; then "
+        "bench verify NEW --coefficients runs/finished/calibrate.json"
+    )
 
 
 def test_where_the_model_does_not_fit_that_is_the_verdict(concluded):

@@ -1,14 +1,18 @@
 """Readings far from the final model: their sizes are deletion residuals, and no verdict passes them over."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from bench.diagnosis import diagnose
 from bench.diagnosis.levels import BY_CHANCE, FAR
+from bench.diagnosis.linear import orientation_of
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.where import far_readings
+from bench.model.geometry import STAND_ANGLES, specific_force_on_platform
 from bench.results.diagnosis_words import verdict_in_words, warnings_in_words
 from bench.validation.paper_bench import SETTING_U_RAD, K
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, OneThreshold, paper_run, set_up
@@ -114,3 +118,18 @@ def test_a_reading_that_is_far_is_in_the_headline_with_its_probability():
     assert "probability that noise alone moves any reading that far: p" in told
     # one point that far is also evidence of heavy tails, in which it is rare all the same
     assert found.far[0].p < 0.01
+
+
+def test_one_direction_off_a_line_in_nine_determines_the_orientation_at_the_verification_points():
+    angle_rad = np.radians([*[0.0, 180.0] * 4, 90.0])
+    platform = specific_force_on_platform(angle_rad, np.zeros((9, len(STAND_ANGLES))))
+    turned = Rotation.from_rotvec(np.radians([0.0, 0.0, 10.0])).as_matrix()
+    force = platform @ (turned @ MODEL.installations["V"].block_from_platform).T
+    seen = SimpleNamespace(installation=np.full(9, "V"), angle_rad=angle_rad)
+    found = orientation_of(MODEL, seen, force, {})
+    assert found.contradicts
+    assert np.degrees(found.off_rad) == pytest.approx(10.0)
+    assert (
+        orientation_of(MODEL, SimpleNamespace(**{**vars(seen), "angle_rad": angle_rad * 0.0}), force, {})
+        is None
+    )

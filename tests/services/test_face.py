@@ -1,6 +1,8 @@
 """`import bench`: what a notebook does with it, beside what the commands answer."""
 
+import errno
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +11,7 @@ import pytest
 
 import bench as program
 from bench.readings.csv import write_csv
+from bench.services.errors import in_python, refusing
 from bench.validation.paper_bench import K
 from tests.support.diagnosis_bench import paper_run
 from tests.support.honest_runs import simulate_few
@@ -195,3 +198,21 @@ def test_few_readings_rest_on_the_bench_file_where_it_states_their_noise(empty_f
     write_csv(replace(few, unit="m/s^2"), Path("other.csv"))
     with pytest.raises(program.CalibrationError, match="state voltmeter_error in the bench file"):
         program.calibrate("other.csv")
+
+
+@pytest.mark.parametrize("number", [errno.EPIPE, errno.EFBIG, errno.ENOSPC])
+def test_a_failed_writing_keeps_the_remedy_of_its_place(number):
+    with pytest.raises(program.Refused, match=r"; the run is kept$"), refusing("the run is kept"):
+        raise OSError(number, os.strerror(number), "file")
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "bench show a --verify",
+        "bench fleet effects type='block A' --strict",
+        """bench show 'it'"'"'s' --runs 'my runs'""",
+    ],
+)
+def test_a_command_in_a_message_stays_as_typed(command):
+    assert in_python(f"use '{command}' with --g 9.81") == f"use '{command}' with g=9.81"
