@@ -252,11 +252,11 @@ def _channel(
     """
     several = len(mean) > 2
     has_gain = several or (abs(level) >= ZERO_V and not levels_apart(record.reference_v))
-    per_hour = 2.0 / float(record.time_h[-1])
+    turn = record.zero_and_drift
     if several:
-        turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, -level], [0.0, per_hour, 0.0]])
-    else:
-        turn = np.array([[1.0 / level if has_gain else 1.0, 0.0], [0.0, per_hour]])
+        turn = np.vstack([[0.0, 0.0, 1.0], turn])
+    elif has_gain:
+        turn[0] /= level
     value, own, of_errors = turn @ mean[:, 0], turn @ spread @ turn.T, turn @ mean[:, 1:]
     whole = own + of_errors @ of_errors.T
     made = [Estimate(*map(float, one)) for one in zip(value, u_of(whole), u_of(own), strict=True)]

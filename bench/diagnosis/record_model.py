@@ -97,6 +97,16 @@ class Record:
         return np.column_stack([self.line, *gain])
 
     @property
+    def zero_and_drift(self) -> Floats:
+        """The matrix (2, p) that converts estimates of the p columns of `trend` to zero (V) and drift (V/h).
+
+        They apply to the middle of the record. If the reference has several levels, the zero is that at 0 V.
+        """
+        turn = np.diag([1.0, 2.0 / float(self.time_h[-1])])
+        level_v = [[-float(self.reference_v.mean())], [0.0]] if self.several_levels else np.zeros((2, 0))
+        return np.hstack([turn, level_v])
+
+    @property
     def beside_trend(self) -> Floats:
         """The deviations minus the fit of `trend` to each channel, V, shape (n, c)."""
         return least_squares(self.trend, self.deviation_v)[1]

@@ -16,9 +16,11 @@ from bench.diagnosis.record_search import RecordWork
 from bench.model.effects import CATALOGUE, AppliedEffect
 from bench.readings.csv import read_csv
 from bench.readings.table import is_record
+from bench.results.record_diagnosis import what_in_words
 from tests.support.known_inputs import (
     BATH,
     BATH_COLUMNS,
+    OFFSET,
     SWEPT,
     SWEPT_COLUMNS,
     as_readings,
@@ -174,6 +176,11 @@ def test_a_gain_at_several_levels_is_neither_a_jump_nor_slow(tmp_path):
     (size,) = found.effects[0].parameters
     assert abs(size.value - 1.0) < 4 * size.u
     assert size.u < 0.01
+    plain = diagnose_record(record_at_levels(tmp_path, 4, levels=(0.0, 5.0, 10.0)))
+    assert "each channel equals gain × reference plus a zero and a drift" in what_in_words(plain)
+    for x in (*found.fits, *plain.fits):  # the zero is that at 0 V, not at the mean level
+        assert abs(x.zero_v - OFFSET) < 4 * x.u_zero_v
+        assert x.u_zero_v < 0.1e-6
 
 
 @pytest.mark.slow
