@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.calibration.budget.sources import unread_sources
+from bench.calibration.budget.sources import meter_gain_sources, unread_sources
+from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
 from bench.diagnosis.record_calibration import calibrate_record
@@ -45,11 +46,21 @@ def test_a_reference_that_only_rises_in_time_tells_no_gain(tmp_path, noise):
     readings = record_at_levels(tmp_path, 9, levels=(0.0,))
     ramp = 10.0 * readings.time_s / readings.time_s[-1]
     read = ramp + np.random.default_rng(1).normal(0.0, noise, len(ramp))
-    found = calibrate_record(
-        with_reference(replace(readings, signal=readings.signal + GAIN * ramp[:, None]), read)
-    )
+    ramped = with_reference(replace(readings, signal=readings.signal + GAIN * ramp[:, None]), read)
+    gains = tuple(meter_gain_sources(load_bench(find_bench("paper-stand")), None))
+    found = calibrate_record(ramped, hidden=gains)
     assert found.channels[0].gain is None
     assert "an error of the gain looks like a drift" in found.not_observable[0]
+    (x,) = found.channels
+    assert abs(x.offset_v.value - OFFSET) < 4 * x.offset_v.u
+    assert abs(x.drift_v_h.value) < 4 * x.drift_v_h.u
+    if not noise:  # u of the gain times the mean level, and times the slope
+        u = gains[0].u
+        assert (x.offset_v.u, x.drift_v_h.u) == pytest.approx((5.0 * u, 0.25 * u), rel=1e-3)
+    assert any("u includes voltmeter_gain" in note for note in found.notes)
+    assert found.repeats is None
+    with pytest.raises(CalibrationError, match="no u of the gain"):
+        calibrate_record(ramped)
 
 
 @pytest.mark.parametrize(("level", "hidden"), [(0.0, "gain"), (10.0, "offset")])
