@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from scipy import linalg, special
 
-from bench.base.arrays import CHANNELS, Floats, u_of
+from bench.base.arrays import CHANNELS, Floats, least_squares, u_of
 from bench.diagnosis.candidates import Candidates, Variant
 from bench.diagnosis.evidence import NULLS, SEED, Scores, Threshold, fit_tail
 from bench.diagnosis.levels import INSEPARABLE, OFTEN, STEPS
@@ -132,6 +132,16 @@ class RecordWork:
         starts = [start_of(self.record, *one) for one in dict.fromkeys(shapes)]
         trials = replace(self.trials, trend=np.column_stack([self.trials.trend, *filter(np.any, starts)]))
         return replace(self, record=self.record.less(self.record.added_by(effects)), trials=trials)
+
+    @property
+    def beside_trend(self) -> Floats:
+        """The deviations minus the fit of trend and starting states of known effects, V, shape (n, c)."""
+        return least_squares(self.trials.trend * self.record.scale[:, None], self.record.deviation_v)[1]
+
+    @property
+    def freedom(self) -> int:
+        """The degrees of freedom of each component beside trend and starting states of known effects."""
+        return len(self.record) - int(self.trials.trend.shape[1])
 
     @property
     def helmert(self) -> Floats:
@@ -414,10 +424,12 @@ class RecordWork:
         left = [one[:, -1] - one[:, :-1] @ mean for one, (mean, _, _) in zip(designs, estimates, strict=True)]
         residual_v = self.record.scale * (self.helmert.T @ np.array(left))
         values, u = self.helmert.T @ trend, np.sqrt(self.helmert.T**2 @ variance)
+        before_v = self.beside_trend.T
         for number, channel in enumerate(self.record.channels):
             (zero, drift), (u_zero, u_drift) = values[number].tolist(), u[number].tolist()
-            before = self.record.beside_trend[:, number]
-            yield ChannelFit(CHANNELS[channel], zero, u_zero, drift, u_drift, before, residual_v[number])
+            yield ChannelFit(
+                CHANNELS[channel], zero, u_zero, drift, u_drift, before_v[number], residual_v[number]
+            )
 
 
 def _parameter(course: Variant) -> str | None:
