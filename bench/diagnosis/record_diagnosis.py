@@ -30,6 +30,10 @@ GAIN_FITTED: Final = (
     "the reference has several levels: the gain of each channel is fitted together with zero and drift; 'bench "
     "calibrate' gives it"
 )
+GAIN_IN_DRIFT: Final = (
+    "the reference changes linearly with time: zero and drift contain the error of the gain, but their u leaves it "
+    "out"
+)
 
 
 @dataclass(frozen=True)
@@ -116,7 +120,7 @@ def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -
         threshold=limit.value,
         noises=tuple(noises),
         hidden=tuple(name for name in FOLLOWS if name not in work.candidates.families),
-        notes=(*record.notes, *([GAIN_FITTED] * record.several_levels)),
+        notes=(*record.notes, *([GAIN_FITTED] * record.several_levels), *([GAIN_IN_DRIFT] * record.ramp)),
     )
 
 

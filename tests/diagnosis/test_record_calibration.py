@@ -10,7 +10,7 @@ from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
 from bench.diagnosis.record_calibration import calibrate_record
-from bench.diagnosis.record_diagnosis import diagnose_record
+from bench.diagnosis.record_diagnosis import GAIN_IN_DRIFT, diagnose_record
 from bench.model import ForwardModel
 from bench.model.effects import CATALOGUE, AppliedEffect
 from bench.readings.csv import read_csv
@@ -59,6 +59,7 @@ def test_a_reference_that_only_rises_in_time_tells_no_gain(tmp_path, noise):
         assert (x.offset_v.u, x.drift_v_h.u) == pytest.approx((5.0 * u, 0.25 * u), rel=1e-3)
     assert any("u includes voltmeter_gain" in note for note in found.notes)
     assert found.repeats is None
+    assert GAIN_IN_DRIFT in diagnose_record(ramped).notes
     with pytest.raises(CalibrationError, match="no u of the gain"):
         calibrate_record(ramped)
 
