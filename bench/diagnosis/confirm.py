@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from scipy import special
 
-from bench.base.arrays import CHANNELS, Floats, least_squares, rms
+from bench.base.arrays import CHANNELS, Floats, rms
 from bench.calibration import CalibrationError
 from bench.calibration.design import EffectUnknown, make_problem
 from bench.diagnosis.evidence import KNOWN_SIZE, ThresholdCache
@@ -155,12 +155,11 @@ def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Conf
     courses = [there.get((effect.name, shape)) for effect, shape in forms]
     noises = work.noises([course for course in courses if course is not None])
     expected = float(np.sqrt(np.mean([noise.variance * (1.0 + noise.ratio) for noise in noises])))
-    freedom = len(work.parts) * (len(record) - left.trials.trend.shape[1])
-    reduced = [sum(one.fitted(k, [], noises[k])[2] for k in one.parts) / freedom for one in (work, left)]
-    trends = (one.trials.trend * record.scale[:, None] for one in (work, left))
+    chi2 = [sum(one.fitted(k, [], noises[k])[2] for k in one.parts) for one in (work, left)]
+    freedom = [len(one.parts) * one.freedom for one in (work, left)]
     before, after = (
-        Model(of_fit, rms(least_squares(trend, one.record.deviation_v)[1]), expected)
-        for of_fit, trend, one in zip(reduced, trends, (work, left), strict=True)
+        Model(of_fit / count, rms(one.beside_trend), expected)
+        for of_fit, count, one in zip(chi2, freedom, (work, left), strict=True)
     )
     model = ForwardModel({}, tuple(effects))
     unknowns = [
@@ -185,7 +184,7 @@ def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Conf
                 size[at] - of.found[mine],
                 spread[np.ix_(at, at)],
             )
-    p_after = float(special.chdtrc(freedom, after.reduced * freedom))
+    p_after = float(special.chdtrc(freedom[1], chi2[1]))
     return Confirmation(
         before, after, p_after, judged(model, unknowns, of), diagnose_record(readings, effects), "V"
     )

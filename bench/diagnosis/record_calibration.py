@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from scipy.special import softmax
@@ -16,6 +17,7 @@ from scipy.special import softmax
 from bench.base.arrays import CHANNELS, Floats, Ints, u_of
 from bench.calibration.budget.coefficients import unknown_courses
 from bench.calibration.budget.error_source import ErrorSource
+from bench.calibration.result import CalibrationError
 from bench.diagnosis.levels import FOLDS
 from bench.diagnosis.record_model import (
     LEAST,
@@ -24,7 +26,6 @@ from bench.diagnosis.record_model import (
     courses_of,
     fading_record,
     forms_of,
-    levels_apart,
     make_record,
     shape_of,
     start_of,
@@ -37,6 +38,9 @@ from bench.model.effects import AppliedEffect
 from bench.readings.columns import numbers
 from bench.readings.table import REFERENCE, REFERENCE_SD_V, REFERENCE_V, Readings
 from bench.stats.repeats import Repeats, compare_repeats
+
+METER_GAIN: Final = "voltmeter_gain"
+"""The kind of the sources that `meter_gain_sources` yields."""
 
 
 @dataclass(frozen=True)
@@ -106,26 +110,27 @@ class RecordCalibration:
 
 
 def calibrate_record(
-    readings: Readings, effects: Sequence[AppliedEffect] = (), unread: Sequence[ErrorSource] = ()
+    readings: Readings, effects: Sequence[AppliedEffect] = (), hidden: Sequence[ErrorSource] = ()
 ) -> RecordCalibration:
     """Calibrate meters from readings at a known input, after known effects are subtracted.
 
     Effects with a stated u keep their values, and their u adds to the result. Effects without u were found in
     these readings and are estimated again together with gain and offset; u includes the uncertainty of their
     shapes (lag, width, time constant). u also includes the unknown state in which a lag begins, the slow noise and
-    the scatter of the reference (column `reference_sd_v`). `unread` are sources of error (`unread_sources`):
-    effects of the meters' temperature, which u includes if the record lacks this temperature. Raises
-    `CalibrationError` if the readings cannot be evaluated.
+    the scatter of the reference (column `reference_sd_v`). `hidden` are sources of error: effects of the meters'
+    temperature (`unread_sources`), which u includes if the record lacks this temperature; errors of the gain
+    (`meter_gain_sources`), which u includes if the reference just changes linearly with time. Raises
+    `CalibrationError` if the readings cannot be evaluated, or such a reference has no source for a gain.
     """
     record = make_record(readings)
-    unread = unread if record.conditions.meter_c is None else ()
+    hidden = _acting(record, hidden)
     known = record.added_by(effects)
     left = record.less(known)
     scatter, note = _scatter(readings, record)
     errors = [np.repeat(scatter[:, None], len(record.channels), axis=1)]
     errors += [_one_u(record, one) for one in effects if one.u]
     errors += [_one_start(record, one) for one in effects if one.u and "lag" in one.complete_values()]
-    errors += [error for one in unread for error in _of_unknown_temperature(record, one)]
+    errors += [error for one in hidden for error in _of_hidden(record, one)]
     level = float(record.reference_v.mean())
     return RecordCalibration(
         record=record,
@@ -133,7 +138,7 @@ def calibrate_record(
         level_v=level,
         known_v=known,
         not_observable=() if record.several_levels else tuple(_hidden(record, level)),
-        notes=(*record.notes, *note, *_shapes_kept(record, effects), *_widened(unread)),
+        notes=(*record.notes, *note, *_shapes_kept(record, effects), *_widened(hidden)),
         repeats=_parts(left),
     )
 
@@ -180,16 +185,16 @@ def _shapes_kept(record: Record, effects: Sequence[AppliedEffect]) -> Iterator[s
             )
 
 
-def _widened(unread: Sequence[ErrorSource]) -> Iterator[str]:
-    return (f"u includes {one.name}: {one.origin}" for one in unread)
+def _widened(hidden: Sequence[ErrorSource]) -> Iterator[str]:
+    return (f"u includes {one.name}: {one.origin}" for one in hidden)
 
 
 def _parts(record: Record) -> Repeats | None:
     """Return the comparison of equal parts of a record.
 
-    It is None if the record is too short, or a part lacks a level or noise.
+    It is None if the record is too short, a part lacks a level or noise, or the level of the parts rises.
     """
-    if len(record) < FOLDS * LEAST:
+    if len(record) < FOLDS * LEAST or record.ramp:
         return None
     parts = [_part(record, rows) for rows in np.array_split(np.arange(len(record)), FOLDS)]
     if any(part.several_levels != record.several_levels or any(without_noise(part)) for part in parts):
@@ -251,12 +256,12 @@ def _channel(
     gain - 1; each further column has their changes by an error of one u. `spread` is their covariance.
     """
     several = len(mean) > 2
-    has_gain = several or (abs(level) >= ZERO_V and not levels_apart(record.reference_v))
-    per_hour = 2.0 / float(record.time_h[-1])
+    has_gain = several or (abs(level) >= ZERO_V and not record.ramp)
+    turn = record.zero_and_drift
     if several:
-        turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, -level], [0.0, per_hour, 0.0]])
-    else:
-        turn = np.array([[1.0 / level if has_gain else 1.0, 0.0], [0.0, per_hour]])
+        turn = np.vstack([[0.0, 0.0, 1.0], turn])
+    elif has_gain:
+        turn[0] /= level
     value, own, of_errors = turn @ mean[:, 0], turn @ spread @ turn.T, turn @ mean[:, 1:]
     whole = own + of_errors @ of_errors.T
     made = [Estimate(*map(float, one)) for one in zip(value, u_of(whole), u_of(own), strict=True)]
@@ -324,8 +329,26 @@ def _one_start(record: Record, applied: AppliedEffect) -> Floats:
     return fading_record(record, float(values["lag"])).added(at_once)
 
 
-def _of_unknown_temperature(record: Record, source: ErrorSource) -> Iterator[Floats]:
-    """Yield independent voltages (n, c), V, that a source of `unread_sources` adds, each of one u."""
+def _acting(record: Record, hidden: Sequence[ErrorSource]) -> tuple[ErrorSource, ...]:
+    """Return the sources that act on a record. Raises `CalibrationError` as `calibrate_record` does."""
+    of_gain = [one for one in hidden if one.kind == METER_GAIN] if record.ramp else []
+    covered = {channel for one in of_gain for channel in one.channels}
+    if record.ramp and not covered.issuperset(CHANNELS[channel] for channel in record.channels):
+        raise CalibrationError(
+            f"{record.source}: the reference changes linearly with time, and no u of the gain is given; step the "
+            "reference up and down"
+        )
+    unread = (
+        () if record.conditions.meter_c is not None else (one for one in hidden if one.kind != METER_GAIN)
+    )
+    return (*unread, *of_gain)
+
+
+def _of_hidden(record: Record, source: ErrorSource) -> Iterator[Floats]:
+    """Yield independent voltages (n, c), V, that a source of `_acting` adds, each of one u."""
+    if source.kind == METER_GAIN:
+        yield source.u * record.reference_v[:, None] * source.on_channels[list(record.channels)]
+        return
     factors, names = source.factors or {}, [CHANNELS[channel] for channel in record.channels]
     gain, offset = (np.array([factors[f"{of} {name}"] for name in names]) for of in ("gain", "offset"))
     per_kelvin = record.reference_v[:, None] * gain + offset
@@ -334,10 +357,10 @@ def _of_unknown_temperature(record: Record, source: ErrorSource) -> Iterator[Flo
 
 
 def _hidden(record: Record, level: float) -> Iterator[str]:
-    if levels_apart(record.reference_v):
+    if record.ramp:
         yield (
             "gain: the reference changes linearly with time, so that an error of the gain looks like a drift; the "
-            "gain counts as 1; step the reference up and down to determine it"
+            "gain counts as 1, and u includes its error; step the reference up and down to determine it"
         )
         return
     if abs(level) < ZERO_V:

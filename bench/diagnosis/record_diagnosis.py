@@ -30,6 +30,10 @@ GAIN_FITTED: Final = (
     "the reference has several levels: the gain of each channel is fitted together with zero and drift; 'bench "
     "calibrate' gives it"
 )
+GAIN_IN_DRIFT: Final = (
+    "the reference changes linearly with time: zero and drift contain the error of the gain, but their u leaves it "
+    "out"
+)
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,7 @@ class Rival:
 class RecordDiagnosis(Findings):
     """The result of the diagnosis of a record at a known input.
 
-    `where` describes, for each channel, the residuals after zero and drift are subtracted. `fits` has the
+    `where` describes, for each channel, the residuals of a fit without the effects found. `fits` has the
     estimates of each channel from the model with the effects found. `gap` is measured on excursions (of
     temperature or rail voltage) held out in turn. `rivals` compares, on the same excursions, the kinds of
     response of an effect: at once, with a lag, with hysteresis. `far` has a sentence for each mean that is
@@ -107,7 +111,7 @@ def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -
         source=readings.source,
         record=work.record,
         of_copy=verdict_of(named, () if named else far, gap),
-        where=tuple(_places(work.record)),
+        where=tuple(_places(work)),
         effects=named,
         fits=tuple(work.fits(courses, noises)),
         gap=gap,
@@ -116,16 +120,15 @@ def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -
         threshold=limit.value,
         noises=tuple(noises),
         hidden=tuple(name for name in FOLLOWS if name not in work.candidates.families),
-        notes=(*record.notes, *([GAIN_FITTED] * record.several_levels)),
+        notes=(*record.notes, *([GAIN_FITTED] * record.several_levels), *([GAIN_IN_DRIFT] * record.ramp)),
     )
 
 
-def _places(record: Record) -> Iterator[ResidualPattern]:
-    """Yield the residuals of each channel after zero and drift, with their p-value if the noise is white."""
-    for channel, left in zip(record.channels, record.beside_trend.T, strict=True):
+def _places(work: RecordWork) -> Iterator[ResidualPattern]:
+    """Yield the residuals of each channel without effects to find, with their p-value if the noise is white."""
+    for channel, left in zip(work.record.channels, work.beside_trend.T, strict=True):
         white = np.mean(np.diff(left) ** 2) / 2.0
-        freedom = len(left) - record.trend.shape[1]
-        p = float(special.chdtrc(freedom, float(left @ left) / white)) if white else 0.0
+        p = float(special.chdtrc(work.freedom, float(left @ left) / white)) if white else 0.0
         yield ResidualPattern(CHANNELS[channel], REFERENCE, "slow in time", rms(left), "V", p, p)
 
 
@@ -178,7 +181,7 @@ def measure_record_gap(work: RecordWork, finds: Sequence[FoundEffect]) -> tuple[
         for label, rows in masks if len(masks) > 1 else ():
             before, after = (_predicted(work, others, trials, rows, noises) for trials in ((), shapes))
             folds.append(Fold(label, {family: before.chi2 - after.chi2}, before, after))
-    size = NoiseSize(noises[0].white / len(work.parts) ** 0.5, 0.0, len(work.record) - 2)
+    size = NoiseSize(noises[0].white / len(work.parts) ** 0.5, 0.0, work.freedom)
     gap = Gap(tuple(folds), size, "V", tuple(one.variant.family for one in finds))
     return gap, tuple(_rivals(work, finds, noises))
 

@@ -20,7 +20,7 @@ from scipy import ndimage, special
 from bench.base.arrays import CHANNELS, HOUR, MINUTE, Floats, Ints, Mask, least_squares
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.candidates import Candidates, Column, Variant
-from bench.diagnosis.levels import FAR, INSEPARABLE, NEGLIGIBLE
+from bench.diagnosis.levels import FAR, NEGLIGIBLE
 from bench.diagnosis.noise_kinds import LARGER
 from bench.diagnosis.open_parts import BEYOND, Shape
 from bench.model.conditions import METER_REFERENCE_C, Conditions
@@ -76,10 +76,15 @@ class Record:
 
     @property
     def several_levels(self) -> bool:
-        """Whether the reference changes enough, and not just linearly in time, to determine gain and offset."""
+        """Whether the reference changes enough beside a line in time to determine gain and offset."""
         beside_line = least_squares(self.line, self.reference_v)[1]
-        ramp = np.ptp(beside_line) <= INSEPARABLE * np.ptp(self.reference_v)
-        return levels_apart(self.reference_v) and not ramp
+        enough = np.ptp(beside_line) > LEVELS * np.abs(self.reference_v).max()
+        return bool(enough) and levels_apart(self.reference_v)
+
+    @property
+    def ramp(self) -> bool:
+        """Whether the reference just changes linearly in time: an error of the gain looks like a drift."""
+        return levels_apart(self.reference_v) and not self.several_levels
 
     @property
     def line(self) -> Floats:
@@ -95,6 +100,16 @@ class Record:
         """
         gain = [self.reference_v - self.reference_v.mean()] * self.several_levels
         return np.column_stack([self.line, *gain])
+
+    @property
+    def zero_and_drift(self) -> Floats:
+        """The matrix (2, p) that converts estimates of the p columns of `trend` to zero (V) and drift (V/h).
+
+        They apply to the middle of the record. If the reference has several levels, the zero is that at 0 V.
+        """
+        turn = np.diag([1.0, 2.0 / float(self.time_h[-1])])
+        level_v = [[-float(self.reference_v.mean())], [0.0]] if self.several_levels else np.zeros((2, 0))
+        return np.hstack([turn, level_v])
 
     @property
     def beside_trend(self) -> Floats:
@@ -208,8 +223,12 @@ def groups_of(time_s: Floats) -> list[Ints]:
 
 
 def levels_apart(reference_v: Floats) -> bool:
-    """Return whether the reference (n,) changes by more than the fraction `LEVELS` of its largest value."""
-    return bool(np.ptp(reference_v) > LEVELS * np.abs(reference_v).max())
+    """Return whether the reference (n,) changes by more than the fraction `LEVELS` of its largest value.
+
+    The noise of a reading at a short circuit is no change.
+    """
+    largest = np.abs(reference_v).max()
+    return bool(largest >= ZERO_V and np.ptp(reference_v) > LEVELS * largest)
 
 
 def _settled(means: Floats, reference_v: Floats) -> int:

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from scipy import linalg, special
 
-from bench.base.arrays import CHANNELS, Floats, u_of
+from bench.base.arrays import CHANNELS, Floats, least_squares, u_of
 from bench.diagnosis.candidates import Candidates, Variant
 from bench.diagnosis.evidence import NULLS, SEED, Scores, Threshold, fit_tail
 from bench.diagnosis.levels import INSEPARABLE, OFTEN, STEPS
@@ -40,8 +40,8 @@ FAINT: Final = 9.0
 class ChannelFit:
     """Zero (V) and drift (V/h) of a channel with their u, estimated together with the effects found.
 
-    `before_v` (n,) are the residuals of a fit of zero and drift only, V; `residual_v` (n,), the residuals of a
-    fit that includes the effects, V.
+    If the reference has several levels, a gain is fitted too, and the zero is that at 0 V. `before_v` (n,) are the
+    residuals of a fit without the effects, V; `residual_v` (n,), the residuals of a fit that includes them, V.
     """
 
     channel: str
@@ -132,6 +132,16 @@ class RecordWork:
         starts = [start_of(self.record, *one) for one in dict.fromkeys(shapes)]
         trials = replace(self.trials, trend=np.column_stack([self.trials.trend, *filter(np.any, starts)]))
         return replace(self, record=self.record.less(self.record.added_by(effects)), trials=trials)
+
+    @property
+    def beside_trend(self) -> Floats:
+        """The deviations minus the fit of trend and starting states of known effects, V, shape (n, c)."""
+        return least_squares(self.trials.trend * self.record.scale[:, None], self.record.deviation_v)[1]
+
+    @property
+    def freedom(self) -> int:
+        """The degrees of freedom of each component beside trend and starting states of known effects."""
+        return len(self.record) - int(self.trials.trend.shape[1])
 
     @property
     def helmert(self) -> Floats:
@@ -397,22 +407,29 @@ class RecordWork:
         `noises` has the noise of each component. u includes the uncertainty of the shapes of the courses.
         """
         estimates = [self.fitted(k, courses, noises[k]) for k in self.parts]
-        trend = np.array([mean[:2] for mean, _, _ in estimates])
-        variance = np.array([np.diag(spread)[:2] for _, spread, _ in estimates])
+        turn = self.record.zero_and_drift
+        count = turn.shape[1]
+
+        def variance_of(spread: Floats) -> Floats:
+            return np.diag(turn @ spread[:count, :count] @ turn.T)
+
+        trend = np.array([turn @ mean[:count] for mean, _, _ in estimates])
+        variance = np.array([variance_of(spread) for _, spread, _ in estimates])
         for number, course in enumerate(courses):
             forms, others = self.forms(courses, number), [*courses[:number], *courses[number + 1 :]]
             for k in self.parts if self.of_channels(course) else range(1):
                 held = self.columns([course], k)
-                variance[k] += np.diag(forms.variance_beside(noises[k], self.design(others, k), held))[:2]
+                variance[k] += variance_of(forms.variance_beside(noises[k], self.design(others, k), held))
         designs = [self.design(courses, k) for k in self.parts]
         left = [one[:, -1] - one[:, :-1] @ mean for one, (mean, _, _) in zip(designs, estimates, strict=True)]
         residual_v = self.record.scale * (self.helmert.T @ np.array(left))
-        per_hour = np.array([1.0, 2.0 / float(self.record.time_h[-1])])
-        values, u = per_hour * (self.helmert.T @ trend), per_hour * np.sqrt(self.helmert.T**2 @ variance)
+        values, u = self.helmert.T @ trend, np.sqrt(self.helmert.T**2 @ variance)
+        before_v = self.beside_trend.T
         for number, channel in enumerate(self.record.channels):
             (zero, drift), (u_zero, u_drift) = values[number].tolist(), u[number].tolist()
-            before = self.record.beside_trend[:, number]
-            yield ChannelFit(CHANNELS[channel], zero, u_zero, drift, u_drift, before, residual_v[number])
+            yield ChannelFit(
+                CHANNELS[channel], zero, u_zero, drift, u_drift, before_v[number], residual_v[number]
+            )
 
 
 def _parameter(course: Variant) -> str | None:

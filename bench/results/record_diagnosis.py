@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 from rich.console import Console
@@ -15,6 +15,7 @@ from bench.base.tables import print_notes
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.levels import LISTED_IN_SENTENCE
 from bench.diagnosis.record_diagnosis import RecordDiagnosis, Rival
+from bench.diagnosis.record_model import Record
 from bench.results import diagnosis_words as words
 from bench.results.diagnosis import print_effect, print_files
 from bench.results.diagnosis_page import render_alone
@@ -30,12 +31,15 @@ class ChannelPart(ResultModel):
     """Zero and drift of a channel, estimated together with the effects found, and the residuals of the channel."""
 
     channel: str
-    zero_v: float = Field(description="mean of signal minus reference at the middle of the record, V")
+    zero_v: float = Field(
+        description="zero at the middle of the record, V: mean of signal minus reference; that at 0 V if the "
+        "reference has several levels"
+    )
     u_zero_v: float
     drift_v_h: float = Field(description="drift, V/h")
     u_drift_v_h: float
-    before_rms_v: float = Field(description="rms of the residuals after zero and drift, V")
-    after_rms_v: float = Field(description="rms of the residuals after zero, drift and effects, V")
+    before_rms_v: float = Field(description="rms of the residuals without the effects, V")
+    after_rms_v: float = Field(description="rms of the residuals with the effects, V")
 
 
 class RecordNoisePart(ResultModel):
@@ -82,12 +86,16 @@ def _gap_part(gap: Gap) -> GapPart:
 
 # --- text -------------------------------------------------------------------------------------------
 
-NOTHING: Final = "within the noise each channel equals the reference plus a zero and a drift"
+
+def _trend_in_words(record: Record) -> str:
+    """Return what each channel equals without effects; a gain is fitted if the reference has several levels."""
+    return f"{'gain × ' if record.several_levels else 'the '}reference plus a zero and a drift"
 
 
 def what_in_words(found: RecordDiagnosis) -> str:
     """Return the findings as a sentence without a full stop."""
-    return "; ".join([words.found_in_words(found, NOTHING), *found.far[:LISTED_IN_SENTENCE]])
+    nothing = f"within the noise each channel equals {_trend_in_words(found.record)}"
+    return "; ".join([words.found_in_words(found, nothing), *found.far[:LISTED_IN_SENTENCE]])
 
 
 def gap_told(found: RecordDiagnosis) -> str:
@@ -172,7 +180,7 @@ def course_figure(time_h: Floats, courses: Sequence[tuple[str, Floats, Floats]])
         rows = figure.subplots(len(courses), 1, sharex=True, squeeze=False)[:, 0]
         for axes, (channel, before, after) in zip(rows, courses, strict=True):
             for course, colour, label in (
-                (before, VERMILION, "zero and drift alone"), (after, BLUE, "with the effects found"),
+                (before, VERMILION, "without the effects"), (after, BLUE, "with the effects found"),
             ):  # fmt: skip
                 axes.plot(time_h, course / scale.size, color=colour, linewidth=1.0, label=label)
             axes.set_ylabel(f"{channel} − reference / {scale.unit}")
@@ -195,7 +203,7 @@ def render(
         found,
         provenance,
         title=title,
-        intro="A record at a known input: each channel equals the reference plus zero, drift and effects found.",
+        intro=f"A record at a known input: each channel equals {_trend_in_words(found.record)}, plus effects.",
         simulated=simulated,
         what=what_in_words(found),
         told=[line for line in (gap_told(found), rivals_told(found)) if line],
@@ -203,7 +211,7 @@ def render(
         figures=[
             (
                 course,
-                "Signal minus reference: residuals of zero and drift alone, and with the effects found.",
+                "Signal minus reference: residuals without the effects, and with the effects found.",
             )
         ],
         listed=list(channel_lines(found)),

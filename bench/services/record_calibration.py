@@ -11,7 +11,7 @@ from rich.console import Console
 from bench.base.arrays import CHANNELS
 from bench.base.files import write_whole
 from bench.base.tables import as_text
-from bench.calibration.budget.sources import unread_sources
+from bench.calibration.budget.sources import meter_gain_sources, unread_sources
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.record_calibration import RecordCalibration, calibrate_record
 from bench.history.stability import Stability, StaticRecord, on_grid, stability_of
@@ -89,8 +89,10 @@ class RecordCalibrationResult:
 
 def record_calibration_of(source: Source) -> RecordCalibrationResult:
     """Calibrate meters from readings at a known input minus the model's effects. Raises `CalibrationError`."""
-    unread = tuple(unread_sources(source.bench, source.model))
-    return RecordCalibrationResult(source, calibrate_record(source.readings, source.model.effects, unread))
+    hidden = (
+        *unread_sources(source.bench, source.model), *meter_gain_sources(source.bench, source.traced.day)
+    )  # fmt: skip
+    return RecordCalibrationResult(source, calibrate_record(source.readings, source.model.effects, hidden))
 
 
 def meters_at_rest(source: Source, found: RecordCalibration) -> Stability:

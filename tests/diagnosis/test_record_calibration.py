@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.calibration.budget.sources import unread_sources
+from bench.calibration.budget.sources import meter_gain_sources, unread_sources
+from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
 from bench.diagnosis.record_calibration import calibrate_record
-from bench.diagnosis.record_diagnosis import diagnose_record
+from bench.diagnosis.record_diagnosis import GAIN_IN_DRIFT, diagnose_record
 from bench.model import ForwardModel
 from bench.model.effects import CATALOGUE, AppliedEffect
 from bench.readings.csv import read_csv
@@ -35,14 +36,32 @@ def test_a_mean_across_a_change_of_level_keeps_gain_and_offset(tmp_path):
     assert x.gain.u < 0.02e-6
 
 
-def test_a_reference_that_only_rises_in_time_tells_no_gain(tmp_path):
-    readings = record_at_levels(tmp_path, 9)
+def with_reference(readings, reference_v):
+    extra = {**readings.extra, "reference_v": np.array([repr(v) for v in reference_v.tolist()])}
+    return replace(readings, extra=extra)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_a_reference_that_only_rises_in_time_tells_no_gain(tmp_path, noise):
+    readings = record_at_levels(tmp_path, 9, levels=(0.0,))
     ramp = 10.0 * readings.time_s / readings.time_s[-1]
-    extra = {**readings.extra, "reference_v": np.array([repr(v) for v in ramp.tolist()])}
-    signal = readings.signal + (ramp - readings.extra["reference_v"].astype(float))[:, None]
-    found = calibrate_record(replace(readings, signal=signal, extra=extra))
+    read = ramp + np.random.default_rng(1).normal(0.0, noise, len(ramp))
+    ramped = with_reference(replace(readings, signal=readings.signal + GAIN * ramp[:, None]), read)
+    gains = tuple(meter_gain_sources(load_bench(find_bench("paper-stand")), None))
+    found = calibrate_record(ramped, hidden=gains)
     assert found.channels[0].gain is None
     assert "an error of the gain looks like a drift" in found.not_observable[0]
+    (x,) = found.channels
+    assert abs(x.offset_v.value - OFFSET) < 4 * x.offset_v.u
+    assert abs(x.drift_v_h.value) < 4 * x.drift_v_h.u
+    if not noise:  # u of the gain times the mean level, and times the slope
+        u = gains[0].u
+        assert (x.offset_v.u, x.drift_v_h.u) == pytest.approx((5.0 * u, 0.25 * u), rel=1e-3)
+    assert any("u includes voltmeter_gain" in note for note in found.notes)
+    assert found.repeats is None
+    assert GAIN_IN_DRIFT in diagnose_record(ramped).notes
+    with pytest.raises(CalibrationError, match="no u of the gain"):
+        calibrate_record(ramped)
 
 
 @pytest.mark.parametrize(("level", "hidden"), [(0.0, "gain"), (10.0, "offset")])
@@ -53,6 +72,14 @@ def test_one_level_gives_one_of_the_two_and_says_so(tmp_path, level, hidden):
     assert found.not_observable[0].startswith(f"{hidden}: the reference stays at")
     if hidden == "gain":
         assert abs(x.offset_v.value - OFFSET) < 3 * x.offset_v.u
+
+
+def test_a_short_circuit_read_with_noise_tells_no_gain(tmp_path):
+    readings = record_at_levels(tmp_path, 9, levels=(0.0,))
+    read = np.random.default_rng(2).normal(0.0, 1e-7, len(readings))
+    found = calibrate_record(with_reference(readings, read))
+    assert found.channels[0].gain is None
+    assert found.not_observable[0].startswith("gain: the reference stays at")
 
 
 @pytest.mark.slow

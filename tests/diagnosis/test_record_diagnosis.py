@@ -10,15 +10,17 @@ from bench.calibration.result import CalibrationError
 from bench.diagnosis.confirm import confirm_record
 from bench.diagnosis.record_calibration import calibrate_record
 from bench.diagnosis.record_diagnosis import diagnose_record
-from bench.diagnosis.record_model import courses_of, make_courses, make_record
+from bench.diagnosis.record_model import courses_of, make_courses, make_record, shape_of
 from bench.diagnosis.record_noise import Noise, slow_kernels
 from bench.diagnosis.record_search import RecordWork
 from bench.model.effects import CATALOGUE, AppliedEffect
 from bench.readings.csv import read_csv
 from bench.readings.table import is_record
+from bench.results.record_diagnosis import what_in_words
 from tests.support.known_inputs import (
     BATH,
     BATH_COLUMNS,
+    OFFSET,
     SWEPT,
     SWEPT_COLUMNS,
     as_readings,
@@ -164,6 +166,16 @@ def test_a_lag_that_begins_away_from_equilibrium_keeps_its_name_and_size(tmp_pat
     # the known effect, subtracted in equilibrium, leaves nothing to find
     again = diagnose_record(readings, found.applied)
     assert again.effects == ()
+    assert again.where[0].size < 0.2e-6
+    assert rms(again.fits[0].before_v) < 0.2e-6
+    count = len(found.record)  # the starting state is a third column beside zero and drift
+    assert (found.gap.noise.freedom, again.gap.noise.freedom) == (count - 2, count - 3)
+    confirmed = confirm_record(readings, found.applied)
+    (applied,) = found.applied
+    forms = [(applied.effect, shape_of(applied.effect, applied.complete_values()))]
+    work = RecordWork.of(found.record, courses_of(found.record, forms))
+    chi2 = work.fitted(0, [], work.noises(work.candidates.variants)[0])[2]
+    assert confirmed.before.reduced == pytest.approx(chi2 / (count - 2))
 
 
 @pytest.mark.slow
@@ -174,6 +186,12 @@ def test_a_gain_at_several_levels_is_neither_a_jump_nor_slow(tmp_path):
     (size,) = found.effects[0].parameters
     assert abs(size.value - 1.0) < 4 * size.u
     assert size.u < 0.01
+    plain = diagnose_record(record_at_levels(tmp_path, 4, levels=(0.0, 5.0, 10.0)))
+    assert "each channel equals gain × reference plus a zero and a drift" in what_in_words(plain)
+    for x in (*found.fits, *plain.fits):  # the zero is that at 0 V, not at the mean level
+        assert abs(x.zero_v - OFFSET) < 4 * x.u_zero_v
+        assert x.u_zero_v < 0.1e-6
+    assert found.gap.noise.freedom == len(found.record) - 3  # zero, drift and gain
 
 
 @pytest.mark.slow

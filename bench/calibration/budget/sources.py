@@ -191,6 +191,11 @@ def _voltmeter_sources(
             yield replace(_of_size(called, symbol, unit, common, one), channels=meter.channels)
 
 
+def meter_gain_sources(bench: BenchFile, day: datetime.date | None) -> Iterator[ErrorSource]:
+    """Yield the errors of the voltmeters' gains on `day`, with an assumed size if the bench file states none."""
+    return (one for one in _voltmeter_sources(bench, day, None) if one.kind == "voltmeter_gain")
+
+
 def _reference_source(bench: BenchFile) -> Iterator[ErrorSource]:
     """Yield the 1/f noise of the references in the voltmeters, per decade of frequency."""
     stated = bench.uncertainty.reference_noise
