@@ -67,7 +67,8 @@ def test_a_plan_of_another_version_of_the_program_is_intact_and_needs_no_copy(tm
     versions = {"triaxial-bench": "9.9"}
     Record.create(folder, {"name": "run", "versions": versions}, {"plan.json": plan}, lambda: NOON).close()
     with pytest.raises(
-        RecordError, match=r"'humidity' is not a known kind of step\); the file is intact: use the program .* version 9\.9$"
+        RecordError,
+        match=r"'humidity' is not a known .*\); the file is intact: use the program .* version 9\.9$",
     ):
         _ = Run(folder).plan
     (folder / "plan.json").write_bytes(plan[:-1])
