@@ -79,8 +79,8 @@ def new_certificate_key(file: Path, name: str, passphrase: bytes | None, now: da
         subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
     except ValueError as error:
         raise Refused(
-            f"{name!r}: not a name for a certificate; give 1 to 64 letters (32 of another alphabet), it has "
-            f"{len(name.encode())} bytes of 64"
+            f"{name!r}: not a name for a certificate; give 1 to 64 bytes (a Cyrillic letter takes 2), not "
+            f"{len(name.encode())}"
         ) from error
     identifier = x509.SubjectKeyIdentifier.from_public_key(key.public_key())
     # only digital signature and content commitment: this key must not sign other certificates

@@ -254,7 +254,8 @@ def _next(found: Conclusion) -> Iterator[str]:
         yield f"next: bench diagnose {name}"
     elif verification is not None and verification.statement == Statement.NOT_COMPLETE:
         then = f"bench verify NEW --coefficients {as_typed(run.folder / 'calibrate.json')}"
-        yield f"next: measure the verification points, {_run_again(run, 'verification')}; then {then}"
+        points = _run_again(run, "verification") + " --dry-run" * run.simulated
+        yield f"next: measure the verification points, {points}; then {then}"
     elif verification is not None and not verification.passed:
         yield f"next: {again.replace('bench run', 'bench budget', 1)}, which shows what makes U large"
     elif found.chart is not None and not found.chart.accepted:
@@ -268,11 +269,9 @@ def _next(found: Conclusion) -> Iterator[str]:
 
 
 def _run_again(run: Run, procedure: str | None = None) -> str:
-    named = procedure is not None
     procedure = procedure or _typed(str(run.manifest.get("procedure", "PROCEDURE")), PROCEDURES)
     asked = run.manifest.get("bench_why") == "as asked for"
-    again = f"bench run {procedure}" + (f" --bench {_typed(run.manifest['bench'], CONFIG)}" if asked else "")
-    return f"{again} --dry-run" if named and run.simulated else again
+    return f"bench run {procedure}" + (f" --bench {_typed(run.manifest['bench'], CONFIG)}" if asked else "")
 
 
 def _typed(file: str, kind: str) -> str:
