@@ -29,7 +29,14 @@ from bench.diagnosis.levels import BY_CHANCE, FEW, STEPS, UNSEEN
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.multi_run_system import candidates_of, make_system
 from bench.diagnosis.naming import ALIAS, MOST_EFFECTS, FoundEffect, Naming, Scored, name
-from bench.diagnosis.noise_grid import NoiseGrid, Repeats, grid_with_rounding, noise_of_repeats, with_rounding
+from bench.diagnosis.noise_grid import (
+    SAME_SIZE,
+    NoiseGrid,
+    Repeats,
+    grid_with_rounding,
+    noise_of_repeats,
+    with_rounding,
+)
 from bench.diagnosis.noise_kinds import LOG_PRIOR, log_density, log_null, noise_hypotheses
 from bench.diagnosis.open_parts import beside, with_other_shapes
 from bench.diagnosis.posterior import applied_of, fit_found, noise_size, posterior
@@ -246,6 +253,10 @@ def _beside_shapes(task: SearchTask, prepared: Prepared, naming: Naming) -> Nami
         return naming
     whitened, data = task.whiten(wide, prepared.candidates, prepared.whitened.grid.sigma)
     kept = name(whitened, data, prepared.limit, begun=[largest], among=lambda _: True).found
+    before = {one.variant: one for one in naming.found}
+    if all(one.variant in before for one in kept):
+        # the finds left out stand for parts of other shapes, without which the odds would be those of a misfit
+        return Naming(tuple(before[one.variant] for one in kept), naming.left)
     return name(prepared.whitened, prepared.data, prepared.limit, 0, begun=kept)
 
 
@@ -279,8 +290,14 @@ def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepa
     sizes = np.concatenate([value for _, value in parts])
     moved = linear.rows_of(change)
     bend = moved - candidates.columns[:, columns] @ sizes - prepared.bend
+    # an effect that differs between repeats made the first estimate too large, and so the stand's limits too narrow
+    repeats = task.repeats(linear, noise.reading)
+    smaller = repeats.sigma < (1.0 - SAME_SIZE) * prepared.whitened.grid.sigma
     if float(np.max(np.abs(bend))) < UNSEEN * noise.reading:
-        return None
+        if not smaller:
+            return None
+        whitened, data = task.whiten(linear, candidates, repeats.sigma)
+        return replace(prepared, whitened=whitened, data=data)
     readings = linear.readings
     try:
         again = task.linear(replace(readings, signal=readings.signal - change))
@@ -292,7 +309,7 @@ def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepa
     told = replace(candidates, columns=told.columns)
     back = told.columns[:, columns] @ sizes
     about = in_the_noise_of(linear, replace(again, readings=readings, response=again.response + back))
-    whitened, data = task.whiten(about, told, prepared.repeats.sigma)
+    whitened, data = task.whiten(about, told, repeats.sigma)
     return replace(prepared, linear=about, whitened=whitened, data=data, bend=moved - back)
 
 
