@@ -290,27 +290,27 @@ def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepa
     sizes = np.concatenate([value for _, value in parts])
     moved = linear.rows_of(change)
     bend = moved - candidates.columns[:, columns] @ sizes - prepared.bend
-    # an effect that differs between repeats made the first estimate too large, and so the stand's limits too narrow
-    repeats = task.repeats(linear, noise.reading)
-    smaller = repeats.sigma < (1.0 - SAME_SIZE) * prepared.whitened.grid.sigma
-    if float(np.max(np.abs(bend))) < UNSEEN * noise.reading:
-        if not smaller:
-            return None
-        whitened, data = task.whiten(linear, candidates, repeats.sigma)
-        return replace(prepared, whitened=whitened, data=data)
+    # an effect that differs between repeats made the first sigma too large, and so the stand's limits too narrow
+    first = prepared.whitened.grid.sigma
+    sigma = min(noise.reading, first)
+    accurate = float(np.max(np.abs(bend))) < UNSEEN * noise.reading
+    if accurate and sigma > (1.0 - SAME_SIZE) * first:
+        return None
+    left = linear.response - candidates.columns[:, list(naming.columns)] @ fitted.amplitudes
+    repeats = task.repeats(replace(linear, response=left), prepared.repeats.sigma)
     readings = linear.readings
     try:
         again = task.linear(replace(readings, signal=readings.signal - change))
     except CalibrationError:  # what was found is too large to be true
         return None
-    told = with_terms(make_candidates(again, prepared.repeats.sigma, absent=task.absent), again)
+    told = with_terms(make_candidates(again, sigma, absent=task.absent), again)
     if told.kinds != candidates.kinds:
         return None
-    told = replace(candidates, columns=told.columns)
+    told = replace(candidates, columns=told.columns, scale=told.scale)
     back = told.columns[:, columns] @ sizes
     about = in_the_noise_of(linear, replace(again, readings=readings, response=again.response + back))
-    whitened, data = task.whiten(about, told, repeats.sigma)
-    return replace(prepared, linear=about, whitened=whitened, data=data, bend=moved - back)
+    whitened, data = task.whiten(about, told, sigma)
+    return replace(prepared, linear=about, repeats=repeats, whitened=whitened, data=data, bend=moved - back)
 
 
 # --- what one of several runs has alone: looked for in each, beside what was found in all of them together ----
