@@ -11,6 +11,7 @@ from bench.diagnosis.linear import make_linear
 from bench.diagnosis.naming import FoundEffect, Naming
 from bench.diagnosis.open_parts import beside, left_open, with_other_shapes
 from bench.diagnosis.posterior import NoiseSize, applied_of, fit_found, posterior
+from bench.diagnosis.search import SearchTask, find_effects
 from bench.model.effects.base import InPart
 from bench.validation.paper_bench import SETTING_U_RAD, STAND_U, TRUTH
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, OneThreshold, paper_run, set_up
@@ -101,3 +102,23 @@ def test_new_readings_confirm_it_and_the_shape_is_no_effect_of_its_own(found, tm
     result = confirm(settling(20), model, STAND, cache=OneThreshold())
     assert [effect.applied.effect.name for effect in result.effects] == ["warm_up"]
     assert result.verdict == "confirmed"
+
+
+def test_odds_of_a_shape_between_two_are_those_of_the_whole_model():
+    """A body behind two lags of 15 min (seed 93): beside one lag alone, the readings miss something else, too."""
+    run = paper_run(np.random.default_rng([93, 0]))
+    fine = np.arange(run.time_s[0], run.time_s[-1] + 5.0, 5.0)
+    course = 1.5 * np.sin(2 * np.pi * fine / 9000.0) + 0.4 * np.sin(fine / 700.0)
+    body = course
+    for _ in range(2):
+        behind = body.copy()
+        for i in range(1, len(fine)):
+            behind[i] += (behind[i - 1] - behind[i]) * np.exp(-5.0 / (15 * MINUTES))
+        body = behind
+    air, inside = (np.interp(run.time_s, fine, one) for one in (course, body))
+    signal = run.signal + np.outer(inside, [0.0, 0.0, 400e-6])
+    task = SearchTask(MODEL, STAND, 0.0, OneThreshold())
+    prepared, naming = find_effects(task, replace(run, temperature_c=22.0 + air, signal=signal))
+    assert [one.variant.family for one in naming.found] == ["thermal_bias"]
+    assert naming.found[0].odds[0].probability > 0.95
+    assert naming.left < prepared.limit.value
