@@ -290,7 +290,7 @@ def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepa
     sizes = np.concatenate([value for _, value in parts])
     moved = linear.rows_of(change)
     bend = moved - candidates.columns[:, columns] @ sizes - prepared.bend
-    # an effect that differs between repeats made the first sigma too large, and so the stand's limits too narrow
+    # an effect that changes between repeats made the first sigma too large, and so the stand's limits too narrow
     first = prepared.whitened.grid.sigma
     sigma = min(noise.reading, first)
     accurate = float(np.max(np.abs(bend))) < UNSEEN * noise.reading
@@ -369,6 +369,10 @@ def _in_all_and_each(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Na
     while len(kept := [one for one in begun if _stays(whitened, data, naming, one)]) < len(begun):
         begun = kept
         naming = name(whitened, data, limit, begun=begun)
+    sigma = noise_size(whitened, data, naming.columns).reading
+    if naming.found and sigma < (1.0 - SAME_SIZE) * whitened.grid.sigma:
+        # an effect that changes between repeats made the first estimate too large
+        return _in_all_and_each(task, _prepared(task, linear, limit, sigma))
     return replace(prepared, whitened=whitened, data=data), naming
 
 

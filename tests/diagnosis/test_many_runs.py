@@ -9,6 +9,7 @@ from bench.base.files import cache_folder
 from bench.diagnosis import ThresholdCache, diagnose
 from bench.diagnosis.linear import make_linear
 from bench.diagnosis.multi_run_system import candidates_of, make_system, with_blocks
+from bench.diagnosis.search import SearchTask, find_effects
 from bench.model import CATALOGUE, AppliedEffect
 from bench.readings.table import JoinedPart, together
 from bench.validation.paper_bench import SETTING_U_RAD
@@ -174,3 +175,18 @@ def test_noise_of_each_channel_is_taken_as_it_is_in_several_runs(cache):
     assert found.verdict == "agrees"
     x, y, z = found.noise_by_channel
     assert 2.4 < z / np.sqrt(x * y) < 4.0  # each of 100 and more degrees of freedom: known to a tenth
+
+
+def test_an_effect_that_changes_between_repeats_leaves_the_noise_right():
+    """Three runs (seed 94): their repeats scatter by more than the noise, as the temperature differs."""
+    tables = []
+    for run in runs(3, seed=94):
+        warmth = 3.0 + 1.5 * np.sin(2 * np.pi * run.time_s / 5300.0)
+        gain = np.outer(warmth, [0.0, 0.0, 60e-6])
+        tables.append(replace(run, signal=run.signal + gain * (run.signal - U0), temperature_c=20.0 + warmth))
+    task = SearchTask(MODEL, LIMITS, 0.0, OneThreshold())
+    assert task.repeats(task.linear(joined(tables))).sigma > 1.5 * NOISE_V
+    prepared, naming = find_effects(task, joined(tables))
+    assert [one.variant.family for one in naming.found] == ["thermal_scale"]
+    # with 450 degrees of freedom, u of the estimate is 3 %
+    assert prepared.whitened.grid.sigma == pytest.approx(NOISE_V, rel=0.1)
