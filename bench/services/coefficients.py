@@ -128,7 +128,7 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
         _block_terms(data, where),
         _wander(data),
         _block_name(data),
-        math.nan if data.get("temperature_effects") else _celsius(data.get("temperature_c")),
+        math.nan if data.get("temperature_effects") else _number_or(math.nan, data.get("temperature_c")),
         _fits(data),
         _text(data.get("source")) if _joins_verification(data) else "",
     )
@@ -151,11 +151,11 @@ def _block_name(data: Any) -> str:
     return f"{_text(block.get('type'))} {_text(block.get('serial'))}".strip()
 
 
-def _celsius(value: object) -> float:
+def _number_or(otherwise: float, value: object) -> float:
     try:
         return _number(value)
     except ValueError:
-        return math.nan
+        return otherwise
 
 
 def _fits(data: Any) -> bool:
@@ -254,10 +254,7 @@ def _text(value: object) -> str:
 
 def _positive(value: object) -> float:
     """Return a value of a result as a number; 0 if it is negative or not a number."""
-    try:
-        return max(_number(value), 0.0)
-    except ValueError:
-        return 0.0
+    return max(_number_or(0.0, value), 0.0)
 
 
 def _refuse_without_inverse(block: Block, covariance: Floats, where: str) -> None:
