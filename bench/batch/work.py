@@ -191,25 +191,19 @@ def _diagnosed(source: Source) -> Row:
     notes: list[str] = []
     now = Named.of_file(found)
     before: Named | None = _read(Path(source.name) / DIAGNOSE_FILE, Named.of_file, notes)
-    row: Row = {
-        "model": source.model.name,
-        "verdict": now.verdict,
-        "names": now.names,
-        "gap_before": now.before,
-        "gap_after": now.after,
-        "result": to_text(found),
-        "notes": "; ".join(map(visible, (*notes, *source.readings.notes, *found.get("notes", ())))),
-    }
-    if before is None:
-        return row
-    return row | {
-        "verdict_stored": before.verdict,
-        "verdict_differs": before.verdict != now.verdict,
-        "names_stored": before.names,
-        "names_differ": before.names != now.names,
-        "gap_before_stored": before.before,
-        "gap_after_stored": before.after,
-    }
+    notes += [*source.readings.notes, *found.get("notes", ())]
+    row: Row = {"model": source.model.name, "result": to_text(found), "notes": "; ".join(map(visible, notes))}
+    for one, suffix in ((before, "_stored"), (now, "")):
+        if one is not None:
+            row |= {
+                f"verdict{suffix}": one.verdict,
+                f"names{suffix}": one.names,
+                f"gap_before{suffix}": one.before,
+                f"gap_after{suffix}": one.after,
+            }
+    if before is not None:
+        row["verdict_differs"], row["names_differ"] = before.verdict != now.verdict, before.names != now.names
+    return row
 
 
 def _diagnosis(source: Source) -> dict[str, Any]:

@@ -395,8 +395,7 @@ def _in_a_line(error: Exception, path: str) -> str:
 
 def issued_in(folder: str) -> list[Row]:
     """Return a row for each certificate in a register. Raises `Refused` for a damaged or unreadable register."""
-    register = Register(Path(folder))
-    register.read_lines()
+    register = Register(Path(folder)).read_lines()
     rows = []
     for number, standing in register.standings.items():
         record = standing.entry.data.get("record")

@@ -163,8 +163,8 @@ def _seen(roots: Sequence[str], processes: int) -> WalkResult:
     seen = WalkResult()
     now_ns = time.time_ns()
     for root in tracked(roots, "looking for runs"):
-        with refusing("check name and permissions", Path(root), verb="read"):
-            found, waiting = scan(root, now_ns, MANY if processes > 1 else None)
+        with refusing("check name and permissions", Path(root), verb="read"), os.scandir(root):
+            found, waiting = walk([(root, 0)], now_ns, MANY if processes > 1 else None)
         seen.take(found)
         if waiting:
             _look_apart(seen, waiting, now_ns, processes)
@@ -179,14 +179,14 @@ def _look_apart(seen: WalkResult, waiting: list[Place], now_ns: int, processes: 
     """Scan many folders, in worker processes and in this process; add the results to `seen`."""
     parts = list(_batches(waiting, LOOKED))
     with pool_of(processes - 1, ENDED) as pool:
-        asked = [pool.submit(scan_all, part, now_ns) for part in parts]
+        asked = [pool.submit(walk, part, now_ns) for part in parts]
         for part, one in zip(reversed(parts), reversed(asked), strict=True):
             if not one.cancel():
                 break
-            seen.take(scan_all(part, now_ns))
+            seen.take(walk(part, now_ns)[0])
         for one in asked:
             if not one.cancelled():
-                seen.take(one.result())
+                seen.take(one.result()[0])
 
 
 def _is_text(path: str) -> bool:
@@ -393,28 +393,13 @@ class WalkResult:
         self.registers.extend(other.registers)
 
 
-def scan(root: str, now_ns: int, most: int | None = None) -> tuple[WalkResult, list[Place]]:
-    """Walk a folder that is or contains run folders, at any depth; symbolic links below it are not followed.
+def walk(places: Iterable[Place], now_ns: int, most: int | None = None) -> tuple[WalkResult, list[Place]]:
+    """Walk folders that are or contain run folders, at any depth; symbolic links below them are not followed.
 
     Folders inside run folders, and hidden folders, are not entered. As soon as more than `most` folders
-    remain, the walk ends; the remaining folders are returned too, and `scan_all` continues from them in any
-    process. Raises `OSError` if `root` cannot be read.
+    remain, the walk ends; the remaining folders are returned too, for another walk in any process.
     """
-    seen = WalkResult()
-    with os.scandir(root):
-        pass
-    return seen, _walk(seen, [(root, 0)], now_ns, most)
-
-
-def scan_all(places: Iterable[Place], now_ns: int) -> WalkResult:
-    """Walk folders and everything below them."""
-    seen = WalkResult()
-    _walk(seen, places, now_ns, None)
-    return seen
-
-
-def _walk(seen: WalkResult, places: Iterable[Place], now_ns: int, most: int | None) -> list[Place]:
-    waiting = deque(places)
+    seen, waiting = WalkResult(), deque(places)
     while waiting and (most is None or len(waiting) <= most):
         path, depth = waiting.popleft()
         try:
@@ -433,14 +418,12 @@ def _walk(seen: WalkResult, places: Iterable[Place], now_ns: int, most: int | No
         if REGISTER in names:
             seen.registers.append(path)
         if depth < MOST_DEEP:
-            waiting += [(entry.path, depth + 1) for entry in _folders(found)]
-    return list(waiting)
-
-
-def _folders(entries: list[os.DirEntry[str]]) -> Iterator[os.DirEntry[str]]:
-    for entry in entries:
-        if not entry.name.startswith(".") and entry.is_dir(follow_symlinks=False):
-            yield entry
+            waiting += [
+                (entry.path, depth + 1)
+                for entry in found
+                if not entry.name.startswith(".") and entry.is_dir(follow_symlinks=False)
+            ]
+    return seen, list(waiting)
 
 
 def fingerprint(entries: list[os.DirEntry[str]], now_ns: int) -> str:

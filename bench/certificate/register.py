@@ -16,7 +16,7 @@ from typing import ClassVar, Final
 
 from bench.base.files import read_regular, sync_folder, write_synced
 from bench.services import chain
-from bench.services.chain import LINES, MADE_FROM, Chain, Entry, first_head
+from bench.services.chain import LINES, MADE_FROM, Chain, Entry
 from bench.services.errors import Refused, refusing
 
 __all__ = ["ISSUED", "LINES", "MADE_FROM", "REVOKED", "Entry", "NumberStatus", "Register", "opened"]
@@ -42,7 +42,7 @@ class NumberStatus:
 class Register(Chain):
     """A register, open and locked against other writers; `standings` maps each number to its status."""
 
-    FIRST: ClassVar[str] = first_head("triaxial-bench register 1\n")
+    KIND: ClassVar[str] = "register"
 
     standings: dict[str, NumberStatus] = field(default_factory=dict)
 
@@ -94,7 +94,7 @@ class Register(Chain):
         for part in self.folder.glob(f"*{_PART}"):
             self._finish(part)
 
-    def _note(self, entry: Entry, where: str) -> None:
+    def _note(self, entry: Entry, where: str) -> bool:
         standing = self.standings.get(entry.number)
         if entry.kind == ISSUED:
             if standing is not None:
@@ -111,10 +111,8 @@ class Register(Chain):
                 standing.entry, REVOKED, str(entry.data.get("reason", ""))
             )
         else:
-            raise Refused(
-                f"{where}: the entry '{entry.kind}' of {entry.number} contradicts the entries before it; restore "
-                "the register from a copy"
-            )
+            return False
+        return True
 
     def _put_in_place(self, entry: Entry) -> None:
         """Rename the temporary files of a certificate to their final names."""

@@ -423,8 +423,7 @@ def against_register(
         if folder is None:
             return None
         raise Refused(f"{place}: no register there ({LINES}); check the laboratory file")
-    register = Register(place)
-    register.read_lines()
+    register = Register(place).read_lines()
     known = register.standings.get(number)
     if known is None and folder is None:
         return None

@@ -66,58 +66,30 @@ def sensor_of(result: BlockResult, nominal: Floats | None = None) -> Sensor:
     return Sensor(S, M, to_ms2 * result.block.U0, result.unit)
 
 
-@dataclass(frozen=True)
-class Diagonal:
-    """The form of autopilots: a_i = (z_i - offset_i) scale_i, m/s^2; the cross-axis terms are left out.
+def diagonal(sensor: Sensor) -> tuple[Floats, float, float]:
+    """Return the scale (3,) of each axis for autopilots, and the exact largest errors (g) of |a| and a at 1 g.
 
-    `modulus_g` and `vector_g` are the largest errors (g) of |a| and of the vector a that the omission causes
-    at 1 g.
-    """
-
-    offset: Floats
-    scale: Floats
-    modulus_g: float
-    vector_g: float
-
-    def comment_lines(self) -> list[str]:
-        """Return comment lines on what this form omits, and on the largest errors that result at 1 g."""
-        return [
-            "the six cross-axis terms are left out, for this form has a scale and an offset per axis and no more:",
-            f"at 1 g |a| is off by up to {_size(self.modulus_g)}, the vector a by up to {_size(self.vector_g)}, "
-            "in the worst direction",
-        ]
-
-
-def diagonal(sensor: Sensor) -> Diagonal:
-    """Return offset and scale of each axis, and the exact largest errors at 1 g without cross-axis terms.
-
-    a' = diag(1/M_ii) M a: at |a| = 1, |a'| lies between the least and the largest singular value of diag(1/M_ii)
-    M, and |a' - a| is at most the largest singular value of diag(1/M_ii) M - 1.
+    Autopilots use a_i = (z_i - b_i) scale_i, without cross-axis terms. a' = diag(1/M_ii) M a: at |a| = 1, |a'| lies
+    between the least and the largest singular value of diag(1/M_ii) M, and |a' - a| is at most the largest
+    singular value of diag(1/M_ii) M - 1.
     """
     scale = 1.0 / np.diag(sensor.M)
     left = scale[:, None] * sensor.M
     size = np.linalg.svd(left, compute_uv=False)
     vector = np.linalg.norm(left - np.eye(3), 2)
-    return Diagonal(sensor.b, scale, float(np.max(np.abs(size - 1.0))), float(vector))
+    return scale, float(np.max(np.abs(size - 1.0))), float(vector)
 
 
-@dataclass(frozen=True)
-class Triangular:
-    """The form of Kalibr: z = M R a + b, M lower triangular, R a rotation by `turn_rad` (rad) to the axes of M."""
+def lower_triangular(sensor: Sensor) -> tuple[Floats, Floats, float]:
+    """Return the factors of Kalibr, `sensor.M` = M R, and the angle (rad) of R.
 
-    M: Floats
-    R: Floats
-    b: Floats
-    turn_rad: float
-
-
-def lower_triangular(sensor: Sensor) -> Triangular:
-    """Return the factors of `sensor.M` = M R: M lower triangular with a positive diagonal, and R orthogonal."""
+    M is lower triangular with a positive diagonal, R the rotation to the axes of M: z = M R a + b.
+    """
     q, r = np.linalg.qr(sensor.M.T)
     sign = np.where(np.diag(r) < 0, -1.0, 1.0)
     M, R = (sign[:, None] * r).T, (q * sign).T
     skew = np.linalg.norm(R - R.T) / np.sqrt(8.0)
-    return Triangular(np.tril(M), R, sensor.b, float(np.arctan2(skew, 0.5 * (np.trace(R) - 1.0))))
+    return np.tril(M), R, float(np.arctan2(skew, 0.5 * (np.trace(R) - 1.0)))
 
 
 def axis_rows(values: Floats) -> list[tuple[str, float]]:
@@ -155,18 +127,21 @@ class Autopilot:
     before: tuple[str, ...] = ()
     sorted_by_name: bool = False
 
-    def values(self, form: Diagonal) -> dict[str, float]:
+    def values(self, sensor: Sensor) -> dict[str, float]:
         """Return the values by parameter name, in the order of the file."""
-        rows = [(self.offset.format(axis), value) for axis, value in axis_rows(form.offset)]
-        rows += [(self.scale.format(axis), value) for axis, value in axis_rows(form.scale)]
+        rows = [(self.offset.format(axis), value) for axis, value in axis_rows(sensor.b)]
+        rows += [(self.scale.format(axis), value) for axis, value in axis_rows(diagonal(sensor)[0])]
         return dict(sorted(rows) if self.sorted_by_name else rows)
 
     def notes(self, result: BlockResult, nominal: Floats | None = None) -> list[str]:
         """Return comment lines on what the form omits, and on values that the autopilot would reject."""
-        form = diagonal(sensor_of(result, nominal))
-        limits = ((self.offset, form.offset, self.offsets), (self.scale, form.scale, self.scales))
+        sensor = sensor_of(result, nominal)
+        scale, modulus_g, vector_g = diagonal(sensor)
+        limits = ((self.offset, sensor.b, self.offsets), (self.scale, scale, self.scales))
         return [
-            *form.comment_lines(),
+            "the six cross-axis terms are left out, for this form has a scale and an offset per axis and no more:",
+            f"at 1 g |a| is off by up to {_size(modulus_g)}, the vector a by up to {_size(vector_g)}, "
+            "in the worst direction",
             *([f"the axes of the vector a are {NOT_DETERMINED}"] if result.signs else []),
         ] + [
             f"{name.format(axis)} = {value:.4g} is outside {low:g} to {high:g}, the limits of {self.name}; "
@@ -179,7 +154,7 @@ class Autopilot:
     def text(self, result: BlockResult, nominal: Floats | None = None) -> str:
         """Return the file of parameters, which ground stations load."""
         sensor = sensor_of(result, nominal)
-        values = self.values(diagonal(sensor))
+        values = self.values(sensor)
         offset, scale = self.offset.format("i"), self.scale.format("i")
         lines = [
             *self.head,
@@ -251,9 +226,9 @@ def _head(result: BlockResult, sensor: Sensor, notes: list[str]) -> list[str]:
 def kalibr_yaml(result: BlockResult, nominal: Floats | None = None) -> str:
     """Return the Kalibr file: `imu0` with its model and M, and, for other readers, the bias and the rotation R."""
     sensor = sensor_of(result, nominal)
-    form = lower_triangular(sensor)
+    M, R, _ = lower_triangular(sensor)
     raw = result.check[0]
-    corrected = np.linalg.solve(form.M, (sensor.signal(raw) - form.b).T).T @ form.R
+    corrected = np.linalg.solve(M, (sensor.signal(raw) - sensor.b).T).T @ R
     test = (
         "import sys, yaml, numpy as np; d = yaml.safe_load(open(sys.argv[1]))['imu0']['accelerometers']; "
         f"n = {{k: np.array(v) for k, v in d.items()}}; {READ_CHECKS}; S = np.array({sensor.nominal.tolist()!r})",
@@ -271,7 +246,7 @@ def kalibr_yaml(result: BlockResult, nominal: Floats | None = None) -> str:
         *check_lines(raw, corrected, "U, then a = C^T M^-1 (z - b)", "m/s^2"),
         *own_test("FILE.yaml", test, " (needs numpy, PyYAML)"),
     ]
-    accelerometers = {"M": form.M.tolist(), "bias": form.b.tolist(), "C_accel_block": form.R.tolist()}
+    accelerometers = {"M": M.tolist(), "bias": sensor.b.tolist(), "C_accel_block": R.tolist()}
     content = {"imu0": {"model": "scale-misalignment", "accelerometers": accelerometers}}
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=200)
     return "".join(f"# {line}\n" for line in lines) + text
@@ -279,8 +254,8 @@ def kalibr_yaml(result: BlockResult, nominal: Floats | None = None) -> str:
 
 def kalibr_notes(result: BlockResult, nominal: Floats | None = None) -> list[str]:
     """Return comment lines on what Kalibr's form omits."""
-    form = lower_triangular(sensor_of(result, nominal))
-    arcsec = math.degrees(form.turn_rad) * 3600
+    *_, turn_rad = lower_triangular(sensor_of(result, nominal))
+    arcsec = math.degrees(turn_rad) * 3600
     if result.signs:
         return [
             "Kalibr reads M alone, and estimates the bias itself; C_accel_block (the turn to the block's axes) is "
@@ -289,6 +264,6 @@ def kalibr_notes(result: BlockResult, nominal: Floats | None = None) -> list[str
     return [
         "Kalibr reads M alone, six of the twelve: it estimates the bias itself, and a comes on other axes,",
         f"turned against the block's mounting axes by {arcsec:.4g} arcsec: a vector of 1 g is off by up to "
-        f"{2e3 * float(np.sin(form.turn_rad / 2)):.3g} mg, |a| by nothing.",
+        f"{2e3 * float(np.sin(turn_rad / 2)):.3g} mg, |a| by nothing.",
         "bias (m/s^2) and C_accel_block (the turn) stand in the file; a reader that takes them loses nothing",
     ]

@@ -228,13 +228,9 @@ class BlockResult:
     @cached_property
     def inverse(self) -> ReportedNumbers:
         """N and U0 of a = N (U - U0)."""
+        unit = "g/(m/s^2)" if self.unit == "m/s^2" else f"g/{self.unit}"
         numbers = inverse(self.block, self.covariance)
-        return self._reported(numbers, lambda n: self.unit if n.startswith("U0") else self.inverse_unit)
-
-    @property
-    def inverse_unit(self) -> str:
-        """The unit of N."""
-        return "g/(m/s^2)" if self.unit == "m/s^2" else f"g/{self.unit}"
+        return self._reported(numbers, lambda n: self.unit if n.startswith("U0") else unit)
 
     @cached_property
     def misalignments(self) -> ReportedNumbers:
@@ -265,6 +261,8 @@ class BlockResult:
 
     def facts(self) -> dict[str, str]:
         """Return the header facts of every form by name, in order; each is a text of one line."""
+        u_m_s2 = self.g_m_s2 * self.gravity_u
+        of_g = f" (u = {u_m_s2:.2g} m/s^2, which is in no number per g)" if self.gravity_u else ""
         told = {
             **({"mark": SIMULATED} if self.simulated else {}),
             "block": self.block_name or "not stated",
@@ -275,7 +273,7 @@ class BlockResult:
             else "not stated",
             "bench": (self.bench or {}).get("name", "not stated"),
             "certificates": "; ".join(self.certificates) or "none of the instruments is stated",
-            "local gravity": f"g = {self.g_m_s2!r} m/s^2{self._of_gravity()}: accelerations are in this g",
+            "local gravity": f"g = {self.g_m_s2!r} m/s^2{of_g}: accelerations are in this g",
             "uncertainty": f"u: standard uncertainty, U = k u with k = {self.k:g}; "
             f"{COMBINED if self.combined else OF_READINGS}",
         }
@@ -287,18 +285,12 @@ class BlockResult:
 
     @property
     def _convention(self) -> str:
-        """A sentence on what free positions alone do not determine; empty for other readings."""
-        if not self.signs:
-            return ""
+        """A sentence on what free positions alone do not determine."""
         signs = "those of the bench file" if self.signs == "bench file" else "positive"
         return (
             f"{', '.join(OPEN)}: {NOT_DETERMINED}, as free positions alone show no orientation; the signs of the "
             f"scale factors, which no position shows either, are {signs}; covariances hold for this convention"
         )
-
-    def _of_gravity(self) -> str:
-        size = self.gravity_u
-        return f" (u = {self.g_m_s2 * size:.2g} m/s^2, which is in no number per g)" if size else ""
 
     def head(self) -> list[str]:
         """Return the header facts as lines."""

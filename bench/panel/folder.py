@@ -102,8 +102,7 @@ class Certificates:
         if self._folder is None:
             return None
         with self._lock:
-            register = self._register or Register(self._folder)
-            register.read_lines()
+            register = (self._register or Register(self._folder)).read_lines()
             self._register = register
             return register
 

@@ -190,8 +190,6 @@ def told_in_words(run: Run) -> list[str]:
 
     Warnings whose readings were repeated are only counted.
     """
-    if not run.history.progress.signs:
-        return []
     from bench.run.sentences import sentence
 
     signs, overruled = run.history.not_repaired()

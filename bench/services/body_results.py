@@ -140,13 +140,12 @@ def write_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings, pat
     """Write the corrected readings as the instruments showed them, with an origin file; return the path."""
     source = body.source
     content = format_csv(as_read(corrected, source.traced.by))
+    write_content(path, content)
     if source.origin is not None and len(body.sources) == 1:
         mended = tuple(visible(mistake.words) for mistake in mistakes)
         origin = source.origin.model_copy(update={"mended": (*source.origin.mended, *mended)})
-        write_content(path, content)
         write_content(path.with_name(path.name + SUFFIX), origin.text_beside(path, content.encode()))
-        return path
-    return write_content(path, content)
+    return path
 
 
 def by_unused_name(path: Path, write: Callable[[Path], object]) -> Path:

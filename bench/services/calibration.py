@@ -67,19 +67,11 @@ def read_prior(path: Path) -> Prior:
     rows = [file.coefficients[name] for name in COEFFICIENTS]
     return Prior(
         kind=file.type,
-        signal=file.signal,
         mean=np.array([row.mean for row in rows]),
         covariance=np.array(file.covariance),
         between=np.array([row.between_units for row in rows]),
         mean_u=np.array([row.u_mean for row in rows]),
-        dof=file.dof,
-        shrunk=file.shrunk,
-        units=file.units,
-        benches=file.benches,
-        calibrations=file.calibrations,
-        last=file.last,
-        simulated=file.simulated,
-        notes=file.notes,
+        **file.model_dump(exclude={"type", "per_g_m_s2", "coefficients", "covariance"}),
     )
 
 

@@ -12,7 +12,7 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Final, TypeVar
+from typing import Any, ClassVar, Final, Self, TypeVar
 
 from filelock import FileLock, Timeout
 
@@ -50,19 +50,14 @@ def civil_now() -> str:
     return utc_now().astimezone().isoformat(timespec="seconds")
 
 
-def first_head(of: str) -> str:
-    """Return the hash that precedes the first line of a register of the kind `of`."""
-    return hashlib.sha256(of.encode()).hexdigest()
-
-
 @dataclass
 class Chain:
     """A register in `folder`, locked against other writers; `head` is the hash of the last of `count` lines read.
 
-    `length` is the number of bytes read.
+    `length` is the number of bytes read. `KIND` is also the name of the folder beside a laboratory file.
     """
 
-    FIRST: ClassVar[str]
+    KIND: ClassVar[str]
 
     folder: Path
     head: str = ""
@@ -71,10 +66,15 @@ class Chain:
 
     def __post_init__(self) -> None:
         """Set `head`, unless it is given, to the hash that precedes the first line."""
-        self.head = self.head or self.FIRST
+        self.head = self.head or hashlib.sha256(f"triaxial-bench {self.KIND} 1\n".encode()).hexdigest()
 
-    def _note(self, entry: Entry, where: str) -> None:
-        """Interpret a line. Raises `Refused`, naming the place `where`, if it cannot follow the lines before it."""
+    @classmethod
+    def beside(cls, laboratory: Path) -> Self:
+        """Return the register of a laboratory file, of which nothing is read yet."""
+        return cls(laboratory.absolute().parent / cls.KIND)
+
+    def _note(self, entry: Entry, where: str) -> bool:
+        """Interpret the line at the place `where`; return whether it can follow the lines before it."""
         raise NotImplementedError
 
     def keep(self, content: bytes) -> str:
@@ -120,7 +120,7 @@ class Chain:
         """Read the lines that were added since the last call. Raises `Refused` for a changed line."""
         self.read_lines()
 
-    def read_lines(self) -> None:
+    def read_lines(self) -> Self:
         """Read the lines added since the last call; change no file. Raises `Refused` for a damaged register."""
         path = self.folder / LINES
         with refusing("check name and permissions", self.folder, verb="read"):
@@ -132,6 +132,7 @@ class Chain:
                     for line in file:
                         if line.endswith(b"\n"):
                             self._take(line[:-1])
+        return self
 
     def _take(self, line: bytes) -> None:
         where = f"{self.folder / LINES}, line {self.count + 1}"
@@ -148,7 +149,11 @@ class Chain:
             raise Refused(
                 f"{where}: the chain is broken here (a line was changed or removed); restore it from a copy"
             )
-        self._note(entry, where)
+        if not self._note(entry, where):
+            raise Refused(
+                f"{where}: the entry '{kind}' of {number} contradicts the entries before it; restore the register "
+                "from a copy"
+            )
         self.head = hashlib.sha256(line).hexdigest()
         self.length += len(line) + 1
         self.count = n

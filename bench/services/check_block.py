@@ -22,6 +22,7 @@ from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import BenchFile
 from bench.config.bench_file.sections import LEAST_ARL, LEAST_SMOOTHING, MOST_ARL, CheckBlockSection
 from bench.history.control_chart import CheckRun, ControlChart, KnownDrift, Reference, control_chart
+from bench.history.measured import to_gravity
 from bench.model.geometry import COEFFICIENTS
 from bench.results.control_chart import CheckBlockChart
 from bench.run.events import MANIFEST, CheckedBefore, Manifest, RecordError, RunState, UnitUnderTest, sha256
@@ -69,7 +70,7 @@ class CheckValues:
 
     def per(self, g_m_s2: float) -> CheckValues:
         """Return the values with K per g of `g_m_s2` m/s² instead of the present g; biases stay the same."""
-        factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / self.g_m_s2, 1.0)
+        factor = to_gravity(self.g_m_s2, g_m_s2)
         both = np.outer(factor, factor)
         return replace(
             self,
@@ -229,9 +230,9 @@ def _charted(
     count = len(INTRINSIC if in_nine else COEFFICIENTS)
     basis, on_basis = _basis(section.limits, len(baseline), reference, count)
     design = ChartDesign(_arl(section), section.smoothing if smoothing is None else smoothing, basis)
-    chart = control_chart(
-        baseline, later, design, reference=reference, drift=drift, restarted=_restarted(section)
-    )
+    begin = section.restarted
+    restarted = None if begin is None else datetime.combine(begin, time()).astimezone()
+    chart = control_chart(baseline, later, design, reference=reference, drift=drift, restarted=restarted)
     return chart, on_basis
 
 
@@ -347,13 +348,9 @@ def _reference(path: Path, g_m_s2: float) -> Reference:
             f"check_block: reference: {path}: has no date (made_at), which its drift needs; "
             "make it with 'bench calibrate --json'"
         )
-    factor = np.where(np.arange(len(COEFFICIENTS)) < 9, g_m_s2 / found.g_m_s2, 1.0)
-    return Reference(
-        path.name,
-        when,
-        found.block.vector * factor,
-        found.covariance * np.outer(factor, factor),
-    )
+    factor = to_gravity(found.g_m_s2, g_m_s2)
+    vector, covariance = found.block.vector * factor, found.covariance * np.outer(factor, factor)
+    return Reference(path.name, when, vector, covariance)
 
 
 def _drift(section: CheckBlockSection) -> KnownDrift | None:
@@ -362,12 +359,6 @@ def _drift(section: CheckBlockSection) -> KnownDrift | None:
     stated = {name: one.value(name) for name, one in section.drift.items()}
     rows = np.array([stated.get(name, (0.0, 0.0)) for name in COEFFICIENTS])
     return KnownDrift(rows[:, 0], rows[:, 1])
-
-
-def _restarted(section: CheckBlockSection) -> datetime | None:
-    if section.restarted is None:
-        return None
-    return datetime.combine(section.restarted, time()).astimezone()
 
 
 def _with_options(section: CheckBlockSection, request: Chart) -> CheckBlockSection:

@@ -103,73 +103,69 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
         noise, g_m_s2 = _number(data["noise"]["reading_v"]), _number(data["g_m_s2"])
         theirs, per, simulated = data["unit"], data.get("per", "g"), data.get("simulated", False)
     except KeyError as error:
-        raise Refused(
-            f"{where}: not a result of 'bench calibrate --json': it has no {error}; give a file that "
-            "calibrate wrote"
-        ) from error
+        raise _no_result(where, f": it has no {error}") from error
     except (ValueError, TypeError, IndexError, AttributeError) as error:
-        raise Refused(
-            f"{where}: not a result of 'bench calibrate --json' ({cause_of(error)}); give a file that "
-            "calibrate wrote"
-        ) from error
+        raise _no_result(where, f" ({cause_of(error)})") from error
     right = {"unit": isinstance(theirs, str), "per": per == "g", "simulated": isinstance(simulated, bool)}
     if wrong := [name for name, well in right.items() if not well]:
-        raise Refused(
-            f"{where}: not a result of 'bench calibrate --json' (wrong: {', '.join(wrong)}); give a file that "
-            "calibrate wrote"
-        )
+        raise _no_result(where, f" (wrong: {', '.join(wrong)})")
     if noise < 0:
         raise Refused(f"{where}: its noise.reading_v is negative; calibrate again")
     if g_m_s2 <= 0:
         raise Refused(f"{where}: its g_m_s2 is not above 0; calibrate again")
     _refuse_impossible(covariance, where)
-    same_meters = _further_covariance(data, "covariance_same_meters", where)
-    block = Block.from_vector(values)
     return Coefficients(
-        block,
+        Block.from_vector(values),
         covariance,
         noise,
         g_m_s2,
         theirs,
         simulated,
-        same_meters,
+        _further_covariance(data, "covariance_same_meters", where),
         meters,
         _positive(data.get("gravity_u")),
         _text(data.get("made_at")),
         _block_terms(data, where),
         _wander(data),
         _block_name(data),
-        math.nan if data.get("temperature_effects") else _celsius(data.get("temperature_c")),
+        math.nan if data.get("temperature_effects") else _number_or(math.nan, data.get("temperature_c")),
         _fits(data),
         _text(data.get("source")) if _joins_verification(data) else "",
     )
 
 
+def _no_result(where: str, why: str) -> Refused:
+    return Refused(
+        f"{where}: not a result of 'bench calibrate --json'{why}; give a file that calibrate wrote"
+    )
+
+
+def _part(data: Any, name: str) -> Mapping[str, Any]:
+    """Return the member `name` of a result; empty if it is missing or no object."""
+    found = data.get(name)
+    return found if isinstance(found, Mapping) else {}
+
+
 def _block_name(data: Any) -> str:
-    unit = data.get("unit_under_test")
-    block = unit if isinstance(unit, Mapping) else {}
+    block = _part(data, "unit_under_test")
     return f"{_text(block.get('type'))} {_text(block.get('serial'))}".strip()
 
 
-def _celsius(value: object) -> float:
+def _number_or(otherwise: float, value: object) -> float:
     try:
         return _number(value)
     except ValueError:
-        return math.nan
+        return otherwise
 
 
 def _fits(data: Any) -> bool:
     """Return whether the readings of a calibration fit the model; earlier versions state only the p-value."""
-    stated, residual = data.get("fits"), data.get("residual")
-    if isinstance(stated, bool):
-        return stated
-    p = residual.get("p") if isinstance(residual, Mapping) else None
-    return not (isinstance(p, float) and p < NOT_ACCEPTED_P)
+    stated, p = data.get("fits"), _part(data, "residual").get("p")
+    return stated if isinstance(stated, bool) else not (isinstance(p, float) and p < NOT_ACCEPTED_P)
 
 
 def _joins_verification(data: Any) -> bool:
-    free = data.get("free_positions")
-    rows = free.get("rows") if isinstance(free, Mapping) else None
+    rows = _part(data, "free_positions").get("rows")
     return any(
         isinstance(row, Mapping) and row.get("installation") == VERIFICATION
         for row in (rows if isinstance(rows, list) else ())
@@ -186,9 +182,7 @@ def block_result(data: Any, where: str) -> BlockResult:
             f"calibration whose signals are in {known}"
         )
     _refuse_without_inverse(taken.block, taken.covariance, where)
-    unit = data.get("unit_under_test")
-    block = unit if isinstance(unit, Mapping) else {}
-    bench = data.get("bench")
+    block, bench = _part(data, "unit_under_test"), data.get("bench")
     stated = {name: data["coefficients"][name] for name in COEFFICIENTS}
     factors = [_positive(entry.get("k")) for entry in stated.values()]
     expanded = {name: _positive(entry.get("U")) for name, entry in stated.items()}
@@ -227,8 +221,7 @@ def _signs(data: Any) -> str:
 def _temperature(data: Any) -> str:
     """Return in words the temperature effects for which a result was corrected; "" for none."""
     listed = data.get("temperature_effects")
-    fitted = data.get("effects") if isinstance(data.get("effects"), dict) else {}
-    names = [*(listed if isinstance(listed, list) else ()), *fitted]
+    names = [*(listed if isinstance(listed, list) else ()), *_part(data, "effects")]
     used = [
         effect for effect in TEMPERATURE_EFFECTS if any(str(n).partition(".")[0] == effect for n in names)
     ]
@@ -261,10 +254,7 @@ def _text(value: object) -> str:
 
 def _positive(value: object) -> float:
     """Return a value of a result as a number; 0 if it is negative or not a number."""
-    try:
-        return max(_number(value), 0.0)
-    except ValueError:
-        return 0.0
+    return max(_number_or(0.0, value), 0.0)
 
 
 def _refuse_without_inverse(block: Block, covariance: Floats, where: str) -> None:
@@ -289,10 +279,7 @@ def _further_covariance(data: Any, name: str, where: str) -> Floats | None:
     try:
         covariance = _covariance(data, name)
     except (ValueError, TypeError, IndexError) as error:
-        raise Refused(
-            f"{where}: not a result of 'bench calibrate --json' (its {name}: {error}); give a file "
-            "that calibrate wrote"
-        ) from error
+        raise _no_result(where, f" (its {name}: {error})") from error
     _refuse_impossible(covariance, where)
     return covariance
 
@@ -304,15 +291,9 @@ def _block_terms(data: Any, where: str) -> Floats | None:
     try:
         rows = _numbers(data["block_terms"])
     except (ValueError, TypeError) as error:
-        raise Refused(
-            f"{where}: not a result of 'bench calibrate --json' (its block_terms: {error}); give a file that "
-            "calibrate wrote"
-        ) from error
+        raise _no_result(where, f" (its block_terms: {error})") from error
     if any(len(row) != len(COEFFICIENTS) for row in rows):
-        raise Refused(
-            f"{where}: not a result of 'bench calibrate --json' (its block_terms need 12 columns); "
-            "give a file that calibrate wrote"
-        )
+        raise _no_result(where, " (its block_terms need 12 columns)")
     return np.array(rows).reshape(-1, len(COEFFICIENTS)).T
 
 
@@ -392,10 +373,7 @@ def _read(path: Path) -> Any:
         with refusing("check name and permissions", path, verb="read"):
             return from_text(read_given(path).decode())
     except ValueError as error:
-        raise Refused(
-            f"{path}: not a result of 'bench calibrate --json', but text of another kind; give a file that "
-            "calibrate wrote"
-        ) from error
+        raise _no_result(str(path), ", but text of another kind") from error
 
 
 def is_result(path: Path) -> bool:
@@ -434,9 +412,8 @@ def dated(taken: Coefficients, name: str, dof: float) -> Snapshot:
 
 def _least_dof(data: Any) -> float:
     """Return the smallest degrees of freedom of the nine numbers, else of the coefficients; infinite if unknown."""
-    nine = data.get("intrinsic")
-    stated = nine["values"] if isinstance(nine, dict) and isinstance(nine.get("values"), dict) else None
-    rows = [one for one in (stated or data["coefficients"]).values() if isinstance(one, dict)]
+    stated = _part(_part(data, "intrinsic"), "values") or data["coefficients"]
+    rows = [one for one in stated.values() if isinstance(one, dict)]
     return min((dof for dof in (_positive(one.get("dof")) for one in rows) if dof), default=math.inf)
 
 

@@ -22,12 +22,11 @@ from bench.base.text import as_typed, visible
 from bench.results.registers import PersonChange, PersonPart, PersonsResult
 from bench.run.events import OperatorPerson, RecordError
 from bench.run.person import NOBODY_KNOWN, WishAuthor, at_the_shell
-from bench.services.chain import LINES, Chain, Entry, civil_now, first_head, opened
+from bench.services.chain import LINES, Chain, Entry, civil_now, opened
 from bench.services.errors import Refused
 from bench.services.requests.documents import ChangePersons, PersonsCommand, Right
 from bench.services.validated import laboratory_known, laboratory_needed
 
-FOLDER: Final = "persons"
 TOKEN: Final = "BENCH_TOKEN"
 KEY: Final = "BENCH_KEY"
 STARTED_FROM: Final = "_BENCH_STARTED_FROM"
@@ -61,19 +60,16 @@ class Person:
 class Persons(Chain):
     """The register: `everyone` by name, also those whose rights have ended; `entries` are its lines."""
 
-    FIRST: ClassVar[str] = first_head("triaxial-bench persons 1\n")
+    KIND: ClassVar[str] = "persons"
 
     everyone: dict[str, Person] = field(default_factory=dict)
     entries: list[Entry] = field(default_factory=list)
 
-    def _note(self, entry: Entry, where: str) -> None:
+    def _note(self, entry: Entry, where: str) -> bool:
         name, before = entry.number, self.everyone.get(entry.number)
         present = before is not None and not before.ended
         if entry.kind not in {ADDED, CHANGED, ENDED} or present == (entry.kind == ADDED):
-            raise Refused(
-                f"{where}: the entry '{entry.kind}' of {name} contradicts the entries before it; "
-                "restore the register from a copy"
-            )
+            return False
         if entry.kind == ENDED and before is not None:
             self.everyone[name] = replace(before, ended=entry.time)
         else:
@@ -81,6 +77,7 @@ class Persons(Chain):
             may = frozenset(map(Right, entry.data["may"]))
             self.everyone[name] = Person(name, may=may, since=entry.time, **told)
         self.entries.append(entry)
+        return True
 
     def who_may(self, right: Right) -> list[Person]:
         """Return the persons who have this right at present."""
@@ -119,13 +116,8 @@ def _to_give(right: Right, name: str, known: Person | None) -> str:
 
 def persons_of(laboratory: Path | None) -> Persons | None:
     """Return the register beside a laboratory file, read only; None if there is none. Raises `Refused`."""
-    if laboratory is None:
-        return None
-    register = Persons(laboratory.absolute().parent / FOLDER)
-    if not (register.folder / LINES).exists():
-        return None
-    register.read_lines()
-    return register
+    register = None if laboratory is None else Persons.beside(laboratory)
+    return register.read_lines() if register and (register.folder / LINES).exists() else None
 
 
 def authorised_by(laboratory: Path, name: str, right: Right, option: str) -> Person | None:
@@ -208,14 +200,14 @@ def persons(request: ChangePersons) -> PersonsResult:
     """Carry out the requested change of the register, if any, and return it. Raises `Refused`."""
     laboratory = laboratory_needed(request.laboratory, "the register of persons is a folder beside it")
     if request.what is None:
-        return _listed(persons_of(laboratory) or Persons(laboratory.absolute().parent / FOLDER))
+        return _listed(persons_of(laboratory) or Persons.beside(laboratory))
     needed = {"NAME": request.name, "--by NAME": request.by}
     if request.what is PersonsCommand.END:
         needed["--reason TEXT"] = request.reason
     if lacking := [option for option, given in needed.items() if not given]:
         raise Refused(f"bench persons {request.what} needs {', '.join(lacking)}; add what is missing")
     name, by = checked_name(str(request.name)), str(request.by)
-    with opened(Persons(laboratory.absolute().parent / FOLDER)) as register:
+    with opened(Persons.beside(laboratory)) as register:
         if register.entries:
             _proved(register.chosen(by, Right.ADMINISTER, "--by"))
         token = secrets.token_urlsafe(32) if request.token else None

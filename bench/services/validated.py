@@ -27,15 +27,14 @@ from bench.config.shipped import PROCEDURES, shipped_folder
 from bench.results.validation import PackagePart, ProgramFingerprint
 from bench.run.events import sha256
 from bench.run.folder import BENCH, Run
-from bench.services.chain import Chain, Entry, first_head
+from bench.services.chain import Chain, Entry
 from bench.services.errors import Refused
 
 DISTRIBUTION: Final = "triaxial-bench"
-FOLDER: Final = "validations"
 LABORATORY: Final = "BENCH_LABORATORY"
 ACCEPTED, WITHDRAWN = "accepted", "withdrawn"
-_ROOT: Final = Path(__file__).parents[2]
-_OURS: Final = ("bench", "drivers", "sim")
+ROOT: Final = Path(__file__).parents[2]
+OURS: Final = ("bench", "drivers", "sim")
 _NO_CODE: Final = frozenset({".pyc", ".pyo", ".part"})
 _REQUIREMENT: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
@@ -48,7 +47,7 @@ def own_files() -> dict[str, str]:
     return {
         path: digest
         for name, folder in [
-            *((name, _ROOT / name) for name in _OURS),
+            *((name, ROOT / name) for name in OURS),
             (PROCEDURES, shipped_folder(PROCEDURES)),
         ]
         for path, digest in _files_of(folder, name)
@@ -130,23 +129,19 @@ def fingerprint() -> ProgramFingerprint:
 class Validations(Chain):
     """The register of validations: `entries` in order, and the numbers of those `withdrawn`."""
 
-    FIRST: ClassVar[str] = first_head("triaxial-bench validations 1\n")
+    KIND: ClassVar[str] = "validations"
 
     entries: list[Entry] = field(default_factory=list)
     withdrawn: set[str] = field(default_factory=set)
 
-    def _note(self, entry: Entry, where: str) -> None:
+    def _note(self, entry: Entry, where: str) -> bool:
         known = {one.number for one in self.entries if one.kind == ACCEPTED}
-        if entry.kind == ACCEPTED and entry.number not in known:
-            self.entries.append(entry)
-        elif entry.kind == WITHDRAWN and entry.number in known - self.withdrawn:
-            self.entries.append(entry)
+        if entry.kind == WITHDRAWN and entry.number in known - self.withdrawn:
             self.withdrawn.add(entry.number)
-        else:
-            raise Refused(
-                f"{where}: the entry '{entry.kind}' of {entry.number} contradicts the entries before it; restore "
-                "the register from a copy"
-            )
+        elif entry.kind != ACCEPTED or entry.number in known:
+            return False
+        self.entries.append(entry)
+        return True
 
     def standing(self) -> list[Entry]:
         """Return the accepted validations that were not withdrawn, the latest last."""
@@ -165,18 +160,6 @@ class Validations(Chain):
             and own in (None, one.data.get("plug_ins", ""))
             for one in self.standing()
         )
-
-
-def register_beside(laboratory: Path) -> Path:
-    """Return the folder of the register of validations of a laboratory file."""
-    return laboratory.absolute().parent / FOLDER
-
-
-def read_validations(laboratory: Path) -> Validations:
-    """Return the register of a laboratory, read without changing any file. Raises `Refused` if it is damaged."""
-    register = Validations(register_beside(laboratory))
-    register.read_lines()
-    return register
 
 
 # --- the refusal ------------------------------------------------------------------------------------
@@ -237,7 +220,7 @@ def _refuse(laboratory: Path | None, by: str, bench: Path | None, own: str | Non
             f"{by} demands a validated program (require_validation), and no laboratory file says where validations "
             f"are registered; set {LABORATORY} to it; if no validation was accepted there yet: {way}"
         )
-    register = read_validations(laboratory)
+    register = Validations.beside(laboratory).read_lines()
     digest = None if bench is None else sha256_of_file(bench)
     program = fingerprint().fingerprint
     if register.accepts(program, digest, own):

@@ -21,8 +21,6 @@ from bench.services.validated import (
     digest_of,
     fingerprint,
     laboratory_needed,
-    read_validations,
-    register_beside,
 )
 from bench.validation.conduct import RESULT, damage_of
 from bench.validation.machine import compared
@@ -47,7 +45,7 @@ def accept(request: Validate, folder: Path) -> ValidationRegisterResult:
         changed = compared(here.files, result.program.files)
         what = "packages, Python or platform" if changed.passed else changed.found
         raise Refused(f"{folder}: the program was changed since ({what}); validate again, then accept")
-    with opened(Validations(register_beside(laboratory))) as register:
+    with opened(Validations.beside(laboratory)) as register:
         digest = sha256(content)
         if any(one.data.get("result_sha256") == digest for one in register.standing()):
             raise Refused(f"{folder}: this validation is registered already; nothing was changed")
@@ -71,7 +69,7 @@ def accept(request: Validate, folder: Path) -> ValidationRegisterResult:
 def withdraw(request: Validate, number: str) -> ValidationRegisterResult:
     """Register the withdrawal of a validation. Raises `Refused` as `accept`, and for an unknown number."""
     laboratory, person, reason = _authority(request)
-    with opened(Validations(register_beside(laboratory))) as register:
+    with opened(Validations.beside(laboratory)) as register:
         found = next((one for one in register.standing() if one.number == number), None)
         if found is None:
             known = ", ".join(one.number for one in register.standing()[-3:]) or "none"
@@ -85,7 +83,7 @@ def withdraw(request: Validate, number: str) -> ValidationRegisterResult:
 
 def register_of(request: Validate) -> ValidationRegisterResult:
     """Return a laboratory's register without changing it. Raises `Refused` if no laboratory file is given."""
-    return listed(read_validations(_laboratory(request)))
+    return listed(Validations.beside(_laboratory(request)).read_lines())
 
 
 def listed(register: Validations) -> ValidationRegisterResult:
@@ -116,11 +114,8 @@ def _laboratory(request: Validate) -> Path:
 def _authority(request: Validate) -> tuple[Path, Person, str]:
     """Return laboratory file, authorised person and reason. Raises `Refused` if one is missing."""
     laboratory = _laboratory(request)
-    lacking = [
-        option
-        for option, given in (("--by NAME", request.by), ("--reason TEXT", request.reason))
-        if not given
-    ]
+    needed = {"--by NAME": request.by, "--reason TEXT": request.reason}
+    lacking = [option for option, given in needed.items() if not given]
     if lacking or request.by is None or request.reason is None:
         raise Refused(f"an entry of the register needs {' and '.join(lacking)}; add what is missing")
     return laboratory, load_laboratory(laboratory).authorised_person(request.by, "--by"), request.reason

@@ -22,7 +22,6 @@ from bench.batch.store import list_runs
 from bench.batch.work import stored_calibration
 from bench.calibration.estimators import GLS, find_estimator
 from bench.config.bench_file.file import load_bench
-from bench.config.shipped import find_bench
 from bench.results.validation import (
     NOT_PROVEN,
     AgainstPart,
@@ -51,13 +50,7 @@ from bench.services.bench_selection import bench_path
 from bench.services.errors import Refused, refusing, sentence
 from bench.services.requests.documents import BatchCalibrate, Validate
 from bench.services.requests.shared import runs_folder
-from bench.services.validated import (
-    fingerprint,
-    laboratory_known,
-    plug_ins,
-    read_validations,
-    register_beside,
-)
+from bench.services.validated import Validations, fingerprint, laboratory_known, plug_ins
 from bench.validation.failures import note_validation
 from bench.validation.machine import description
 from bench.validation.registry import Context, carry_out, every
@@ -66,7 +59,6 @@ from drivers.clock import SystemClock, utc_now
 RESULT: Final = "validation.json"
 PAGE: Final = "validation.html"
 PDF: Final = "validation.pdf"
-DEFAULT_BENCH: Final = "paper-stand"
 THRESHOLD_U: Final = 0.1
 """Largest change of a coefficient of a past run, or of its u, that is not listed, in units of the stored u."""
 
@@ -80,7 +72,7 @@ def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationR
     began_s = clock.now_s()
     _check_release(request)
     key = None if request.key is None else private_key(request.key, passphrase)
-    bench = _bench(request)
+    bench = bench_path(request.bench)
     load_bench(bench)  # its mistakes are refused before the checks begin
     if request.against is not None:  # what names no run is refused before the checks begin
         _past_runs(request, request.against)
@@ -89,7 +81,7 @@ def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationR
     laboratory = laboratory_known(request.laboratory)
     number, accepted = _accepted(laboratory, bench)
     places = [runs_folder(request.runs), folder]
-    places += [] if laboratory is None else [register_beside(laboratory)]
+    places += [] if laboratory is None else [Validations.beside(laboratory).folder]
     with tempfile.TemporaryDirectory(prefix="bench-validation-") as scratch:
         released = request.release, request.release_key
         context = Context(bench, Path(scratch), request.quick, accepted, tuple(places), *released)
@@ -141,11 +133,6 @@ def _check_release(request: Validate) -> None:
         read_public_key(request.release_key)
 
 
-def _bench(request: Validate) -> Path:
-    named = request.bench or os.environ.get("BENCH_FILE")
-    return bench_path(named) if named else find_bench(DEFAULT_BENCH)
-
-
 def _cpu_s() -> float:
     """Return the processor time (s) of this program and of the processes that it waited for."""
     return sum(os.times()[:4])
@@ -160,14 +147,14 @@ def _take(folder: Path) -> None:
         (folder / RESULT).unlink()
 
 
-def _accepted(laboratory: Path | None, bench: Path) -> tuple[str, dict[str, Any] | None]:
-    """Return number and result of the latest accepted validation for this bench file; "" and None without one."""
+def _accepted(laboratory: Path | None, bench: Path) -> tuple[str, dict[str, Any]]:
+    """Return number and result of the latest accepted validation for this bench file; both empty without one."""
     if laboratory is None:
-        return "", None
-    register = read_validations(laboratory)
+        return "", {}
+    register = Validations.beside(laboratory).read_lines()
     entry = register.latest(bench)
     if entry is None:
-        return "", None
+        return "", {}
     kept: dict[str, Any] = read_json(register.kept(str(entry.data["result_sha256"])))
     return entry.number, kept
 

@@ -14,7 +14,7 @@ from bench.results.validation import ValidationResult
 from bench.run.events import EventType, RecordError
 from bench.run.folder import Run, all_runs
 from bench.run.sentences import sentence
-from bench.services.chain import Chain, Entry, civil_now, first_head, opened
+from bench.services.chain import Chain, Entry, civil_now, opened
 from bench.services.errors import Refused
 from bench.services.persons import persons_of
 from bench.services.requests.documents import Failures, FailureState, Right
@@ -22,7 +22,6 @@ from bench.services.requests.shared import runs_folder
 from bench.services.validated import laboratory_needed
 from drivers.clock import utc_now
 
-FOLDER: Final = "failures"
 SEEN, NOTED, DAMAGED, VALIDATION = "seen", "noted", "damaged", "validation"
 KINDS: Final = frozenset(
     {
@@ -42,22 +41,20 @@ A "fault" of the power supply also counts.
 class FailureRegister(Chain):
     """The register of failures: `seen` maps numbers to failures, `noted` maps numbers to notes on them."""
 
-    FIRST: ClassVar[str] = first_head("triaxial-bench failures 1\n")
+    KIND: ClassVar[str] = "failures"
 
     seen: dict[str, Entry] = field(default_factory=dict)
     noted: dict[str, list[Entry]] = field(default_factory=dict)
 
-    def _note(self, entry: Entry, where: str) -> None:
+    def _note(self, entry: Entry, where: str) -> bool:
         if entry.kind == SEEN and entry.number not in self.seen:
             self.seen[entry.number] = entry
             self.noted[entry.number] = []
         elif entry.kind == NOTED and entry.number in self.seen:
             self.noted[entry.number].append(entry)
         else:
-            raise Refused(
-                f"{where}: the entry '{entry.kind}' of {entry.number} contradicts the entries before it; restore "
-                "the register from a copy"
-            )
+            return False
+        return True
 
     def keys(self) -> set[tuple[str, str, int]]:
         """Return the keys of the known failures: creation time and name of the run, and number of the event."""
@@ -71,7 +68,7 @@ def failures(request: Failures) -> FailuresResult:
     person.
     """
     laboratory = laboratory_needed(request.laboratory, "the register of failures is a folder beside it")
-    with opened(FailureRegister(laboratory.absolute().parent / FOLDER)) as register:
+    with opened(FailureRegister.beside(laboratory)) as register:
         new = 0
         known = register.keys()
         for data in _in_records(runs_folder(request.runs)):
@@ -94,7 +91,7 @@ def note_validation(laboratory: Path, name: str, result: ValidationResult) -> st
         "said": visible(f"{result.headline}: {', '.join(one.name for one in result.failed)}"),
         "simulated": False,
     }
-    with opened(FailureRegister(laboratory.absolute().parent / FOLDER)) as register:
+    with opened(FailureRegister.beside(laboratory)) as register:
         return _append(register, data, "bench validate")
 
 
@@ -141,15 +138,8 @@ def _in_record(run: Run) -> Iterator[dict[str, Any]]:
 def _note(register: FailureRegister, request: Failures, laboratory: Path) -> None:
     """Append to the register what the request states about a failure."""
     number, by = str(request.number), request.by
-    lacking = [
-        option
-        for option, given in (
-            ("--state", request.state),
-            ("--remedy TEXT", request.remedy),
-            ("--by NAME", by),
-        )
-        if not given
-    ]
+    needed = {"--state": request.state, "--remedy TEXT": request.remedy, "--by NAME": by}
+    lacking = [option for option, given in needed.items() if not given]
     if lacking or request.state is None or by is None:
         raise Refused(f"--number {number}: a remedy needs {', '.join(lacking)}")
     if number not in register.seen:

@@ -314,7 +314,6 @@ def permissions(context: Context) -> Iterator[Finding]:
 
 # --- changes since the accepted validation; a person may accept one with a reason -----------------------
 
-_NOTHING = "there is no accepted validation to compare with"
 _SHOWN = 5
 
 
@@ -334,16 +333,12 @@ def compared(now: Mapping[str, Any], before: Mapping[str, Any]) -> Finding:
 @compare("program files", "7.11.2", "as accepted")
 def program_as_accepted(context: Context) -> Finding:
     """Compare the program's own files with those of the accepted validation."""
-    if context.accepted is None:
-        return Finding(True, _NOTHING)
     return compared(fingerprint().files, context.accepted["program"]["files"])
 
 
 @compare("packages", "7.11.2", "as accepted")
 def packages_as_accepted(context: Context) -> Finding:
     """Compare the versions and lists of files of packages, and Python, with the accepted validation."""
-    if context.accepted is None:
-        return Finding(True, _NOTHING)
 
     def told(program: Mapping[str, Any]) -> dict[str, Any]:
         return {**program["packages"], "python": program["python"], "platform": program["platform"]}
@@ -354,8 +349,6 @@ def packages_as_accepted(context: Context) -> Finding:
 @compare("bench file", "6.4.4", "as accepted")
 def bench_as_accepted(context: Context) -> Finding:
     """Compare the bench file with the bench file of the accepted validation."""
-    if context.accepted is None:
-        return Finding(True, _NOTHING)
     digest, before = sha256_of_file(context.bench_path), context.accepted["bench"]["sha256"]
     found = f"SHA-256 {digest[:12]}…" + ("" if digest == before else f", accepted was {before[:12]}…")
     return Finding(digest == before, found, where=str(context.bench_path))
@@ -364,16 +357,12 @@ def bench_as_accepted(context: Context) -> Finding:
 @compare("own drivers and effects", "7.11.2", "as accepted")
 def plug_ins_as_accepted(context: Context) -> Finding:
     """Compare the laboratory's own drivers and effects with the accepted validation."""
-    if context.accepted is None:
-        return Finding(True, _NOTHING)
     return compared(plug_ins(context.bench), context.accepted["bench"].get("plug_ins", {}))
 
 
 @compare("machine", "6.4.4", "as accepted")
 def machine_as_accepted(context: Context) -> Finding:
     """Compare time zone, locale, encoding and user with the accepted validation of the same computer."""
-    if context.accepted is None:
-        return Finding(True, _NOTHING)
     now, before = description(), dict(context.accepted["machine"])
     for one in (now, before):
         one.pop("system", None)  # its kernel changes with every update of the system

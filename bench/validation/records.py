@@ -30,6 +30,7 @@ from bench.services.execution import carry_out, new_run
 from bench.services.requests.documents import RevokeCertificate
 from bench.services.requests.measuring import RunRequest
 from bench.services.source import Request, load_sources
+from bench.services.validated import ROOT
 from bench.validation.registry import Context, Finding
 from bench.validation.registry import check as enter
 from drivers.clock import SystemClock, utc_now
@@ -43,7 +44,6 @@ KILLS, QUICK_KILLS = (12, 30, 55), (30,)
 """Numbers of events after which a run is killed."""
 _WAIT_S: Final = 900.0
 """Longest time (s) to wait for the program; only one that hangs takes so long."""
-_ROOT: Final = Path(__file__).parents[2]
 _COMMAND: Final = "from bench.cli.program import main; main()"
 
 
@@ -133,7 +133,7 @@ def killed(context: Context) -> Iterator[Finding]:
 
 def _program(*arguments: object) -> subprocess.Popen[bytes]:
     """Start the program in a separate process, with the code of this program and one thread."""
-    paths = [str(_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     around = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "OPENBLAS_NUM_THREADS": "1"}
     return subprocess.Popen(  # noqa: S603 - this program, arguments of our own
         [sys.executable, "-c", _COMMAND, *map(str, arguments)],

@@ -23,13 +23,13 @@ from bench.base.computing import tracked
 from bench.config.bench_file.file import BenchFile, load_bench
 from bench.results.validation import ValidationCheck
 from bench.services.errors import sentence
+from bench.services.validated import OURS, ROOT
 from drivers.clock import SystemClock
 
 REFERENCE: Final = Path(__file__).with_name("data")
 """The folder of reference data."""
 
-_ROOT: Final = Path(__file__).parents[2]
-_OURS: Final = ("bench", "drivers", "sim")
+_NOTHING: Final = "there is no accepted validation to compare with"
 
 
 @dataclass(frozen=True)
@@ -50,14 +50,14 @@ class Finding:
 class Context:
     """The context of checks: the bench file, a scratch folder, and the folders that the installation writes.
 
-    `accepted` is the result of the last accepted validation as JSON, None if there is none. `release` is the
+    `accepted` is the result of the last accepted validation as JSON, empty if there is none. `release` is the
     manifest of a release (None if none was given), `release_key` the public key of its signer.
     """
 
     bench_path: Path
     scratch: Path
     quick: bool = False
-    accepted: dict[str, Any] | None = None
+    accepted: dict[str, Any] = field(default_factory=dict)
     folders: tuple[Path, ...] = ()
     release: Path | None = None
     release_key: Path | None = None
@@ -77,7 +77,8 @@ class Check:
     """A check: its family, clause of ISO/IEC 17025:2017, expectation, and the function that carries it out.
 
     `place` is the code that the check tests. `p_false` is an upper bound of the probability that a correct
-    program fails with other random numbers. With `change`, a failure is a change that a person may accept.
+    program fails with other random numbers. With `change`, a failure is a change since the accepted validation,
+    which a person may accept.
     """
 
     name: str
@@ -100,7 +101,7 @@ class Check:
         clock = SystemClock()
         began_s = clock.now_s()
         try:
-            found = self.act(context)
+            found = self.act(context) if context.accepted or not self.change else Finding(True, _NOTHING)
             for one in [found] if isinstance(found, Finding) else found:
                 yield self._row(one, clock.now_s() - began_s)
                 began_s = clock.now_s()
@@ -109,17 +110,12 @@ class Check:
             yield self._row(Finding(False, sentence(error), where=where), clock.now_s() - began_s)
 
     def _row(self, finding: Finding, took_s: float) -> ValidationCheck:
-        return ValidationCheck(
+        return ValidationCheck.from_object(
+            finding,
+            self,
             name=f"{self.name}: {finding.of}" if finding.of else self.name,
-            family=self.family,
-            clause=self.clause,
-            did=self.did,
-            source=self.source,
             expected=finding.expected or self.expected,
-            found=finding.found,
-            passed=finding.passed,
             where="" if finding.passed else finding.where or self.place,
-            change=self.change,
             took_s=round(took_s, 3),
         )
 
@@ -151,8 +147,8 @@ def raised_at(error: BaseException) -> str:
     """Return file, line and function of the program's own code where an error was raised; "" for other code."""
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         path = Path(frame.filename)
-        if path.is_relative_to(_ROOT) and path.relative_to(_ROOT).parts[0] in _OURS:
-            ours = path.relative_to(_ROOT)
+        if path.is_relative_to(ROOT) and path.relative_to(ROOT).parts[0] in OURS:
+            ours = path.relative_to(ROOT)
             if ours.parts[:2] != ("bench", "validation"):
                 return f"{ours.as_posix()}, line {frame.lineno} ({frame.name})"
     return ""

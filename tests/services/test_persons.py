@@ -14,7 +14,7 @@ from bench.run.folder import Run
 from bench.services.bench_selection import origin_of_run
 from bench.services.chain import LINES
 from bench.services.errors import Refused
-from bench.services.persons import FOLDER, KEY, STARTED_FROM, TOKEN, persons, persons_of
+from bench.services.persons import KEY, STARTED_FROM, TOKEN, persons, persons_of
 from bench.services.requests.documents import ChangePersons, PersonsCommand, Right
 from tests.support.certificates import write_files
 from tests.support.commands import printed, refused
@@ -41,7 +41,7 @@ def change(laboratory, what, name, by="A. Example", **more):
 def test_each_change_is_in_the_chain_and_no_secret_is(laboratory):
     token = change(laboratory, "add", "B. Example", may="operate", token=True).token
     result = change(laboratory, "change", "B. Example", role="technician", reason="trained")
-    text = (laboratory.parent / FOLDER / LINES).read_text(encoding="utf-8")
+    text = (laboratory.parent / "persons" / LINES).read_text(encoding="utf-8")
     assert token not in text
     assert [(one.kind, one.name, one.by) for one in result.changes] == [
         ("added", "A. Example", "A. Example"),
@@ -49,7 +49,7 @@ def test_each_change_is_in_the_chain_and_no_secret_is(laboratory):
         ("changed", "B. Example", "A. Example"),
     ]
     assert persons_of(laboratory).with_token(token).role == "technician"
-    (laboratory.parent / FOLDER / LINES).write_text(text.replace('"head"', '"cook"'), encoding="utf-8")
+    (laboratory.parent / "persons" / LINES).write_text(text.replace('"head"', '"cook"'), encoding="utf-8")
     with pytest.raises(Refused, match="the chain is broken"):
         persons_of(laboratory)
 
@@ -69,10 +69,10 @@ def test_each_change_is_in_the_chain_and_no_secret_is(laboratory):
     ],
 )
 def test_changes_that_cannot_be(laboratory, what, name, more, said):
-    before = (laboratory.parent / FOLDER / LINES).read_bytes()
+    before = (laboratory.parent / "persons" / LINES).read_bytes()
     with pytest.raises((Refused, RecordError), match=said):
         change(laboratory, what, name, **more)
-    assert (laboratory.parent / FOLDER / LINES).read_bytes() == before
+    assert (laboratory.parent / "persons" / LINES).read_bytes() == before
 
 
 def test_the_first_person_administers(tmp_path):

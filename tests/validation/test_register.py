@@ -115,7 +115,7 @@ def test_a_demanding_laboratory_refuses_until_somebody_accepted(demanding):
     said = refusal(laboratory, bench)
     assert "no validation was accepted yet" in said
     assert f"bench validate --bench {bench} --laboratory {laboratory}" in said
-    folder = validated.register_beside(laboratory)
+    folder = Validations.beside(laboratory).folder
     with opened(Validations(folder)) as register:
         register.append(entry("1", "old program", "old file"))
     assert "the program was changed since 1 was accepted" in refusal(laboratory, bench)
@@ -148,7 +148,7 @@ def test_a_real_run_is_not_continued_by_a_program_that_nobody_validated(
     laboratory, file = demanding
     monkeypatch.setattr(os, "isatty", lambda _: True)
     monkeypatch.setenv("BENCH_LABORATORY", str(laboratory))
-    folder = validated.register_beside(laboratory)
+    folder = Validations.beside(laboratory).folder
     with opened(Validations(folder)) as register:
         register.append(entry("1", "f" * 64, sha256_of_file(file)))
     new = new_run(RunRequest("quick", str(file), name="real"))
@@ -177,7 +177,7 @@ def test_a_driver_of_the_laboratory_is_part_of_what_was_validated(demanding, tmp
     assert own
     assert all(name.startswith("drivers/") for name in own)
     data = {**entry("1", "f" * 64, sha256_of_file(file)).data, "plug_ins": validated.digest_of(own)}
-    with opened(Validations(validated.register_beside(laboratory))) as register:
+    with opened(Validations.beside(laboratory)) as register:
         register.append(replace(entry("1"), data=data))
     validated.refuse_unvalidated_run(load_bench(file), file, laboratory)
     one = next(drivers.rglob("*.py"))
