@@ -300,4 +300,4 @@ def figure_of(run: Run, name: str) -> bytes:
             if b' id="' + FIGURES[name] + b"-" in found[0]:
                 names = b'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
                 return found[0].replace(b"<svg ", names, 1)
-    raise Refusal(404, message(f"the report of {run.name} has no such figure; choose one on the page"))
+    raise Refusal(404, f"the report of {run.name} has no such figure; choose one on the page")

@@ -136,15 +136,11 @@ class BenchForm(EditedFile):
         """Take over the typed values; begin a search if its button was pressed. Raises `Refusal` for odd texts."""
         for name, text in given.items():
             if len(text) > LONGEST and "\n" not in text:
-                raise Refusal(
-                    400, message(f"{name}: the text has more than {LONGEST} characters; shorten it")
-                )
+                raise Refusal(400, f"{name}: the text has more than {LONGEST} characters; shorten it")
         for name, text in given.items():
             if _OF_FORM.match(name):
                 if visible(text) != text or not (text.isprintable() or not text):
-                    raise Refusal(
-                        400, message(f"{name}: the text has characters that cannot be printed; remove them")
-                    )
+                    raise Refusal(400, f"{name}: the text has characters that cannot be printed; remove them")
                 self.values[name] = text.strip()
         search = search_of(panel)
         self.refusal = _assign(self.values, given, search.found())
@@ -167,10 +163,8 @@ class BenchForm(EditedFile):
         except (yaml.YAMLError, TypeError, LookupError, AttributeError) as error:
             raise Refusal(
                 409,
-                message(
-                    "the form cannot show this file, because the file is not valid YAML or a "
-                    "section has the wrong structure; correct the file in an editor"
-                ),
+                "the form cannot show this file, because the file is not valid YAML or a "
+                "section has the wrong structure; correct the file in an editor",
             ) from error
         mistakes, self.file = mistakes_in(self.text, self.base.path)
         self.placed = placed(mistakes, self.groups)
@@ -217,7 +211,7 @@ def _values(file: FileText) -> dict[str, str]:
     except yaml.YAMLError as error:
         where = mistakes_in(file.text, file.path)[0][0]
         raise Refusal(
-            409, message(f"{file.path}, line {where.line}: {where.text}; correct it in an editor")
+            409, f"{file.path}, line {where.line}: {where.text}; correct it in an editor"
         ) from error
 
 

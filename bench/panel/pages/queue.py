@@ -186,9 +186,7 @@ def chosen_bench_file(name: str) -> Path:
     """Return the bench file with this name. Raises `Refusal` if it no longer exists."""
     path = choices(CONFIG).get(name)
     if path is None:
-        raise Refusal(
-            404, message(f"the bench file {name} no longer exists; remove the unit and add it again")
-        )
+        raise Refusal(404, f"the bench file {name} no longer exists; remove the unit and add it again")
     return path
 
 
@@ -273,13 +271,13 @@ def _changed(panel: Panel, person: Person, sent: dict[str, str]) -> None:
             panel.queue.put_aside()
         case _:
             raise Refusal(
-                400, message("there is no such action for the queue; load the page again and use its buttons")
+                400, "there is no such action for the queue; load the page again and use its buttons"
             )
 
 
 def _known_bench(name: str) -> str:
     if name not in choices(CONFIG):
-        raise Refusal(400, message("there is no bench file of that name; choose one from the list"))
+        raise Refusal(400, "there is no bench file of that name; choose one from the list")
     return name
 
 
@@ -314,20 +312,18 @@ def _item_changed(panel: Panel, person: Person, item_id: str, do: str) -> str:
         if not _row(panel, item, runs).returnable:
             raise Refusal(
                 409,
-                message(f"{item.words}: its run continues or is finished; add the unit to the queue again"),
+                f"{item.words}: its run continues or is finished; add the unit to the queue again",
             )
         panel.queue.change(item_id, wish="", run="", begun=None)
     else:
-        raise Refusal(
-            400, message("there is no such action for the queue; load the page again and use its buttons")
-        )
+        raise Refusal(400, "there is no such action for the queue; load the page again and use its buttons")
     return "/queue"
 
 
 def _check_of(panel: Panel, person: Person, item: QueueItem) -> str:
     """Return the id of the check of an item: the check in progress or still valid, else a new one."""
     if panel.runs.holds(item.run) or panel.queue.is_starting(item):
-        raise Refusal(409, message(f"{item.words} was begun already; see the run {item.run}"))
+        raise Refusal(409, f"{item.words} was begun already; see the run {item.run}")
     try:
         wish = panel.wishes.of(item.wish)
         if not wish.wanted().changed() and (wish.at_work() or wish.found().startable) and not wish.started():

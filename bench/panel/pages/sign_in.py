@@ -29,7 +29,7 @@ async def signed_in(request: Request) -> Response:
     panel = panel_of(request)
     link, token = sent.get("link", ""), sent.get("token", "")
     if link and not panel.settings.loopback:
-        raise Refusal(403, message("sign-in links work on the bench's computer only; sign in with a token"))
+        raise Refusal(403, "sign-in links work on the bench's computer only; sign in with a token")
     sign_in_by = panel.access.sign_in_by_link if link else panel.access.sign_in_by_token
     person = await run_in_threadpool(sign_in_by, link or token)
     if person is None:

@@ -164,10 +164,8 @@ def _begun(panel: Panel, person: Person, wish: WishFolder) -> str:
     if not wish.found().startable:
         raise Refusal(
             409,
-            message(
-                "the check is not finished or found an obstacle; read the check, remove the obstacle, "
-                "then start again"
-            ),
+            "the check is not finished or found an obstacle; read the check, remove the obstacle, "
+            "then start again",
         )
     wanted = wish.wanted()
     name = name_of(wanted, panel.runs)
@@ -188,9 +186,9 @@ def printable(text: str, name: str, longest: int = LONGEST) -> str:
     """Return a field's `text` without outer blanks. Raises `Refusal` (400) if it is too long or not printable."""
     text = text.strip()
     if len(text) > longest:
-        raise Refusal(400, message(f"{name}: the text has more than {longest} characters; shorten it"))
+        raise Refusal(400, f"{name}: the text has more than {longest} characters; shorten it")
     if (text and not text.isprintable()) or visible(text) != text:
-        raise Refusal(400, message(f"{name}: the text has characters that cannot be printed; remove them"))
+        raise Refusal(400, f"{name}: the text has characters that cannot be printed; remove them")
     return text
 
 
