@@ -12,7 +12,7 @@ from pathlib import PurePath
 from typing import Any, Final
 from urllib.parse import parse_qsl, quote
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
@@ -20,7 +20,6 @@ from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Re
 from bench.base.computing import missing
 from bench.base.files import from_text
 from bench.base.languages import ENGLISH, LANGUAGES, language, message, texts_for_scripts
-from bench.base.numbers import typeset
 from bench.base.template_texts import environment_for
 from bench.base.text import bounded, visible
 from bench.panel.access import STATE, Access, Person, Refusal, Role, Settings
@@ -165,15 +164,7 @@ def asset(name: str) -> str:
 
 @cache
 def _environment(name: str = ENGLISH) -> Environment:
-    environment = environment_for(
-        name,
-        loader=PackageLoader("bench.panel", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["typeset"] = typeset
+    environment = environment_for(name, "bench.panel")
     environment.filters["filename"] = lambda path: PurePath(str(path)).name
     environment.globals.update(asset=asset, language=name, languages=LANGUAGES)
     return environment

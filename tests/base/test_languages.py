@@ -152,7 +152,7 @@ def test_texts_of_templates_are_found_without_marks():
 
 
 def test_translated_templates_escape_values_and_leave_names(ukrainian):
-    template = environment_for("uk", autoescape=True).from_string(TEMPLATE)
+    template = environment_for("uk", "bench.panel").from_string(TEMPLATE)
     told = template.render(a="<i>", b="0.5 V", c="0.5")
     assert told.startswith('<html lang="uk"><p>Правило: &lt;i&gt; – 0,5 V.</p>')
     assert '<td data-label="виріб">0,5</td>' in told
@@ -161,15 +161,15 @@ def test_translated_templates_escape_values_and_leave_names(ukrainian):
 
 @pytest.mark.parametrize("mark", ["{{- m('12.5') }}", "{{ m('12.5') -}}", "{{- -2.5 }}"])
 def test_white_space_control_stays_in_a_translated_template(ukrainian, mark):
-    environment = environment_for("uk", autoescape=True)
+    environment = environment_for("uk", "bench.panel")
     source = f"{{% macro m(x) %}}{{{{ x }}}}{{% endmacro %}}<nav>a<i>b</i> {mark} </nav>"
     told = environment.from_string(source).render()
-    plain = environment_for("en", autoescape=True).from_string(source).render()
+    plain = environment_for("en", "bench.panel").from_string(source).render()
     assert told == plain.replace("2.5", "2,5")
 
 
 def test_english_templates_are_rendered_as_they_stand():
-    plain = environment_for("en", autoescape=True).from_string(TEMPLATE).render(a="<i>", b="0.5 V", c="0.5")
+    plain = environment_for("en", "bench.panel").from_string(TEMPLATE).render(a="<i>", b="0.5 V", c="0.5")
     assert plain.startswith('<html lang="en"><p>Rule: &lt;i&gt; – 0.5 V.</p>')
 
 

@@ -27,7 +27,6 @@ from bench.run.folder import Run
 from bench.run.person import (
     LONGEST,
     SIGN,
-    AskedPrompt,
     LeftAnswer,
     RunControl,
     WishAuthor,
@@ -130,17 +129,10 @@ async def check_answer(request: Request) -> Response:
     found = run_of(request)
     asked = await panel_of(request).followers.prompt(found.folder)
     text = request.query_params.get("text", "")
-    return JSONResponse(checked(asked, request.query_params.get("id", ""), text))
-
-
-def checked(asked: AskedPrompt | None, prompt_id: str, text: str) -> dict[str, str]:
-    """Return the `problem` with an answer and how it is `understood`. Raises `Refusal` (409) if it is late."""
-    if asked is None or asked.prompt.id != prompt_id:
+    if asked is None or asked.prompt.id != request.query_params.get("id", ""):
         raise Refusal(409, "this question is closed; load the page again")
-    return {
-        "problem": problem_with_answer(asked.prompt, text),
-        "understood": understood_answer(asked.prompt, text),
-    }
+    problem, understood = problem_with_answer(asked.prompt, text), understood_answer(asked.prompt, text)
+    return JSONResponse({"problem": problem, "understood": understood})
 
 
 STOP: Final = "stop"

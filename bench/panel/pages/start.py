@@ -63,7 +63,8 @@ def form(request: Request) -> Response:
     if given["after"]:
         after = panel_of(request).runs.run(given["after"])
         chosen_procedure(f"{OF_RUN}{after.name}", panel_of(request).runs)
-        given["unit"] = given["unit"] or _unit_of(after.manifest)
+        block = after.manifest.get("unit_under_test")
+        given["unit"] = given["unit"] or (str(block.get("serial", "")) if isinstance(block, dict) else "")
     return page(
         request,
         "start.html.j2",
@@ -214,11 +215,6 @@ def first_bench(runs: RunsFolder) -> str:
         return _files_of(last.manifest).get("bench", first) if last else first
     except RecordError:
         return first
-
-
-def _unit_of(manifest: Any) -> str:
-    unit = manifest.get("unit_under_test")
-    return str(unit.get("serial", "")) if isinstance(unit, dict) else ""
 
 
 def _times(told: TrialResult) -> dict[str, str]:
