@@ -35,6 +35,7 @@ from bench.certificate.dcc.nodes import (
     DEGREE,
     NAMESPACES,
     ONE,
+    PER_MS2,
     SECOND,
     SI_UNITS,
     VERSION,
@@ -400,7 +401,7 @@ def _per_ms2(found: RunFindings) -> Values:
     values = own.block.vector * scale
     of_g = np.where(np.arange(12) < 9, values, 0.0) * own.gravity_u
     covariance = own.covariance * np.outer(scale, scale) + np.outer(of_g, of_g)
-    per = {"V": VOLT_PER_MS2, "m/s^2": ONE}.get(own.unit, r"\metre\tothe{-1}\second\tothe{2}")
+    per = {"V": VOLT_PER_MS2, "m/s^2": ONE}.get(own.unit, PER_MS2)
     sizes = zip(values.tolist(), u_of(covariance).tolist(), strict=True)
     dof = dof_through(own, np.diag(scale), of_g**2).tolist()
     found_per = (
