@@ -113,11 +113,7 @@ def turn(installation: Installation | None, from_rad: float | None, to_rad: floa
     if installation is not None:
         _block(sheet, installation, to_rad)
     _way(sheet, from_rad, to_rad, direction)
-    sense = (
-        message("against the clock (angle rising)")
-        if direction > 0
-        else message("with the clock (angle falling)")
-    )
+    sense = message("against the clock (angle rising)" if direction > 0 else "with the clock (angle falling)")
     words = message(f"turn to {format_dms(to_rad % math.tau)}, arriving {sense}")
     if installation is not None:
         words += "; " + message(f"then {in_words(installation, to_rad)}")
