@@ -16,6 +16,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from datetime import datetime
+from itertools import product
 from pathlib import Path
 from statistics import mean, median, stdev
 from typing import Any, Final
@@ -86,14 +87,16 @@ def keys(bench: str) -> CountingPerson:
         return carried_out(run, panel, page)
 
 
-def carried_out(run: Begun, panel: ServedPanel, page: Any) -> CountingPerson:
-    """Answer all questions of a run on its page; return the person with the counts."""
+def carried_out(run: Begun, panel: ServedPanel, page: Any, wait_s: float = 0.0) -> CountingPerson:
+    """Answer each question of a run on its page after `wait_s`; return the person with the counts."""
     try:
         run.wait_for_events()
-        page.goto(f"{panel.url}/runs/run/")
+        page.goto(f"{panel.url}/runs/{run.name}/")
         page.click("text=Take control")
+        page.evaluate(AGES)
         person, asked_id, number = CountingPerson(page), "", 0
         while asked_id := prompt_of(page, asked_id):
+            time.sleep(wait_s)
             person.answer(next(asked for asked in run.of_type("asked") if asked["id"] == asked_id), number)
             number += 1
         status, said = run.ended()
@@ -103,24 +106,6 @@ def carried_out(run: Begun, panel: ServedPanel, page: Any) -> CountingPerson:
         return person
     finally:
         run.close()
-
-
-def answered_run(panel: ServedPanel, page: Any, bench: Path, name: str, program: str, wait_s: float) -> Begun:
-    """Carry out `PROCEDURE`, with each question answered by keys after `wait_s`; return the run."""
-    procedure = bench.with_name("live.yaml")
-    procedure.write_text(PROCEDURE, "utf-8")
-    run = Begun(panel.runs, name, str(procedure), "folder", more=("--bench", str(bench)), program=program)
-    run.wait_for_events()
-    page.goto(f"{panel.url}/runs/{name}/")
-    page.click("text=Take control")
-    page.evaluate(AGES)
-    person, asked_id, number = CountingPerson(page), "", 0
-    while asked_id := prompt_of(page, asked_id):
-        time.sleep(wait_s)
-        person.answer(run.of_type("asked")[-1], number)
-        number += 1
-    run.ended()
-    return run
 
 
 def reading_times_s(run: Begun) -> list[float]:
@@ -154,11 +139,20 @@ def live(turns: int) -> None:
                 text = text.replace(f"TCPIP0::192.0.2.{22 + number}::5025", f"TCPIP0::{host}::{port}")
             bench = folder / "bench.yaml"
             bench.write_text(text, "utf-8")
-            for turn in range(turns):
-                for what, program in (("with", PROGRAM), ("without", NO_LOOKS)):
-                    run = answered_run(panel, page, bench, f"{what}-{turn}", program, 1.0)
-                    times[what] += reading_times_s(run)
-                    ages += page.evaluate("window.ages")
+            (folder / "live.yaml").write_text(PROCEDURE, "utf-8")
+            of_bench = ("--bench", str(bench))
+            for turn, (what, program) in product(range(turns), (("with", PROGRAM), ("without", NO_LOOKS))):
+                run = Begun(
+                    panel.runs,
+                    f"{what}-{turn}",
+                    str(folder / "live.yaml"),
+                    "folder",
+                    more=of_bench,
+                    program=program,
+                )
+                carried_out(run, panel, page, 1.0)
+                times[what] += reading_times_s(run)
+                ages += page.evaluate("window.ages")
     ages.sort()
     print(
         f"live value on the screen after the meters' answer: median {median(ages):.0f} ms, "

@@ -15,7 +15,6 @@ import logging
 import math
 import random
 import shutil
-import socket
 import tempfile
 import time
 import tracemalloc
@@ -29,7 +28,7 @@ from urllib.parse import quote, urlencode
 
 from bench.panel import app as connections
 from bench.panel.access import LARGEST_BODY, STATE, Access, Person, Role, Settings
-from bench.panel.app import config_of, make_app, prepare
+from bench.panel.app import make_app, prepare
 from bench.panel.holding import JOURNAL
 from bench.panel.shared import LOG
 from bench.run.events import EVENTS
@@ -38,6 +37,7 @@ from bench.run.record import Record
 from benchmarks.campaign import amiss, arguments
 from drivers.clock import utc_now
 from drivers.person import Prompt, PromptKind
+from tests.support.served_panel import served
 
 # --- random requests; most are nearly valid, like those of an attacker -----------------------------------
 
@@ -463,7 +463,7 @@ async def raw(port: int, count: int, seed: int) -> list[str]:
     """Send raw bytes to a real server; return the faults in its replies."""
     requests, wrong = Requests(seed, [Actor("stranger", None, None)], ["done"]), []
     for _ in range(count):
-        sent = requests.raw(HOST)
+        sent = requests.raw(f"127.0.0.1:{port}")
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         writer.write(sent)
         try:
@@ -477,26 +477,15 @@ async def raw(port: int, count: int, seed: int) -> list[str]:
     return wrong
 
 
-async def served(place: Place, count: int, seed: int) -> list[str]:
+def by_socket(place: Place, count: int, seed: int) -> list[str]:
     """Send raw bytes to the panel behind its own server; return the faults."""
-    import uvicorn
-
     logged: list[logging.LogRecord] = []
-    listener = socket.create_server(("127.0.0.1", 0))
-    server = uvicorn.Server(config_of(place.app))
-    serving = asyncio.create_task(server.serve(sockets=[listener]))
-    while not server.started:
-        await asyncio.sleep(0.05)
-    port = listener.getsockname()[1]
-    try:
-        with (
-            mock.patch.object(connections, "REQUEST_S", 0.2),
-            mock.patch.object(LOG, "callHandlers", logged.append),
-        ):
-            wrong = await raw(port, count, seed)
-    finally:
-        server.should_exit = True
-        await serving
+    with (
+        mock.patch.object(connections, "REQUEST_S", 0.2),
+        mock.patch.object(LOG, "callHandlers", logged.append),
+        served(place.runs) as panel,
+    ):
+        wrong = asyncio.run(raw(panel.port, count, seed))
     return wrong + [f"logged: {one.getMessage()}" for one in logged if one.levelno > logging.WARNING]
 
 
@@ -505,7 +494,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         place = Place(Path(folder))
         outcome = asyncio.run(fuzz(place, asked.requests, asked.seed))
-        wrong = outcome.wrong + asyncio.run(served(place, asked.socket, asked.seed))
+        wrong = outcome.wrong + by_socket(place, asked.socket, asked.seed)
     print(f"{outcome.requests} requests, {outcome.entitled} with the right to; {asked.socket} raw ones")
     print("statuses: " + ", ".join(f"{status}: {n}" for status, n in sorted(outcome.statuses.items())))
     print(outcome.times())

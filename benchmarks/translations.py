@@ -2,12 +2,12 @@
 
 python -m benchmarks.translations
 
-Texts are the arguments of `message` in Python, the arguments of `_` in scripts and in expressions of
-templates, the words of page templates, and titles, descriptions and reasons of the shipped procedures and bench
-files. A name that a page takes from a record or a file is an entry of a catalogue with the reference
-`names-shown`. `make lint` fails if one lacks a translation, if a translation has other blanks or elements than
-its text, if a catalogue has an unused text, if a word of the certificate lacks a language, or if the text of a
-`Refusal` or a `Prompt` is not marked.
+Texts are the arguments of `message` and the text of a `Refusal` in Python, the arguments of `_` in scripts and in
+expressions of templates, the words of page templates, and titles, descriptions and reasons of the shipped
+procedures and bench files. A name that a page takes from a record or a file is an entry of a catalogue with the
+reference `names-shown`. `make lint` fails if one lacks a translation, if a translation has other blanks or elements
+than its text, if a catalogue has an unused text, if a word of the certificate lacks a language, or if the text of a
+`Prompt` is not marked.
 """
 
 import ast
@@ -42,6 +42,8 @@ EFFECTS: Final = ROOT / "bench" / "model" / "effects"
 WORDS: Final = ROOT / "bench" / "certificate" / "words.yaml"
 NAMES_SHOWN: Final = "names-shown"
 """Reference of a catalogue's entry for a name that no module states, because it comes from a record or a file."""
+MARKS: Final = {"message": 0, "Refusal": 1}
+"""The calls that mark a text for translation, and the place of the text among their arguments."""
 SHIPPED: Final = (ROOT / "procedures", ROOT / "config")
 _MARKED: Final = re.compile(r"(?<![\w.])_\(")
 _LITERAL: Final = re.compile(r'"((?:[^"\\]|\\.)*)"')
@@ -61,7 +63,7 @@ def entries_of(file: Path) -> Iterator[Entry]:
     """
     source = file.read_text(encoding="utf-8")
     if file.suffix == ".py":
-        if "message(" in source or file.parent == EFFECTS:
+        if any(f"{name}(" in source for name in MARKS) or file.parent == EFFECTS:
             yield from _in_module(ast.parse(source), file)
     elif file.name.endswith(".html.j2"):
         yield from texts_of_template(source)
@@ -106,11 +108,13 @@ def _in_module(tree: ast.AST, file: Path) -> Iterator[Entry]:
         if isinstance(node, ast.Assign) and file.parent == EFFECTS:
             if {"sentence", "shown_by"} & {one.id for one in node.targets if isinstance(one, ast.Name)}:
                 yield from _wordings(node.value)
-        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "message":
-            context = node.args[1] if len(node.args) > 1 else None
-            told = str(context.value) if isinstance(context, ast.Constant) else ""
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in MARKS:
+            text, *more = node.args[MARKS[node.func.id] :]
+            if node.func.id == "Refusal" and isinstance(text, ast.Name | ast.Attribute | ast.Call):
+                continue  # a text of elsewhere, which is marked there
+            told = str(more[0].value) if more and isinstance(more[0], ast.Constant) else ""
             try:
-                yield from (Entry(one.english, one.plural, told) for one in _wordings(node.args[0]))
+                yield from (Entry(one.english, one.plural, told) for one in _wordings(text))
             except ValueError as error:
                 raise ValueError(f"{file.relative_to(ROOT)}, line {node.lineno}: {error}") from error
 
@@ -125,7 +129,7 @@ def _wordings(node: ast.expr) -> Iterator[Entry]:
         case ast.JoinedStr():
             yield from _filled(node)
         case _:
-            raise ValueError("message() takes a literal or an f-string")
+            raise ValueError("a marked text is a literal or an f-string")
 
 
 def _filled(node: ast.JoinedStr) -> Iterator[Entry]:
@@ -244,19 +248,16 @@ def problems_of_words() -> Iterator[str]:
 
 
 def unmarked(source: str, place: str) -> Iterator[str]:
-    """Yield a sentence for each text of a `Refusal` or a `Prompt` that is not the argument of `message`."""
+    """Yield a sentence for each text of a `Prompt` that is not the argument of `message`."""
     for node in ast.walk(ast.parse(source)):
-        if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Name):
+        if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Name) or node.func.id != "Prompt":
             continue
-        at = {"Refusal": 1, "Prompt": 2}.get(node.func.id)
-        if at is None:
-            continue
-        texts = [*node.args[at : at + 1], *(one.value for one in node.keywords if one.arg == "text")]
+        texts = [*node.args[2:3], *(one.value for one in node.keywords if one.arg == "text")]
         literals = (
             one for text in texts for one in (text.values if isinstance(text, ast.JoinedStr) else [text])
         )
         if any(isinstance(one, ast.Constant) and _WORDS.search(str(one.value)) for one in literals):
-            yield f"{place}, line {node.lineno}: the text of this {node.func.id} is not in message(); mark it"
+            yield f"{place}, line {node.lineno}: the text of this Prompt is not in message(); mark it"
 
 
 def all_unmarked() -> Iterator[str]:
@@ -264,7 +265,7 @@ def all_unmarked() -> Iterator[str]:
     for folder in ("bench", "drivers"):
         for file in sorted((ROOT / folder).rglob("*.py")):
             source = file.read_text(encoding="utf-8")
-            if "Refusal(" in source or "Prompt(" in source:
+            if "Prompt(" in source:
                 yield from unmarked(source, str(file.relative_to(ROOT)))
 
 

@@ -13,11 +13,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from jinja2 import Environment
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from jinja2.ext import Extension
 from markupsafe import Markup
 
 from bench.base.languages import ENGLISH, Entry, catalogue, language, shown, translated
+from bench.base.numbers import typeset
 
 ENGLISH_ONLY: Final = "{# English only #}"
 
@@ -221,8 +222,16 @@ def mark(text: Any, *values: object, context: str = "") -> Any:
     return told.format(*(translated(str(one)) for one in values)) if values else told
 
 
-def environment_for(name: str, **options: Any) -> Environment:
-    """Return a Jinja environment for pages in a language, with `_` for texts in expressions."""
-    environment = Environment(extensions=[] if name == ENGLISH else [TranslatedTemplates], **options)  # noqa: S701 - autoescape is among the options
+def environment_for(name: str, package: str) -> Environment:
+    """Return a Jinja environment for a package's pages in a language, with `_` for texts in expressions."""
+    environment = Environment(
+        loader=PackageLoader(package, "templates"),
+        extensions=[] if name == ENGLISH else [TranslatedTemplates],
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
     environment.globals["_"] = mark
+    environment.filters["typeset"] = typeset
     return environment

@@ -34,9 +34,9 @@ from bench.certificate.content import (
 from bench.certificate.laboratory import Laboratory, Order, Texts, texts_of
 from bench.exchange.result import ReportedNumbers
 from bench.model.geometry import COEFFICIENTS
-from bench.readings.columns import current_column, rails_of, voltage_column
+from bench.readings.columns import current_column, numbers, rails_of, voltage_column
 from bench.readings.csv import format_csv
-from bench.readings.table import CHAMBER_C, FREE, TEMPERATURE_SOURCE, VERIFICATION, Readings
+from bench.readings.table import CHAMBER_C, FREE, TEMPERATURE_SOURCE, VERIFICATION
 from bench.results.parts import coefficient_unit
 from bench.results.verification import global_risk_in_words
 from bench.run.events import ENDED
@@ -65,7 +65,10 @@ def certificate_of(
     """
     k = 2.0 if laboratory is None else laboratory.k
     asked = NOTHING_ASKED if order is None else VerdictOptions(rule=order.rule, guard_band=order.guard_band)
-    found_of = partial(found_by, runs=runs, k=k, asked=asked, agreed=_house_rule(laboratory))
+    agreed = None
+    if laboratory is not None and laboratory.names_a_rule:
+        agreed = DecisionRule.of(laboratory.rule, laboratory.guard_band)
+    found_of = partial(found_by, runs=runs, k=k, asked=asked, agreed=agreed)
     found = found_of(run)
     unit = None if order is None else order.unit(found.item.serial)
     adjusted = None if unit is None else unit.adjusted
@@ -78,12 +81,6 @@ def certificate_of(
                 f"{before.item.serial}; write a run of this unit as 'as_found' under 'adjusted'"
             )
     return Certificate(found, texts_for(laboratory), laboratory, order, unit, before, issue)
-
-
-def _house_rule(laboratory: Laboratory | None) -> DecisionRule | None:
-    if laboratory is None or not laboratory.names_a_rule:
-        return None
-    return DecisionRule.of(laboratory.rule, laboratory.guard_band)
 
 
 def texts_for(laboratory: Laboratory | None) -> tuple[Texts, ...]:
@@ -246,13 +243,13 @@ def _conditions(source: Source) -> Iterator[Condition]:
     if span is not None:
         of_block, by = _of_temperature(source)
         yield Condition("temperature", *span, "°C", u=of_block, source="; ".join([*told, by]))
-    if CHAMBER_C in used.extra and (span := _span(_numbers(used, CHAMBER_C))) is not None:
+    if CHAMBER_C in used.extra and (span := _span(numbers(used.extra[CHAMBER_C]))) is not None:
         yield Condition("chamber", *span, "°C")
     for rail in rails_of(used.extra):
         for key, column, unit in (
             ("supply", voltage_column(rail), "V"), ("current", current_column(rail), "A"),
         ):  # fmt: skip
-            if column in used.extra and (span := _span(_numbers(used, column))) is not None:
+            if column in used.extra and (span := _span(numbers(used.extra[column]))) is not None:
                 yield Condition(key, *span, unit, rail)
     g, u, origin = source.g_m_s2, None, ""
     for error in hidden_sources(source.bench, source.model):
@@ -271,10 +268,6 @@ def _of_temperature(source: Source) -> tuple[float, str]:
     if thermometer is None:
         return band.u, of_band
     return math.hypot(band.u, thermometer.u), f"{of_band}; {thermometer.origin}"
-
-
-def _numbers(readings: Readings, column: str) -> Any:
-    return np.array([float(cell) if cell.strip() else np.nan for cell in readings.extra[column].tolist()])
 
 
 def _span(values: Any) -> tuple[float, float] | None:

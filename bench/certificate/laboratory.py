@@ -156,10 +156,6 @@ class Accreditation(FileModel):
     standard: str = "ISO/IEC 17025:2017"
 
 
-def _languages(written: object) -> object:
-    return (written,) if isinstance(written, str) else written
-
-
 def _language(written: object) -> object:
     if not isinstance(written, str) or written not in LANGUAGES:
         raise ValueError(unknown_word(str(written), list(LANGUAGES), "language"))
@@ -187,7 +183,9 @@ class Laboratory(Contact, StatedRule):
     authorised: Annotated[tuple[Person, ...], Field(min_length=1)] = ()
     k: Annotated[float, Field(ge=1.0, le=5.0)] = 2.0
     language: Annotated[
-        tuple[Language, ...], BeforeValidator(_languages), Field(min_length=1, max_length=2)
+        tuple[Language, ...],
+        BeforeValidator(lambda written: (written,) if isinstance(written, str) else written),
+        Field(min_length=1, max_length=2),
     ] = ("en",)
     texts: Mapping[Language, Mapping[str, str]] = {}
     require_validation: bool = False

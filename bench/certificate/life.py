@@ -147,10 +147,11 @@ def _tried(name: str, make: Callable[[str], IssuedRun]) -> IssuedRun:
 def _issue(name: str, desk: Desk, person: Person, register: Register) -> IssuedRun:
     certificate = _wanted(name, desk)
     with opened(register.folder, register):
-        before = _holding(register, certificate)
-        if before is not None:
-            files = [str(register.folder / file) for file in before.entry.files]
-            return _outcome(name, before.entry.number, files=files, issued_before=True)
+        head = certificate.found.record.head
+        for known in register.standings.values():
+            if known.state == ISSUED and known.entry.data["record"]["head"] == head:
+                files = [str(register.folder / file) for file in known.entry.files]
+                return _outcome(name, known.entry.number, files=files, issued_before=True)
         return _write(certificate, desk, person, register, None)
 
 
@@ -162,13 +163,6 @@ def _wanted(name: str, desk: Desk) -> Certificate:
 
         refuse_unvalidated_certificate(desk.laboratory_file.path)
     return certificate
-
-
-def _holding(register: Register, certificate: Certificate) -> NumberStatus | None:
-    """Return the status of a valid certificate of the same record; None if there is none."""
-    head = certificate.found.record.head
-    of_record = (s for s in register.standings.values() if s.entry.data["record"]["head"] == head)
-    return next((standing for standing in of_record if standing.state == ISSUED), None)
 
 
 def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) -> IssuedRun:

@@ -117,13 +117,11 @@ class Person:
     def require(self, least: Role) -> None:
         """Raise `Refusal` (403) if the person's role is below `least`."""
         if not self.role.includes(least):
-            raise Refusal(
-                403, message(f"{self.name} is signed in as {self.role}; sign in as {least} for this")
-            )
+            raise Refusal(403, f"{self.name} is signed in as {self.role}; sign in as {least} for this")
 
 
 class Refusal(Exception):
-    """A refused request, with its HTTP status and a sentence for the user."""
+    """A refused request, with its HTTP status and a sentence for the user, which pages translate."""
 
     def __init__(self, status: int, text: str) -> None:
         super().__init__(text)
@@ -180,18 +178,14 @@ class Gate:
         headers = Headers(scope=scope)
         host = headers.get("host", "")
         if len(headers.getlist("host")) > 1 or not self._settings.allows_host(host):
-            return Refusal(
-                403, message(f"the request names another address; open the panel at {self._settings.url}")
-            )
+            return Refusal(403, f"the request names another address; open the panel at {self._settings.url}")
         if scope["method"] not in METHODS:
-            return Refusal(405, message("the panel accepts GET and POST only; use its pages"))
+            return Refusal(405, "the panel accepts GET and POST only; use its pages")
         if scope["method"] == "POST" and not self._settings.allows_origin(headers.get("origin", ""), host):
-            return Refusal(403, message("another web page asked for this change; use the panel itself"))
+            return Refusal(403, "another web page asked for this change; use the panel itself")
         length = headers.get("content-length", "0")
         if "content-length" in headers and "transfer-encoding" in headers:
-            return Refusal(
-                400, message("the request has both Content-Length and Transfer-Encoding; send one")
-            )
+            return Refusal(400, "the request has both Content-Length and Transfer-Encoding; send one")
         if not length.isascii() or not length.isdecimal() or len(length) > 9 or int(length) > LARGEST_BODY:
             return Refusal(413, _too_large())
         return None

@@ -43,7 +43,7 @@ class RunsFolder:
     def run(self, name: str) -> Run:
         """Return the run with this name. Raises `Refusal` (404) if there is none."""
         if not self.holds(name):
-            raise Refusal(404, message("no run has that name; see the list of runs"))
+            raise Refusal(404, "no run has that name; see the list of runs")
         return Run(self.path / name)
 
     def holds(self, name: str) -> bool:
@@ -68,7 +68,7 @@ def read_page(run: Run, name: str) -> bytes:
                 return file.read(LARGEST_PAGE)
     except (OSError, ValueError):
         pass
-    raise Refusal(404, message(f"{run.name} has no {name}; go back to the run and make it there"))
+    raise Refusal(404, f"{run.name} has no {name}; go back to the run and make it there")
 
 
 class Certificates:
@@ -95,7 +95,7 @@ class Certificates:
         """Return a file of a run's certificate. Raises `Refusal` (404) if it is missing, `Refused` if altered."""
         register = self._read()
         if register is None or not any(name in one.entry.files for one in self.of(run).values()):
-            raise Refusal(404, message(f"{run.name} has no such certificate; see its page"))
+            raise Refusal(404, f"{run.name} has no such certificate; see its page")
         return register.file(name)
 
     def _read(self) -> Register | None:

@@ -17,7 +17,6 @@ from typing import Any, Final
 
 from filelock import FileLock
 
-from bench.base.languages import message
 from bench.base.text import in_json
 from bench.panel.access import Person, Refusal, Role
 from drivers.clock import utc_now
@@ -131,7 +130,7 @@ def change(
     command is not allowed, `OSError` if the journal cannot be written.
     """
     if word not in WORDS:
-        raise Refusal(400, message(f"there is no such command; send one of {', '.join(WORDS)}"))
+        raise Refusal(400, f"there is no such command; send one of {', '.join(WORDS)}")
     path = folder / JOURNAL
     with FileLock(folder / f".{JOURNAL}.lock", mode=0o600):
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
@@ -142,9 +141,7 @@ def change(
             if len(text) > LARGEST and word in {"ask", "deny"}:
                 raise Refusal(
                     429,
-                    message(
-                        "this run has too many requests for control; ask the person in control to give it up"
-                    ),
+                    "this run has too many requests for control; ask the person in control to give it up",
                 )
             line = {"did": WORDS[word].value, "who": person.name, "role": person.role.value}
             line |= {"to": to} if to else {}
@@ -164,35 +161,31 @@ def _checked(holding: Holding, word: str, person: Person, to: str) -> str:
     holds = holding.holder == person.name
     match word:
         case "take" | "ask" | "force" if holds:
-            raise Refusal(409, message(f"{person.name} is already in control; no need to ask"))
+            raise Refusal(409, f"{person.name} is already in control; no need to ask")
         case "take" if holding.holder:
-            raise Refusal(409, message(f"{holding.holder} is in control; ask for control"))
+            raise Refusal(409, f"{holding.holder} is in control; ask for control")
         case "ask" if not holding.holder:
-            raise Refusal(409, message("nobody is in control; take control first"))
+            raise Refusal(409, "nobody is in control; take control first")
         case "ask" if len(holding.asking) >= MOST_ASKING:
-            raise Refusal(
-                429, message("too many persons ask for control already; wait until one of them is answered")
-            )
+            raise Refusal(429, "too many persons ask for control already; wait until one of them is answered")
         case "ask" if person.name in holding.asking:
-            raise Refusal(409, message(f"{person.name} has already asked for control; wait for the answer"))
+            raise Refusal(409, f"{person.name} has already asked for control; wait for the answer")
         case "grant" | "deny" | "release" if not holding.holder:
-            raise Refusal(403, message("nobody is in control; take control first"))
+            raise Refusal(403, "nobody is in control; take control first")
         case "grant" | "deny" | "release" if not holds:
             raise Refusal(
                 403,
-                message(
-                    f"only the person in control ({holding.holder}) may grant, deny or give up control; ask "
-                    f"{holding.holder} for control"
-                ),
+                f"only the person in control ({holding.holder}) may grant, deny or give up control; ask "
+                f"{holding.holder} for control",
             )
         case "grant" | "deny":
             to = to or next(iter(holding.asking), "")
             if to not in holding.asking:
                 raise Refusal(
                     409,
-                    message(f"{to or 'nobody'} did not ask for control; choose from those who did")
+                    f"{to or 'nobody'} did not ask for control; choose from those who did"
                     if to
-                    else message("nobody asked for control; keep control or give it up"),
+                    else "nobody asked for control; keep control or give it up",
                 )
             return to
     return ""
@@ -205,5 +198,5 @@ def require_holder(folder: Path, person: Person) -> None:
     if holder != person.name:
         raise Refusal(
             403,
-            message(f"{holder or 'nobody'} is in control; {'ask for' if holder else 'take'} control first"),
+            f"{holder or 'nobody'} is in control; {'ask for' if holder else 'take'} control first",
         )

@@ -145,7 +145,7 @@ class WantedRun:
         except OSError as error:
             raise Refusal(
                 409,
-                message(f"{error.filename}: cannot be read ({error.strerror}); check name and permissions"),
+                f"{error.filename}: cannot be read ({error.strerror}); check name and permissions",
             ) from error
 
 
@@ -214,7 +214,7 @@ class WishFolder(WorkFolder):
             with (self.path / STARTED).open("x", encoding="utf-8") as file:
                 file.write(name)
         except FileExistsError:
-            raise Refusal(409, message(f"this run was already started; see {self.started()}")) from None
+            raise Refusal(409, f"this run was already started; see {self.started()}") from None
 
     def unmark_started(self) -> None:
         """Delete the record of `mark_started`, because the run did not begin."""
@@ -230,7 +230,7 @@ class WishFolder(WorkFolder):
     def _read(self, name: str) -> dict[str, Any]:
         told = _object_in(self.path / name)
         if told is None:
-            raise Refusal(404, message("this prepared run no longer exists; prepare it again"))
+            raise Refusal(404, "this prepared run no longer exists; prepare it again")
         return told
 
 
@@ -247,7 +247,7 @@ class Wishes:
         before.sort(key=lambda one: one.stat().st_mtime)
         idle = [one for one in before if not WishFolder(one).at_work()]
         if len(before) - len(idle) >= MOST_AT_ONCE:
-            raise Refusal(429, message("two runs are being tried already; wait until one is done"))
+            raise Refusal(429, "two runs are being tried already; wait until one is done")
         for old in idle[: max(len(before) - MOST_KEPT + 1, 0)]:
             shutil.rmtree(old, ignore_errors=True)
         wish = WishFolder(self._folder / secrets.token_hex(6))
@@ -259,7 +259,7 @@ class Wishes:
     def of(self, wish_id: str) -> WishFolder:
         """Return the folder of the wish with this id. Raises `Refusal` (404) if there is none."""
         if re.fullmatch(r"[0-9a-f]{12}", wish_id) is None or not (self._folder / wish_id / WISH).is_file():
-            raise Refusal(404, message("this prepared run no longer exists; prepare it again"))
+            raise Refusal(404, "this prepared run no longer exists; prepare it again")
         return WishFolder(self._folder / wish_id)
 
 
@@ -290,7 +290,7 @@ def name_of(wanted: WantedRun, runs: RunsFolder) -> str:
     except RecordError as mistake:
         raise Refusal(400, str(mistake)) from mistake
     if (runs.path / name).exists():
-        raise Refusal(409, message(f"the run {name} exists; choose another name"))
+        raise Refusal(409, f"the run {name} exists; choose another name")
     return name
 
 
@@ -298,7 +298,7 @@ def start_run(wish: WishFolder, name: str, runs: RunsFolder) -> Run:
     """Start a requested run called `name` in a separate process, and wait for its record. Raises `Refusal`."""
     wanted = wish.wanted()
     if wanted.changed():
-        raise Refusal(409, message("procedure or bench file changed after the check; check them again"))
+        raise Refusal(409, "procedure or bench file changed after the check; check them again")
     wish.mark_started(name)
     asked = replace(wanted.request, name=name, runs=runs.path.absolute(), answers=ANSWERS)
     arguments = ["run", *arguments_of(asked)]
@@ -310,14 +310,14 @@ def start_run(wish: WishFolder, name: str, runs: RunsFolder) -> Run:
         wish.unmark_started()
         raise
     if not begun:
-        raise Refusal(409, message("starting takes long; look at the list of runs in a moment"))
+        raise Refusal(409, "starting takes long; look at the list of runs in a moment")
     return runs.run(name)
 
 
 def resume_run(run: Run, by: Person) -> None:
     """Resume a run for a person, or make its results, in a process of its own. Raises `Refusal`."""
     if is_being_written(run.folder):
-        raise Refusal(409, message("a program is carrying out this run now; follow it on the run's page"))
+        raise Refusal(409, "a program is carrying out this run now; follow it on the run's page")
     arguments = ["resume", str(run.folder.absolute()), f"--runs={_runs(run)}", f"--answers={ANSWERS}"]
     started = start([*arguments, f"--operator={by.name}"], _output(run), role=by.role.value)
     wait_until(lambda: is_being_written(run.folder) or not run.results_missing, started)

@@ -113,11 +113,7 @@ def turn(installation: Installation | None, from_rad: float | None, to_rad: floa
     if installation is not None:
         _block(sheet, installation, to_rad)
     _way(sheet, from_rad, to_rad, direction)
-    sense = (
-        message("against the clock (angle rising)")
-        if direction > 0
-        else message("with the clock (angle falling)")
-    )
+    sense = message("against the clock (angle rising)" if direction > 0 else "with the clock (angle falling)")
     words = message(f"turn to {format_dms(to_rad % math.tau)}, arriving {sense}")
     if installation is not None:
         words += "; " + message(f"then {in_words(installation, to_rad)}")
@@ -186,28 +182,19 @@ def _block(sheet: Sheet, installation: Installation, angle_rad: float) -> None:
         channel, axis = CHANNELS[i], axes[i]
         line = on_sheet(np.array([CUBE * 0.2 * axis, AXIS * axis]))
         sheet.arrow(f"axis {channel}", line, more=f' data-axis="{channel}"')
-        sheet.words(f"letter {channel}", on_sheet(NAMED * axis) + _aside(axis), channel)
-
-
-def _aside(axis: Floats) -> Floats:
-    """Return the offset of an axis's letter on the sheet, where an axis along the shaft is short."""
-    return np.array([10.0, 0.0]) if abs(axis[1]) > 0.9 else np.zeros(2)
-
-
-def _seen(normal: Floats) -> bool:
-    """Return whether a face with this normal is visible along the direction that projects to a point."""
-    return float(normal @ np.array([-AWAY[0], 1.0, AWAY[1]])) < -1e-9
+        aside = 10.0 if abs(axis[1]) > 0.9 else 0.0  # an axis along the shaft is short on the sheet
+        sheet.words(f"letter {channel}", on_sheet(NAMED * axis) + np.array([aside, 0.0]), channel)
 
 
 def _faces(frame: Floats) -> list[tuple[Floats, Floats]]:
     """Return the normal (3,) and the corners (4, 3) of each visible face of the cube; `frame` rows are its axes."""
-    faces = []
+    faces, viewed = [], np.array([-AWAY[0], 1.0, AWAY[1]])  # the direction that projects to a point
     for i in range(3):
         one, two = frame[(i + 1) % 3], frame[(i + 2) % 3]
         for sign in (1.0, -1.0):
             normal = sign * frame[i]
             corners = np.array([normal + a * one + b * two for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))])
-            if _seen(normal):
+            if float(normal @ viewed) < -1e-9:
                 faces.append((normal, CUBE * corners))
     return faces
 

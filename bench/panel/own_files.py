@@ -68,9 +68,7 @@ def chosen_procedure(name: str, runs: RunsFolder) -> Path:
         run = runs.run(name.removeprefix(OF_RUN))
         file = run.folder / NEXT
         if file.is_symlink() or not file.is_file():
-            raise Refusal(
-                404, message(f"{run.name}: its diagnosis proposes no measurement; choose a procedure")
-            )
+            raise Refusal(404, f"{run.name}: its diagnosis proposes no measurement; choose a procedure")
         return file
     return _chosen(PROCEDURES, name, "procedure")
 
@@ -82,14 +80,14 @@ def chosen_bench(name: str, runs: RunsFolder) -> Path:
         original = Path(str(run.manifest.get("bench", "")))
         if original in choices(CONFIG).values() or original.name in choices(CONFIG):
             return original
-        raise Refusal(404, message(f"{run.name}: its bench file is no longer here; choose one"))
+        raise Refusal(404, f"{run.name}: its bench file is no longer here; choose one")
     return _chosen(CONFIG, name, message("bench file"))
 
 
 def _chosen(kind: str, name: str, called: str) -> Path:
     found = choices(kind).get(name)
     if found is None:
-        raise Refusal(400, message(f"there is no {called} of that name; choose from the list"))
+        raise Refusal(400, f"there is no {called} of that name; choose from the list")
     return found
 
 
@@ -129,9 +127,7 @@ def own_file(kind: str, name: str) -> Path:
     """Return the file of this kind and name in the working folder. Raises `Refusal` (404) if there is none."""
     path = own_files(kind).get(name)
     if path is None:
-        raise Refusal(
-            404, message(f"there is no {CALLED[kind]} of that name in the working folder; see the list")
-        )
+        raise Refusal(404, f"there is no {CALLED[kind]} of that name in the working folder; see the list")
     return path
 
 
@@ -139,7 +135,7 @@ def shipped_file(kind: str, name: str) -> Path:
     """Return the shipped file of this kind and name. Raises `Refusal` (404) if there is none."""
     path = shipped_files(kind).get(name)
     if path is None:
-        raise Refusal(404, message(f"no {CALLED[kind]} of that name is shipped; choose one from the list"))
+        raise Refusal(404, f"no {CALLED[kind]} of that name is shipped; choose one from the list")
     return path
 
 
@@ -151,18 +147,16 @@ def new_path(kind: str, name: str) -> Path:
     if NAME.fullmatch(name) is None:
         raise Refusal(
             400,
-            message(
-                "the name is not allowed; give up to 60 letters, digits, - and _, beginning with a "
-                "letter or digit"
-            ),
+            "the name is not allowed; give up to 60 letters, digits, - and _, beginning with a "
+            "letter or digit",
         )
     path = Path(kind) / f"{name}.yaml"
     if not path.resolve().is_relative_to(Path().resolve()):
         raise Refusal(
-            409, message(f"the folder '{kind}' is a symbolic link out of the working folder; remove the link")
+            409, f"the folder '{kind}' is a symbolic link out of the working folder; remove the link"
         )
     if path.exists() or path.is_symlink() or name in own_files(kind) or name in shipped_files(kind):
-        raise Refusal(409, message(f"there is a {CALLED[kind]} {name} already; choose another name"))
+        raise Refusal(409, f"there is a {CALLED[kind]} {name} already; choose another name")
     return path
 
 
@@ -174,13 +168,11 @@ def read_file(path: Path) -> FileText:
     except OSError as error:
         raise Refusal(
             409,
-            message(
-                f"{path}: cannot be read ({error.strerror}); check its name and permissions on the computer that "
-                "runs the panel"
-            ),
+            f"{path}: cannot be read ({error.strerror}); check its name and permissions on the computer that "
+            "runs the panel",
         ) from error
     except UnicodeDecodeError as error:
-        raise Refusal(409, message(f"{path}: is not UTF-8 text; save it as UTF-8")) from error
+        raise Refusal(409, f"{path}: is not UTF-8 text; save it as UTF-8") from error
 
 
 def write_file(path: Path, text: str, expected_sha256: str, state: Path) -> bool:

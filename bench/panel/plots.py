@@ -190,7 +190,7 @@ def table_of(plots: Numbers, name: str) -> Rows:
     """Return a plot's numbers as a table with a header row. Raises `Refusal` (404) if the run lacks the plot."""
     found = list(_rows(plots, name))
     if len(found) < 2:  # a header row alone
-        raise Refusal(404, message("the run has no such table; choose one on the page"))
+        raise Refusal(404, "the run has no such table; choose one on the page")
     return found
 
 

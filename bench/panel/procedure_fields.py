@@ -194,7 +194,7 @@ def _block(text: str, at: Place) -> tuple[int, int, int]:
     lines = text.splitlines()
     first = read_yaml(text).lines.get(at, 0) - 1
     if first < 0 or not lines[first].lstrip().startswith("- "):
-        raise Refusal(409, message("the step stands in one line with others; change it in the text"))
+        raise Refusal(409, "the step stands in one line with others; change it in the text")
     mark = re.match(r" *- ", lines[first])
     indent = len(mark[0]) - 2 if mark else 0
     end = first + 1
@@ -220,7 +220,7 @@ def _compared(text: str, lines: list[str], at: Place, times: int) -> str:
     index = int(at[-1])
     steps[index : index + 1] = [steps[index]] * times
     if not steps or read_yaml(changed).data != wanted:
-        raise Refusal(409, message("the table cannot make this change; make it in the text"))
+        raise Refusal(409, "the table cannot make this change; make it in the text")
     return changed
 
 
@@ -229,7 +229,7 @@ def place_of(name: str, rows: Iterable[Row]) -> Place:
     for row in rows:
         if row.group.place == name:
             return row.group.at[:-1]
-    raise Refusal(400, message("there is no such step in the table; load the page again"))
+    raise Refusal(400, "there is no such step in the table; load the page again")
 
 
 # --- mistakes ---------------------------------------------------------------------------------------

@@ -89,9 +89,7 @@ class DayQueue:
         with self._changed() as queue:
             queue.extend(items)
             if len(queue) > MOST_ITEMS:
-                raise Refusal(
-                    409, message(f"the queue holds at most {MOST_ITEMS} units; remove those that are done")
-                )
+                raise Refusal(409, f"the queue holds at most {MOST_ITEMS} units; remove those that are done")
 
     def move(self, item_id: str, by: int) -> None:
         """Move an item one place up (`by` −1) or down (1), but not beyond the ends. Raises `Refusal` (409)."""
@@ -116,7 +114,7 @@ class DayQueue:
             at = _index(items, item_id)
             item = items[at]
             if item.run and (exists(item.run) or self.is_starting(item)):
-                raise Refusal(409, message(f"{item.words} was begun already; see the run {item.run}"))
+                raise Refusal(409, f"{item.words} was begun already; see the run {item.run}")
             items[at] = item.model_copy(update={"run": run, "begun": utc_now()})
 
     def is_starting(self, item: QueueItem) -> bool:
@@ -169,7 +167,7 @@ def _index(items: Sequence[QueueItem], item_id: str) -> int:
     for index, item in enumerate(items):
         if item.id == item_id:
             return index
-    raise Refusal(409, message("somebody removed this unit from the queue; load the page again"))
+    raise Refusal(409, "somebody removed this unit from the queue; load the page again")
 
 
 Row = TypeVar("Row", QueueItem, DayNote)

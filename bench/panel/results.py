@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -245,15 +244,9 @@ def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
         if one["u"] is None:
             rows.append(CoefficientRow(name, "0", NOT_DETERMINED, ""))
             continue
-        value, expanded = float(one["value"]), float(one.get("U", 2.0 * float(one["u"])))
-        per = unit if name.startswith("U0") else f"{unit}/g"
-        scale = scale_for(max(abs(value), expanded), unit)
-        size, shown = (scale.size, scale.unit if name.startswith("U0") else f"{scale.unit}/g")
-        if not math.isfinite(size) or size <= 0:
-            size, shown = 1.0, per
-        rows.append(
-            CoefficientRow(name, rounded(value / size, expanded / size), uncertainty(expanded / size), shown)
-        )
+        scale = scale_for(max(abs(float(one["value"])), _expanded(one)), unit)
+        shown = scale.unit if name.startswith("U0") else scale.per_g
+        rows.append(CoefficientRow(name, *_value_and_uncertainty(one, scale.size), shown))
     residual = told.get("residual") or {}
     p = residual.get("p")
     fit = "" if p is None else FITS if float(p) >= LACK_OF_FIT_P else LACK_OF_FIT
@@ -262,8 +255,8 @@ def _calibration(told: Mapping[str, Any]) -> CalibrationTold:
     return CalibrationTold(tuple(rows), hidden, fit, notes)
 
 
-def _value_and_uncertainty(of: Mapping[str, Any]) -> tuple[str, str]:
-    value, expanded = float(of["value"]), float(of["U"])
+def _value_and_uncertainty(of: Mapping[str, Any], size: float = 1.0) -> tuple[str, str]:
+    value, expanded = float(of["value"]) / size, _expanded(of) / size
     return rounded(value, expanded), uncertainty(expanded)
 
 
@@ -300,4 +293,4 @@ def figure_of(run: Run, name: str) -> bytes:
             if b' id="' + FIGURES[name] + b"-" in found[0]:
                 names = b'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
                 return found[0].replace(b"<svg ", names, 1)
-    raise Refusal(404, message(f"the report of {run.name} has no such figure; choose one on the page"))
+    raise Refusal(404, f"the report of {run.name} has no such figure; choose one on the page")

@@ -189,15 +189,15 @@ def _arrange(tree: Any, values: Values, before: Values, groups: list[Group]) -> 
 def _arrange_instruments(tree: Any, values: Values) -> None:
     instruments = tree.get("instruments")
     if not isinstance(instruments, dict):
-        instruments = tree["instruments"] = _mapping()
+        instruments = tree["instruments"] = in_one_line({})
     meters = instruments.get("voltmeters")
     if not isinstance(meters, list):
-        meters = instruments["voltmeters"] = _sequence()
+        meters = instruments["voltmeters"] = in_one_line([])
     wanted = number_of_meters(values)
     while len(meters) > wanted:
         del meters[len(meters) - 1]
     while len(meters) < wanted:
-        meters.append(_mapping())
+        meters.append(in_one_line({}))
     for role in ROLES:
         stated = values.get(f"instruments.{role}.driver", "").strip()
         if not stated and instruments.pop(role, None) is not None and role == "power_supply":
@@ -209,7 +209,7 @@ def _gravity(stated: str) -> Any:
     empty = _scalar("", None)
     if stated == FORMS_OF_GRAVITY["value"]:
         return empty
-    section = _mapping()
+    section = in_one_line({})
     if stated == FORMS_OF_GRAVITY["source"]:
         section["value"] = empty
     return section
@@ -225,9 +225,7 @@ def _put(tree: Any, one: BenchField, text: str) -> None:
         return
     section, key = _reach(tree, one.at[:-1]), one.at[-1]
     if key == "channels" or one.many:
-        words = _sequence()
-        words.extend(part for word in text.split(",") if (part := word.strip()))
-        section[key] = words
+        section[key] = in_one_line([part for word in text.split(",") if (part := word.strip())])
         return
     section[key] = _scalar(text, section.get(key) if isinstance(section, dict) else None)
 
@@ -264,32 +262,18 @@ def _reach(tree: Any, at: Place) -> Any:
     section = tree
     for step, inner in zip_longest(at, at[1:]):
         if isinstance(section, dict) and not isinstance(section.get(step), dict | list):
-            section[step] = _sequence() if isinstance(inner, int) else _mapping()
+            section[step] = in_one_line([] if isinstance(inner, int) else {})
         elif isinstance(section, list):
-            section.extend(_mapping() for _ in range(len(section), int(step) + 1))
+            section.extend(in_one_line({}) for _ in range(len(section), int(step) + 1))
         section = section[step]
     return section
 
 
 def in_one_line(value: dict[str, str] | list[str]) -> Any:
     """Return a mapping or a list that YAML will write in one line."""
-    made = _mapping() if isinstance(value, dict) else _sequence()
-    (made.update if isinstance(value, dict) else made.extend)(value)
-    return made
+    from ruamel.yaml.comments import CommentedMap, CommentedSeq
 
-
-def _mapping() -> Any:
-    from ruamel.yaml.comments import CommentedMap
-
-    made = CommentedMap()
-    made.fa.set_flow_style()
-    return made
-
-
-def _sequence() -> Any:
-    from ruamel.yaml.comments import CommentedSeq
-
-    made = CommentedSeq()
+    made: Any = CommentedMap(value) if isinstance(value, dict) else CommentedSeq(value)
     made.fa.set_flow_style()
     return made
 

@@ -205,19 +205,12 @@ def alarm_of(
         cause, details = _first_sentence(seen.why or message("The run failed."))
         return _alarm(cause, message("Remove the cause, then resume the run."), details, "resume")
     if not alive and seen.state in {RunState.RUNNING, RunState.PAUSED, RunState.READY}:
+        cause = message("The program of this run ended unexpectedly.")
+        action = message("Resume the run: no reading is lost.")
         if disk_full:
-            return _alarm(
-                message("The program of this run ended: the disk is full."),
-                message("Free disk space, then resume the run: no reading is lost."),
-                "",
-                "resume",
-            )
-        return _alarm(
-            message("The program of this run ended unexpectedly."),
-            message("Resume the run: no reading is lost."),
-            "",
-            "resume",
-        )
+            cause = message("The program of this run ended: the disk is full.")
+            action = message("Free disk space, then resume the run: no reading is lost.")
+        return _alarm(cause, action, "", "resume")
     warning = seen.warnings[-1] if seen.warnings else None
     if warning is None or asked is None or not warning.data.get("confident"):
         return None
@@ -226,10 +219,10 @@ def alarm_of(
     told = _warning(warning)
     cause, details = _first_sentence(told["words"])
     causes = told["causes"]
-    action = (
-        message(f"Check for {causes[0]}, then answer.")
+    action = message(
+        f"Check for {causes[0]}, then answer."
         if causes
-        else message("Check the mounting and the wiring, then answer.")
+        else "Check the mounting and the wiring, then answer."
     )
     return _alarm(cause, action, " ".join([details, *(f"Or: {other}." for other in causes[1:])]).strip(), "")
 

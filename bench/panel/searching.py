@@ -74,11 +74,9 @@ class Search(WorkFolder):
 
         private_folder(self.path)
         if self.at_work():
-            raise Refusal(409, message("a search is running; wait until it ends"))
+            raise Refusal(409, "a search is running; wait until it ends")
         if len(resources) > MOST_ADDRESSED:
-            raise Refusal(
-                400, message(f"at most {MOST_ADDRESSED} resources can be addressed at once; choose fewer")
-            )
+            raise Refusal(400, f"at most {MOST_ADDRESSED} resources can be addressed at once; choose fewer")
         try:
             order = list(dict.fromkeys(map(checked_resource, resources)))
         except Refused as mistake:

@@ -12,7 +12,7 @@ from pathlib import PurePath
 from typing import Any, Final
 from urllib.parse import parse_qsl, quote
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
@@ -20,7 +20,6 @@ from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Re
 from bench.base.computing import missing
 from bench.base.files import from_text
 from bench.base.languages import ENGLISH, LANGUAGES, language, message, texts_for_scripts
-from bench.base.numbers import typeset
 from bench.base.template_texts import environment_for
 from bench.base.text import bounded, visible
 from bench.panel.access import STATE, Access, Person, Refusal, Role, Settings
@@ -71,7 +70,7 @@ def looking(request: Request) -> Person:
     """Return the signed-in person who requests a page. Raises `Refusal` if nobody is signed in."""
     person = person_of(request)
     if person is None:
-        raise Refusal(401, message("nobody is signed in; sign in first"))
+        raise Refusal(401, "nobody is signed in; sign in first")
     return person
 
 
@@ -91,7 +90,7 @@ async def acting(request: Request, least: Role, most: int = MOST_FIELDS) -> tupl
     sent = await fields(request, most)
     given = request.headers.get(CSRF_HEADER) or sent.pop("csrf", "")
     if not secrets.compare_digest(given.encode(errors="replace"), person.csrf.encode()):
-        raise Refusal(403, message("this form belongs to another session; load the page again"))
+        raise Refusal(403, "this form belongs to another session; load the page again")
     person.require(least)
     return person, sent
 
@@ -102,7 +101,7 @@ async def fields(request: Request, most: int = MOST_FIELDS) -> dict[str, str]:
         body = await request.body()
     except ClientDisconnect:
         LOG.warning(message("a request was incomplete; further ones within a minute are not listed"))
-        raise Refusal(400, message("the request is incomplete; send it again")) from None
+        raise Refusal(400, "the request is incomplete; send it again") from None
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     try:
         if kind == "application/json":
@@ -111,20 +110,18 @@ async def fields(request: Request, most: int = MOST_FIELDS) -> dict[str, str]:
             pairs = parse_qsl(body.decode(), keep_blank_values=True)
             given = dict(pairs) if len(pairs) <= most else pairs
         else:
-            raise Refusal(
-                415, message("the request is neither a form nor JSON; send a form or a JSON object")
-            )
+            raise Refusal(415, "the request is neither a form nor JSON; send a form or a JSON object")
     except ValueError:
-        raise Refusal(400, message("the request cannot be read; send a form or valid JSON")) from None
+        raise Refusal(400, "the request cannot be read; send a form or valid JSON") from None
     if isinstance(given, dict | list) and len(given) > most:
         raise Refusal(
             400,
-            message(f"the form has more than {most} fields; send fewer, or change the file in an editor"),
+            f"the form has more than {most} fields; send fewer, or change the file in an editor",
         )
     if not isinstance(given, dict) or not all(isinstance(value, str) for value in given.values()):
         raise Refusal(
             400,
-            message("the request's JSON is no object of texts; send a JSON object whose values are texts"),
+            "the request's JSON is no object of texts; send a JSON object whose values are texts",
         )
     return given
 
@@ -167,15 +164,7 @@ def asset(name: str) -> str:
 
 @cache
 def _environment(name: str = ENGLISH) -> Environment:
-    environment = environment_for(
-        name,
-        loader=PackageLoader("bench.panel", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["typeset"] = typeset
+    environment = environment_for(name, "bench.panel")
     environment.filters["filename"] = lambda path: PurePath(str(path)).name
     environment.globals.update(asset=asset, language=name, languages=LANGUAGES)
     return environment
@@ -201,7 +190,7 @@ async def send_asset(request: Request) -> Response:
     """Send an asset if the path is its current address, which changes with its content."""
     name = request.path_params["name"]
     if name not in ASSETS or request.scope["path"] != asset(name):
-        raise Refusal(404, message("no such file; load the page again"))
+        raise Refusal(404, "no such file; load the page again")
     return Response(read_asset(name), media_type=ASSETS[name], headers=KEPT)
 
 

@@ -8,7 +8,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 from markupsafe import Markup
 
 from bench.base.arrays import ARCSEC, CHANNELS, Floats, u_of
@@ -21,7 +21,6 @@ from bench.base.numbers import (
     quantity,
     rounded,
     scale_for,
-    typeset,
     uncertainty,
 )
 from bench.base.template_texts import environment_for
@@ -379,14 +378,6 @@ def page(name: str, **content: Any) -> str:
 @cache
 def _templates(name: str) -> Environment:
     """Return the template environment of a language, cached so that each template is compiled only once."""
-    environment = environment_for(
-        name,
-        loader=PackageLoader("bench.results", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["typeset"] = typeset
+    environment = environment_for(name, "bench.results")
     environment.filters["shown_path"] = shown_path
     return environment

@@ -2,33 +2,16 @@
 run killed."""
 
 import signal
-import socket
-import subprocess
-import sys
-from contextlib import closing
 
 import pytest
 
 from bench.panel.access import Role
+from bench.panel.app import begin_panel, url_of
+from bench.run.folder import Run
 from bench.run.record import is_being_written
-from tests.support.browser_runs import PROGRAM, Begun, answer_on, prompt_of, typed_for, until
+from tests.support.browser_runs import Begun, answer_on, prompt_of, typed_for, until
 
 WIDE = {"width": 1280, "height": 900}
-
-
-def served_apart(runs, port):
-    """Serve the panel in a process of its own."""
-    command = ["panel", "--runs", str(runs), "--port", str(port)]
-    process = subprocess.Popen(  # noqa: S603 - our own program
-        [sys.executable, "-c", PROGRAM, *command], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-
-    def listens():
-        with closing(socket.socket()) as one:
-            return one.connect_ex(("127.0.0.1", port)) == 0
-
-    until(listens)
-    return process
 
 
 @pytest.fixture
@@ -40,18 +23,16 @@ def run(panel):
 
 
 def test_a_killed_panel_is_told_loudly_and_the_question_is_there_again(chromium, panel, run):
-    with closing(socket.socket()) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
     token = panel.token("anna", Role.OPERATOR)
-    apart = served_apart(panel.runs, port)
+    apart = begin_panel(panel.runs, [0]).process
+    url = url_of(panel.runs)
     context = chromium.new_context(viewport=WIDE)
     try:
         page = context.new_page()
-        page.goto(f"http://127.0.0.1:{port}/sign-in")
+        page.goto(f"{url}/sign-in")
         page.fill("#token", token)
         page.click("main button[type=submit]")
-        page.goto(f"http://127.0.0.1:{port}/runs/lost/")
+        page.goto(f"{url}/runs/lost/")
         page.click("text=Take control")
         page.wait_for_selector("text=You are in control")  # a kill before it would take the request along
         asked = prompt_of(page, "")
@@ -66,7 +47,7 @@ def test_a_killed_panel_is_told_loudly_and_the_question_is_there_again(chromium,
             == 0
         )
         assert run.process.poll() is None
-        apart = served_apart(panel.runs, port)
+        apart = begin_panel(panel.runs, [int(url.rpartition(":")[2])]).process
         page.wait_for_selector("#lost", state="hidden")
         assert page.get_attribute("#live", "data-prompt") == asked
         page.wait_for_selector("text=You are in control")
@@ -91,8 +72,11 @@ def test_a_killed_run_is_told_and_gone_on_with_by_a_button(visit, run):
     assert page.locator("#wishes button:enabled").count() == 0
     assert not page.is_visible("#answer")
     page.click("text=Resume this run")
-    prompt_of(page, "")
-    assert len(run.of_type("run_resumed")) == 1
-    page.click("text=Stop")
-    page.wait_for_selector("text=interrupted")
+    asked = ""
+    while asked := prompt_of(page, asked):
+        answer_on(page, typed_for(run.of_type("asked")[-1], 0))
     until(lambda: not is_being_written(run.folder))
+    history = Run(run.folder).history
+    assert (history.state, history.problems, len(run.of_type("run_resumed"))) == ("finished", (), 1)
+    answered = [event["id"] for event in run.of_type("answered")]
+    assert len(set(answered)) == len(answered)

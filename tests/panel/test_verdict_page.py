@@ -46,6 +46,14 @@ def test_the_verdict_stands_with_its_uncertainty_limit_and_risk(anna, judged):
     assert "Simulated instruments" in said
 
 
+def test_a_scale_factor_has_the_unit_that_the_report_prints(anna, judged):
+    told = json.loads((judged / "calibrate.json").read_text())
+    (judged / "calibrate.json").write_text(json.dumps({**told, "unit": "m/s^2"}))
+    units = set(re.findall(r"<td>([^<]*/g)</td>", anna.get("/runs/run/verdict").text))
+    assert units
+    assert all(re.fullmatch(r"\(.*m/s²\)/g", unit) for unit in units)
+
+
 def test_report_and_figures_stand_apart_and_nothing_of_them_acts(anna, judged, bench, monkeypatch):
     drawn = '<svg viewBox="0 0 1 1">\n<g id="a">\n<path d="M 0 0\nL 1 1"/>\n</g>\n</svg>\n'
     monkeypatch.setattr("bench.results.plots._written", lambda name, inches, draw: drawn)

@@ -35,6 +35,7 @@ from bench.certificate.dcc.nodes import (
     DEGREE,
     NAMESPACES,
     ONE,
+    PER_MS2,
     SECOND,
     SI_UNITS,
     VERSION,
@@ -92,7 +93,10 @@ def document_of(certificate: Certificate) -> bytes:
             node("dcc:statements", *_statements(certificate, order, unit, issue)),
         )
     )
-    root.append(_measurement_results(certificate))
+    measured = [_measured(certificate, certificate.found, "found-")]
+    if certificate.as_found is not None:
+        measured.insert(0, _measured(certificate, certificate.as_found, "before-"))
+    root.append(node("dcc:measurementResults", *measured))
     etree.cleanup_namespaces(root, top_nsmap={**NAMESPACES, "xsi": _XSI})
     etree.indent(root, " ")
     return bytes(etree.tostring(root, xml_declaration=True, encoding="UTF-8")) + b"\n"
@@ -195,19 +199,14 @@ def _items(certificate: Certificate, unit: UnitOrder) -> Node:
 
 def _persons(issue: Issue, operator: str) -> Iterator[Node]:
     who = issue.authorised_by
-    yield node(
-        "dcc:respPerson",
-        node("dcc:person", node("dcc:name", plain(who.name))),
-        None if who.role is None else node("dcc:role", who.role),
-        node("dcc:mainSigner", "true"),
-    )
-    if operator:
-        yield node(
-            "dcc:respPerson",
-            node("dcc:person", node("dcc:name", plain(operator))),
-            node("dcc:role", "operator"),
-            node("dcc:mainSigner", "false"),
-        )
+    for name, role, signs in ((who.name, who.role, "true"), (operator, "operator", "false")):
+        if name:
+            yield node(
+                "dcc:respPerson",
+                node("dcc:person", node("dcc:name", plain(name))),
+                None if role is None else node("dcc:role", role),
+                node("dcc:mainSigner", signs),
+            )
 
 
 def _statements(certificate: Certificate, order: Order, unit: UnitOrder, issue: Issue) -> Iterator[Node]:
@@ -285,14 +284,6 @@ _CONFORMITY: Final = {
     Statement.FAIL: "fail",
 }
 """The DCC's word for each statement; `noPass` if no statement can be made, and the declaration states why."""
-
-
-def _measurement_results(certificate: Certificate) -> Node:
-    """Return the element of all measurement results; those before an adjustment come first."""
-    parts = [_measured(certificate, certificate.found, "found-")]
-    if certificate.as_found is not None:
-        parts.insert(0, _measured(certificate, certificate.as_found, "before-"))
-    return node("dcc:measurementResults", *parts)
 
 
 def _measured(certificate: Certificate, found: RunFindings, prefix: str) -> Node:
@@ -410,7 +401,7 @@ def _per_ms2(found: RunFindings) -> Values:
     values = own.block.vector * scale
     of_g = np.where(np.arange(12) < 9, values, 0.0) * own.gravity_u
     covariance = own.covariance * np.outer(scale, scale) + np.outer(of_g, of_g)
-    per = {"V": VOLT_PER_MS2, "m/s^2": ONE}.get(own.unit, r"\metre\tothe{-1}\second\tothe{2}")
+    per = {"V": VOLT_PER_MS2, "m/s^2": ONE}.get(own.unit, PER_MS2)
     sizes = zip(values.tolist(), u_of(covariance).tolist(), strict=True)
     dof = dof_through(own, np.diag(scale), of_g**2).tolist()
     found_per = (

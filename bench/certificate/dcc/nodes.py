@@ -15,21 +15,18 @@ from bench.base.text import visible
 from bench.certificate.content import Attached
 from bench.certificate.laboratory import Texts, in_each
 
-VOLT: Final = r"\volt"
 ONE: Final = r"\one"
-PER_VOLT: Final = r"\volt\tothe{-1}"
-VOLT_PER_MS2: Final = r"\volt\metre\tothe{-1}\second\tothe{2}"
-RADIAN: Final = r"\radian"
 DEGREE: Final = r"\degree"
 SECOND: Final = r"\second"
 CELSIUS: Final = r"\degreecelsius"
-AMPERE: Final = r"\ampere"
-MS2: Final = r"\metre\second\tothe{-2}"
+PER_MS2: Final = r"\metre\tothe{-1}\second\tothe{2}"
+VOLT_PER_MS2: Final = rf"\volt{PER_MS2}"
 
 SI_UNITS: Final = {
-    "V": VOLT, "V/g": VOLT, "g/V": PER_VOLT, "counts": ONE, "counts/g": ONE, "g/counts": ONE, "g": ONE, "g/g": ONE,
-    "m/s^2": MS2, "m/s^2/g": MS2, "g/(m/s^2)": r"\metre\tothe{-1}\second\tothe{2}", "rad": RADIAN, "deg": DEGREE,
-    "°C": CELSIUS, "A": AMPERE, "m/s²": MS2, "": ONE,
+    "V": r"\volt", "V/g": r"\volt", "g/V": r"\volt\tothe{-1}", "A": r"\ampere", "°C": CELSIUS, "deg": DEGREE,
+    "rad": r"\radian", "g/(m/s^2)": PER_MS2,
+    **dict.fromkeys(("m/s^2", "m/s^2/g", "m/s²"), r"\metre\second\tothe{-2}"),
+    **dict.fromkeys(("counts", "counts/g", "g/counts", "g", "g/g", ""), ONE),
 }  # fmt: skip
 """D-SI notation of each unit in results. Ratios to local g are quantities of dimension one."""
 

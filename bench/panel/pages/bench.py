@@ -22,6 +22,7 @@ from bench.config.bench_file.file import BenchFile
 from bench.config.shipped import CONFIG
 from bench.panel.access import STATE, Refusal, Role
 from bench.panel.bench_fields import (
+    METERS,
     METERS_PLACE,
     ROLES,
     Group,
@@ -136,15 +137,11 @@ class BenchForm(EditedFile):
         """Take over the typed values; begin a search if its button was pressed. Raises `Refusal` for odd texts."""
         for name, text in given.items():
             if len(text) > LONGEST and "\n" not in text:
-                raise Refusal(
-                    400, message(f"{name}: the text has more than {LONGEST} characters; shorten it")
-                )
+                raise Refusal(400, f"{name}: the text has more than {LONGEST} characters; shorten it")
         for name, text in given.items():
             if _OF_FORM.match(name):
                 if visible(text) != text or not (text.isprintable() or not text):
-                    raise Refusal(
-                        400, message(f"{name}: the text has characters that cannot be printed; remove them")
-                    )
+                    raise Refusal(400, f"{name}: the text has characters that cannot be printed; remove them")
                 self.values[name] = text.strip()
         search = search_of(panel)
         self.refusal = _assign(self.values, given, search.found())
@@ -167,10 +164,8 @@ class BenchForm(EditedFile):
         except (yaml.YAMLError, TypeError, LookupError, AttributeError) as error:
             raise Refusal(
                 409,
-                message(
-                    "the form cannot show this file, because the file is not valid YAML or a "
-                    "section has the wrong structure; correct the file in an editor"
-                ),
+                "the form cannot show this file, because the file is not valid YAML or a "
+                "section has the wrong structure; correct the file in an editor",
             ) from error
         mistakes, self.file = mistakes_in(self.text, self.base.path)
         self.placed = placed(mistakes, self.groups)
@@ -217,7 +212,7 @@ def _values(file: FileText) -> dict[str, str]:
     except yaml.YAMLError as error:
         where = mistakes_in(file.text, file.path)[0][0]
         raise Refusal(
-            409, message(f"{file.path}, line {where.line}: {where.text}; correct it in an editor")
+            409, f"{file.path}, line {where.line}: {where.text}; correct it in an editor"
         ) from error
 
 
@@ -254,34 +249,33 @@ def _assign(values: dict[str, str], given: Mapping[str, str], found: Findings) -
     )
 
 
-def _assigned(values: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    """Return the role or channel that each resource in the form's values serves, and its section's path."""
-    number = number_of_meters(dict(values))
+def _places(values: Mapping[str, str]) -> dict[str, str]:
+    """Return the role or channel of the instrument at each path of the form; the voltmeters come last."""
+    number = number_of_meters(values)
     places = {f"instruments.{role}": str(role) for role in ROLES}
     for index, signal in enumerate("xyz"[:number]):
         place = dotted((*METERS_PLACE, index))
         places[place] = "scanner" if number == 1 else values.get(f"{place}.channels", signal)
+    return places
+
+
+def _assigned(values: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+    """Return the role or channel that each resource in the form's values serves, and its section's path."""
     return {
         resource: (target, place)
-        for place, target in places.items()
+        for place, target in _places(values).items()
         if (resource := values.get(f"{place}.resource", ""))
     }
 
 
 def _place_of(target: str, values: dict[str, str]) -> str:
     """Return the path of `target`, which gets a found resource; change the number of voltmeters if it must."""
-    if target in ROLES:
-        return f"instruments.{target}"
     if target == "scanner":
-        values["form:voltmeters"] = "1"
-        return dotted((*METERS_PLACE, 0))
-    if number_of_meters(values) == 1:
-        values["form:voltmeters"] = "3"
-    places = [dotted((*METERS_PLACE, index)) for index in range(number_of_meters(values))]
-    for index, place in enumerate(places):
-        if values.get(f"{place}.channels", "xyz"[index]) == target:
-            return place
-    return places[-1]
+        values[METERS] = "1"
+    elif target not in ROLES and number_of_meters(values) == 1:
+        values[METERS] = "3"
+    places = _places(values)
+    return next((place for place, one in places.items() if one == target), list(places)[-1])
 
 
 def _addressed(given: Mapping[str, str]) -> list[str]:

@@ -10,7 +10,6 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 
-from bench.base.languages import message
 from bench.panel.access import Refusal
 from bench.panel.shared import looking, page, panel_of
 
@@ -62,7 +61,7 @@ async def _asked(request: Request, question: Callable[[Catalogue, str], Told], a
     looking(request)
     where = panel_of(request).settings.catalogue
     if not where:
-        raise Refusal(404, message("this panel has no catalogue; start it with --catalogue"))
+        raise Refusal(404, "this panel has no catalogue; start it with --catalogue")
     from bench.catalogue.store import open_catalogue
 
     def answered() -> Told:
@@ -96,9 +95,7 @@ def _figure(catalogue: Catalogue, unit: str) -> str:
     if not calibrations:
         raise Refusal(
             404,
-            message(
-                f"{unit}: the catalogue has no calibration of it to draw; calibrate a run, then use 'bench "
-                "catalogue sync'"
-            ),
+            f"{unit}: the catalogue has no calibration of it to draw; calibrate a run, then use 'bench "
+            "catalogue sync'",
         )
     return unit_figure(calibrations)

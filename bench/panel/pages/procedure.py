@@ -114,9 +114,7 @@ class ProcedureTable(EditedFile):
             return cls(name, "", base, text=base.text)
         known = shipped_files(PROCEDURES) | own_files(PROCEDURES)
         if start not in known:
-            raise Refusal(
-                404, message("there is no procedure of that name to start from; see the list of procedures")
-            )
+            raise Refusal(404, "there is no procedure of that name to start from; see the list of procedures")
         base = read_file(known[start])
         return cls(new_name, start, FileText(base.path, base.text), text=base.text)
 
@@ -189,7 +187,7 @@ def _text_of(given: Mapping[str, str], name: str) -> str:
     lines = re.split(r"\r\n|\r|\n", given.get(name, "").rstrip())
     text = "\n".join(line.rstrip(" \t") for line in lines) + "\n"
     if visible(text) != text:
-        raise Refusal(400, message("the text has characters that cannot be printed; remove them"))
+        raise Refusal(400, "the text has characters that cannot be printed; remove them")
     return text
 
 
@@ -217,10 +215,8 @@ def _from_table(text: str, given: Mapping[str, str]) -> str:
     except (yaml.YAMLError, TypeError, KeyError, AttributeError, IndexError, RecursionError) as error:
         raise Refusal(
             409,
-            message(
-                "the table cannot show this file, because the file is not valid YAML or a "
-                "step has the wrong structure; correct the file in the text"
-            ),
+            "the table cannot show this file, because the file is not valid YAML or a "
+            "step has the wrong structure; correct the file in the text",
         ) from error
 
 

@@ -100,14 +100,14 @@ def _queue_values(panel: Panel) -> dict[str, Any]:
         "number_done": sum(row.run is not None and _is_done(row.run) for row in rows),
         "benches": [
             bench_today(name, list(runs.values()), on.get(name))
-            for name in dict.fromkeys(row.item.bench for row in rows if _needs_bench(row))
+            for name in dict.fromkeys(
+                row.item.bench
+                for row in rows
+                if not row.item.dry_run and (row.run is None or not _is_done(row.run))
+            )
         ],
         "duty": panel.queue.on_duty(),
     }
-
-
-def _needs_bench(row: QueueRow) -> bool:
-    return not row.item.dry_run and (row.run is None or not _is_done(row.run))
 
 
 def _is_done(run: RunRow) -> bool:
@@ -160,7 +160,8 @@ def bench_today(name: str, runs: Sequence[RunRow], on: DayNote | None) -> BenchT
     """Return what an operator must know today of a bench; the note `on` says when it was switched on."""
     busy = next((row.name for row in runs if row.alive and row.bench == Path(name).stem), "")
     try:
-        path = chosen_bench_file(name)
+        if (path := choices(CONFIG).get(name)) is None:
+            raise Refusal(404, f"the bench file {name} no longer exists; remove the unit and add it again")
         bench = _bench(path, path.stat().st_mtime_ns)
     except (Refusal, OSError, FileMistakes) as error:
         reason = error.text if isinstance(error, Refusal) else str(error).partition("\n")[0]
@@ -180,16 +181,6 @@ def bench_today(name: str, runs: Sequence[RunRow], on: DayNote | None) -> BenchT
         warm=_warm(on),
         busy=busy,
     )
-
-
-def chosen_bench_file(name: str) -> Path:
-    """Return the bench file with this name. Raises `Refusal` if it no longer exists."""
-    path = choices(CONFIG).get(name)
-    if path is None:
-        raise Refusal(
-            404, message(f"the bench file {name} no longer exists; remove the unit and add it again")
-        )
-    return path
 
 
 @lru_cache(maxsize=64)
@@ -268,19 +259,15 @@ def _changed(panel: Panel, person: Person, sent: dict[str, str]) -> None:
         case "off duty":
             panel.queue.note(OFF_DUTY, person)
         case "on":
-            panel.queue.note(SWITCHED_ON, person, _known_bench(sent.get("bench", "")))
+            if (bench := sent.get("bench", "")) not in choices(CONFIG):
+                raise Refusal(400, "there is no bench file of that name; choose one from the list")
+            panel.queue.note(SWITCHED_ON, person, bench)
         case "put aside":
             panel.queue.put_aside()
         case _:
             raise Refusal(
-                400, message("there is no such action for the queue; load the page again and use its buttons")
+                400, "there is no such action for the queue; load the page again and use its buttons"
             )
-
-
-def _known_bench(name: str) -> str:
-    if name not in choices(CONFIG):
-        raise Refusal(400, message("there is no bench file of that name; choose one from the list"))
-    return name
 
 
 def _asked(panel: Panel, person: Person, sent: dict[str, str]) -> list[QueueItem]:
@@ -314,20 +301,18 @@ def _item_changed(panel: Panel, person: Person, item_id: str, do: str) -> str:
         if not _row(panel, item, runs).returnable:
             raise Refusal(
                 409,
-                message(f"{item.words}: its run continues or is finished; add the unit to the queue again"),
+                f"{item.words}: its run continues or is finished; add the unit to the queue again",
             )
         panel.queue.change(item_id, wish="", run="", begun=None)
     else:
-        raise Refusal(
-            400, message("there is no such action for the queue; load the page again and use its buttons")
-        )
+        raise Refusal(400, "there is no such action for the queue; load the page again and use its buttons")
     return "/queue"
 
 
 def _check_of(panel: Panel, person: Person, item: QueueItem) -> str:
     """Return the id of the check of an item: the check in progress or still valid, else a new one."""
     if panel.runs.holds(item.run) or panel.queue.is_starting(item):
-        raise Refusal(409, message(f"{item.words} was begun already; see the run {item.run}"))
+        raise Refusal(409, f"{item.words} was begun already; see the run {item.run}")
     try:
         wish = panel.wishes.of(item.wish)
         if not wish.wanted().changed() and (wish.at_work() or wish.found().startable) and not wish.started():

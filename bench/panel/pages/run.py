@@ -27,7 +27,6 @@ from bench.run.folder import Run
 from bench.run.person import (
     LONGEST,
     SIGN,
-    AskedPrompt,
     LeftAnswer,
     RunControl,
     WishAuthor,
@@ -99,7 +98,7 @@ async def stream(request: Request) -> Response:
     """Send the snapshot of a run at each change, as server-sent events."""
     found, name, streams = run_of(request), looking(request).name, panel_of(request).streams
     if streams[name] >= MOST_STREAMS:
-        raise Refusal(429, message(f"{name} has {MOST_STREAMS} live pages open; close one"))
+        raise Refusal(429, f"{name} has {MOST_STREAMS} live pages open; close one")
     events = panel_of(request).followers.stream(found.folder)
     return StreamingResponse(
         _as_long_as_signed_in(request, events, name),
@@ -130,17 +129,10 @@ async def check_answer(request: Request) -> Response:
     found = run_of(request)
     asked = await panel_of(request).followers.prompt(found.folder)
     text = request.query_params.get("text", "")
-    return JSONResponse(checked(asked, request.query_params.get("id", ""), text))
-
-
-def checked(asked: AskedPrompt | None, prompt_id: str, text: str) -> dict[str, str]:
-    """Return the `problem` with an answer and how it is `understood`. Raises `Refusal` (409) if it is late."""
-    if asked is None or asked.prompt.id != prompt_id:
-        raise Refusal(409, message("this question is closed; load the page again"))
-    return {
-        "problem": problem_with_answer(asked.prompt, text),
-        "understood": understood_answer(asked.prompt, text),
-    }
+    if asked is None or asked.prompt.id != request.query_params.get("id", ""):
+        raise Refusal(409, "this question is closed; load the page again")
+    problem, understood = problem_with_answer(asked.prompt, text), understood_answer(asked.prompt, text)
+    return JSONResponse({"problem": problem, "understood": understood})
 
 
 STOP: Final = "stop"
@@ -156,10 +148,10 @@ async def answer(request: Request) -> Response:
     await _doing(require_holder, run.folder, person)
     prompt_id, text = sent.get("id", ""), sent.get("text", "")
     if len(text) > LONGEST:
-        raise Refusal(413, message(f"the answer is too long; shorten it to at most {LONGEST} characters"))
+        raise Refusal(413, f"the answer is too long; shorten it to at most {LONGEST} characters")
     asked = await panel_of(request).followers.prompt(run.folder)
     if asked is None or asked.prompt.id != prompt_id:
-        raise Refusal(409, message("this question was answered, or another one is open; load the page again"))
+        raise Refusal(409, "this question was answered, or another one is open; load the page again")
     if problem := problem_with_answer(asked.prompt, text):
         raise Refusal(422, problem)
     await _doing(leave_answer, run.folder, LeftAnswer(prompt_id, text, _who(person)))
@@ -178,9 +170,7 @@ async def wish(request: Request) -> Response:
     if word != STOP:
         await _doing(require_holder, run.folder, person)
     if len(reason) > LONGEST_REASON:
-        raise Refusal(
-            413, message(f"the reason is too long; shorten it to at most {LONGEST_REASON} characters")
-        )
+        raise Refusal(413, f"the reason is too long; shorten it to at most {LONGEST_REASON} characters")
     try:
         asked = parse_wish(f"{word} {reason}")
     except ValueError as mistake:
@@ -188,7 +178,7 @@ async def wish(request: Request) -> Response:
     if not await _doing(is_being_written, run.folder):
         if asked.wish is Wish.ABORT:
             return await _given_up(request, run, person)
-        raise Refusal(409, message("no program is carrying out this run; load the page again"))
+        raise Refusal(409, "no program is carrying out this run; load the page again")
     await _doing(leave_wish, run.folder, RunControl(asked.wish, asked.reason, who=_who(person)))
     return _done(request, run, message(f"{asked.wish} was sent"))
 
@@ -245,10 +235,10 @@ async def _doing(work: Callable[..., Told], *given: object) -> Told:
     except OSError as error:
         if error.errno in DISK_FULL:
             raise Refusal(
-                409, message(f"the run's folder cannot be written ({error.strerror}); free disk space")
+                409, f"the run's folder cannot be written ({error.strerror}); free disk space"
             ) from error
         raise Refusal(
-            409, message(f"the run's folder cannot be written ({error.strerror}); make it writable")
+            409, f"the run's folder cannot be written ({error.strerror}); make it writable"
         ) from error
 
 

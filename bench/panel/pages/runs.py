@@ -93,7 +93,7 @@ def _asked(request: Request) -> tuple[str, Chart]:
     """Return the kind of runs that the address asks for, and the request for their charts."""
     asked = request.query_params.get("of", "")
     if asked not in KINDS:
-        raise Refusal(400, message("the address asks for no known kind of runs; choose real or simulated"))
+        raise Refusal(400, "the address asks for no known kind of runs; choose real or simulated")
     folder = panel_of(request).settings.runs
     return asked, Chart(folder, folder=folder, real=KINDS[asked])
 

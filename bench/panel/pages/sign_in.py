@@ -29,14 +29,14 @@ async def signed_in(request: Request) -> Response:
     panel = panel_of(request)
     link, token = sent.get("link", ""), sent.get("token", "")
     if link and not panel.settings.loopback:
-        raise Refusal(403, message("sign-in links work on the bench's computer only; sign in with a token"))
+        raise Refusal(403, "sign-in links work on the bench's computer only; sign in with a token")
     sign_in_by = panel.access.sign_in_by_link if link else panel.access.sign_in_by_token
     person = await run_in_threadpool(sign_in_by, link or token)
     if person is None:
-        wrong = (
-            message("this link was used or has expired; 'bench panel link' makes another")
+        wrong = message(
+            "this link was used or has expired; 'bench panel link' makes another"
             if link
-            else message("unknown token; 'bench panel token NAME' makes one")
+            else "unknown token; 'bench panel token NAME' makes one"
         )
         return _form(request, sent.get("next", "/"), wrong=wrong, status=403)
     response = RedirectResponse(_here(sent.get("next", "/")), status_code=303)

@@ -63,7 +63,8 @@ def form(request: Request) -> Response:
     if given["after"]:
         after = panel_of(request).runs.run(given["after"])
         chosen_procedure(f"{OF_RUN}{after.name}", panel_of(request).runs)
-        given["unit"] = given["unit"] or _unit_of(after.manifest)
+        block = after.manifest.get("unit_under_test")
+        given["unit"] = given["unit"] or (str(block.get("serial", "")) if isinstance(block, dict) else "")
     return page(
         request,
         "start.html.j2",
@@ -164,10 +165,8 @@ def _begun(panel: Panel, person: Person, wish: WishFolder) -> str:
     if not wish.found().startable:
         raise Refusal(
             409,
-            message(
-                "the check is not finished or found an obstacle; read the check, remove the obstacle, "
-                "then start again"
-            ),
+            "the check is not finished or found an obstacle; read the check, remove the obstacle, "
+            "then start again",
         )
     wanted = wish.wanted()
     name = name_of(wanted, panel.runs)
@@ -188,9 +187,9 @@ def printable(text: str, name: str, longest: int = LONGEST) -> str:
     """Return a field's `text` without outer blanks. Raises `Refusal` (400) if it is too long or not printable."""
     text = text.strip()
     if len(text) > longest:
-        raise Refusal(400, message(f"{name}: the text has more than {longest} characters; shorten it"))
+        raise Refusal(400, f"{name}: the text has more than {longest} characters; shorten it")
     if (text and not text.isprintable()) or visible(text) != text:
-        raise Refusal(400, message(f"{name}: the text has characters that cannot be printed; remove them"))
+        raise Refusal(400, f"{name}: the text has characters that cannot be printed; remove them")
     return text
 
 
@@ -216,11 +215,6 @@ def first_bench(runs: RunsFolder) -> str:
         return _files_of(last.manifest).get("bench", first) if last else first
     except RecordError:
         return first
-
-
-def _unit_of(manifest: Any) -> str:
-    unit = manifest.get("unit_under_test")
-    return str(unit.get("serial", "")) if isinstance(unit, dict) else ""
 
 
 def _times(told: TrialResult) -> dict[str, str]:

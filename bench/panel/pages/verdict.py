@@ -9,7 +9,6 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 
-from bench.base.languages import message
 from bench.base.numbers import without_infinity
 from bench.certificate.register import NumberStatus
 from bench.panel.access import Refusal, Role
@@ -59,7 +58,7 @@ def view(request: Request) -> Response:
     run, what = run_of(request), request.path_params["what"]
     title, file = VIEWS.get(what, ("", ""))
     if not title:
-        raise Refusal(404, message("the run has no such page; go back to the run"))
+        raise Refusal(404, "the run has no such page; go back to the run")
     read_page(run, file)  # says what is missing, in the panel's own page
     here = f"/runs/{quote(run.name)}"
     return page(
@@ -103,7 +102,7 @@ async def diagnose(request: Request) -> Response:
     before = panel.diagnosing.get(run.name)
     if before is None or before.status is not None:
         if len(at_work) >= 2:
-            raise Refusal(429, message("two runs are being diagnosed already; wait until one is done"))
+            raise Refusal(429, "two runs are being diagnosed already; wait until one is done")
         for old in [name for name, one in panel.diagnosing.items() if one.status is not None][:-MOST_TOLD]:
             del panel.diagnosing[old]
         panel.diagnosing[run.name] = await run_in_threadpool(begin, run)
@@ -154,7 +153,7 @@ async def table(request: Request) -> Response:
     found, panel = run_of(request), panel_of(request)
     name, form = request.path_params["table"], request.path_params["form"]
     if form not in FORMS:
-        raise Refusal(404, message(f"there is no such file format; choose one of {', '.join(FORMS)}"))
+        raise Refusal(404, f"there is no such file format; choose one of {', '.join(FORMS)}")
     if name == LIVE:
         rows = live_table(without_infinity(await panel.followers.points(found.folder)))
     else:
